@@ -1,10 +1,7 @@
-"""Simulate, calibrate, plan and diagnose laser-tracker networks. Import the package with `import ltsim as lt`.
+"""Simulation, calibration, planning and diagnosis of laser-tracker networks: ``import ltsim as lt``.
 
 Then use `lt.read`, `lt.simulate`, `lt.calibrate`, `lt.diagnose` and the other names of `__all__`. Each name is loaded
 from its package when it is first used. `lt.effects` is the package of the physical effects.
-
-The front door: `import ltsim as lt`, then `lt.read`, `lt.simulate`, `lt.calibrate`, `lt.diagnose` and the other names
-of `__all__`, each loaded from its package when it is first used. `lt.effects` is the package of the physical effects.
 """
 
 from importlib import import_module
@@ -65,8 +62,9 @@ _MODULES = {
     "adjustment.evaluation.bench": ("bench",),
     "adjustment.fieldcheck.check": ("check",),
 }
-"""The module that holds each public function."""
+"""Names of the public functions and classes of each module."""
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
+"""Module that defines each public name."""
 
 _PACKAGES = {"effects": "ltsim.physics.effects", "errors": "ltsim.core.errors"}
 
@@ -93,5 +91,5 @@ if not TYPE_CHECKING:  # a type checker would take any name for one of this modu
 
 
 def __dir__() -> list[str]:
-    """The names of the front door, for completion."""
+    """Public names of the package, for completion in an editor."""
     return [*__all__, "__version__"]

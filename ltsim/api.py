@@ -1,4 +1,4 @@
-"""Recordings and results in and out of files."""
+"""Reading and writing of recordings and results in files."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
 
 
 def _result_file(file_or_folder: Path) -> Path | None:
-    """The file of a result that a path names, itself or in a folder without a recording; None for a recording."""
+    """Path of the result file that a path names, or that its folder contains; None for a recording."""
     if file_or_folder.is_file():
         return file_or_folder if file_or_folder.suffix == ".json" and not is_recording(file_or_folder) else None
     if (file_or_folder / OBSERVATIONS_FILE).is_file():
@@ -71,7 +71,7 @@ def _result_file(file_or_folder: Path) -> Path | None:
 
 
 def _read_result(file: Path) -> Any:
-    """Result in a file of a command."""
+    """Result read from a file that a command or `write` wrote."""
     from ltsim.calibration.calibration import Calibration
     from ltsim.calibration.files import read_calibration
     from ltsim.reports.schemas import RESULT_MODELS
@@ -129,7 +129,7 @@ def write(
 
 
 def _write_result(result_file: ResultFile, path: Path, recording: Recording | None) -> None:
-    """Writer of results other than recordings; the package is loaded already, since the result came from it."""
+    """Writing of a result other than a recording; the package of the result is loaded already."""
     from ltsim.calibration.calibration import Calibration
     from ltsim.calibration.files import write_calibration
     from ltsim.diagnosis.diagnosis import Diagnosis

@@ -40,8 +40,7 @@ from ltsim.solve.projection import Projection, make_projection
 from ltsim.solve.threads import single_threaded
 
 MAX_SUCCESSIVELY_TESTED_READINGS = 300
-"""Number of poorly fitting readings above which the single readings are not tested: so many misfits mean that the noise
-is wrong."""
+"""Number of suspected readings above which they are tested independently and not one after another (cost)."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,7 @@ class FlaggedReading:
     """Reading rejected by the w-test (Baarda 1968) or the tau-test (Pope 1976)."""
 
     row: int
-    """Row number of the pointing."""
+    """Index of the pointing in the recording, from 0."""
     observable_column: int
     """Column of the reading: 0 range, 1 azimuth, 2 elevation."""
     estimated_error: float
@@ -69,11 +68,11 @@ class Adjustment(Result):
     solution: Solution[NetworkState]
     """Solution of the problem, with its convergence status."""
     is_gross_pointing: Bools
-    """Flags of the pointings rejected as gross errors before the adjustment, (n,)."""
+    """Flags (n,) of the pointings rejected as gross errors before the adjustment."""
     variance_components: tuple[VarianceComponent, ...] = ()
-    """Estimated noise of groups of readings, if requested; `problem.sigma` contains it."""
+    """Estimated noise of groups of readings; empty if not requested. `problem.sigma` contains these estimates."""
     unconnected_targets: tuple[str, ...] = ()
-    """Targets that the recording does not determine; their places in the state have no meaning."""
+    """Names of targets that the recording does not determine; their coordinates in `state` have no meaning."""
     rejected_references: tuple[ReferenceTest, ...] = ()
     """Reference values that contradict the other observations and were removed; `recording` does not contain them."""
     axis_tests: tuple[ReferenceTest, ...] = ()
@@ -81,9 +80,9 @@ class Adjustment(Result):
     duplicate_rows: int = 0
     """Number of rows that repeat others in every digit and are not used."""
     cause_sentences: tuple[str, ...] = ()
-    """Sentences on the identified simple causes, with which the network is consistent."""
+    """Sentences on identified errors, with which the network is consistent."""
     datum: InnerDatum | None = None
-    """Datum of the covariances; None for that of the factor (pose of the first station)."""
+    """Inner datum of the covariances; None if the datum is the frame of the adjustment (pose of the first station)."""
 
     def _lines(self) -> list[str]:
         return [
@@ -103,14 +102,14 @@ class Adjustment(Result):
         effects: Sequence[Signature] = (),
         prior: ParameterPrior | None = None,
     ) -> Adjustment:
-        """Adjustment of pointings that are planned: its precision does not depend on readings.
+        """Adjustment of planned pointings, for the precision of a plan, which does not depend on readings.
 
         Raises NetworkError if the pointings do not determine their poses and targets.
 
         Parameters
         ----------
         recording : Recording
-            The pointings; their readings only say which observables are measured.
+            Planned pointings; their readings only state which observables are measured.
         state : NetworkState
             Planned stations and targets, and the instrument's parameters.
         construction, effects
@@ -182,10 +181,7 @@ class Adjustment(Result):
         self.solution.require_success()
 
     def _missing_solution_sentence(self) -> str:
-        """Sentence on the cause of a missing solution: no scale, or a station with collinear common targets.
-
-        It is empty for none.
-        """
+        """Sentence on a missing scale or collinear common targets as cause of a missing solution, else empty."""
         recording, problem = self.recording, self.problem
         held = problem.control_rows.declared_components[:, :2].all(axis=1).sum() + len(problem.control_rows_of_marks)
         differences = problem.difference_rows.declared_components[:, :2].any()
@@ -212,7 +208,7 @@ class Adjustment(Result):
 
     @cached_property
     def residual_projector(self) -> Projection:
-        """Projector of errors of the rows (readings, reference values, priors, datum) onto the residual space."""
+        """Projector onto the residual space: it maps errors of observations to their part in the residuals."""
         return make_projection(self.solution.system, self.solution.factor)
 
     @cached_property
@@ -227,10 +223,7 @@ class Adjustment(Result):
 
     @cached_property
     def redundancy(self) -> Floats:
-        """Redundancy numbers (n, 3), derivative of a residual with respect to an error of its reading.
-
-        It is NaN for unused readings.
-        """
+        """Redundancy numbers (n, 3), derivatives of residuals by errors of their readings; NaN for unused readings."""
         return redundancy_numbers(self.problem, self.factorised_normals)
 
     @cached_property
@@ -240,7 +233,10 @@ class Adjustment(Result):
 
     @cached_property
     def noisy_targets(self) -> tuple[Ints, float, float]:
-        """Targets with larger noise than others, and the scatter of both groups of readings over the declared noise."""
+        """Indices (k,) of targets with larger noise than others, scatter of their readings, and scatter elsewhere.
+
+        Both scatters are ratios to the declared noise.
+        """
         return noisy_groups(self.normalised_residuals, self.redundancy, self.recording.target)
 
     @cached_property
@@ -257,25 +253,25 @@ class Adjustment(Result):
 
     @property
     def undetermined_stations(self) -> tuple[str, ...]:
-        """Names of stations whose pose is partly undetermined; the undetermined part keeps its start value."""
+        """Names of stations whose pose is partly undetermined; the undetermined components keep their start values."""
         held = self.problem.structure.fixed_pose_components.any(axis=1)
         return tuple(self.recording.stations[s] for s in np.flatnonzero(held))
 
     @cached_property
     def is_rejected(self) -> Bools:
-        """Flags (n, 3) of the rejected readings, except to targets that all usable readings leave undetermined."""
+        """Flags (n, 3) of the rejected readings, without those to targets that no usable reading determines."""
         whole = drop_undetermined(replace(self.problem, used_readings=self.recording.usable), self.state)
         return whole.used_readings & ~self.problem.used_readings
 
     def flagged_readings(
         self, alpha: float = FAMILY_LEVEL, *, uses_estimated_noise: bool = False
     ) -> list[FlaggedReading]:
-        """Readings whose residuals are too large for chance, in a test over the whole recording.
+        """Outliers among the readings, the most significant first.
 
-        The most significant is first. They are tested one after another, so that the effect of an outlier on other
-        residuals does not count against these; readings that no test distinguishes from an outlier are listed with it.
-        The test uses the declared noise (w), or sigma0 `uses_estimated_noise` from the residuals (tau); if there are
-        `noisy_targets`, each with enough readings has a separate sigma0.
+        `alpha` is the false-alarm rate for the whole recording. Outliers are detected one after another, so that the
+        effect of an outlier on other residuals does not count against these. Readings that no test distinguishes from
+        an outlier follow this outlier. The test uses the declared noise (w-test), or with `uses_estimated_noise` the
+        noise estimated from the residuals (tau-test), separately for each target if there are `noisy_targets`.
         """
         use, target, count = self.problem.used_readings, self.recording.target, int(self.problem.used_readings.sum())
         whitened = np.where(use, self.residuals / self.problem.sigma, 0.0)
@@ -295,9 +291,10 @@ class Adjustment(Result):
         return [FlaggedReading(*place[k], float(error * unit[k]), w, p_value) for k, error, w, p_value in outliers]
 
     def _redundancy_block(self, rows: Ints, columns: Ints) -> Floats:
-        """Effect (k, k) of an error of each of some readings in use on the residuals of all of them, in sigmas.
+        """Block (k, k) of the redundancy matrix for k readings in use, given by their rows and columns (k,).
 
-        More than `MAX_SUCCESSIVELY_TESTED_READINGS` readings are treated independently.
+        Element (i, j) is the change of residual i by an error of reading j, in standard deviations. For more than
+        `MAX_SUCCESSIVELY_TESTED_READINGS` readings the block is diagonal.
         """
         use = self.problem.used_readings
         if len(rows) > MAX_SUCCESSIVELY_TESTED_READINGS:
@@ -308,13 +305,16 @@ class Adjustment(Result):
         return np.asarray(np.eye(len(at)) - design @ response)
 
     def covariance_of(self, columns: Ints) -> Floats:
-        """Covariance (c, k, k) of sets (c, k) of unknowns other than eliminated targets (columns of the design)."""
+        """Covariances (c, k, k) of c sets of k unknowns each; `columns` (c, k) are their columns in the design matrix.
+
+        Eliminated targets are not permitted.
+        """
         covariance = self.factorised_normals.inverse_of_sets(columns)
         return covariance if self.datum is None else self.datum.transform_covariance(covariance, columns)
 
     @cached_property
     def reduced_covariance(self) -> Floats:
-        """Covariance (K, K) of the reduced unknowns: poses, some targets, instrument parameters, additional effects."""
+        """Covariance (K, K) of the K unknowns that are not eliminated: poses, some targets, parameters."""
         covariance = self.factorised_normals.reduced_covariance()
         if self.datum is None:
             return covariance
@@ -326,24 +326,24 @@ class Adjustment(Result):
         return self.instrument_covariance_of(0)
 
     def instrument_covariance_of(self, instrument: int) -> Floats:
-        """Covariance (p, p) of one instrument's parameters [SI]."""
+        """Covariance (p, p) of the p parameters of one instrument [SI]."""
         return self.covariance_of(self.problem.unknowns.instrument_columns[[instrument]])[0]
 
     @cached_property
     def constants_covariance(self) -> Floats:
-        """Covariance (I p, I p) of the parameters of all instruments [SI], instrument by instrument."""
+        """Covariance (I p, I p) [SI] of the p parameters of each of I instruments, instrument by instrument."""
         return self.covariance_of(self.problem.unknowns.instrument_columns.reshape(1, -1))[0]
 
     @property
     def extra_covariance(self) -> Floats:
-        """Covariance (q, q) of the parameters of additional effects [SI]."""
+        """Covariance (q, q) of the q parameters of all additional effects [SI]."""
         return self.covariance_of(self.problem.unknowns.extra_columns[None])[0]
 
     @property
     def pose_covariance(self) -> Floats:
-        """Covariance (S, 6, 6) of each station's translation [m] and rotation [rad], network frame.
+        """Covariances (S, 6, 6) of translation [m] and rotation [rad] of each of S stations, in the network frame.
 
-        It is NaN for unknowns that the readings in use do not determine and that are held fixed.
+        They are NaN for components that the readings in use do not determine.
         """
         covariance = self.covariance_of(self.problem.unknowns.pose_columns)
         held = self.problem.structure.fixed_pose_components
@@ -355,7 +355,7 @@ class Adjustment(Result):
 
     @cached_property
     def target_covariance(self) -> Floats:
-        """Covariance (T, 3, 3) [m^2] of each target; NaN if the readings in use do not determine it."""
+        """Covariances (T, 3, 3) [m^2] of T targets; NaN for targets that the readings in use do not determine."""
         unknowns = self.problem.unknowns
         covariance = np.empty((len(unknowns.target_columns), 3, 3))
         is_reduced = unknowns.target_columns[:, 0] < unknowns.n_reduced
@@ -378,7 +378,7 @@ class Adjustment(Result):
 
     @single_threaded
     def with_effects(self, effects: Sequence[Signature], start_state: NetworkState) -> Adjustment:
-        """Adjustment with other additional effects, and with equal readings, weights and datum."""
+        """Adjustment of the same readings with the same weights, and with other additional effects."""
         old, model = self.problem, replace(self.problem.model, effects=tuple(effects))
         new = NetworkProblem.from_model(model, sigma=old.sigma, reading_mask=old.used_readings, prior=old.prior)
         problem = replace(new, gauge_rows=old.gauge_rows, difference_rows=old.difference_rows)
@@ -387,11 +387,10 @@ class Adjustment(Result):
         return replace(self, problem=problem, solution=solution, datum=None)
 
     def with_inner_datum(self, names: Sequence[str] | None = None) -> Adjustment:
-        """Adjustment with covariances by inner constraints over some targets, default all determined ones.
+        """Adjustment whose covariances have inner constraints over some targets as datum; its state is unchanged.
 
-        Its state is unchanged.
-
-        Raises ModelError for an unknown target, and for targets that do not fix the free motions.
+        `names` are the targets, by default all determined ones. Raises ModelError for an unknown target, and for
+        targets that do not fix the free motions.
         """
         every = [name for name in self.recording.targets if name not in self.undetermined_targets]
         names = every if names is None else names

@@ -1,4 +1,4 @@
-"""Axes of the hall: a recording whose adjustment gives coordinates in axes that the user defines.
+"""Axes of the hall: recordings whose adjustment gives coordinates in axes that the user defines.
 
 Coordinates of some targets, or three targets that define the axes, become the datum of the recording: state,
 covariances and all results refer to it, by inner constraints over these targets. The shape of the network does not
@@ -27,28 +27,30 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import MIN_SIGMA, Axes, Target
 
 MIN_MIRROR_MISCLOSURE_RATIO = 10.0
-"""Smallest ratio of the misclosure of declared coordinates to that of their mirror image at which they count as
-mirrored; both are medians. Correct coordinates have misclosures of the size of the noise, mirrored ones of the size of
-the network."""
+"""Ratio of the median misclosure of declared coordinates to that of their mirror image, above which the coordinates are
+rejected as left-handed. Correct coordinates have misclosures of the size of the noise, mirrored ones of the size of the
+network.
+"""
 MAX_RELATIVE_MISCLOSURE = 0.05
-"""Largest misclosure of declared coordinates, relative to the size of the network, at which they can belong to it (as
-nominal coordinates of a drawing).
+"""Median misclosure of declared coordinates, relative to the size of the network, from which they are rejected; nominal
+coordinates of a drawing differ less. The same limit applies to the scale.
 """
 SCALE_LEVEL = 1e-3
-"""Significance level of a scale of declared coordinates against the measured lengths (F-test, one degree of freedom):
-coordinates of a drawing scatter, but do not grow with their distance from the centroid.
+"""Significance level of the test whether declared coordinates have another scale than the measured lengths (F-test, one
+degree of freedom).
 """
 MIN_SCALED_TARGETS = 3
-"""Number of targets whose coordinates determine a scale."""
+"""Smallest number of targets with declared coordinates for a test of their scale."""
 NO_AXES: Mapping[str, Axes] = MappingProxyType({})
-"""Empty table of axes: every declared coordinate is used."""
+"""Empty mapping from targets to axes: every declared coordinate is used."""
 
 
 def with_axes_of_points(recording: Recording, points: Mapping[str, Floats], source: str) -> Recording:
-    """Recording with its datum at declared coordinates [m] of targets; `adjust` removes those that do not fit.
+    """Recording whose datum is defined by declared coordinates [m] of targets.
 
-    Raises RecordError for fewer than three targets that are not collinear, for a shape that differs from the network
-    (mirrored, other scale), and if known points define the frame already.
+    `adjust` excludes coordinates that do not fit. `source` is the name of their file. Raises RecordError unless three
+    targets that are not collinear have coordinates, for a shape that differs from the network (mirrored, other scale),
+    and if known points already define the frame.
     """
     common_names = [name for name in recording.targets if name in points and np.isfinite(points[name]).all()]
     _require_free_frame(recording, source)
@@ -67,9 +69,9 @@ def with_axes_of_points(recording: Recording, points: Mapping[str, Floats], sour
 
 
 def scale_of_declared_axes(adjustment: Adjustment) -> tuple[float, float] | None:
-    """Scale of the coordinates that define the axes against the measured lengths, less 1, and its standard deviation.
+    """Scale error of the coordinates that define the axes, against the measured lengths, and its standard deviation.
 
-    The residuals of the coordinates determine both; None if the scale is not significant.
+    Both follow from the residuals of the coordinates. None if the scale error is not significant.
     """
     used_tests = [test for test in adjustment.axis_tests if not test.is_excluded and len(test.residual) == 3]
     if len(used_tests) < MIN_SCALED_TARGETS:
@@ -88,10 +90,10 @@ def scale_of_declared_axes(adjustment: Adjustment) -> tuple[float, float] | None
 
 
 def _with_plumb_lines(recording: Recording, names: Sequence[str], declared_points: Floats) -> Recording:
-    """Recording with the plumb lines of a sphere at levelled stations, in the axes of given points (k, 3) [m].
+    """Recording with declared directions of the plumb lines at levelled stations, for a curved earth.
 
-    The axes of the coordinates may be anywhere on the sphere, so that plumb lines do not determine them; the adjusted
-    network, aligned to the points, gives the plumb lines in these axes.
+    The directions refer to the axes of the declared points (k, 3) [m]. They follow from the adjusted network after its
+    alignment to these points, because axes of any orientation are permitted.
     """
     adjustment = adjust(recording)
     indices = np.array([recording.targets.index(name) for name in names])
@@ -136,9 +138,9 @@ def with_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane:
 
 
 def with_control_points(recording: Recording, path: Path) -> Recording:
-    """Recording with the coordinates of a list as control points, each with its standard deviation.
+    """Recording with the coordinates of a file as control points, each with its standard deviation.
 
-    The list is read by `read_points` and needs standard deviations; a missing coordinate is not known.
+    The file is read by `read_points` and must contain standard deviations; coordinates may be missing.
 
     Raises RecordError for a malformed file, for missing standard deviations, and for a list without measured targets.
     """
@@ -176,9 +178,9 @@ def _require_free_frame(recording: Recording, source: str | None = None) -> None
 
 
 def _require_network_shape(network_points: Floats, declared_points: Floats, source: str) -> None:
-    """Check of coordinates (k, 3): they are not collinear and have the scale and handedness of the network.
+    """Check that declared points (k, 3) [m] have the shape of the network; raises RecordError.
 
-    Raises RecordError.
+    Points are rejected if they are collinear, mirrored, in another scale, or far from the network points (k, 3).
     """
     mirror = network_points * [1.0, 1.0, -1.0]
     try:
@@ -196,7 +198,7 @@ def _require_network_shape(network_points: Floats, declared_points: Floats, sour
         return
     scale = float(np.median(declared / np.maximum(lengths, 1e-9)))
     if abs(scale - 1.0) > MAX_RELATIVE_MISCLOSURE:
-        message = f"its targets lie {scale:.4g} times as far apart as they were measured, expected millimetres"
+        message = f"its distances between targets are {scale:.4g} times the measured ones, expected millimetres"
         raise RecordError(message, file=source)
     reason = "they are left-handed" if is_mirrored else "check the hall and the names"
     message = f"its coordinates differ from the network by {typical / MILLIMETRE:.3g} mm in the median: {reason}"
@@ -209,7 +211,10 @@ def _with_datum(
     axes_by_target: Mapping[str, Axes] = NO_AXES,
     source: str | None = None,
 ) -> Recording:
-    """Recording with its datum at the positions of some targets, each along the axes `axes_by_target` (default all)."""
+    """Recording whose datum is defined by the positions [m] of some targets.
+
+    `axes_by_target` restricts the datum to some axes of a target; `source` is the name of the file of the positions.
+    """
     targets = {name: setup.model_copy(update={"datum": False}) for name, setup in recording.setup.targets.items()}
     for name, place in declared_places.items():
         x, y, z = (place / MILLIMETRE).tolist()

@@ -1,8 +1,8 @@
-"""Identification of gross errors: exchanged reflectors, wrong units, wrong faces, single readings.
+"""Identification of blunders: exchanged reflectors, wrong heights, wrong units, wrong faces.
 
-A pointing with an error of millimetres or more is compared with typical blunders. One that a blunder explains can be
-corrected; others are rejected. Whole stations in another unit, convention or face are detected before the adjustment,
-because the shape of their points differs from that of other stations.
+A pointing with an error of millimetres or more is compared with typical blunders. A pointing that a blunder explains
+can be corrected; other such pointings are rejected. Whole stations in another unit, convention or face are detected
+before the adjustment, because the shape of their points differs from that of other stations.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -26,13 +26,17 @@ from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.transcription_errors import FACE_ERRORS, UNIT_ERRORS
 
 MAX_CORRECTED_DISTANCE = 1e-3
-"""Largest distance [m] of a corrected pointing from its target."""
+"""Distance [m] of a corrected pointing from a target, below which the correction counts as the explanation."""
 MAX_RELATIVE_HORIZONTAL_OFFSET = 0.002
-"""Largest horizontal offset of a pointing, relative to its vertical offset, at which a wrong height is the cause."""
+"""Horizontal offset of a pointing from its target, relative to the vertical offset, below which a wrong height is the
+cause.
+"""
 MAX_ROWS_IN_BLUNDER_TEXT = 6
 """Largest number of rows that a sentence lists."""
 MIN_CLOUD_MISFIT = 5e-3
-"""Median misfit [m] between the points of two stations that neither tracker errors nor a single blunder cause."""
+"""Median misfit [m] between the points of two stations from which another unit or convention is suspected; neither
+tracker errors nor a single blunder cause as much.
+"""
 
 
 @dataclass(frozen=True)
@@ -47,18 +51,18 @@ class IdentifiedBlunder:
     targets: tuple[str, ...]
     observables: tuple[str, ...]
     size: float
-    """Displacement [m], or the error of the reading for an outlier."""
+    """Displacement [m] of the measured point by the blunder."""
     sentence: str
     sigma: float = 0.0
     """Standard deviation of the size [m]; 0 if the network does not determine it."""
 
 
 CorrectedBlunder = tuple[IdentifiedBlunder, Floats, Ints]
-"""Tuple of a blunder, and the corrected readings (k, 3) and targets (k,) of its rows."""
+"""Blunder, and the corrected readings (k, 3) [m, rad, rad] and targets (k,) of its k pointings."""
 
 
 def apply_corrections(recording: Recording, blunders: Sequence[CorrectedBlunder]) -> Recording:
-    """Recording with corrected blunders."""
+    """Recording in which the readings and targets of blunders are corrected."""
     if not blunders:
         return recording
     readings, target = recording.readings.copy(), recording.target.copy()
@@ -68,7 +72,7 @@ def apply_corrections(recording: Recording, blunders: Sequence[CorrectedBlunder]
 
 
 def detect_blunders(adjustment: Adjustment) -> list[CorrectedBlunder]:
-    """Blunders that explain pointings rejected by an adjustment: once corrected, they agree with their targets."""
+    """Blunders that explain gross pointings of an adjustment: once corrected, the pointings agree with targets."""
     remaining, corrections = adjustment.is_gross_pointing.copy(), []
     for kind in (_swapped_targets, _wrong_heights, _unit_and_face_errors):
         for mend in kind(adjustment, remaining) if remaining.any() else ():
@@ -78,7 +82,7 @@ def detect_blunders(adjustment: Adjustment) -> list[CorrectedBlunder]:
 
 
 def _points_from_readings(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
-    """Points (k, 3) of targets in the network frame, from readings (k, 3) that replace those of the rows (k,)."""
+    """Points (k, 3) [m] in the network frame, from readings (k, 3) that replace those of the pointings `rows` (k,)."""
     station, instrument = adjustment.recording.station[rows], adjustment.recording.instrument[rows]
     local = adjustment.construction.point(readings, adjustment.state.instrument_parameters[instrument])
     rotated = np.einsum("nij,nj->ni", adjustment.state.station_rotations[station], local)
@@ -88,15 +92,18 @@ def _points_from_readings(adjustment: Adjustment, readings: Floats, rows: Ints) 
 
 
 def _target_distances(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
-    """Distances (k,) [m] between the targets and the points of these readings (k, 3)."""
+    """Distances (k,) [m] of the measured points from their targets, for readings (k, 3) of pointings `rows` (k,)."""
     goal = adjustment.state.target_points[adjustment.recording.target[rows]]
     return np.asarray(np.linalg.norm(_points_from_readings(adjustment, readings, rows) - goal, axis=1))
 
 
-def _swapped_targets(adjustment: Adjustment, rows: Bools) -> Iterator[CorrectedBlunder]:
-    """Pairs of targets that were exchanged at a station, or one that was mistaken for another."""
+def _swapped_targets(adjustment: Adjustment, is_gross: Bools) -> Iterator[CorrectedBlunder]:
+    """Blunders of exchanged targets: two that were exchanged at a station, or one that was mistaken for another.
+
+    `is_gross` (n,) flags the gross pointings; the same holds for the other kinds of blunders.
+    """
     recording, points = adjustment.recording, adjustment.state.target_points
-    indices = np.flatnonzero(rows & recording.is_measured.all(axis=1))
+    indices = np.flatnonzero(is_gross & recording.is_measured.all(axis=1))
     if not len(indices):
         return
     gaps = np.linalg.norm(
@@ -127,10 +134,10 @@ def _swapped_targets(adjustment: Adjustment, rows: Bools) -> Iterator[CorrectedB
         yield finding, recording.readings[indices[members]], nearest_targets[members]
 
 
-def _wrong_heights(adjustment: Adjustment, rows: Bools) -> Iterator[CorrectedBlunder]:
-    """Pointings directly above or below their target, which indicates a wrong height of target or instrument."""
+def _wrong_heights(adjustment: Adjustment, is_gross: Bools) -> Iterator[CorrectedBlunder]:
+    """Blunders of heights: pointings directly above or below their target."""
     recording = adjustment.recording
-    indices = np.flatnonzero(rows & recording.is_measured.all(axis=1))
+    indices = np.flatnonzero(is_gross & recording.is_measured.all(axis=1))
     if not len(indices):
         return
     deviations = (
@@ -168,13 +175,13 @@ def _wrong_heights(adjustment: Adjustment, rows: Bools) -> Iterator[CorrectedBlu
         yield finding, new_readings[rows_], recording.target[rows_]
 
 
-def _unit_and_face_errors(adjustment: Adjustment, rows: Bools) -> Iterator[CorrectedBlunder]:
-    """Pointings in another unit or on the other face; identified rows are removed from `rows` before the next step."""
+def _unit_and_face_errors(adjustment: Adjustment, is_gross: Bools) -> Iterator[CorrectedBlunder]:
+    """Blunders of unit and face: pointings that agree with their target once the unit or face is corrected."""
     recording = adjustment.recording
     kinds = (WrongUnit.name, UNIT_ERRORS), (FaceConfusion.name, FACE_ERRORS)
     for effect, slip in ((effect, slip) for effect, slips in kinds for slip in slips):
         readings = slip.without_error(recording.readings)
-        at = np.flatnonzero(rows & np.isfinite(readings).all(axis=1))
+        at = np.flatnonzero(is_gross & np.isfinite(readings).all(axis=1))
         at = at[_target_distances(adjustment, readings[at], at) < MAX_CORRECTED_DISTANCE]
         if len(at):
             stations = tuple(sorted({recording.stations[s] for s in recording.station[at]}))
@@ -194,8 +201,8 @@ def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
     -------
     recording : Recording
         Recording with converted readings.
-    findings : list of GrossFinding
-        Corrected stations, one entry each; empty if all shapes agree or no blunder explains the difference.
+    findings : list of IdentifiedBlunder
+        Blunders, one for each corrected station; empty if all shapes agree or no blunder explains the difference.
     """
     findings: list[IdentifiedBlunder] = []
     suspects = np.flatnonzero(_cloud_misfits(recording) > MIN_CLOUD_MISFIT)
@@ -218,7 +225,10 @@ def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
 
 
 def _mirrored_pair(recording: Recording) -> list[IdentifiedBlunder]:
-    """Blunder of two stations whose networks are mirror images: one of them may have clockwise azimuths."""
+    """Blunder of two stations that measured mirror images of each other; empty if they did not.
+
+    One of the stations has clockwise azimuths, but the readings do not show which one.
+    """
     readings = recording.readings.copy()
     rows = np.flatnonzero(recording.station == 1)
     readings[rows, 1] *= -1.0
@@ -237,8 +247,8 @@ def correct_faces(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
     Returns
     -------
     recording : Recording
-    findings : list of GrossFinding
-        Corrected stations, one entry each.
+    findings : list of IdentifiedBlunder
+        Blunders, one for each corrected station.
     """
     apparent_faces = np.where(np.cos(recording.readings[:, 2]) < 0.0, 2, 1)
     wrong = recording.usable[:, 2] & (apparent_faces != recording.face)
@@ -261,9 +271,10 @@ def correct_faces(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
 
 
 def _cloud_misfits(recording: Recording, stations: Collection[int] | None = None) -> Floats:
-    """Median over the other stations of the median misfit (S,) [m] of two clouds; 0 without common targets.
+    """Misfit (S,) [m] of the points of each of S stations to those of the other stations; 0 without common targets.
 
-    By default all pairs count; with `stations` only the pairs with one of these.
+    The misfit of two stations is the median distance of their common points after a rigid alignment, that of a station
+    the median over the other stations. With `stations` only pairs that contain one of these are compared.
     """
     pairs, count = StationTargetPairs.from_recording(recording), len(recording.stations)
     cloud = np.full((count, len(recording.targets), 3), np.nan)

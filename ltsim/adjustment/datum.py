@@ -1,8 +1,8 @@
-"""Datum by inner constraints over selected points: state and covariances that treat these points equally.
+"""Datum by inner constraints over selected points.
 
-The free rigid motions, which no observation determines, are fixed by the mean of the selected points, at their
-approximate coordinates if these are declared. This datum has the smallest trace of the covariance of the selected
-points.
+The free rigid motions, which no observation determines, are fixed by the mean of the selected points. If approximate
+coordinates of these points are declared, the network is moved to them. With this datum the covariance of the selected
+points has the smallest trace.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from ltsim.solve.design import NORMAL_RANK_TOLERANCE, scale_to_unit_diagonal
 from ltsim.solve.elimination import BlockFactor
 
 MAX_DATUM_STEPS = 5
-"""Largest number of steps of the free motion to the datum: each is linear in the rotation; convergence is quadratic."""
+"""Largest number of Gauss-Newton steps of the motion of a network to its datum; convergence is quadratic."""
 
 
 @dataclass(frozen=True)
 class DatumPoints:
-    """Points that define a datum."""
+    """The k points that define a datum."""
 
     columns: Ints
-    """Columns (k, 3) of the points in the vector of unknowns."""
+    """Columns (k, 3) of their coordinates in the vector of unknowns."""
     points: Floats
     """Coordinates (k, 3) [m] of the points."""
     approximate_points: Floats
@@ -71,7 +71,11 @@ def selected_datum_names(problem: NetworkProblem) -> tuple[str, ...]:
 
 
 def move_to_datum(problem: NetworkProblem, state: NetworkState, names: Sequence[str]) -> tuple[NetworkState, float]:
-    """State moved rigidly to the declared coordinates of the datum points, with the rotation angle [rad] and scale."""
+    """State moved rigidly to the declared coordinates of the datum points, and the size of the applied rotation.
+
+    The size is the sum of the rotation angles [rad] of all steps; if the scale is free, it includes the change of
+    scale.
+    """
     rotation_angle = 0.0
     for _ in range(MAX_DATUM_STEPS):
         tied = DatumPoints.from_names(problem, state, names)
@@ -106,9 +110,10 @@ def move_to_datum(problem: NetworkProblem, state: NetworkState, names: Sequence[
 
 @dataclass(frozen=True)
 class InnerDatum:
-    """S-transformation of covariances to an inner datum: C' = C - G U^T - U G^T + G M G^T.
+    """S-transformation of covariances to an inner datum.
 
-    This equals S C S^T with S = I - G (B^T G)^-1 B^T, where B are the rows of G of the datum points.
+    The transformed covariance is C' = C - G U^T - U G^T + G M G^T. It equals S C S^T with S = I - G (B^T G)^-1 B^T,
+    where B contains the rows of G of the datum points and zeros elsewhere.
 
     References
     ----------
@@ -117,21 +122,21 @@ class InnerDatum:
     """
 
     free_motions: Floats
-    """Matrix G of the free motions of all unknowns, (u, f)."""
+    """Matrix G, (u, f): changes of the u unknowns by the f free motions."""
     transformation: Floats
-    """Matrix U of the transformation, (u, f)."""
+    """Matrix U = C B (G^T B)^-1 of the transformation, (u, f)."""
     motion_covariance: Floats
-    """Matrix M of the transformation, (f, f)."""
+    """Matrix M = (B^T G)^-1 B^T C B (G^T B)^-1 of the transformation, (f, f)."""
     point_names: tuple[str, ...] = ()
     """Names of the datum points."""
 
     @classmethod
     def from_columns(cls, motion: Floats, columns: Ints, multiply_covariance: Callable[[Floats], Floats]) -> InnerDatum:
-        """Datum in which some unknowns fix the motions (u, f).
+        """Datum in which the unknowns `columns` fix the free motions.
 
-        `multiply_covariance` multiplies with the covariance (u, u).
-
-        Raises ModelError if these unknowns do not fix the motions.
+        `motion` (u, f) contains the changes of all u unknowns by the f motions. `multiply_covariance` multiplies a
+        matrix from the left by the covariance (u, u) of the unknowns. Raises ModelError if these unknowns do not fix
+        the motions.
         """
         constraints = np.zeros_like(motion)
         constraints[columns.ravel()] = motion[columns.ravel()]
@@ -169,7 +174,7 @@ class InnerDatum:
         )
 
     def transform_covariance(self, covariance: Floats, columns: Ints) -> Floats:
-        """Covariances (c, k, k) of sets of unknowns (c, k), transformed to this datum."""
+        """Covariances (c, k, k) of c sets of k unknowns (`columns` (c, k)), transformed to this datum."""
         motion, carried = self.free_motions[columns], self.transformation[columns]
         cross_covariance = motion @ np.swapaxes(carried, 1, 2)
         motion_part = motion @ self.motion_covariance @ np.swapaxes(motion, 1, 2)
@@ -177,16 +182,17 @@ class InnerDatum:
 
 
 def _scale_displacement(problem: NetworkProblem) -> Callable[[Floats], Floats]:
-    """Displacements of places by a unit change of scale, as a function of their vectors (k, 3) from the centre.
+    """Function for the displacements of k places by a unit change of scale, from their vectors (k, 3) from the centre.
 
-    Their shape is (3 k, 1), or (3 k, 0) if the scale is determined. Heights of a network in plan do not change.
+    The displacements have shape (3 k, 1), or (3 k, 0) if the observations determine the scale. Heights of a network in
+    plan do not change.
     """
     axes = np.array([1.0, 1.0, float(problem.used_readings[:, 2].any())])
     return lambda arm: np.tile((arm * axes).reshape(-1, 1), (1, len(problem.structure.scale_target)))
 
 
 def motions_about_centre(free_motions: Floats, centre: Floats) -> Floats:
-    """Free motions (6, f) as translations of `centre` and rotations about it, each of unit size."""
+    """Orthonormal basis (6, f) of the f free motions, as translations of the point `centre` and rotations about it."""
     about = free_motions.copy()
     about[:3] += np.cross(free_motions[3:].T, centre).T
     return np.linalg.qr(about)[0]

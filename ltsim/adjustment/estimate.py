@@ -37,11 +37,11 @@ from ltsim.solve.gauss_newton import Solution, solve
 from ltsim.solve.threads import single_threaded
 
 MAX_DATUM_ROTATION = 1e-7
-"""Rotation [rad] into the datum above which the network is linearised again."""
+"""Rotation [rad] of the network to its datum above which the normal equations are computed again."""
 
 MAX_SIDEWAYS_MOTION = 1e-6
-"""Largest sideways motion per radian, relative to the offset, at which a free rotation does not change the offset of an
-SMR.
+"""Change of the offset of an SMR per radian of an undetermined rotation, relative to the offset, above which the
+network is refused.
 """
 
 
@@ -76,37 +76,38 @@ def adjust(
     reading_mask : (n, 3) bool, optional
         Readings to use; default all.
     start_state : NetworkState, optional
-        State from which the adjustment starts; default from the recording alone. With a start no pointing is screened
-        out.
+        State from which the adjustment starts; default from the recording alone. With a start state no pointing is
+        rejected before the adjustment.
     datum : sequence of str, optional
-        Targets that define the datum by inner constraints; default those that the set-up chose.
+        Targets that define the datum by inner constraints; default those that the set-up selects.
     robust : bool
-        Leave out readings that do not belong, found by reweighting and snooping, each tested again at the end.
+        Reject outliers by reweighting and data snooping. Each rejected reading is tested again at the end.
     variance_components : str, optional
         Estimate the noise of each ``observable``, or of each observable of each ``instrument``, and of the levels.
     effect_prior_sigma : float
-        Standard deviation of a prior on each parameter of `effects`, in units of its plausible size; it keeps what the
-        readings hardly determine from wandering off.
+        Standard deviation of a prior on each parameter of `effects`, in units of its plausible size. It limits
+        parameters that the readings hardly determine.
     prior : ParameterPrior, optional
         Prior of the instrument parameters; default that of the set-up.
     tested_kinds : collection of str
-        Kinds of known values that are left out where they contradict the rest (`wrong`); with a `start_state` none is.
+        Kinds of reference values that are excluded if they contradict the other observations; none is excluded with a
+        `start_state`.
 
     Returns
     -------
     Adjustment
         Adjustment in the frame of the first station, unless control points, levels or a datum define another one.
-        Targets that the readings in use do not determine are omitted (`undetermined_targets`). Its solution carries a
-        status; an adjustment that did not converge is returned, not raised.
+        Targets that the readings in use do not determine are omitted (`undetermined_targets`). An adjustment that did
+        not converge is returned, and its solution has the status.
 
     Raises
     ------
     NetworkError
-        When the readings do not tie a station to the rest, a station measures the target that it stands on, SMRs
-        of several radii stand off along normals in whose frame nothing holds the network, or the pointings
-        are more than `MAX_ADJUSTED_POINTINGS`.
+        When a station is not connected to the network, when a station measures the target that it stands on, when SMRs
+        have several radii and no observation fixes the frame of the normals of their nests, or when there are more than
+        `MAX_ADJUSTED_POINTINGS` pointings.
     ModelError
-        When `datum` names a target that does not exist, or too few.
+        When `datum` contains an unknown target or too few targets.
     """
     recording.require_at_most(MAX_ADJUSTED_POINTINGS, "an adjustment")
     built = construction or ideal_construction()
@@ -156,7 +157,7 @@ def adjust(
 
 
 def _require_unoccupied_targets(recording: Recording) -> None:
-    """Check that no set-up measures the mark below its own head, at range zero; raises NetworkError."""
+    """Check that no set-up measures the target that it stands on, at range zero; raises NetworkError."""
     if not any(recording.station_setup(name).over for name in recording.stations):
         return
     marks = StationMarks.from_recording(recording)
@@ -171,16 +172,19 @@ def _require_unoccupied_targets(recording: Recording) -> None:
         )
 
 
-def _is_over_wrong_mark(recording: Recording, gross: Bools) -> Bools:
-    """Flags (n,) of the pointings of set-ups over marks with mostly gross errors: their mark or height may be wrong."""
+def _is_over_wrong_mark(recording: Recording, is_gross: Bools) -> Bools:
+    """Flags (n,) of pointings from set-ups over marks with mostly gross pointings: mark or height may be wrong."""
     count = len(recording.stations)
     has_mark = np.array([recording.station_setup(name).over is not None for name in recording.stations])
-    share = np.bincount(recording.station, gross, count) / np.bincount(recording.station, minlength=count)
+    share = np.bincount(recording.station, is_gross, count) / np.bincount(recording.station, minlength=count)
     return np.asarray((has_mark & (share > MIN_FAULTY_FRACTION_OF_PLACE))[recording.station])
 
 
 def _require_fixed_smr_offsets(problem: NetworkProblem) -> None:
-    """Check that no undetermined motion rotates the offsets of SMRs of other radii; raises NetworkError."""
+    """Check that no undetermined rotation of the network changes the offsets of SMRs; raises NetworkError.
+
+    Such offsets along the normals of nests exist if the SMRs have several radii.
+    """
     offsets = smr_radius_offsets(problem.model.recording)
     if offsets is None:
         return
@@ -197,9 +201,10 @@ def _solve(problem: NetworkProblem, start_state: NetworkState) -> tuple[NetworkP
 
 
 def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | None) -> Adjustment:
-    """Adjustment with state and covariances in the datum of selected targets, by default those of the set-up.
+    """Adjustment with state and covariances in the datum of selected targets.
 
-    Of the targets in the set-up only the determined ones are used; if they only define axes, they are tested first.
+    The targets are `datum_names`, by default the determined ones of those that the set-up selects. Targets that only
+    define axes are tested first, and contradicting ones are excluded.
     """
     problem, solution, lost = adjustment.problem, adjustment.solution, adjustment.undetermined_targets
     names = (
@@ -226,21 +231,21 @@ def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | Non
 
 
 MIN_GROSS_MISCLOSURE = 2e-3
-"""Misclosure [m] in the axes of most points above which a point starts outside the datum."""
+"""Misclosure [m] of a point that defines axes, up to which it always takes part in the first test."""
 MIN_DATUM_EXCLUSION_RATIO = 10.0
-"""Ratio of a misclosure to the median above which a point starts outside the datum."""
+"""Misclosure of a point relative to the median of all points, up to which the point takes part in the first test."""
 EXCLUSION_LEVEL = 0.02
-"""Significance level: probability that any point of an error-free set is excluded."""
+"""Significance level of the tests of all points that define axes together (Bonferroni)."""
 MIN_AXIS_POINTS = 3
-"""Smallest number of points that define axes."""
+"""Smallest number of points that define axes; no point is excluded below it."""
 
 
 def fit_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, tuple[ReferenceTest, ...]]:
-    """Recording with its datum at the points that agree about the axes, and the test of each point.
+    """Recording whose datum consists of the points that agree about the axes, and the test of each point.
 
-    Each point is tested against the others: its misclosure in their axes is compared with the uncertainty of the
-    network there and with the scatter of the others. A contradicting point is excluded; if the others alone do not
-    determine the axes, it remains for the part that they do not check.
+    Each point is tested against the other points: its misclosure in their axes is compared with the uncertainty of the
+    network at this point and with the scatter of the other points. A contradicting point is excluded. If the other
+    points alone do not determine the axes, the point remains, with its coordinates corrected by the estimated error.
     """
     recording = adjustment.recording
     declared_points = (
@@ -273,7 +278,7 @@ def fit_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, t
 def _axes_tests(
     adjustment: Adjustment, names: Sequence[str], declared_points: Floats, used_mask: Bools
 ) -> list[ReferenceTest]:
-    """Test of each point with declared coordinates (k, 3) against the points in use (k,) without it."""
+    """Tests of k points with declared coordinates (k, 3) [m], each against the points that `used_mask` (k,) flags."""
     chosen = [name for name, used in zip(names, used_mask, strict=True) if used]
     datum_adjustment = adjustment.with_inner_datum(chosen)
     indices = [datum_adjustment.recording.targets.index(name) for name in names]
@@ -289,9 +294,7 @@ def _axes_tests(
     square = float(np.sum(gap[used_mask] ** 2)) - float(np.trace(covariance[used_mask].sum(axis=0)))
     test_values = square, 3 * int(used_mask.sum()) - motion.shape[2], EXCLUSION_LEVEL / len(names)
     return [
-        _axis_point_test(
-            name, gap[k], covariance[k], hat_blocks[k], is_used=bool(used_mask[k]), tested_axis=test_values
-        )
+        _axis_point_test(name, gap[k], covariance[k], hat_blocks[k], is_used=bool(used_mask[k]), scatter=test_values)
         for k, name in enumerate(names)
     ]
 
@@ -300,21 +303,23 @@ def _axis_point_test(
     name: str,
     misclosure: Floats,
     covariance: Floats,
-    axes_share: Floats,
+    hat_block: Floats,
     *,
     is_used: bool,
-    tested_axis: tuple[float, int, float],
+    scatter: tuple[float, int, float],
 ) -> ReferenceTest:
-    """Test of a point with misclosure `misclosure` (3,) and `covariance` (3, 3); `axes_share` is its share in the axes.
+    """Test of one of the points that define the axes.
 
-    With R = 1 - `axes_share`, the residual of a point in use is R times its error; that of another point is its full
-    error.
+    `misclosure` (3,) [m] is declared minus adjusted coordinates, `covariance` (3, 3) that of the adjusted point.
+    `hat_block` (3, 3) is the block of the hat matrix of the alignment for this point. The residual of a point in use is
+    R = 1 - `hat_block` times its error; that of another point is its full error. `scatter` contains the sum of squared
+    misclosures of the points in use, its degrees of freedom, and the significance level of this test.
     """
-    share, turned = np.linalg.eigh(np.eye(3) - axes_share if is_used else np.eye(3) + axes_share)
+    share, turned = np.linalg.eigh(np.eye(3) - hat_block if is_used else np.eye(3) + hat_block)
     is_checked = share > MIN_NUMERICAL_REDUNDANCY
     turned, share = turned[:, is_checked], share[is_checked]
     redundancy = share if is_used else np.ones(len(share))
-    square, dof, level = tested_axis
+    square, dof, level = scatter
     error = turned.T @ misclosure / redundancy
     if is_used:
         square, dof = square - float(share @ error**2) + float(np.trace(covariance)), dof - len(share)

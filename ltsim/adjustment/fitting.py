@@ -1,7 +1,7 @@
 """Approximate coordinates by fits: a pose or point from any readings, networks of ranges alone, plans of directions.
 
-They are used if a station or target has no closed-form solution: bearings without ranges, ranges without bearings, a
-level, a known mark. Small fits run from many starts at once, and the best result is used.
+These fits are used if a station or target has no closed-form solution, for example with bearings without ranges, ranges
+without bearings, a level, or a known mark. Each fit runs from many start values at once, and the best result is used.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rotations import cross_matrix, from_rotation_vector, rotation_about_z
 
 MIN_DAMPING = 1e-10
-"""Smallest damping, relative to the diagonal of the normal equations, which keeps them regular for undetermined
-directions.
+"""Smallest damping of Levenberg-Marquardt steps, relative to the diagonal of the normal equations, which keeps these
+regular if a direction is undetermined.
 """
 MAX_FIT_STEPS = 60
-"""Largest number of steps of a damped fit; slower starts are abandoned."""
+"""Largest number of Levenberg-Marquardt steps of a fit."""
 MAX_SOLUTION_DISTANCE = 1e-3
-"""Distance [m, rad] below which two solutions count as equal."""
+"""Relative distance of positions plus distance of rotation matrices, up to which two solutions are equal."""
 MIN_SUM_OF_SQUARES_RATIO = 4.0
-"""Smallest ratio of the second-best to the best sum of squares at which a solution is unique."""
+"""Ratio of the second-best to the best sum of squares above which the best solution counts as unique."""
 MAX_RMS_MISFIT = 300.0
-"""Largest rms misfit of approximate coordinates, in standard deviations; worse ones are not used."""
+"""Rms misfit of approximate coordinates, in standard deviations of the readings, from which a solution is rejected."""
 N_ITERATED_STARTS = 150
-"""Number of starts with the best fit that are iterated."""
+"""Number of start values that are iterated: those with the smallest sums of squares."""
 MAX_STARTS = 400
-"""Largest number of starts (cost)."""
+"""Largest number of start values of a point (computing time)."""
 EIGHT_AZIMUTHS = np.arange(8) * np.pi / 4
 """Azimuths [rad] of eight directions, evenly spaced."""
 START_COORDINATES = np.geomspace(0.3, 300.0, 12), EIGHT_AZIMUTHS, np.array([-1.0, -0.3, 0.3, 1.0])
@@ -41,20 +41,20 @@ MIN_RANGE_TARGETS = 10
 """Smallest number of targets for a network of ranges only: their differences determine nine coefficients of a frame."""
 
 ResidualFunction = Callable[[Floats, Floats], tuple[Floats, Floats]]
-"""Function for residuals (b, m) at positions (b, 3) and rotations (b, 3, 3), and their derivative (b, m, q) by the free
-unknowns.
+"""Function that evaluates b trial solutions at once, from positions (b, 3) [m] and rotations (b, 3, 3). It returns the
+residuals (b, m) of m readings and their derivatives (b, m, q) with respect to the q free unknowns.
 """
 
 
 def fit_pose(
     sight: FitReadings, points: Floats, *, is_levelled: bool = False, position: Floats | None = None
 ) -> tuple[Floats, Floats] | None:
-    """Position (3,) and rotation (3, 3) of a station that measured known points (k, 3); None if it is not unique.
+    """Position (3,) [m] and rotation (3, 3) of a station that measured known points; None if they are not unique.
 
     Parameters
     ----------
     sight, points
-        Readings, and the points that they belong to.
+        Readings of k pointings from the station, and the known points (k, 3) [m] to which they belong.
     is_levelled : bool
         True if the standing axis is vertical in the network.
     position : (3,) float, optional, [m]
@@ -85,7 +85,10 @@ def fit_pose(
 
 
 def fit_point(sight: FitReadings, position: Floats, rotation: Floats) -> Floats | None:
-    """Point (3,) measured from known stations at `position` (k, 3), `rotation` (k, 3, 3); None if it is not unique."""
+    """Point (3,) [m] measured by k pointings from known stations; None if it is not unique.
+
+    `sight` contains the readings, `position` (k, 3) and `rotation` (k, 3, 3) the pose of the station of each pointing.
+    """
     rows, sight = sight.thin_rows()
     rotation, lifted = rotation[rows], position[rows] - sight.reflector_offsets
     if sight.n_readings < 3:
@@ -108,13 +111,13 @@ def fit_point(sight: FitReadings, position: Floats, rotation: Floats) -> Floats 
 
 
 def _unique_solution(
-    n_readings: int, centre: Floats, solutions: tuple[Floats, Floats, Floats]
+    n_readings: int, points: Floats, solutions: tuple[Floats, Floats, Floats]
 ) -> tuple[Floats, Floats] | None:
-    """Best solution, if it fits well and no other fits nearly as well, for `n_readings` readings; else None."""
+    """Position (3,) and rotation (3, 3) of the best solution; None if it fits poorly or another fits nearly as well."""
     cost, x, rotation = solutions
     if not cost[0] < MAX_RMS_MISFIT**2 * n_readings:
         return None
-    distance = np.linalg.norm(x - x[0], axis=1) / (1 + np.abs(centre - x[0]).max())
+    distance = np.linalg.norm(x - x[0], axis=1) / (1 + np.abs(points - x[0]).max())
     other_costs = cost[distance + np.linalg.norm(rotation - rotation[0], axis=(1, 2)) > MAX_SOLUTION_DISTANCE]
     is_unique = not len(other_costs) or float(other_costs[0]) > MIN_SUM_OF_SQUARES_RATIO * float(cost[0]) + n_readings
     return (x[0], rotation[0]) if is_unique else None
@@ -123,7 +126,11 @@ def _unique_solution(
 def _iterate_best_starts(
     evaluate: ResidualFunction, free_unknowns: Bools, start_positions: Floats, rotation: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Costs in ascending order and solutions of Levenberg-Marquardt iterations from the best starts."""
+    """Sums of squares (b,) in ascending order, positions (b, 3) and rotations (b, 3, 3) of b iterated solutions.
+
+    Levenberg-Marquardt iterations start at those of the start positions (s, 3) and rotations (s, 3, 3) that fit best.
+    `free_unknowns` (6,) flags the components of translation and rotation that are estimated.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
         best = np.argsort(_sum_of_squares(evaluate(start_positions, rotation)[0]))[:N_ITERATED_STARTS]
         here: tuple[Floats, ...] = (
@@ -163,7 +170,7 @@ def _replace_where_better(is_better: Bools, new_values: Floats, old_values: Floa
 
 
 def _candidate_positions(points: Floats) -> Floats:
-    """Candidate positions of a station: among the points and around them."""
+    """Start positions (c, 3) [m] of a station: among the points (k, 3) and around them."""
     centre = points.mean(axis=0)
     radius = max(float(np.linalg.norm(points - centre, axis=1).max()), 1.0)
     circle = radius * np.stack([np.cos(EIGHT_AZIMUTHS), np.sin(EIGHT_AZIMUTHS), np.zeros(len(EIGHT_AZIMUTHS))], axis=1)
@@ -180,7 +187,7 @@ def _candidate_rotations(is_level: bool) -> Floats:
 
 
 def _start_points(readings: Floats, position: Floats, rotation: Floats) -> Floats:
-    """Start points: along measured beams, and on the spheres of ranges without a beam."""
+    """Start points (c, 3) [m] along measured directions, and on spheres about stations that measured only the range."""
     starts = []
     for reading, place, turn in zip(readings, position, rotation, strict=True):
         if np.isfinite(reading).any():
@@ -193,15 +200,15 @@ def _start_points(readings: Floats, position: Floats, rotation: Floats) -> Float
 
 
 def multilaterate(ranges: Floats) -> tuple[Floats, Floats] | None:
-    """Stations (S, 3) and targets (T, 3) from all ranges (S, T) [m] between them; None if that is not possible.
+    """Coordinates (S, 3) of S stations and (T, 3) of T targets from all ranges (S, T) [m] between them, or None.
 
-    At least four stations that are not coplanar and ten targets are needed; the result may be the mirror image.
+    At least four stations that are not coplanar and ten targets are needed. The result may be the mirror image.
 
     Notes
     -----
-    Differences of squared ranges to a first station and target are products: a matrix of rank three, which gives
-    both sides up to an affinity. That the first station sees the targets at its ranges is linear in the ten numbers
-    that remain.
+    Squared ranges, minus those of the first station and of the first target, are scalar products of coordinates. Their
+    matrix has rank three and gives stations and targets up to an affine transformation. The squared ranges from the
+    first station are linear in the coefficients of this transformation.
     """
     if ranges.shape[0] < 4 or ranges.shape[1] < MIN_RANGE_TARGETS:
         return None
@@ -224,13 +231,13 @@ def multilaterate(ranges: Floats) -> tuple[Floats, Floats] | None:
 
 
 MIN_BEAM_INTERSECTION = 1e-5
-"""Mean squared sine of the angles between beams below which they have no intersection."""
+"""Smallest eigenvalue of the mean projector perpendicular to the beams, below which beams count as parallel."""
 MIN_PLAN_SINGULAR_VALUE = 1e-6
-"""Fraction of the largest singular value below which a plan can change its shape."""
+"""Singular value of the equations of a plan, relative to the largest, below which its shape is undetermined."""
 
 
 def meeting_point(origin: Floats, beam: Floats) -> Floats | None:
-    """Point (3,) nearest to k beams from `origin` (k, 3) along unit vectors; None for parallel beams."""
+    """Point (3,) [m] nearest to k beams from `origin` (k, 3) along unit vectors `beam` (k, 3); None if parallel."""
     projector = np.eye(3) - beam[:, :, None] * beam[:, None, :]
     normal = projector.sum(axis=0)
     if np.linalg.eigvalsh(normal)[0] < MIN_BEAM_INTERSECTION * len(beam):
@@ -240,7 +247,7 @@ def meeting_point(origin: Floats, beam: Floats) -> Floats | None:
 
 @dataclass(frozen=True)
 class PlanLengths:
-    """Horizontal lengths [m] (k,) between the places `start_indices` and `end_indices` (k,), from any station."""
+    """Measured horizontal lengths (k,) [m] of k lines, and the places (k,) at the start and the end of each line."""
 
     start_indices: Ints
     end_indices: Ints
@@ -250,21 +257,22 @@ class PlanLengths:
 def fit_plan(
     setup: Ints, starts: Ints, ends: Ints, azimuths: Floats, control: Floats, lines: PlanLengths
 ) -> tuple[Floats, Floats, bool] | None:
-    """Places (P, 2) in plan and yaws (S,) [rad] from directions and lengths, and a flag that they are in the frame.
+    """Plan of P places from horizontal directions and lengths: coordinates (P, 2) [m], yaws (S,) [rad] of S set-ups.
 
-    With two or more known places the result is aligned to these, otherwise azimuth zero of the first set-up is x. None
-    if the shape is undetermined, or if directions alone have fewer than two known places and thus no scale.
+    The third element is True if the plan is aligned to two or more known places; otherwise its x axis is azimuth zero
+    of the first set-up. The result is None if the shape is undetermined, or if directions alone have fewer than two
+    known places and thus no scale.
 
     Parameters
     ----------
     setup, starts, ends : (n,) int
         Upright set-up of each direction, its place, and the place of its target.
     azimuths : (n,) float, [rad]
-        Reading of the circle.
+        Reading of the horizontal circle in each direction.
     control : (P, 2) float, [m]
-        Known places, NaN for others.
-    lines : Lines
-        Lengths are used along lines whose direction was measured from one end.
+        Known coordinates of the places; NaN for other places.
+    lines : PlanLengths
+        Measured lengths. A length is used if the direction of its line was measured from one end.
     """
     yaw = _setup_yaws(setup, starts, ends, azimuths)
     rows = np.isfinite(yaw[setup])
@@ -289,7 +297,7 @@ def fit_plan(
 
 
 def _measured_lengths_of_directions(lines: PlanLengths, starts: Ints, ends: Ints) -> tuple[Ints, Floats]:
-    """Indices (k,) of directions whose line also has a measured length, and these lengths (k,)."""
+    """Indices (k,) of directions along lines with a measured length, and these lengths (k,) [m]."""
     lengths: dict[tuple[int, int], float] = {}
     for start_place, end_place, length in zip(
         lines.start_indices.tolist(), lines.end_indices.tolist(), lines.lengths.tolist(), strict=True
@@ -304,9 +312,10 @@ def _measured_lengths_of_directions(lines: PlanLengths, starts: Ints, ends: Ints
 def lines_without_length(
     setup: Ints, starts: Ints, end_places: Ints, azimuths: Floats, lines: PlanLengths
 ) -> list[tuple[int, int]]:
-    """Lines between places, by their ends, without a determined length although all set-ups are oriented.
+    """Lines (pairs of places) whose lengths a plan leaves undetermined, although all its set-ups are oriented.
 
-    It is empty for a determined plan, or if more than one length is undetermined. Parameters as of `fit_plan`.
+    The list is empty for a determined plan, and for a plan with more than one degree of freedom. Parameters as of
+    `fit_plan`.
     """
     yaw = _setup_yaws(setup, starts, end_places, azimuths)
     rows = np.isfinite(yaw[setup])
@@ -331,19 +340,20 @@ def lines_without_length(
     return sorted(ends)
 
 
-def _plan_design(start_places: Ints, end_places: Ints, bearing: Floats, has_length: Ints, n_places: int) -> Floats:
-    """Equations for the places except the first (x and y alternately): perpendicular to each bearing, and along some.
+def _plan_design(start_places: Ints, end_places: Ints, bearing: Floats, length_rows: Ints, n_places: int) -> Floats:
+    """Design matrix of the equations for x and y of all places except the first.
 
-    Padded with zero rows.
+    Each direction gives an equation perpendicular to its bearing. The directions `length_rows` give a second equation
+    along it. Zero rows are added so that the matrix has at least as many rows as columns.
     """
-    design = np.zeros((len(bearing) + len(has_length), n_places, 2))
+    design = np.zeros((len(bearing) + len(length_rows), n_places, 2))
     transverse = np.stack([-np.sin(bearing), np.cos(bearing)], axis=1)
-    radial = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)[has_length]
-    every, behind = np.arange(len(bearing)), len(bearing) + np.arange(len(has_length))
+    radial = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)[length_rows]
+    every, behind = np.arange(len(bearing)), len(bearing) + np.arange(len(length_rows))
     np.add.at(design, (every, end_places), transverse)
     np.add.at(design, (every, start_places), -transverse)
-    np.add.at(design, (behind, end_places[has_length]), radial)
-    np.add.at(design, (behind, start_places[has_length]), -radial)
+    np.add.at(design, (behind, end_places[length_rows]), radial)
+    np.add.at(design, (behind, start_places[length_rows]), -radial)
     n_coordinates = 2 * (n_places - 1)
     return np.concatenate(
         [design[:, 1:].reshape(-1, n_coordinates), np.zeros((n_coordinates, n_coordinates))]
@@ -351,29 +361,29 @@ def _plan_design(start_places: Ints, end_places: Ints, bearing: Floats, has_leng
 
 
 def _plan_shape(
-    start_places: Ints, end_places: Ints, bearing: Floats, has_length: Ints, length: Floats, n_places: int
+    start_places: Ints, end_places: Ints, bearing: Floats, length_rows: Ints, length: Floats, n_places: int
 ) -> np.ndarray[tuple[int], np.dtype[np.complex128]] | None:
-    """Places (count,) in plan as complex numbers, the first at 0; None if the shape is undetermined.
+    """Coordinates of places in plan as complex numbers x + iy, the first at 0; None if the shape is undetermined.
 
-    Every direction gives a linear equation perpendicular to its bearing, and another one along it if its line has a
-    length; without lengths the scale is arbitrary.
+    `length_rows` are the indices of the directions along lines with a measured length, `length` these lengths [m].
+    Without lengths the scale is arbitrary.
     """
-    design = _plan_design(start_places, end_places, bearing, has_length, n_places)
+    design = _plan_design(start_places, end_places, bearing, length_rows, n_places)
     right_side = np.zeros(len(design))
-    right_side[len(bearing) : len(bearing) + len(has_length)] = length
+    right_side[len(bearing) : len(bearing) + len(length_rows)] = length
     u, size, rows = np.linalg.svd(design, full_matrices=False)
-    if size[-1 if len(has_length) else -2] < MIN_PLAN_SINGULAR_VALUE * size[0]:
+    if size[-1 if len(length_rows) else -2] < MIN_PLAN_SINGULAR_VALUE * size[0]:
         return None
-    plan = rows.T @ ((u.T @ right_side) / size) if len(has_length) else rows[-1]
+    plan = rows.T @ ((u.T @ right_side) / size) if len(length_rows) else rows[-1]
     shape = np.concatenate([[0.0], plan.reshape(-1, 2) @ [1.0, 1j]])
     forward = np.real((shape[end_places] - shape[start_places]) * np.exp(-1j * bearing))
     return np.asarray(shape if np.sum(np.sign(forward)) > 0.0 else -shape)
 
 
 def _setup_yaws(setup: Ints, starts: Ints, ends: Ints, azimuths: Floats) -> Floats:
-    """Yaws (S,) [rad] of set-ups that are connected to the first by lines seen from both ends, or twice.
+    """Yaws (S,) [rad] of set-ups that are connected to the first one; NaN for other set-ups.
 
-    It is NaN for others.
+    Two set-ups are connected if they measured the direction of the same line, from the same end or from both ends.
     """
     yaw = np.full(setup.max() + 1, np.nan)
     yaw[setup[0]] = 0.0

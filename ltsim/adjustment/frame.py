@@ -1,10 +1,7 @@
 """Frame of a network from levels and known points, and list of the completely measured points of each station.
 
-The list has one entry per pair of a station and a target that it measured: a tunnel of 2,000 set-ups that see 50
-targets each has 100,000 pairs, where a full table would have 100 million places.
-
-A tunnel of 2,000 set-ups that see 50 targets each has 100,000 pairs of a station and a target: a list, for the table
-would have 100 million places.
+The list has one entry per pair of a station and a target that it measured completely. A tunnel of 2,000 set-ups that
+see 50 targets each has 100,000 pairs; a full table of stations and targets would have 100 million entries.
 """
 
 from __future__ import annotations
@@ -26,7 +23,7 @@ from ltsim.recordings.setup import Target
 VERTICAL = np.array([0.0, 0.0, 1.0])
 """Unit vector of the vertical in the network frame."""
 MAX_FLOOR_PLAN_ERROR = 0.5
-"""Largest distance [m] of a station from its position on a floor plan."""
+"""Distance [m] of a station from its position on a floor plan, from which the plan is ignored."""
 MEDIAN_BATCH_SIZE = 4096
 """Number of targets whose medians are computed together."""
 UNKNOWN_POINT = (np.nan, np.nan, np.nan)
@@ -35,29 +32,32 @@ UNKNOWN_POINT = (np.nan, np.nan, np.nan)
 
 @dataclass(frozen=True)
 class DeclaredFrame:
-    """Prior knowledge of the network's frame; NaN for undeclared values."""
+    """Declared coordinates and directions that define the frame of a network of S stations and T targets.
+
+    Undeclared values are NaN.
+    """
 
     declared_points: Floats
-    """Targets that define the frame: known ones, and approximate ones selected for the datum, (T, 3) [m]."""
+    """Coordinates (T, 3) [m] of targets that define the frame: known ones, and approximate ones of the datum."""
     declared_stations: Floats
-    """Instrument positions over known or approximate marks that are no targets, (S, 3) [m]."""
+    """Positions (S, 3) [m] of instruments over marks that are no targets, from known or approximate coordinates."""
     is_levelled: Bools
     """Flags of the levelled stations, (S,)."""
     marks: StationMarks
     plan_positions: Floats
     """Approximate positions of the stations on a floor plan, (S, 3) [m]."""
     plan_yaws: Floats
-    """Direction of azimuth zero of each station on that plan, (S,) [rad]."""
+    """Direction of azimuth zero of each station on the floor plan, (S,) [rad]."""
     has_declared_yaw: Bools
     """Flags of the stations whose yaw is known and not only approximate, (S,)."""
     approximate_points: Floats
     """Known or approximate coordinates of the targets, (T, 3) [m]."""
     plan_points: Floats
-    """Targets known along x and y at least, with height 0, (T, 3) [m]."""
+    """Coordinates (T, 3) [m] of targets that are known along x and y, with height 0."""
 
     @classmethod
     def from_recording(cls, recording: Recording) -> DeclaredFrame:
-        """The frame of a recording."""
+        """Declared frame of a recording."""
         marks = StationMarks.from_recording(recording)
         setups = [recording.station_setup(name) for name in recording.stations]
         alone, by_name = (
@@ -90,7 +90,10 @@ class DeclaredFrame:
         )
 
     def common_places(self, position: Floats, points: Floats) -> tuple[Floats, Floats]:
-        """Places (k, 3) of a network that the frame also declares, and the declared ones."""
+        """Coordinates (k, 3) [m] of k stations and targets in a network, and their declared coordinates (k, 3).
+
+        `position` (S, 3) and `points` (T, 3) are those of the network; those without declared coordinates are left out.
+        """
         here, there = np.concatenate([position, points]), np.concatenate([self.declared_stations, self.declared_points])
         is_common = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
         return here[is_common], there[is_common]
@@ -98,9 +101,10 @@ class DeclaredFrame:
     def motion_into_frame(
         self, position: Floats, points: Floats, turn: Floats, heading: Floats | None = None
     ) -> tuple[Floats, Floats] | None:
-        """Rotation and translation into the frame; None if the frame does not determine them.
+        """Rotation (3, 3) and translation (3,) [m] of a network into the declared frame; None if undetermined.
 
-        `turn` (3, 3) is the rotation that made levelled stations upright, and `heading_rotation` is the known yaw.
+        `turn` (3, 3) is the rotation that makes levelled stations upright, `heading` (3, 3) the subsequent rotation
+        about the vertical that brings stations to their known yaws.
         """
         here, there = self.common_places(position, points)
         if len(here) >= 3 and not are_collinear(there):
@@ -121,10 +125,10 @@ class DeclaredFrame:
         return rotation @ turn, np.array([*translation[:2], height])
 
     def plan_motion(self, position: Floats, rotation: Floats) -> tuple[Floats, Floats] | None:
-        """Rotation about the vertical and translation of a free network to the floor plan; None without one.
+        """Rotation about the vertical (3, 3) and translation (3,) [m] of a free network to the floor plan.
 
-        They follow from the approximate positions of two or more stations, or from position and yaw of one. Positions
-        that differ by more than `MAX_FLOOR_PLAN_ERROR` belong to another frame and are ignored.
+        They follow from the approximate positions of two or more stations, or from position and yaw of one station. The
+        result is None without such positions, and if one differs by `MAX_FLOOR_PLAN_ERROR` or more.
         """
         planned_indices = np.flatnonzero(
             np.isfinite(self.plan_positions).all(axis=1) & np.isfinite(position).all(axis=1)
@@ -147,12 +151,10 @@ class DeclaredFrame:
         return turn, self.plan_positions[planned_indices[0]] - turn @ position[planned_indices[0]]
 
     def mirror_factors(self, network_points: Floats, declared_points: Floats) -> Floats | None:
-        """Factors (3,) that mirror a network of ranges at `network_points` (k, 3) or leave it unchanged.
+        """Factors (3,) on the coordinates of a network of ranges: (1, 1, -1) to mirror the network, or all 1.
 
-        None if unknown.
-
-        Ranges do not determine the handedness; approximate positions `declared_points` (NaN for others) determine it if
-        they are not coplanar.
+        Ranges do not determine the handedness of the network points (k, 3). Declared points (k, 3), NaN if not
+        declared, determine the handedness if they are not coplanar; otherwise the result is None.
         """
         has_place = np.isfinite(declared_points).all(axis=1)
         network_points, declared_points = network_points[has_place], declared_points[has_place]
@@ -181,9 +183,10 @@ class DeclaredFrame:
     def place_range_network(
         self, stations: Ints, position: Floats, targets: Ints, points: Floats
     ) -> tuple[Floats, bool]:
-        """Targets (t, 3) of a network of ranges with the handedness and positions of the approximate coordinates.
+        """Targets (t, 3) [m] of a network of ranges, with the handedness and frame of the approximate coordinates.
 
-        The flag is True if they are at these positions, which three that are not collinear determine.
+        The flag is True if the targets are in this frame, which requires three approximate points that are not
+        collinear. `stations` and `targets` are the indices of the network's stations and targets.
         """
         here, there = (
             np.concatenate([position, points]),
@@ -224,7 +227,7 @@ class DeclaredFrame:
 
 
 def _coordinates_by_name(recording: Recording) -> dict[str, tuple[float, ...]]:
-    """Coordinates [mm] of known marks, and of marks that known differences determine from them."""
+    """Coordinates [mm] by name: of known marks, and of marks that known differences connect to these."""
     targets = recording.setup.targets
     places: dict[str, tuple[float, ...]] = {
         name: target.known_mm
@@ -246,9 +249,9 @@ def _coordinates_by_name(recording: Recording) -> dict[str, tuple[float, ...]]:
 
 
 def _declared_coordinates(recording: Recording, name: str, *, datum_targets_only: bool = True) -> tuple[float, ...]:
-    """Known coordinates [mm] of a target, or its approximate ones.
+    """Known coordinates [mm] of a target, otherwise its approximate coordinates.
 
-    With `datum_targets_only` only those of datum targets.
+    With `datum_targets_only` approximate coordinates are used only for targets of the datum.
     """
     target = recording.target_setup(name) if name else None
     if target is None:
@@ -275,18 +278,18 @@ def _rms_distance_from_plane(points: Floats) -> float:
 
 
 def are_collinear(points: Floats) -> bool:
-    """True if points (k, 3) are collinear, or nearly so that the rotation about their line is undetermined."""
+    """True if points (k, 3) are collinear: their extent across the best-fit line is at most 0.001 of that along it."""
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(spread[1] <= 1e-3 * spread[0])
 
 
 def alignment_distances(points: Floats, goal_points: Floats, motion: tuple[Floats, Floats]) -> Floats:
-    """Distances (k,) [m] of points (k, 3) from their goals after rotation and translation."""
+    """Distances (k,) [m] of points (k, 3) from goal points (k, 3) after a motion: rotation (3, 3), translation (3,)."""
     return np.asarray(np.linalg.norm(points @ motion[0].T + motion[1] - goal_points, axis=1))
 
 
 def upright_alignment(source: Floats, goal_points: Floats) -> tuple[Floats, Floats]:
-    """Rotation about the vertical and translation that align points (k >= 2, 3).
+    """Rotation about the vertical (3, 3) and translation (3,) that align points (k, 3) to goal points (k, 3).
 
     Raises NetworkError for points on one vertical.
     """
@@ -300,7 +303,7 @@ def upright_alignment(source: Floats, goal_points: Floats) -> tuple[Floats, Floa
 
 @dataclass(frozen=True)
 class StationTargetPairs:
-    """Pairs (m,) of a station and a completely measured target, in the order of the stations."""
+    """List of the m pairs of a station and a target that it measured completely, in the order of the stations."""
 
     station_indices: Ints
     """Index of the station of each pair, (m,)."""
@@ -309,17 +312,17 @@ class StationTargetPairs:
     local_points: Floats
     """Coordinates of the target in the station's frame, (m, 3) [m]."""
     first_pair_of_station: Ints
-    """Index of the first pair of each station, (S + 1,)."""
+    """Index of the first pair of each of S stations, and m at the end, (S + 1,)."""
     target_order: Ints
     """Indices of the pairs in the order of their targets, (m,)."""
     first_pair_of_target: Ints
-    """Index of the first pair of each target in that order, (T + 1,)."""
+    """Index in `target_order` of the first pair of each of T targets, and m at the end, (T + 1,)."""
 
     @classmethod
     def from_recording(cls, recording: Recording, points: Floats | None = None) -> StationTargetPairs:
-        """Pairs of a recording; faces and repeats are combined by the median, which is insensitive to a single blunder.
+        """Pairs of a recording; the median combines faces and repeats, so that a single blunder has no effect.
 
-        `declared_points` (n, 3) are the measured points; by default those of an ideal tracker.
+        `points` (n, 3) [m] are the points measured in the n pointings, by default with an ideal tracker.
         """
         stations, targets = len(recording.stations), len(recording.targets)
         measured = from_polar(recording.readings) if points is None else points
@@ -344,7 +347,7 @@ class StationTargetPairs:
         return slice(int(self.first_pair_of_station[station]), int(self.first_pair_of_station[station + 1]))
 
     def values_by_pair(self, recording: Recording, values: Floats) -> Floats:
-        """Values (m, 3) of the pairs from values (n, 3) of the rows; the last row of a pair gives its value."""
+        """Values (m, 3) of the pairs from values (n, 3) of the pointings; a pair has the value of its last pointing."""
         by_pair = np.zeros((len(self), 3))
         keys = self.station_indices * len(recording.targets) + self.target_indices
         rows = recording.station * len(recording.targets) + recording.target
@@ -353,7 +356,7 @@ class StationTargetPairs:
         return by_pair
 
     def medians_by_target(self, values: Floats, targets: Ints) -> Floats:
-        """Median (k, 3) over stations of values (m, 3) of some targets without NaN; NaN if all are NaN."""
+        """Medians (k, 3) over the stations of values (m, 3) of the pairs, for k targets; NaN if all values are NaN."""
         medians = np.full((len(targets), 3), np.nan)
         for low in range(0, len(targets), MEDIAN_BATCH_SIZE):
             first, end = (
@@ -369,7 +372,7 @@ class StationTargetPairs:
 
 
 def _nan_median(values: Floats) -> Floats:
-    """Median over the second axis of (t, k, 3) without NaN; NaN if all are NaN."""
+    """Medians (t, 3) over the second axis of values (t, k, 3), without NaN; NaN if all values are NaN."""
     if not values.shape[1]:
         return np.full((len(values), 3), np.nan)
     sorted_values = np.sort(values, axis=1)
@@ -379,7 +382,7 @@ def _nan_median(values: Floats) -> Floats:
 
 
 def points_with_slope_distances(recording: Recording) -> Floats | None:
-    """Measured points (n, 3) with horizontal distances converted to slope distances; None if there are none."""
+    """Measured points (n, 3) [m] after conversion of horizontal to slope distances; None without horizontal ones."""
     is_horizontal = recording.is_horizontal
     if not is_horizontal.any():
         return None

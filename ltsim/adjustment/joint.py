@@ -14,10 +14,7 @@ MB at this limit."""
 
 
 def joint_covariance(adjustment: Adjustment) -> Floats:
-    """Covariance (3 T, 3 T) [m^2] of all targets, point by point.
-
-    It is NaN for targets that the readings in use do not determine.
-    """
+    """Joint covariance (3 T, 3 T) [m^2] of the coordinates of T targets, target by target; NaN if undetermined."""
     columns = adjustment.problem.unknowns.target_columns.ravel()
     unit = np.zeros((adjustment.problem.unknowns.n_columns, len(columns)))
     unit[columns, np.arange(len(columns))] = 1.0
@@ -34,9 +31,9 @@ def covariance_csv(
 ) -> str | None:
     """Content of `targets.covariance.csv`; None for more than `MAX_TARGETS_IN_FILE` targets.
 
-    `spread` (k, T, 3) [m] are additional errors that the targets share, each for one standard deviation. `factor`
-    multiplies the standard deviations due to the readings; `added_covariance` (3 T, 3 T) [m^2] is an additional
-    covariance.
+    `spread` (k, T, 3) [m] contains the displacements of T targets by one standard deviation of each of k errors that
+    the targets share. `factor` multiplies the standard deviations due to the readings. `added_covariance` (3 T, 3 T)
+    [m^2] is added.
     """
     names = adjustment.recording.targets
     if len(names) > MAX_TARGETS_IN_FILE:

@@ -14,12 +14,14 @@ from ltsim.recordings.recording import Recording
 
 @dataclass(frozen=True)
 class StationMarks:
-    """Marks under the set-ups of a recording."""
+    """Marks under the S set-ups of a recording."""
 
     target_indices: Ints
     """Index of the target whose mark is under each set-up, -1 for none, (S,)."""
     first_setup_on_mark: Ints
-    """Index of the first set-up on the same mark that is no target; otherwise the set-up itself, (S,)."""
+    """Index of the first set-up over the same mark, (S,), for marks that are no targets; otherwise of the set-up
+    itself.
+    """
     mark_names: tuple[str, ...]
     """Name of the mark under each set-up, '' for none."""
     plumb_directions: Floats
@@ -29,7 +31,7 @@ class StationMarks:
 
     @classmethod
     def from_recording(cls, recording: Recording) -> StationMarks:
-        """The marks of a recording."""
+        """Marks of a recording."""
         places = {name: i for i, name in enumerate(recording.targets)}
         setups = [recording.station_setup(name) for name in recording.stations]
         names = tuple(s.over or "" for s in setups)
@@ -41,11 +43,10 @@ class StationMarks:
         return cls(target, np.array(first, dtype=np.int64), names, vertical, vertical * height[:, None])
 
     def position_from_mark(self, station: int, position: Floats, points: Floats) -> Floats:
-        """Position (3,) [m] of a set-up from its mark, whose position is known as a target or from another set-up.
+        """Position (3,) [m] of a set-up, derived from that of its mark; NaN if the mark has no coordinates.
 
-        Else NaN.
-
-        `position` (S, 3) and `points` (T, 3) [m] are NaN for undetermined places.
+        The mark has coordinates as a target (`points` (T, 3) [m]), or from another set-up over it (`position` (S, 3)
+        [m]). Both are NaN for undetermined places.
         """
         if self.target_indices[station] >= 0:
             return np.asarray(points[self.target_indices[station]] + self.instrument_offsets[station])
@@ -55,7 +56,10 @@ class StationMarks:
         return next(positions, np.full(3, np.nan))
 
     def positions_on_marks(self, position: Floats, points: Floats) -> Floats:
-        """Positions (S, 3) consistent with their marks: from targets (T, 3), else from the first set-up."""
+        """Positions (S, 3) [m] of set-ups that are consistent with their marks.
+
+        A set-up over a target follows `points` (T, 3); other set-ups follow the first one over the same mark.
+        """
         mark_positions = (
             position[self.first_setup_on_mark]
             - self.instrument_offsets[self.first_setup_on_mark]

@@ -1,4 +1,4 @@
-"""Prior of the instrument parameters: a normal distribution, or a fixed value."""
+"""Prior distribution of the instrument parameters: normal distributions, or fixed values."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import Recording
 
 CORRECTED_SIGMA_FRACTION = 0.3
-"""Prior sigma of a corrected constant, relative to the specification, if it is not declared. It is between the
-uncertainty of an ordinary calibration on the day (0.1: a beam tilt of 10 urad is determined to about 1) and the full
-specification: constants of instruments reported as corrected scatter in real halls by half of the specification and
-more.
+"""Prior standard deviation of a constant of a corrected instrument, relative to its specification, unless it is
+declared. It lies between the uncertainty of an ordinary calibration (0.1: a beam tilt of 10 urad is determined to about
+1 urad) and the observed scatter: in real halls constants of corrected instruments scatter by half of the specification
+and more.
 """
 WIDENED_SIGMA_FACTOR = 100.0
-"""Factor on a declared prior sigma once the readings contradict it; errors of instruments are not larger."""
+"""Factor on the prior standard deviation of a parameter whose prior the readings contradict."""
 
 
 @dataclass(frozen=True)
 class ParameterPrior:
-    """Normal prior of the parameters of each instrument; instruments are independent."""
+    """Normal prior of the p parameters of each of I instruments; instruments are independent."""
 
     mean: Floats
     """Mean of each parameter, (I, p) [SI]."""
@@ -34,12 +34,12 @@ class ParameterPrior:
 
     @classmethod
     def independent(cls, sigma: Floats) -> ParameterPrior:
-        """Independent priors about zero with standard deviations (I, p) [SI]; infinite for no prior."""
+        """Independent priors with mean zero and standard deviations (I, p) [SI]; infinite for no prior."""
         covariance = np.where(np.eye(sigma.shape[1], dtype=bool), sigma[:, :, None] ** 2, 0.0)
         return cls(np.zeros(sigma.shape), covariance, np.zeros(sigma.shape, dtype=bool))
 
     def with_free_parameters(self, freed_mask: Bools) -> ParameterPrior:
-        """Prior with some parameters (I, p) practically free."""
+        """Prior with `WIDENED_SIGMA_FACTOR` times larger standard deviations of the flagged parameters (I, p)."""
         factor = np.where(freed_mask, WIDENED_SIGMA_FACTOR, 1.0)
         return ParameterPrior(self.mean, self.covariance * factor[:, :, None] * factor[:, None, :], self.is_fixed)
 
@@ -62,7 +62,7 @@ class ParameterPrior:
         return np.linalg.inv(lower_factor) / sigma[:, None, :]
 
     def whitened_residuals(self, values: Floats) -> Floats:
-        """Whitened prior residuals (m,) of values (I, p), one per parameter with a prior."""
+        """Whitened deviations (m,) of parameter values (I, p) from the means of the m parameters with a prior."""
         gap = self.mean - values
         if self.has_correlations:
             return np.einsum("iqp,ip->iq", self.whitening_matrices, gap).ravel()
@@ -71,16 +71,17 @@ class ParameterPrior:
 
 
 def prior_sigmas(recording: Recording, construction: Construction) -> Floats:
-    """Prior standard deviations (I, p) [SI] of the construction's parameters for each instrument of a recording."""
+    """Prior standard deviations (I, p) [SI] of the p parameters of a construction for each of I instruments."""
     priors = [recording.setup.instrument_named(name).prior for name in recording.instruments]
     rows = [[p.sigma_from(prior) for p in construction.parameters] for prior in priors]
     return np.array(rows, dtype=np.float64).reshape(len(priors), construction.n_parameters)
 
 
 def expected_sigmas(recording: Recording, construction: Construction) -> Floats:
-    """Prior standard deviations (I, p) as `prior_sigmas`.
+    """Expected standard deviations (I, p) [SI] of the instrument errors that are present in the readings.
 
-    For a corrected instrument those of the remaining errors, unless declared.
+    They are those of `prior_sigmas`, and for a corrected instrument `CORRECTED_SIGMA_FRACTION` of these unless the
+    prior of a parameter is declared.
     """
     sigma, names = prior_sigmas(recording, construction), construction.parameter_names
     instruments = map(recording.setup.instrument_named, recording.instruments)

@@ -1,4 +1,4 @@
-"""Recording as a least-squares problem: whitened residuals and their design."""
+"""Least-squares problem of a network adjustment: whitened residuals and design matrix of a recording."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ from ltsim.solve.design import ROWS_PER_PIECE, DesignMatrix, SparsityPattern, to
 from ltsim.solve.elimination import BlockSystem
 
 DATUM_SIGMA = np.full(6, 1e-8)
-"""Standard deviation [m, rad] of the datum rows. Any value gives the same adjustment; it must be far below the sigmas
-of the network for correct covariances, but not so small that it impairs the numerics.
+"""Standard deviations [m, rad] of the constraints that define the datum. They do not influence the adjusted shape. They
+must be far below the standard deviations of the network for correct covariances, and large enough for the numerics.
 """
 WEAK_PRIOR_FACTOR = 300.0
-"""Standard deviation, in prior sigmas, of weak priors on additional effects: far beyond any plausible size."""
+"""Standard deviation of the weak prior of a parameter of additional effects, in plausible sizes of the parameter."""
 
 
 @dataclass(frozen=True)
 class NetworkProblem(NetworkRows):
-    """Unknown poses, targets, instrument parameters and additional effects of a recording.
+    """Least-squares problem with poses, targets, instrument parameters and additional effects as unknowns.
 
-    Rows of the system, in order: the measured readings (row by row, range azimuth elevation), gauge lengths, control
-    points, known marks under stations, known differences, levels, yaws, constraints of undetermined unknowns, priors of
-    the instrument parameters, weak priors of the additional effects, datum.
+    Its equations (rows) are in this order: readings in use (pointing by pointing: range, azimuth, elevation), reference
+    lengths, control points, known marks under stations, known differences, levels, yaws, constraints of undetermined
+    unknowns, priors of the instrument parameters, weak priors of the additional effects, datum.
     """
 
     sigma: Floats
@@ -49,9 +49,9 @@ class NetworkProblem(NetworkRows):
     prior: ParameterPrior
     """Prior of the instrument parameters."""
     extra_sigma: Floats
-    """Standard deviations of weak priors on the additional effects' parameters, (q,); infinite for none."""
+    """Standard deviations (q,) [SI] of the weak priors of the q parameters of additional effects; infinite for none."""
     free_motions: Floats
-    """Rigid motions that only the datum fixes, (6, f)."""
+    """The f rigid motions that only the datum fixes, as columns (6, f) of translation and rotation."""
 
     @classmethod
     def from_model(
@@ -63,12 +63,12 @@ class NetworkProblem(NetworkRows):
         effect_prior_sigma: float = WEAK_PRIOR_FACTOR,
         prior: ParameterPrior | None = None,
     ) -> NetworkProblem:
-        """Problem of a model.
+        """Problem of a measurement model.
 
-        `reading_mask` (n, 3) selects readings, `effect_prior_sigma` is the weak prior of additional effects in
-        plausible sizes.
-
-        The default `prior` of the instrument parameters is the one declared in the set-up.
+        `sigma` (n, 3) [m, rad, rad] are the standard deviations of the readings, by default the declared ones, and
+        `reading_mask` (n, 3) selects readings. `effect_prior_sigma` is the standard deviation of the weak priors of
+        additional effects, in plausible sizes. `prior` is that of the instrument parameters, by default that of the
+        set-up.
         """
         recording = model.recording
         marks = StationMarks.from_recording(recording)
@@ -119,7 +119,10 @@ class NetworkProblem(NetworkRows):
         return moved
 
     def is_open_difference(self, undetermined_targets: Bools) -> Bools:
-        """Flags (k,) of the differences with an end that is undetermined, unread, or without a height."""
+        """Flags (k,) of the known differences that have an undetermined end, and thus give no information.
+
+        An end is undetermined as a target, as a station without readings, or by its height.
+        """
         structure, stations = self.structure, len(self.unknowns.pose_columns)
         stands, heights = np.zeros((2, stations + 1), dtype=bool)
         stands[structure.unread_stations], heights[structure.height_free_stations] = True, True
@@ -134,7 +137,7 @@ class NetworkProblem(NetworkRows):
         return gap
 
     def whitened_residuals(self, state: NetworkState) -> Floats:
-        """Whitened residual (m,) of all rows at a state."""
+        """Whitened residuals (m,) of all m equations at a state."""
         return self._whitened_residuals_of(state, self.model.predict(state))
 
     def _whitened_residuals_of(self, state: NetworkState, readings: Floats) -> Floats:
@@ -165,7 +168,7 @@ class NetworkProblem(NetworkRows):
         )
 
     def retract(self, state: NetworkState, step: Floats) -> NetworkState:
-        """State after a step."""
+        """State after a step (u,) of all unknowns."""
         unknowns = self.unknowns
         return state.with_increments(
             step[unknowns.pose_columns],
@@ -175,11 +178,11 @@ class NetworkProblem(NetworkRows):
         )
 
     def linearise(self, state: NetworkState) -> BlockSystem:
-        """Whitened linear system at a state."""
+        """Linearised problem at a state: whitened residuals and design matrix."""
         return self.linear_system(state, self.model.linearise(state))
 
     def linear_system(self, state: NetworkState, prediction: Prediction) -> BlockSystem:
-        """Whitened linear system at a state whose predicted readings are given."""
+        """Linearised problem at a state, from the predicted readings and their derivatives at this state."""
         residual, values = (
             self._whitened_residuals_of(state, prediction.readings),
             self._whitened_derivatives(state, prediction),
@@ -191,7 +194,7 @@ class NetworkProblem(NetworkRows):
         return BlockSystem(design, residual, self.unknowns.n_reduced)
 
     def _decorrelate_lengths(self, design: DesignMatrix) -> DesignMatrix:
-        """Design in which the rows of lengths with shared errors are transformed to independent ones."""
+        """Design matrix in which the rows of lengths with shared errors are decorrelated."""
         first = int(self.used_readings.sum())
         end_row = first + len(self.gauge_rows)
         lengths = self.gauge_rows.decorrelate_scaled(to_dense(design[first:end_row]))
@@ -205,7 +208,7 @@ class NetworkProblem(NetworkRows):
         return SparsityPattern(self._columns_by_row_kind(), self.unknowns.n_columns)
 
     def _columns_by_row_kind(self) -> list[Ints]:
-        """Columns (rows, width) of each kind of row, in the order of the system."""
+        """Columns of the nonzero elements of each kind of equation, (number of rows, elements per row)."""
         recording, at, gauge = self.model.recording, self.unknowns, self.gauge_rows
         blocks = (
             at.pose_columns[recording.station],
@@ -246,7 +249,7 @@ class NetworkProblem(NetworkRows):
         ]
 
     def _whitened_derivatives(self, state: NetworkState, prediction: Prediction) -> Iterator[Floats]:
-        """Whitened derivatives (rows, width) in the order of `_columns_by_row_kind`."""
+        """Nonzero elements of the design matrix for each kind of equation, in the order of `_columns_by_row_kind`."""
         yield from self._reading_derivatives(prediction)
         direction = self.gauge_rows.unit_vectors(state.target_points)
         gauge = np.concatenate([direction, -direction, self._reference_length_design(state)], axis=1)
@@ -266,7 +269,7 @@ class NetworkProblem(NetworkRows):
         yield self._datum_rows(state)
 
     def _reading_derivatives(self, prediction: Prediction) -> Iterator[Floats]:
-        """Whitened derivatives (r, width) of the readings in use, computed for a batch of pointings at a time."""
+        """Nonzero elements of the design matrix for the readings in use, in batches of pointings (memory)."""
         derivatives = [
             prediction.pose_derivatives,
             prediction.target_derivatives,
@@ -284,20 +287,20 @@ class NetworkProblem(NetworkRows):
             yield np.concatenate(parts, axis=2)[use] / self.sigma[piece][use][:, None]
 
     def _prior_row_columns(self) -> Ints:
-        """Columns (m, 1) of the prior's rows, or (m, p) if it correlates parameters."""
+        """Columns (m, 1) of the m equations of the prior, or (m, p) if the prior correlates the p parameters."""
         columns = self.unknowns.instrument_columns
         if self.prior.has_correlations:
             return np.repeat(columns, columns.shape[1], axis=0)
         return columns[np.isfinite(self.prior.sigma)][:, None]
 
     def _reference_length_design(self, state: NetworkState) -> Floats:
-        """Change (g, q) of the reference lengths per unit of the additional effects' parameters."""
+        """Changes (g, q) of g reference lengths per unit of each of the q parameters of additional effects."""
         ends = self.gauge_rows.first_targets, self.gauge_rows.second_targets
         columns = [effect.gauge_design(*ends, state.target_points) for effect in self.model.extra_effects]
         return np.hstack([np.zeros((len(self.gauge_rows), 0)), *columns])
 
     def _datum_rows(self, state: NetworkState) -> Floats:
-        """Datum rows (f, 6 a) that fix the free rigid motions at the anchor stations."""
+        """Whitened equations (f, 6 a) that fix the f free rigid motions at the a `datum_stations`."""
         anchors = self.structure.datum_stations
         motion = self.free_motions / np.linalg.norm(self.free_motions, axis=0)
         turn = np.broadcast_to(motion[3:].T[:, None, :], (motion.shape[1], len(anchors), 3))
@@ -308,7 +311,7 @@ class NetworkProblem(NetworkRows):
 
     @cached_property
     def level_row_slice(self) -> slice:
-        """Rows of the system that are levels, two per station."""
+        """Slice of the equations that are levels, two per station."""
         first = (
             int(self.used_readings.sum())
             + len(self.gauge_rows)
@@ -320,9 +323,9 @@ class NetworkProblem(NetworkRows):
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom: observations minus unknowns.
+        """Degrees of freedom: number of observations and priors minus number of unknowns.
 
-        Free rigid motions are not subtracted, weak priors not added.
+        Weak priors do not count as observations, free rigid motions do not count as unknowns.
         """
         priors = int(np.isfinite(self.prior.sigma).sum())
         lengths = int(np.isfinite(self.gauge_rows.sigma).sum())

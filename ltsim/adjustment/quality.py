@@ -1,4 +1,4 @@
-"""Quality of an adjusted network: conditions under which it is unusable, and warnings that precede all results."""
+"""Quality of an adjusted network: conditions under which it is refused, and warnings that precede all results."""
 
 from collections.abc import Iterator
 
@@ -22,25 +22,31 @@ from ltsim.geometry.polar import wrap_angle
 from ltsim.recordings.transcription_errors import GON_PER_DEGREE, UNIT_ERRORS, TranscriptionError
 
 MAX_UNUSED_FRACTION = 0.1
-"""Fraction of unused pointings below which another unit of the readings counts as correct."""
+"""Fraction of unused pointings below which another unit of the readings is reported as the correct one."""
 MAX_CONSISTENT_SIGMA0 = 100.0
-"""Limit of sigma0 above which readings contradict each other and linearised covariances are meaningless."""
+"""Value of sigma0 above which observations contradict each other, so that another unit is tried and standard deviations
+are reported as not valid.
+"""
 MIN_SIGMA0_RATIO = 0.1
-"""Ratio of sigma0 without and with the control points below which the control points are the contradiction."""
+"""Ratio of sigma0 without control points to that with them, below which the control points are reported as the cause.
+The same ratio of misfits applies to another scale, a mirror image, and another unit.
+"""
 MAX_SENTENCES_PER_KIND = 4
-"""Largest number of sentences of one kind."""
+"""Largest number of sentences of one kind; the number of further ones is reported."""
 MIN_PLAN_STATIONS = 3
-"""Smallest number of station positions on a plan from which a mirror image is recognised."""
+"""Smallest number of stations with approximate positions for a comparison of the network with them."""
 MAX_RELATIVE_PLAN_MISCLOSURE = 0.01
-"""Misclosure of approximate positions that is accepted, relative to the extent of the network."""
+"""Misclosure of the approximate positions of stations, relative to the extent of the network, below which they fit."""
 MAX_MIRROR_MISCLOSURE_RATIO = 0.3
-"""Ratio of the misclosures below which the mirror image fits clearly better."""
+"""Ratio of the misclosure of the mirror image to that of the network, below which a mirror image is reported."""
 MIN_COS_MEDIAN_TILT = 0.9
-"""Cosine of the stations' median tilt above which a plan is compared with the network."""
+"""Cosine of the median tilt of the stations, from which the network is compared with approximate positions."""
 MAX_CURVATURE = 0.3
-"""Curvature (Bates and Watts) [sigmas of a reading] above which linearised standard deviations are unreliable."""
+"""Curvature of a pose (Bates and Watts), in standard deviations of a reading, above which the linearised standard
+deviations of the pose are reported as too small.
+"""
 MIN_CURVATURE_BOUND = 0.03
-"""Upper bound of the curvature below which it is not computed for a station."""
+"""Upper bound of the curvature of a pose, up to which the curvature itself is not computed and counts as zero."""
 TRIED_UNIT_ERRORS = (
     *(slip for slip in UNIT_ERRORS if slip.name in ("gon", "metre", "inch", "clockwise", "zenith")),
     TranscriptionError("degree", "degrees", "gon", ((1, 1.0 / GON_PER_DEGREE, 0.0), (2, 1.0 / GON_PER_DEGREE, 0.0))),
@@ -50,9 +56,9 @@ network then seems to fit."""
 
 
 def require_usable(adjustment: Adjustment) -> None:
-    """Check that most pointings are used and that known points are consistent; raises NetworkError.
+    """Check that an adjustment is usable: units and known points are consistent, and most pointings are in use.
 
-    Raises ConvergenceError if there is no solution.
+    Raises NetworkError for inconsistent observations, and ConvergenceError if there is no solution.
     """
     _require_consistent_units(adjustment)
     adjustment.require_solution()
@@ -97,17 +103,17 @@ def _require_consistent_control(adjustment: Adjustment) -> None:
     points = alone.state.target_points[control.place_indices[is_complete]]
     raise NetworkError(
         f"the known points contradict the readings (sigma0 {adjustment.sigma0:.3g}, without them {alone.sigma0:.3g}; "
-        f"largest miss {gap:.3g} mm): {_control_difference_text(points, control.declared_points[is_complete])}"
+        f"largest difference {gap:.3g} mm): {_control_difference_text(points, control.declared_points[is_complete])}"
     )
 
 
 def _control_difference_text(network_points: Floats, control_points: Floats) -> str:
-    """Text on the difference of control points (k, 3) from the network: scale, mirror image, points."""
+    """Text on the difference of control points (k, 3) [m] from network points (k, 3): scale, mirror image, points."""
     spread = [float(np.sqrt(np.sum((x - x.mean(axis=0)) ** 2))) for x in (network_points, control_points)]
     if len(network_points) < 3 or not spread[0] > 0.0:
         return "check their coordinates"
     if spread[1] < 1e-6 * spread[0]:
-        return "all of them coincide"
+        return "all of these points have the same coordinates"
     scale, mirrored = spread[1] / spread[0], "check the order and the signs of their axes, or the sense of the azimuths"
     ways = {
         f"they fit scaled by {1 / scale:.6g}; check their unit": _rigid_fit_misfit(
@@ -124,7 +130,7 @@ def _control_difference_text(network_points: Floats, control_points: Floats) -> 
 
 
 def _rigid_fit_misfit(points: Floats, goal_points: Floats) -> float:
-    """Root sum of squares [m] after a rigid fit."""
+    """Root sum of squared distances [m] of points (k, 3) from goal points (k, 3) after a rigid alignment."""
     try:
         return float(np.linalg.norm(alignment_distances(points, goal_points, align_rigidly(points, goal_points))))
     except NetworkError:
@@ -163,7 +169,7 @@ def _consistent_unit_text(adjustment: Adjustment) -> str:
 
 
 def adjustment_warnings(adjustment: Adjustment) -> tuple[str, ...]:
-    """Warnings: undecidable contradictions, blunders, stations with few readings, unreliable standard deviations."""
+    """Warnings on an adjustment: contradictions, blunders, stations with few readings, invalid standard deviations."""
     slips = _undecided_target_sentences, _blunder_sentences, _duplicate_target_sentences, _centring_sentences
     kinds = (
         _cause_sentences,
@@ -196,7 +202,7 @@ def _reference_sentences(adjustment: Adjustment) -> Iterator[str]:
 
 
 def _cause_sentences(adjustment: Adjustment) -> Iterator[str]:
-    """Sentences on simple causes in the model."""
+    """Sentences on the identified errors in the model."""
     yield from (sentence.rstrip(".") for sentence in adjustment.cause_sentences)
 
 
@@ -227,15 +233,15 @@ def _plan_sentences(adjustment: Adjustment) -> Iterator[str]:
     names = listing([adjustment.recording.stations[s] for s in planned_indices])
     if mirrored < min(MAX_FLOOR_PLAN_ERROR, MAX_MIRROR_MISCLOSURE_RATIO * as_is):
         yield (
-            f"the declared places of stations {names} fit the mirror image of this network (within {mirrored:.2g} m; "
-            f"as it is {as_is:.2g} m): the azimuths may be clockwise, and all coordinates mirrored"
+            f"the declared positions of stations {names} fit the mirror image of this network within {mirrored:.2g} m, "
+            f"and the network itself within {as_is:.2g} m: the azimuths may be clockwise, and all coordinates mirrored"
         )
     else:
-        yield f"the declared places of the stations {names} miss the network by up to {as_is:.2g} m and were not used"
+        yield f"the declared positions of stations {names} differ from the network by up to {as_is:.2g} m: not used"
 
 
 def _undecided_target_sentences(adjustment: Adjustment) -> Iterator[str]:
-    """Sentences on targets that two stations measure, one or both of which were rejected."""
+    """Sentences on targets that two stations measured and of which the pointings of one or both were rejected."""
     recording = adjustment.recording
     measured_pairs, used_pairs = np.zeros((2, len(recording.stations), len(recording.targets)), dtype=bool)
     for table, readings in ((measured_pairs, recording.is_measured), (used_pairs, adjustment.problem.used_readings)):
@@ -298,7 +304,7 @@ def _sparse_station_sentences(adjustment: Adjustment) -> Iterator[str]:
 
 
 def _unreliable_sigma_sentences(adjustment: Adjustment) -> Iterator[str]:
-    """Sentences on fixed or nonlinear poses, and on a sum of squares without meaning."""
+    """Sentences on standard deviations that are missing, too small (nonlinear poses), or not valid (large sigma0)."""
     if adjustment.undetermined_stations:
         yield (
             "the readings in use do not determine the full pose of station "
@@ -322,16 +328,16 @@ def _unreliable_sigma_sentences(adjustment: Adjustment) -> Iterator[str]:
 
 def _duplicate_row_sentences(adjustment: Adjustment) -> Iterator[str]:
     if adjustment.duplicate_rows:
-        yield f"{adjustment.duplicate_rows} rows repeat others to the last digit: each is used once"
+        yield f"{adjustment.duplicate_rows} rows are exact copies of other rows: the copies are not used"
 
 
 def pose_curvatures(adjustment: Adjustment) -> Floats:
-    """Curvature (S,) of all readings over one standard deviation of each pose, along its least determined direction.
+    """Curvatures (S,) of the readings along the least determined direction of the pose of each of S stations.
 
-    A covariance is valid if readings are linear over the region that it describes. The pose of a station whose targets
-    are nearly collinear, or close together and far away, may be too uncertain for that. With f the whitened readings
-    and v a step of one standard deviation of the network, the curvature is |f(x + v) - 2 f(x) + f(x - v)| / 2. It is
-    zero for a well-determined pose and NaN for a fixed one.
+    A covariance is valid if readings are linear over one standard deviation of the unknowns. The pose of a station
+    whose targets are nearly collinear, or close together and far away, may be too uncertain for that. With f the
+    whitened readings and v a change of the network by one standard deviation in that direction, the curvature is |f(x +
+    v) - 2 f(x) + f(x - v)| / 2. It is zero for a well-determined pose and NaN for a fixed one.
 
     References
     ----------

@@ -1,7 +1,7 @@
 """Tests of reference values: coordinates, heights, lengths, levels and azimuths are observations like readings.
 
-An erroneous reference value biases the residuals of all readings that it constrains. Reference values are therefore
-tested before single readings: the hypothesis with the smallest p-value of its chi-square decrease is accepted first.
+A wrong reference value biases the residuals of all readings that it constrains. Reference values are therefore tested
+before single readings. Of all hypotheses that one value is wrong, that with the smallest p-value is accepted first.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -47,43 +47,41 @@ REFERENCE_KIND_PHRASES: dict[ReferenceKind, str] = {
     "axes": "the declared coordinates of",
     "scale": "the scale of",
 }
-"""Phrases for the kinds of reference values."""
+"""Subject of a sentence by kind of reference value; the name of the value follows."""
 ERROR_UNITS = {"level": ("arcsec", ARCSECOND), "yaw": ("arcsec", ARCSECOND), "scale": ("ppm", 1e-6)}
 """Unit of an error and its size in SI units, by kind of reference value; millimetres for all other kinds."""
 TESTED_REFERENCE_KINDS: tuple[ReferenceKind, ...] = ("point", "difference", "length", "level", "yaw", "mark", "scale")
 """Kinds of reference values that are tested."""
 SCALE_DEPENDENT_KINDS: tuple[ReferenceKind, ...] = TESTED_REFERENCE_KINDS[:-1]
-"""Kinds of reference values that may be excluded if lengths determine the scale of the ranges: a common scale error is
-only reported.
-"""
+"""Kinds of values that may be excluded if lengths determine the scale; a common scale error is then only reported."""
 MAX_NORMALISED_ERROR = 5.0
-"""Limit of `normalised_error`: a reference value with a larger normalised error is excluded."""
+"""Error of a reference value, in its standard deviations, above which the value is excluded."""
 MIN_TESTED_REDUNDANCY = 1e-3
-"""Redundancy below which the other observations do not test a component of a reference value."""
+"""Redundancy up to which the other observations do not test a component of a reference value."""
 MIN_RELATIVE_SIGNATURE = 1e-9
-"""Signature of a component, relative to the largest signature of its reference value, below which the readings do not
-depend on the component."""
+"""Relative length of a component's signature up to which the component has no influence on the observations."""
 MIN_RESIDUAL = 0.2
-"""Whitened residual below which a reference value is not tested, because an error of 5 sigmas has a larger one."""
+"""Whitened residual below which a reference value is not tested, because an error of 5 sigmas causes a larger one."""
 MIN_RELATIVE_SIGMA = 0.3
-"""Smallest standard deviation with which an exact value is tested, relative to that of a reading at its target."""
+"""Smallest standard deviation with which a reference value is tested, relative to the median one of the readings."""
 MAX_INCLINATION = 0.01
-"""Largest horizontal part of a height error [rad]: instruments and targets are inclined less."""
+"""Ratio of horizontal to vertical error up to which an error of a point counts as a height error."""
 REFERENCE_BATCH_SIZE = 64
 """Number of reference values whose covariance columns are computed together (memory)."""
 MIN_NORMALISED_ERROR_CERTAIN = 20.0
-"""Limit of `normalised_error` from which an error is accepted without comparison with several outliers as an
-alternative."""
+"""Error of a reference value, in its standard deviations, from which the value is excluded even if several outliers
+among the readings explain the misfit as well.
+"""
 MIN_VALUES_FOR_TYPICAL_ERROR = 3
-"""Smallest number of reference values of a kind from which their typical error is estimated; fewer are tested one by
-one.
+"""Number of other reference values of the same kind below which a wrong value is not identified if another one also
+contradicts.
 """
 MIN_LIKELIHOOD_RATIO = 100.0
-"""Likelihood ratio to the second-best hypothesis above which a single reference value is identified as erroneous."""
+"""Likelihood ratio of two hypotheses up to which they are reported as indistinguishable."""
 MAX_CHI2_FRACTION = 1e-6
-"""Fraction of chi-square below which the exclusion of reference values is sufficient evidence against them."""
+"""Ratio of chi-square after and before the exclusion of reference values, below which they are certainly wrong."""
 MAX_EXCLUDED_FRACTION = 1 / 3
-"""Fraction of the reference values of a kind above which they are inconsistent and none is identified."""
+"""Fraction of wrong reference values of one kind above which all of that kind are inconsistent and none is excluded."""
 
 
 @dataclass(frozen=True)
@@ -91,28 +89,28 @@ class ReferenceTest(ReferenceValue):
     """Test of a reference value against the other observations of a network."""
 
     error: Floats
-    """Estimated error (q,): declared value minus the estimate by the other observations."""
+    """Estimated error of each of q components, (q,): declared value minus the estimate by the other observations."""
     sigma_error: Floats
-    """Standard deviation (q,) of the error; infinite where the other observations do not determine it."""
+    """Standard deviations of the errors, (q,); infinite for components that the other observations do not test."""
     chi2_drop: float
     """Decrease of chi-square if the value is excluded."""
     rank: int
     """Number of components that the other observations test."""
     is_excluded: bool = False
-    """True if the value contradicts the others and did not take part in the adjustment."""
+    """True if the value contradicts the other observations and is excluded from the adjustment."""
     critical_value: float = MAX_NORMALISED_ERROR
-    """Limit of `normalised_error`."""
+    """Value of `normalised_error` above which the reference value is excluded."""
     indistinguishable_from: tuple[str, ...] = ()
-    """Other reference values whose error explains the same; none of them is excluded."""
+    """Names of other reference values whose error explains the misfit as well; none of these is excluded."""
 
     @property
     def normalised_error(self) -> float:
-        """Square root of the chi-square decrease: the normalised residual of a single component."""
+        """Square root of the decrease of chi-square; for one component the absolute normalised residual."""
         return float(np.sqrt(self.chi2_drop))
 
     @property
     def is_height(self) -> bool:
-        """True if the error is an error of the height alone."""
+        """True if the error is significant in the height and not in the horizontal coordinates."""
         *plan, height = np.abs(self.error).tolist()
         small = [max(MAX_NORMALISED_ERROR * sigma, MAX_INCLINATION * height) for sigma in self.sigma_error[:-1]]
         is_significant = height > MAX_NORMALISED_ERROR * self.sigma_error[-1]
@@ -120,7 +118,7 @@ class ReferenceTest(ReferenceValue):
 
     @property
     def error_text(self) -> str:
-        """Size of the error with its standard deviation and unit."""
+        """Text of the length of the error with its standard deviation and unit."""
         size = float(np.linalg.norm(self.error))
         along = self.error / size if size else np.zeros(len(self.error))
         sigma = float(np.linalg.norm(along * np.where(np.isfinite(self.sigma_error), self.sigma_error, 0.0)))
@@ -155,17 +153,17 @@ class ReferenceTest(ReferenceValue):
 
     @property
     def redundancy(self) -> Floats:
-        """Redundancy number (q,) of each component: derivative of its residual with respect to its error."""
+        """Redundancy numbers (q,): derivative of the residual of each component with respect to its error."""
         return np.where(self.sigma_error > 0, np.minimum((self.sigma / self.sigma_error) ** 2, 1.0), 0.0)
 
     @property
     def minimal_detectable(self) -> Floats:
-        """Minimal detectable error (q,) of each component at a power of 80 %; infinite for an untested one."""
+        """Minimal detectable errors (q,) of the components at a power of 80 %; infinite for untested components."""
         return np.sqrt(noncentrality(alpha=FAMILY_LEVEL)) * self.sigma_error
 
 
 def relax_exact_references(problem: NetworkProblem, state: NetworkState) -> NetworkProblem:
-    """Problem in which exact reference values have a small standard deviation, so that they can be tested."""
+    """Problem in which exact reference values have a small standard deviation, so that a test of them is possible."""
     if not problem.used_readings.any():
         return problem
     range_ = problem.model.geometry(state).range_
@@ -187,7 +185,10 @@ def relax_exact_references(problem: NetworkProblem, state: NetworkState) -> Netw
 def reference_tests(
     problem: NetworkProblem, solution: Solution[NetworkState], min_residual: float = 0.0
 ) -> list[ReferenceTest]:
-    """Tests of the reference values of an adjustment with a residual of at least `min_residual`, and of all lengths."""
+    """Tests of the reference values of an adjustment with whitened residuals of at least `min_residual`.
+
+    With a positive limit the common scale of all lengths is tested too; with 0 exact values get a small sigma first.
+    """
     if not min_residual and solution.factor is not None:
         problem, given = relax_exact_references(problem, solution.x), problem
         solution = solution if problem is given else solve(problem, solution.x)
@@ -208,7 +209,7 @@ def reference_tests(
 
 
 def _reference_test(value: ReferenceValueRows, gram_matrix: Floats, residual_product: Floats) -> ReferenceTest:
-    """Test from the Gram matrix (q, q) of a projected signature and its product with the residuals (q,)."""
+    """Test from the Gram matrix (q, q) of the projected signature, and the signature's product (q,) with residuals."""
     size = np.linalg.norm(value.signature, axis=0)
     acts = size > MIN_RELATIVE_SIGNATURE * size.max()  # readings in plan do not depend on heights
     size = np.where(acts, size, np.inf)
@@ -237,10 +238,11 @@ def snoop_references(
     kinds: Collection[ReferenceKind] = TESTED_REFERENCE_KINDS,
     exempt_values: frozenset[tuple[ReferenceKind, str]] = frozenset(),
 ) -> tuple[NetworkProblem, Solution[NetworkState], tuple[ReferenceTest, ...]]:
-    """Problem without the reference values that contradict the other observations, its solution, and their tests.
+    """Problem without contradicting reference values, its solution, and the tests of these values.
 
-    They are excluded one at a time by the decrease of chi-square; single readings that explain more are excluded during
-    the tests.
+    The values are excluded one at a time, that with the smallest p-value first. A single reading that explains the
+    misfit better is left out during the tests. `kinds` restricts the exclusion; `exempt_values` (kind and name) stay in
+    use.
     """
     given, aside = (problem, solution), relax_exact_references(problem, solution.x)
     out: list[ReferenceTest] = []
@@ -291,7 +293,7 @@ def snoop_references(
 def _with_final_errors(
     tests: Sequence[ReferenceTest], problem: NetworkProblem, state: NetworkState
 ) -> Iterator[ReferenceTest]:
-    """Tests of reference values, with the errors of excluded ones at the final state."""
+    """Tests of reference values, in which the errors of excluded values refer to the final state."""
     names, marks = problem.model.recording.stations, problem.marks
     off = {(v.kind, v.name): v.residual for v in (*reference_values(problem, state), *common_scale(problem, state))}
     for test in tests:
@@ -311,7 +313,7 @@ def _with_final_errors(
 def _contradicting_group(
     wrong_values: Sequence[ReferenceTest], all_tests: Sequence[ReferenceTest]
 ) -> tuple[ReferenceTest, ...]:
-    """First of the wrong reference values and those that contradict it, if the wrong one is not identified."""
+    """Test of a value that contradicts others of its kind, if the data do not show which one is wrong; else empty."""
     for test in wrong_values:
         others = [other for other in all_tests if other.kind == test.kind and other.name != test.name]
         rivals = tuple(other.name for other in others if other.normalised_error > MAX_NORMALISED_ERROR)
@@ -321,16 +323,17 @@ def _contradicting_group(
 
 
 def _typical_error(tests: Sequence[ReferenceTest]) -> float:
-    """Typical error of reference values of a kind, in declared standard deviations; at least 1."""
+    """Root-mean-square error of reference values of one kind, in their standard deviations; at least 1."""
     return float(np.sqrt(max(1.0, sum(t.chi2_drop for t in tests) / max(sum(t.rank for t in tests), 1))))
 
 
 def _penalised_chi2(
     problem: NetworkProblem, solution: Solution[NetworkState], excluded_values: Sequence[ReferenceTest]
 ) -> float:
-    """Chi-square without outliers, plus a penalty for each outlier and each excluded reference value `excluded_values`.
+    """Chi-square without outliers, plus a penalty for each outlier and for each excluded reference value.
 
-    A few readings may explain the same as one reference value: the penalty of each is the limit of its own test.
+    A few outliers may explain a misfit as well as one wrong reference value. The penalty is the critical value of the
+    test of the outlier or reference value.
     """
     accepted, ended = snoop_readings(problem, solution.x)
     readings = int(problem.used_readings.sum())
@@ -345,10 +348,7 @@ def _largest_error(
     kinds: Collection[ReferenceKind],
     exempt_values: Collection[tuple[ReferenceKind, str]],
 ) -> ReferenceTest | Bools | None:
-    """Reference value, or readings (n, 3), that explain most.
-
-    It is None if no reference value contradicts the other observations.
-    """
+    """Test of the most contradicting reference value, or flag (n, 3) of a reading that contradicts more; else None."""
     tests = [test for test in reference_tests(problem, solution, MIN_RESIDUAL) if test.rank]
     tests = [test for test in tests if test.kind in {*kinds, "scale"} and (test.kind, test.name) not in exempt_values]
     if not tests or problem.dof < 2:

@@ -1,4 +1,4 @@
-"""Reference values as rows of the adjustment: declared value, misclosure, and effect of an error of the value."""
+"""Reference values in an adjustment: declared value, misclosure, and effect of an error of the value."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -20,37 +20,34 @@ REMOVED_SETTINGS: dict[str, dict[str, object]] = {
     "yaw": {"yaw_sigma_arcsec": None},
     "mark": {"over": None},
 }
-"""Settings of a station's set-up that are removed, by kind of the excluded reference value."""
+"""New values of the settings of a station that remove a reference value, by kind of the reference value."""
 
 
 @dataclass(frozen=True)
 class ReferenceValue:
-    """Reference value: point, difference, length, level, common scale, or position of a set-up on its mark.
-
-    Arrays are (q,) [m, rad or 1], one entry per component.
-    """
+    """Reference value with q components: point, difference, length, level, yaw, scale, or position over a mark."""
 
     kind: ReferenceKind
     name: str
-    """Target, both ends of a length or difference, or station."""
+    """Name of the target or station, or of both ends of a length or difference."""
     declared_components: str
-    """Known coordinates of a point or difference."""
+    """Declared coordinates of a point or difference, for example `xy`; empty for other kinds."""
     sigma: Floats
-    """Declared standard deviation, (q,)."""
+    """Declared standard deviations of the components, (q,) [m, rad or 1]."""
     residual: Floats
-    """Declared minus adjusted value, (q,)."""
+    """Declared minus adjusted value of each component, (q,) [m, rad or 1]."""
     occupied_by: str = field(default="", kw_only=True)
-    """Set-up over a point that is known by that set-up only; else empty."""
+    """Name of the set-up over a known point that is not measured as a target; else empty."""
 
 
 @dataclass(frozen=True)
 class ReferenceValueRows(ReferenceValue):
-    """Reference value with its rows in an adjustment."""
+    """Reference value with its equations in an adjustment."""
 
     rows: Ints
-    """Rows of the system that depend on its error, (r,)."""
+    """Indices of the equations that depend on an error of the value, (r,)."""
     signature: Floats
-    """Derivative of these rows with respect to an error in each component, (r, q)."""
+    """Derivatives of the whitened residuals of these equations with respect to an error of each component, (r, q)."""
 
 
 def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceValueRows]:
@@ -101,7 +98,10 @@ def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[R
 
 
 def common_scale(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceValueRows]:
-    """Common scale of all reference lengths, if there are several: error of their temperature or standard."""
+    """Common scale of all reference lengths as a reference value; empty for a single length.
+
+    An error of their temperature or of their calibration standard changes all lengths in proportion.
+    """
     gauge, felt = problem.gauge_rows, np.isfinite(problem.gauge_rows.sigma)
     if felt.sum() > 1:
         shown = gauge.decorrelate(np.where(felt, gauge.lengths, 0.0)[:, None])
@@ -111,7 +111,10 @@ def common_scale(problem: NetworkProblem, state: NetworkState) -> Iterator[Refer
 
 
 def _centring_declarations(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceValueRows]:
-    """Declarations that set-ups are exactly over their marks, for marks that are also measured as targets."""
+    """Declarations that a set-up is exactly over its mark, as reference values.
+
+    Only marks that are also a target, or under another set-up, test the declaration.
+    """
     marks, recording = problem.marks, problem.model.recording
     shared = (marks.target_indices >= 0) | (
         np.bincount(marks.first_setup_on_mark, minlength=len(marks.first_setup_on_mark))[marks.first_setup_on_mark] > 1
@@ -129,19 +132,19 @@ def _centring_declarations(problem: NetworkProblem, state: NetworkState) -> Iter
             )
 
 
-def drop_reference(recording: Recording, test: ReferenceValue) -> Recording:
-    """Recording whose set-up does not contain one reference value."""
-    setup, name = recording.setup, test.name
-    if test.kind in ("length", "scale"):
+def drop_reference(recording: Recording, reference_value: ReferenceValue) -> Recording:
+    """Recording from whose set-up one reference value is removed."""
+    setup, name = recording.setup, reference_value.name
+    if reference_value.kind in ("length", "scale"):
         lengths = tuple(d for d in recording.gauge.distance if f"{d.from_}-{d.to}" != name)
         cleared: dict[str, object] = (
-            {"sigma_scale_ppm": MIN_UNKNOWN_SCALE_PPM} if test.kind == "scale" else {"distance": lengths}
+            {"sigma_scale_ppm": MIN_UNKNOWN_SCALE_PPM} if reference_value.kind == "scale" else {"distance": lengths}
         )
         change: dict[str, object] = {"gauge": recording.gauge.model_copy(update=cleared)}
-    elif test.kind == "difference":
+    elif reference_value.kind == "difference":
         change = {"differences": tuple(difference for difference in setup.differences if difference.label != name)}
-    elif test.kind in REMOVED_SETTINGS:
-        cleared = REMOVED_SETTINGS[test.kind]
+    elif reference_value.kind in REMOVED_SETTINGS:
+        cleared = REMOVED_SETTINGS[reference_value.kind]
         change = {"stations": setup.stations | {name: setup.stations[name].model_copy(update=cleared)}}
     else:
         cleared = {"known_mm": None, "approximate_mm": setup.targets[name].known_mm}

@@ -1,4 +1,4 @@
-"""Nonlinear refit of a network with some effects, including the constants of their shapes."""
+"""Nonlinear adjustment of a network with effects whose shape constants (for example periods) are estimated."""
 
 from __future__ import annotations
 
@@ -16,30 +16,34 @@ from ltsim.physics.model.measurement import NetworkState
 from ltsim.scene.sightings import Sightings
 
 MAX_SHAPE_STEPS = 4
-"""Largest number of steps of the constants: a refit starts at the grid point of a search."""
+"""Largest number of Gauss-Newton steps of the shape constants, which start at the best grid point of a search."""
 MAX_LINEAR_CHANGE = 1e-5
-"""Relative change of a constant over which readings are linear: a range of 20 m contains a thousand short waves."""
+"""Relative change of a shape constant that is used for numerical derivatives, and below which the iteration ends.
+Readings are linear over it: a range of 20 m contains a thousand short waves.
+"""
 MAX_HALVINGS = 4
-"""Largest number of halvings of a step that increases chi-square, for constants with a poor start."""
+"""Largest number of halvings of a step that increases chi-square, for constants with poor start values."""
 MAX_CHI2_INCREASE = 1e-3
-"""Increase of chi-square that counts as zero: the increase for a constant at 0.03 standard deviations from its optimum.
+"""Increase of chi-square up to which a step is accepted: that of a constant at 0.03 standard deviations from its
+optimum.
 """
 MIN_SHAPE_CHANGE = 1e-3
-"""Smallest change of a reading, relative to the effect, by a tenth of a shape constant at which the constant is
-estimated.
+"""Largest change of a reading per relative change of a shape constant, relative to the largest change by the effect,
+above which the constant is estimated.
 """
 
 
 @dataclass(frozen=True)
 class ShapeDirection(Signature):
-    """Signature of a change of one of an effect's shape constants, by which a refit estimates the constant.
+    """Linearised effect of a change of one shape constant of an effect, with which the constant is estimated.
 
-    The parameter is the change of the constant relative to its size.
+    Its parameter is the relative change of the constant.
     """
 
     effect: CandidateEffect
     """Effect whose constant changes."""
     parameter_values: tuple[float, ...]
+    """Values of the parameters of the effect [SI]."""
     shape_parameter: ShapeParameter
     """Constant that changes."""
 
@@ -47,7 +51,7 @@ class ShapeDirection(Signature):
     parameters = (Parameter("relative-change", "", "relative change of a shape constant", 1.0),)
 
     def design(self, sightings: Sightings) -> Floats:
-        """Central difference (n, 3, 1) by the relative change of the constant."""
+        """Derivatives (n, 3, 1) of the three readings of n pointings by the relative change of the constant."""
         now, values = self.present_value, np.array(self.parameter_values)
         up, down = (
             self.effect.with_constants(**{self.shape_parameter.name: now * (1 + s)}).design(sightings) @ values
@@ -62,20 +66,21 @@ class ShapeDirection(Signature):
         return float(getattr(self.effect, self.shape_parameter.name))
 
     def changed_value(self, change: float) -> float:
-        """Constant after a relative change, within its bounds and at most halved or doubled."""
+        """Value of the constant [SI] after a relative change, within its bounds and at most halved or doubled."""
         new_value = self.present_value * (1 + np.clip(change, -0.5, 1.0))
         return float(np.clip(new_value, self.shape_parameter.lower_bound, self.shape_parameter.upper_bound))
 
 
 @dataclass(frozen=True)
 class FirstOrderEffect(CandidateEffect):
-    """Effect in first-order form at one state of the network, used if the exact form prevents convergence.
+    """Effect linearised at one state of the network, used if the adjustment with the exact effect does not converge.
 
-    An encoder error with thousands of periods, for example, changes by a large part of a period between iterations.
+    For example, an encoder error with thousands of periods changes by a large part of a period between iterations.
     """
 
     exact_effect: CandidateEffect
     design_at_state: Floats = field(compare=False, repr=False)
+    """Change (n, 3, p) of the readings per unit of each of the p parameters, at that state."""
     name: str = ""
     parameters: tuple[Parameter, ...] = ()
     stations: tuple[str, ...] = ()
@@ -85,7 +90,7 @@ class FirstOrderEffect(CandidateEffect):
 
     @classmethod
     def from_effect(cls, effect: CandidateEffect, sightings: Sightings) -> FirstOrderEffect:
-        """First-order form of an effect at a state of the network."""
+        """Effect linearised at the state of the network that the sightings describe."""
         identity = (
             effect.name,
             effect.parameters,
@@ -97,18 +102,18 @@ class FirstOrderEffect(CandidateEffect):
         return cls(effect, effect.design(sightings), *identity)
 
     def design(self, sightings: Sightings) -> Floats:
-        """Design (n, 3, p) of the effect at that state."""
+        """Change (n, 3, p) of the readings per unit of each parameter, which does not depend on the sightings."""
         return self.design_at_state
 
     def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
-        """Derivative (g, p) of the reference lengths with respect to the effect's parameters."""
+        """Derivatives (g, p) of g reference lengths with respect to the p parameters of the effect."""
         return self.exact_effect.gauge_design(first, second, points)
 
 
 def _shape_directions(
     effect: CandidateEffect, values: Floats, sightings: Sightings, fixed_constants: Collection[str]
 ) -> list[ShapeDirection]:
-    """Shape constants of an effect that influence the readings smoothly, except the `fixed_constants` ones."""
+    """Linearised changes of those shape constants of an effect that influence the readings, except fixed ones."""
     directions = []
     size = float(np.abs(effect.design(sightings) @ values).max())
     for shape in type(effect).shape_parameters:
@@ -129,20 +134,20 @@ class ParameterEstimate(NamedTuple):
     value: float
     """Estimated value [SI]."""
     sigma: float
-    """Standard deviation; infinite for a constant with which the adjustment did not converge."""
+    """Standard deviation [SI]; infinite if the adjustment did not converge with this constant as an unknown."""
 
 
 @dataclass(frozen=True)
 class Refit:
-    """Refitted network, the effects with their final shapes, and the estimates of each.
-
-    There are no estimates for effects with which the adjustment did not converge, nor for constants without influence
-    on the readings.
-    """
+    """Network adjusted with some effects, and the estimates of their parameters and shape constants."""
 
     adjustment: Adjustment
     effects: tuple[CandidateEffect, ...]
+    """Effects with their estimated shape constants."""
     estimates: tuple[tuple[ParameterEstimate, ...], ...]
+    """Estimates for each effect: its parameters, then those shape constants that influence the readings. They are empty
+    if the adjustment did not converge.
+    """
 
 
 def refit_with_effects(
@@ -157,12 +162,13 @@ def refit_with_effects(
     Parameters
     ----------
     adjustment : callable
-        The adjustment with `effects` from a `start_state`, both by name.
-    effects : sequence of Tunable
-    start_state : State
+        Function that adjusts the network; its keyword arguments are `effects` and `start_state`.
+    effects : sequence of CandidateEffect
+        Effects in the model, with start values of their shape constants.
+    start_state : NetworkState
         Start state of the network.
     fixed_constants : sequence of collections of str, optional
-        Names of each effect's constants that are fixed and not reported.
+        Names of those shape constants of each effect that are neither estimated nor reported.
     """
     fixed_names = fixed_constants or [()] * len(effects)
     current = list(effects)
@@ -201,9 +207,10 @@ def _damped_step(
     changes: Floats,
     last_adjustment: Adjustment,
 ) -> tuple[list[CandidateEffect], Adjustment] | None:
-    """Effects with changed constants and their adjustment, after halvings until chi-square does not increase.
+    """Effects with changed shape constants, and the adjustment with them; None if chi-square increases.
 
-    It is None otherwise.
+    `changes` are the relative changes of all constants. They are halved until chi-square does not increase, at most
+    `MAX_HALVINGS` times.
     """
     for share in 0.5 ** np.arange(1 + MAX_HALVINGS):
         moved = _effects_with_changed_shapes(effects, directions, share * changes)
@@ -214,7 +221,7 @@ def _damped_step(
 
 
 def _values_by_effect(effects: Sequence[Signature], parameter_values: Floats) -> list[Floats]:
-    """Values of the parameters of each effect."""
+    """Values of the parameters of each effect, from an array with the values of all effects in order."""
     sizes = [len(e.parameters) for e in effects]
     return np.split(parameter_values[: sum(sizes)], np.cumsum(sizes)[:-1]) if sizes else []
 
@@ -222,7 +229,7 @@ def _values_by_effect(effects: Sequence[Signature], parameter_values: Floats) ->
 def _effects_with_changed_shapes(
     effects: list[CandidateEffect], directions: list[list[ShapeDirection]], changes: Floats
 ) -> list[CandidateEffect]:
-    """Effects with relative changes of their shape constants."""
+    """Effects whose shape constants are changed by the relative `changes`, in the order of the directions."""
     change = iter(changes.tolist())
     moves = [{d.shape_parameter.name: d.changed_value(next(change)) for d in group} for group in directions]
     return [effect.with_constants(**moved) if moved else effect for effect, moved in zip(effects, moves, strict=True)]
@@ -234,7 +241,11 @@ def _estimates_with_uncertainty(
     effects: Sequence[CandidateEffect],
     directions: list[list[ShapeDirection]],
 ) -> tuple[tuple[ParameterEstimate, ...], ...]:
-    """Estimates with uncertainty; those of parameters include the uncertainty of estimated shape constants."""
+    """Estimates of the parameters and shape constants of each effect, with standard deviations.
+
+    `joint_adjustment` has the shape constants as unknowns, so that its standard deviations include their uncertainty.
+    It is used only if it converged.
+    """
     has_shape_estimates = joint_adjustment.solution.has_converged and len(joint_adjustment.effects) > len(effects)
     source = joint_adjustment if has_shape_estimates else adjustment
     if not (effects and source.solution.has_converged):

@@ -1,4 +1,4 @@
-"""Reliability of single readings: redundancy, normalised residuals, outlier tests, minimal detectable errors."""
+"""Reliability of readings: redundancy numbers, normalised residuals, outlier tests, minimal detectable errors."""
 
 from functools import lru_cache
 
@@ -12,21 +12,21 @@ from ltsim.solve.design import robust_sigma
 from ltsim.solve.elimination import BlockFactor
 
 MAX_SIGMA0_DECLARED_NOISE = 1.25
-"""Robust sigma0 up to which the declared noise is used; above it residuals are tested by the estimated noise."""
+"""Robust sigma0 up to which residuals are tested with the declared noise; above it the estimated noise is used."""
 MIN_REDUNDANCY_FOR_NOISE = 0.1
-"""Redundancy from which a residual is used to estimate the noise."""
+"""Redundancy number of a reading above which its residual is used to estimate the noise."""
 MIN_DOF_FOR_ESTIMATED_NOISE = 15
 """Degrees of freedom below which an estimated sigma0 is too uncertain to replace the declared noise."""
 MIN_NOISY_SCATTER_RATIO = 2.0
 """Ratio of a target's scatter to that of the others above which the target counts as noisy."""
 MIN_EQUIVALENT_CORRELATION = 0.9
-"""Squared correlation of two residuals above which no test distinguishes their errors."""
+"""Squared correlation of two residuals above which errors of their readings count as indistinguishable."""
 
 
 def redundancy_numbers(problem: NetworkProblem, factor: BlockFactor) -> Floats:
-    """Redundancy numbers (n, 3), derivative of a residual with respect to an error of its reading.
+    """Redundancy numbers (n, 3) of the readings; NaN for unused readings.
 
-    It is NaN for unused readings.
+    A redundancy number is the derivative of a residual with respect to an error of its reading.
     """
     share = np.full(problem.used_readings.shape, np.nan)
     share[problem.used_readings] = 1.0 - factor.leverage()[: int(problem.used_readings.sum())]
@@ -34,7 +34,10 @@ def redundancy_numbers(problem: NetworkProblem, factor: BlockFactor) -> Floats:
 
 
 def standardised_residuals(problem: NetworkProblem, residuals: Floats, redundancy: Floats) -> Floats:
-    """Residuals divided by their own standard deviations, (n, 3); 0 for an unchecked reading, NaN for an unused one."""
+    """Normalised residuals (n, 3): residuals divided by the standard deviations of residuals.
+
+    They are 0 for readings that no other observation checks, and NaN for unused readings.
+    """
     is_checked = problem.used_readings & (redundancy > MIN_NUMERICAL_REDUNDANCY)
     w = np.where(problem.used_readings, 0.0, np.nan)
     w[is_checked] = residuals[is_checked] / (problem.sigma[is_checked] * np.sqrt(redundancy[is_checked]))
@@ -42,7 +45,7 @@ def standardised_residuals(problem: NetworkProblem, residuals: Floats, redundanc
 
 
 def noise_scale(normalised_residuals: Floats, redundancy: Floats) -> float:
-    """Factor on the declared noise from the residuals, at least one.
+    """Factor on the declared noise, estimated from the normalised residuals (n, 3); 1 if it is at most 1.25.
 
     The noise is never reduced, so that a reading that the declared noise permits is no outlier.
     """
@@ -51,9 +54,10 @@ def noise_scale(normalised_residuals: Floats, redundancy: Floats) -> float:
 
 
 def noisy_groups(normalised_residuals: Floats, redundancy: Floats, target: Ints) -> tuple[Ints, float, float]:
-    """Targets whose readings scatter far more than all others, and both scatters in sigmas.
+    """Indices (k,) of noisy targets, the scatter of their readings, and that of all other readings.
 
-    `normalised_residuals` and `redundancy` (n, 3), `target` (n,).
+    A target is noisy if its readings scatter `MIN_NOISY_SCATTER_RATIO` times more than those of the other targets.
+    Scatters are robust standard deviations of normalised residuals (n, 3). `target` (n,) is that of each pointing.
     """
     testable = np.where(np.nan_to_num(redundancy) > MIN_REDUNDANCY_FOR_NOISE, normalised_residuals, np.nan)
 
@@ -72,14 +76,14 @@ def noisy_groups(normalised_residuals: Floats, redundancy: Floats, target: Ints)
 
 
 def critical_w(n_readings: int, alpha: float = FAMILY_LEVEL) -> float:
-    """Limit of |w| for `n_readings` readings tested together (Sidak)."""
+    """Critical value of the absolute normalised residual |w|, if `n_readings` readings are tested together (Sidak)."""
     return float(-special.ndtri(0.5 * level_of_single_test(n_readings, alpha)))
 
 
 def p_value_of_tau(tau: Floats, dof: Floats, n_readings: int) -> Floats:
-    """Probability that the largest |w| / sigma0 of `n_readings` readings is at least this large.
+    """Probability that the largest |w| / sigma0 of `n_readings` error-free readings is at least as large as `tau`.
 
-    Infinite `dof` means the declared noise.
+    `dof` are the degrees of freedom of the estimated sigma0; infinite ones mean the declared noise (sigma0 = 1).
 
     References
     ----------
@@ -94,15 +98,16 @@ def p_value_of_tau(tau: Floats, dof: Floats, n_readings: int) -> Floats:
 
 
 def iterative_snooping(
-    residuals: Floats, residual_response: Floats, scale: Floats, dof: Floats, n_readings: int, alpha: float
+    residuals: Floats, redundancy_matrix: Floats, scale: Floats, dof: Floats, n_readings: int, alpha: float
 ) -> list[tuple[int, float, float, float]]:
-    """Outliers among k readings, the most significant first: index, error in sigmas, w and p-value of each.
+    """Outliers among k readings, the most significant first: index, estimated error, normalised residual w, p-value.
 
-    `residuals` (k,) holds their residuals in sigmas, `residual_response` (k, k) the effect of an error of each on
-    these. Residuals that one outlier explains do not count for another; readings that cannot be distinguished from it
-    follow it in the list.
+    `residuals` (k,) and the estimated errors are in standard deviations of the readings. Element (i, j) of
+    `redundancy_matrix` (k, k) is the change of residual i by an error of reading j. Outliers are removed one after
+    another; readings that cannot be distinguished from an outlier follow it in the list. `scale` and `dof` (k,) are the
+    noise factor and its degrees of freedom, `n_readings` is the number of tested readings, `alpha` their joint level.
     """
-    outliers, redundancy = list[tuple[int, float, float, float]](), np.diag(residual_response).copy()
+    outliers, redundancy = list[tuple[int, float, float, float]](), np.diag(redundancy_matrix).copy()
     while (redundancy > MIN_NUMERICAL_REDUNDANCY).any():
         w = np.where(
             redundancy > MIN_NUMERICAL_REDUNDANCY,
@@ -113,27 +118,29 @@ def iterative_snooping(
         if not chance[k] < alpha:
             break
         is_equivalent = (
-            residual_response[k] ** 2
-            > MIN_EQUIVALENT_CORRELATION * residual_response[k, k] * np.diag(residual_response)
+            redundancy_matrix[k] ** 2
+            > MIN_EQUIVALENT_CORRELATION * redundancy_matrix[k, k] * np.diag(redundancy_matrix)
         ) & (redundancy > MIN_NUMERICAL_REDUNDANCY)
         equivalents = [i for i in np.flatnonzero(is_equivalent & (chance < alpha)).tolist() if i != k]
         outliers += [(i, float(residuals[i] / redundancy[i]), float(w[i]), float(chance[i])) for i in (k, *equivalents)]
-        residuals, residual_response = (
-            residuals - residual_response[k] * residuals[k] / redundancy[k],
-            residual_response - np.outer(residual_response[k], residual_response[k]) / redundancy[k],
+        residuals, redundancy_matrix = (
+            residuals - redundancy_matrix[k] * residuals[k] / redundancy[k],
+            redundancy_matrix - np.outer(redundancy_matrix[k], redundancy_matrix[k]) / redundancy[k],
         )
-        redundancy = np.where(is_equivalent | (redundancy <= MIN_NUMERICAL_REDUNDANCY), 0.0, np.diag(residual_response))
+        redundancy = np.where(is_equivalent | (redundancy <= MIN_NUMERICAL_REDUNDANCY), 0.0, np.diag(redundancy_matrix))
     return outliers
 
 
 def level_of_single_test(n_tests: int, joint_alpha: float) -> float:
-    """Significance level of one of `n_tests` tests that together have `alpha` (Sidak)."""
+    """Significance level of each of `n_tests` tests whose joint significance level is `joint_alpha` (Sidak)."""
     return float(-np.expm1(np.log1p(-joint_alpha) / max(n_tests, 1)))
 
 
 @lru_cache
 def noncentrality(dof: int = 1, *, alpha: float = SINGLE_LEVEL, hypotheses: int = 1) -> float:
-    """Squared length of a whitened error after adjustment that a chi-square test detects with `TEST_POWER`.
+    """Noncentrality of chi-square at which a test detects an error with the probability `TEST_POWER`.
+
+    It is the squared length of the whitened residuals that the error causes.
 
     Parameters
     ----------
@@ -142,7 +149,7 @@ def noncentrality(dof: int = 1, *, alpha: float = SINGLE_LEVEL, hypotheses: int 
     alpha : float
         False-alarm rate of all hypotheses together.
     hypotheses : int
-        Number of hypotheses that share it (Sidak): with more of them a larger value is needed.
+        Number of hypotheses that share the false-alarm rate (Sidak).
 
     References
     ----------
@@ -153,10 +160,10 @@ def noncentrality(dof: int = 1, *, alpha: float = SINGLE_LEVEL, hypotheses: int 
 
 
 def neg_log_p_chi2(chi2_drop: Floats | float, rank: Ints | int) -> Floats:
-    """Negative log p-value of a chi-square decrease `chi2_drop` with `rank` degrees of freedom; 0 for rank 0.
+    """Negative logarithm of the p-value of a decrease of chi-square with `rank` degrees of freedom; 0 for rank 0.
 
-    For probabilities below the range of a float, the first terms of Gamma(a, x) ~ x^(a - 1) e^-x (1 + (a - 1) / x) are
-    used.
+    For p-values below the range of floating-point numbers, the incomplete gamma function is approximated by
+    Gamma(a, x) ~ x^(a - 1) e^-x (1 + (a - 1) / x).
     """
     a, x = np.maximum(rank, 1) / 2.0, np.maximum(chi2_drop, 0.0) / 2.0
     is_far = x > 300.0

@@ -1,7 +1,7 @@
-"""Residual space of an adjustment: the part of any signature that remains after the adjustment.
+"""Residual space of an adjustment: projection of errors of observations onto the residuals.
 
-Residuals are correlated: a signature g of an effect appears in them as P g, where P is the projector onto the residual
-space. Tests of a diagnosis and the detectability of a plan use it, in whitened units.
+An effect that changes the observations by its signature g changes the residuals by P g, where P is the projector onto
+the residual space. Tests of a diagnosis and the detectability in a plan use P, in whitened units.
 """
 
 from __future__ import annotations
@@ -23,44 +23,44 @@ from ltsim.solve.projection import Projection
 
 @dataclass(frozen=True)
 class ResidualSpace:
-    """Projector onto the residual space, and the residuals."""
+    """Residual space of an adjustment with m equations: projector and residuals."""
 
     projector: Projection
-    """Projector that removes the whitened design, and additional signatures if they are in the model."""
+    """Projector onto the complement of the whitened design matrix, and of additional signatures in the model."""
     residuals: Floats
-    """Whitened residuals, orthogonal to the design, (m,)."""
+    """Whitened residuals of the m equations, (m,)."""
     adjustment: Adjustment
 
     @classmethod
     def from_adjustment(cls, adjustment: Adjustment) -> Self:
-        """The residual space at the optimum of an adjustment."""
+        """Residual space at the solution of an adjustment."""
         projection = adjustment.residual_projector
         residual = projection.project(adjustment.solution.system.whitened_residuals[:, None])[:, 0]
         return cls(projection, residual, adjustment)
 
     @property
     def sightings(self) -> Sightings:
-        """Geometry of the pointings."""
+        """Geometry of the pointings in the adjusted network."""
         return self.adjustment.sightings
 
     @property
     def used_readings(self) -> Bools:
-        """Flags (n, 3) of the readings in use, which are the first rows."""
+        """Flags (n, 3) of the readings in use, which are the first equations."""
         return self.adjustment.problem.used_readings
 
     @property
     def sigma(self) -> Floats:
-        """Standard deviations of the readings, (n, 3)."""
+        """Standard deviations of the readings, (n, 3) [m, rad, rad]."""
         return self.adjustment.problem.sigma
 
     @property
     def n_rows(self) -> int:
-        """Number of rows m."""
+        """Number m of equations: observations, priors and datum."""
         return len(self.residuals)
 
     @cached_property
     def redundancy(self) -> Floats:
-        """Redundancy of each row, (m,): derivative of its residual with respect to the error of its observation."""
+        """Redundancy numbers (m,): derivative of each residual with respect to the error of its observation."""
         return 1.0 - self.projector.leverage()
 
     @cached_property
@@ -70,7 +70,10 @@ class ResidualSpace:
         return place, 1.0 / self.sigma.reshape(-1)[place, None]
 
     def whiten(self, design: Floats, gauge: Floats | None = None) -> Floats:
-        """Whitened rows (m, q) from designs (n, 3, q) of readings and (g, q) of reference lengths."""
+        """Whitened signatures (m, q) from the changes of readings (n, 3, q) and of reference lengths (g, q).
+
+        Each of the q columns is the change by one parameter; equations other than readings and lengths are 0.
+        """
         rows = np.zeros((self.n_rows, design.shape[2]))
         place, weight = self._used_reading_weights
         readings = design.reshape(-1, design.shape[2])
@@ -80,23 +83,23 @@ class ResidualSpace:
         return rows
 
     def unwhiten(self, change: Floats) -> Floats:
-        """Readings (n, 3) [m, rad, rad] of whitened rows (m,); 0 for readings that are not in use."""
+        """Changes (n, 3) [m, rad, rad] of the readings from whitened changes (m,); 0 for readings not in use."""
         readings = np.zeros(self.used_readings.shape)
         readings[self.used_readings] = change[: int(self.used_readings.sum())] * self.sigma[self.used_readings]
         return readings
 
     def whitened_signature(self, law: Signature) -> Floats:
-        """Whitened signature (m, q) of a law, before projection."""
+        """Whitened signature (m, q) of an effect or empirical law with q parameters, before projection."""
         gauge = self.adjustment.problem.gauge_rows
         lengths = law.gauge_design(gauge.first_targets, gauge.second_targets, self.adjustment.state.target_points)
         return self.whiten(law.design(self.sightings), lengths)
 
     def project(self, rows: Floats) -> Floats:
-        """Residual part of signatures (m, q), or of one vector (m,), after the adjustment."""
+        """Part of signatures (m, q), or of one vector (m,), that remains in the residuals after the adjustment."""
         return self.projector.project(rows if rows.ndim > 1 else rows[:, None]).reshape(rows.shape)
 
     def chi2_drop(self, signature: Floats) -> tuple[float, int]:
-        """Decrease of chi-square when signatures (m, q) are estimated too, and the number of estimable ones."""
+        """Decrease of chi-square if parameters of signatures (m, q) are estimated too, and its degrees of freedom."""
         scores = self._projected_basis(signature).T @ self.residuals
         return float(scores @ scores), len(scores)
 
@@ -104,17 +107,17 @@ class ResidualSpace:
         return orthonormal_columns(self.project(signature), np.linalg.norm(signature, axis=0))
 
     def with_signatures(self, signature: Floats) -> ResidualSpace:
-        """Residual space with signatures (m, q) in the model."""
+        """Residual space of the adjustment in which the parameters of signatures (m, q) are estimated too."""
         basis = self._projected_basis(signature)
         residual = self.residuals - basis @ (basis.T @ self.residuals)
         return ResidualSpace(self.projector.with_removed_columns(basis), residual, self.adjustment)
 
     def with_effects(self, laws: Sequence[Signature]) -> ResidualSpace:
-        """Residual space with some laws in the model."""
+        """Residual space of the adjustment in which the parameters of effects or laws are estimated too."""
         return self.with_signatures(np.hstack([self.whitened_signature(law) for law in laws])) if laws else self
 
     def target_shifts(self, signature: Floats) -> Floats:
-        """Shift (T, 3) [m] of the adjusted targets by a change (m,) of the whitened readings."""
+        """Shifts (T, 3) [m] of the T adjusted targets by a whitened change (m,) of the observations."""
         adjustment = self.adjustment
         normal_side = (adjustment.solution.system.design.T @ signature)[:, None]
         change: Floats = adjustment.factorised_normals.covariance_columns(normal_side)[:, 0][
@@ -124,11 +127,10 @@ class ResidualSpace:
 
 
 def orthonormal_columns(projected_columns: Floats, norms: Floats) -> Floats:
-    """Orthonormal columns (m, r) that span the `projected_columns` signatures (m, q).
+    """Orthonormal basis (m, r) of the space that projected signatures (m, q) span.
 
-    Directions without projection are dropped.
-
-    Directions are compared with the lengths `norms` (q,) of the complete signatures, so that units have no influence.
+    `norms` (q,) are the lengths of the signatures before projection. Directions with a negligible part of these lengths
+    are dropped.
     """
     unit = projected_columns / np.where(norms > 0, norms, 1.0)
     strength, turn = np.linalg.eigh(unit.T @ unit)

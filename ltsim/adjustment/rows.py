@@ -1,4 +1,4 @@
-"""Rows of the adjustment other than readings: lengths, known points and differences, levels, yaws, datum."""
+"""Observation equations (rows) other than readings: lengths, known points and differences, levels, yaws, datum."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ VERTICAL = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class GaugeRows(ReferenceLengths):
-    """Reference lengths at the workshop's temperature, some of them without weight."""
+    """Observation equations of g reference lengths, which refer to the temperature of the workshop."""
 
     is_unweighted: Bools | bool = False
-    """Flags (g,) of the lengths without weight."""
+    """Flags (g,) of lengths without weight, because an end is undetermined; their equations remain."""
 
     @cached_property
     def sigma(self) -> Floats:
-        """Standard deviation of each length, infinite for one without weight, (g,) [m]."""
+        """Standard deviation of each length, (g,) [m]; infinite for lengths without weight."""
         return np.where(self.is_unweighted, np.inf, super().sigma)
 
     @cached_property
     def correlation_root(self) -> Floats | None:
-        """Lower triangular root (g, g) of the correlation of the lengths; None for uncorrelated ones."""
+        """Cholesky factor (g, g), lower triangular, of the correlation matrix of the lengths; None if uncorrelated."""
         if not self.shared_error_changes:
             return None
         shared_errors = np.array([*self.shared_error_changes.values()]) / self.sigma
@@ -48,16 +48,16 @@ class GaugeRows(ReferenceLengths):
 
     @property
     def decorrelated_to_lengths(self) -> Floats:
-        """Change of the lengths by independent unit errors, the inverse of `decorrelate`, (g, g) [m]."""
+        """Changes (g, g) [m] of the lengths by each of g independent errors of unit size: inverse of `decorrelate`."""
         return np.diag(self.sigma) if self.correlation_root is None else self.sigma[:, None] * self.correlation_root
 
     def decorrelate(self, values: Floats) -> Floats:
-        """Values (g,) or (g, q) [m] transformed to independent unit errors."""
+        """Changes of lengths (g,) or (g, q) [m] transformed to independent errors of unit standard deviation."""
         scaled_values = values / (self.sigma if values.ndim == 1 else self.sigma[:, None])
         return self.decorrelate_scaled(scaled_values)
 
     def decorrelate_scaled(self, length_values: Floats) -> Floats:
-        """Values (g, ...), in the standard deviation of each length, transformed to independent ones."""
+        """Changes (g,) or (g, q), in standard deviations of the lengths, transformed to independent errors."""
         return (
             length_values
             if self.correlation_root is None
@@ -68,11 +68,14 @@ class GaugeRows(ReferenceLengths):
         return len(self.lengths)
 
     def predict(self, points: Floats) -> Floats:
-        """Lengths (g,) [m] between the targets at `declared_points` (T, 3)."""
+        """Lengths (g,) [m] between targets at `points` (T, 3) [m]."""
         return np.linalg.norm(points[self.first_targets] - points[self.second_targets], axis=1)
 
     def unit_vectors(self, points: Floats) -> Floats:
-        """Derivative (g, 3) of the lengths: unit vectors from the second to the first target, zero if coincident."""
+        """Unit vectors (g, 3) from the second to the first target of each length; zero if these coincide.
+
+        They are the derivatives of the lengths with respect to the first target.
+        """
         gap = points[self.first_targets] - points[self.second_targets]
         length = np.linalg.norm(gap, axis=1, keepdims=True)
         return gap / np.where(length > 0.0, length, 1.0)
@@ -80,7 +83,7 @@ class GaugeRows(ReferenceLengths):
 
 @dataclass(frozen=True)
 class ControlRows:
-    """Rows of places with known coordinates: targets, or stations over marks that are no targets."""
+    """Observation equations of k places with known coordinates: targets, or stations over marks that are no targets."""
 
     place_indices: Ints
     """Index of the target, or of the station, (k,)."""
@@ -89,20 +92,20 @@ class ControlRows:
     declared_components: Bools
     """Flags of the known coordinates, (k, 3)."""
     whitening_matrices: Floats
-    """Matrix R that whitens the misclosure, with R' R the inverse covariance; 0 for unknown coordinates, (k, 3, 3) [1 /
-    m].
+    """Matrices R that whiten the misclosures, (k, 3, 3) [1 / m]: R' R is the inverse covariance of the known
+    coordinates. Rows and columns of unknown coordinates are 0.
     """
 
     @classmethod
     def from_recording(cls, recording: Recording) -> ControlRows:
-        """The control points of a recording."""
+        """Equations of the targets with known coordinates in a recording."""
         return cls._from_places(recording, list(enumerate(recording.targets)))
 
     @classmethod
     def from_stations(cls, recording: Recording, marks: StationMarks) -> ControlRows:
-        """Rows of known marks under stations that are no targets.
+        """Equations of known marks under stations, for marks that are no targets.
 
-        `declared_points` are the positions of the instruments.
+        `declared_points` are then the positions of the instruments over these marks.
         """
         places = [
             (i, n)
@@ -138,17 +141,17 @@ class ControlRows:
         return self if np.array_equal(roots, self.whitening_matrices) else replace(self, whitening_matrices=roots)
 
     def whitened_residuals(self, places: Floats) -> Floats:
-        """Whitened residuals (count,) for places `places` (k, 3)."""
+        """Whitened residuals (c,) of the c known coordinates, for adjusted places (k, 3) [m]."""
         gap = np.where(self.declared_components, self.declared_points - places, 0.0)
         return np.einsum("kij,kj->ki", self.whitening_matrices, gap)[self.declared_components]
 
     def derivatives(self) -> Floats:
-        """Derivative (count, 3) of the whitened coordinates by their place, with the sign of a prediction."""
+        """Derivatives (c, 3) of the c whitened predicted coordinates with respect to their places."""
         return self.whitening_matrices[self.declared_components]
 
 
 def _declared_coordinates(places: Sequence[Target | ReferenceDifference]) -> tuple[Floats, Bools, Floats]:
-    """Known coordinates (k, 3) [m], flags of known ones, and roots of inverse covariances (k, 3, 3) [1 / m]."""
+    """Known coordinates (k, 3) [m], flags (k, 3) of the known ones, and whitening matrices (k, 3, 3) [1 / m]."""
     axes = np.array([[axis in entry.known_axes for axis in "xyz"] for entry in places], dtype=bool).reshape(-1, 3)
     roots = np.array(
         [_whitening_matrix(entry, given_axes) for entry, given_axes in zip(places, axes, strict=True)]
@@ -157,7 +160,7 @@ def _declared_coordinates(places: Sequence[Target | ReferenceDifference]) -> tup
 
 
 def _whitening_matrix(target: Target | ReferenceDifference, declared_components: Bools) -> Floats:
-    """Root (3, 3) [1 / m] of the inverse covariance of known coordinates."""
+    """Whitening matrix (3, 3) [1 / m] of known coordinates: a root of their inverse covariance."""
     if target.known_covariance_mm2 is None:
         return np.diag(declared_components / (target.known_sigma_mm * MILLIMETRE))
     at, root = np.ix_(declared_components, declared_components), np.zeros((3, 3))
@@ -168,22 +171,22 @@ def _whitening_matrix(target: Target | ReferenceDifference, declared_components:
 
 @dataclass(frozen=True)
 class DifferenceRows(ControlRows):
-    """Rows of known differences of marks: coordinates of an end place minus those of a start place.
+    """Observation equations of k known differences: coordinates of an end mark minus those of a start mark.
 
-    Places are T targets, then S instruments, then the origin, which represents unmeasured marks: their known
-    coordinates, and the heights of the instruments, are included in `declared_points`.
+    Places are T targets, then S instruments, then the origin. The origin represents unmeasured marks with known
+    coordinates. These coordinates, and the heights of instruments over their marks, are included in `declared_points`.
     """
 
     start_places: Ints
-    """Place at the start of each difference, (k,)."""
+    """Index of the place at the start of each difference, (k,); `place_indices` is that at its end."""
     origin_index: int
-    """Number of the origin among the places."""
+    """Index of the origin among the places: T + S."""
     names: tuple[str, ...]
-    """Names of the places at the ends of each difference."""
+    """Name of each difference, from the names of both ends."""
 
     @classmethod
     def from_marks(cls, recording: Recording, marks: StationMarks) -> DifferenceRows:
-        """Rows of the differences of a recording whose ends are measured or known."""
+        """Equations of those differences of a recording whose ends are both measured or known."""
         places, count = mark_indices(recording), len(recording.targets)
         last, differences = count + len(recording.stations), recording.setup.differences
         differences = tuple(
@@ -211,11 +214,11 @@ class DifferenceRows(ControlRows):
 
     @property
     def ends(self) -> Ints:
-        """Places at both ends, (2, k)."""
+        """Indices of the places at the start and the end of each difference, (2, k)."""
         return np.stack([self.start_places, self.place_indices])
 
     def subset(self, mask: Bools) -> DifferenceRows:
-        """Rows of the differences `mask` (k,)."""
+        """Equations of those differences that `mask` (k,) flags."""
         return DifferenceRows(
             self.place_indices[mask],
             self.declared_points[mask],
@@ -227,26 +230,30 @@ class DifferenceRows(ControlRows):
         )
 
     def predict(self, points: Floats, position: Floats) -> Floats:
-        """Differences (k, 3) [m] for targets at `declared_points` (T, 3) and instruments at `position` (S, 3)."""
+        """Differences (k, 3) [m] for targets at `points` (T, 3) [m] and instruments at `position` (S, 3) [m]."""
         places = np.concatenate([points, position, np.zeros((1, 3))])
         return places[self.place_indices] - places[self.start_places]
 
     def derivatives(self) -> Floats:
-        """Derivative (count, 6) of the whitened differences by the places of both ends, 0 for the origin."""
+        """Derivatives (c, 6) of the c whitened differences with respect to both places; 0 for the origin."""
         signs = np.where(self.ends == self.origin_index, 0.0, [[-1.0], [1.0]])[:, :, None, None]
         return np.concatenate([*(signs * self.whitening_matrices)], axis=2)[self.declared_components]
 
     def undetermined_heights(self, is_undetermined: Bools) -> Bools:
-        """Flags (T + S + 1,) of undetermined heights that no difference connects to a determined one."""
+        """Flags (T + S + 1,) of the places whose heights remain undetermined with the known differences.
+
+        `is_undetermined` (T + S + 1,) flags those that are undetermined without differences.
+        """
         is_undetermined, ends = is_undetermined.copy(), self.ends[:, self.declared_components[:, 2]]
         while (half := is_undetermined[ends[0]] != is_undetermined[ends[1]]).any():
             is_undetermined[ends[:, half]] = False
         return is_undetermined
 
     def motion_derivatives(self, centre: Floats, length_unit: float) -> Floats:
-        """Derivatives (count, 6) of the known coordinates by translation and rotation, in units of `free_motions`.
+        """Derivatives (c, 6) of the c known differences by translation and rotation of the network.
 
-        A difference to the origin is a known place; a difference of two unknown places depends on the rotation alone.
+        Rotations are about `centre` (3,) [m], and lengths are in the unit `length_unit` [m]. A difference to the origin
+        is a known place. A difference of two unknown places depends on the rotation alone.
         """
         tied, size = (
             (self.ends == self.origin_index).any(axis=0),
@@ -263,7 +270,7 @@ class DifferenceRows(ControlRows):
 
 @dataclass(frozen=True)
 class LevelRows:
-    """Rows of levelled stations: two tilts each relative to the plumb line."""
+    """Observation equations of l levelled stations: two tilts of each, relative to the plumb line, are zero."""
 
     station_indices: Ints
     """Index of each levelled station, (l,)."""
@@ -276,7 +283,7 @@ class LevelRows:
 
     @classmethod
     def from_recording(cls, recording: Recording, used_readings: Bools) -> LevelRows:
-        """Rows of the levelled stations of a recording with angles in `used_readings` (n, 3)."""
+        """Equations of those levelled stations whose readings in use (n, 3) contain angles."""
         angles = np.bincount(recording.station, used_readings[:, 1:].any(axis=1), len(recording.stations)) > 0
         setups = [(i, recording.station_setup(name)) for i, name in enumerate(recording.stations)]
         rows = [(i, s) for i, s in setups if s.levelled and angles[i]]
@@ -299,24 +306,24 @@ class LevelRows:
         return np.einsum("lij,lj->li", self.horizontal_axes, axis)
 
     def derivative(self, rotation: Floats) -> Floats:
-        """Derivative (l, 2, 3) of these components with respect to the rotation vector in the network frame."""
+        """Derivatives (l, 2, 3) of the tilts with respect to the rotation vector in the network frame."""
         return -self.horizontal_axes @ cross_matrix(rotation[self.station_indices] @ VERTICAL)
 
 
 @dataclass(frozen=True)
 class YawRows:
-    """Rows of levelled stations with a known azimuth zero, such as by a gyroscope: one rotation per station."""
+    """Observation equations of y levelled stations with a known yaw (direction of azimuth zero, as by a gyroscope)."""
 
     station_indices: Ints
     """Index of each oriented station, (y,)."""
     sigma: Floats
     """Standard deviation of each yaw, (y,) [rad]."""
     yaw: Floats
-    """Known direction of azimuth zero, counter-clockwise from x, (y,) [rad]."""
+    """Known yaws, counter-clockwise from x, (y,) [rad]."""
 
     @classmethod
     def from_recording(cls, recording: Recording, used_readings: Bools) -> YawRows:
-        """Rows of the oriented stations of a recording with azimuths in `used_readings` (n, 3)."""
+        """Equations of those stations with a known yaw whose readings in use (n, 3) contain azimuths."""
         n_azimuths = np.bincount(recording.station, used_readings[:, 1], len(recording.stations)) > 0
         setups = [(i, recording.station_setup(name)) for i, name in enumerate(recording.stations)]
         rows = [(i, s.yaw_sigma_arcsec, s.yaw_deg) for i, s in setups if s.yaw_sigma_arcsec and n_azimuths[i]]
@@ -336,7 +343,7 @@ class YawRows:
         return wrap_angle(self.yaw - np.arctan2(headings[:, 1], headings[:, 0]))
 
     def derivative(self, rotation: Floats) -> Floats:
-        """Derivative (y, 3) of the adjusted yaws with respect to the rotation vector in the network frame."""
+        """Derivatives (y, 3) of the adjusted yaws with respect to the rotation vector in the network frame."""
         headings = rotation[self.station_indices, :, 0]
         horizontal = headings * [1.0, 1.0, 0.0]
         return np.cross(headings, np.cross(VERTICAL, horizontal) / np.sum(horizontal**2, axis=1, keepdims=True))
@@ -349,7 +356,7 @@ MAX_PARALLEL_PLUMB_ANGLE = 1e-2
 def free_motions(
     control: ControlRows, marks: ControlRows, differences: DifferenceRows, levels: LevelRows, yaws: YawRows
 ) -> Floats:
-    """Rigid motions (6, f) that no known point, difference, level or yaw fixes, as columns of (translation, rotation).
+    """Rigid motions (6, f) that no known point, difference, level or yaw fixes, as columns of translation and rotation.
 
     Their number follows from the kinds of constraints: none with three control points that are not collinear, four with
     levels alone, six without constraints.

@@ -15,44 +15,45 @@ from ltsim.recordings.recording import Recording
 MAX_FIT_ROWS = 12
 """Largest number of rows in a fit, selected evenly."""
 APPROXIMATE_SIGMA = 1e-4
-"""Standard deviation [fraction of the range, rad] of all readings while coordinates are approximate."""
+"""Standard deviation of all readings in fits of approximate coordinates: of ranges relative to the range, of angles
+[rad].
+"""
 
 
 @dataclass(frozen=True)
 class FitReadings:
-    """Rows for one fit: front-face readings (k, 3) [m, rad, rad], NaN if not measured.
-
-    Flags of horizontal distances.
-    """
+    """Readings of k pointings for the fit of one pose or point."""
 
     readings: Floats
-    """Front-face readings, (k, 3) [m, rad, rad]; NaN if not measured."""
+    """Readings converted to the front face, (k, 3) [m, rad, rad]; NaN if not measured."""
     is_horizontal: Bools
+    """Flags (k,) of the pointings whose distance is horizontal."""
     reflector_offsets: Floats
+    """Vectors (k, 3) [m] from the target to the centre of the reflector, in the network frame."""
 
     @classmethod
     def from_recording(cls, recording: Recording) -> Self:
-        """Sight with all rows of a recording."""
+        """Readings of all pointings of a recording."""
         lift = reflector_offsets(recording)
         lift = np.zeros((len(recording), 3)) if lift is None else lift
         return cls(to_face(recording.readings, recording.face), recording.is_horizontal, lift)
 
     @property
     def n_readings(self) -> int:
-        """Number of readings."""
+        """Number of measured readings."""
         return int(np.isfinite(self.readings).sum())
 
     @property
     def azimuths_only(self) -> FitReadings:
-        """Sight with the azimuths alone."""
+        """Readings of the azimuths alone."""
         return replace(self, readings=np.where([False, True, False], self.readings, np.nan))
 
     def without_observable(self, observable: int) -> FitReadings:
-        """The same sight without its distances (0), azimuths (1) or elevations (2)."""
+        """Readings without the distances (`observable` 0), azimuths (1) or elevations (2)."""
         return replace(self, readings=np.where(np.arange(3) == observable, np.nan, self.readings))
 
     def select_rows(self, rows: Ints) -> Self:
-        """Sight with some of the rows."""
+        """Readings of the pointings `rows`."""
         return replace(
             self,
             readings=self.readings[rows],
@@ -61,13 +62,16 @@ class FitReadings:
         )
 
     def thin_rows(self) -> tuple[Ints, FitReadings]:
-        """Selection of at most `MAX_FIT_ROWS` rows, and the sight with these."""
+        """Indices of at most `MAX_FIT_ROWS` evenly selected pointings, and the readings of these."""
         k = len(self.readings)
         rows = np.arange(k) if k <= MAX_FIT_ROWS else np.linspace(0, k - 1, MAX_FIT_ROWS).astype(np.int64)
         return rows, self.select_rows(rows)
 
     def residuals(self, local_points: Floats) -> tuple[Floats, Floats]:
-        """Residuals (b, 3 k) relative to the range, and their derivatives (b, 3 k, 3) by local points (b, k, 3)."""
+        """Whitened residuals (b, 3 k) of b trial solutions, and their derivatives (b, 3 k, 3) by the local points.
+
+        `local_points` (b, k, 3) [m] are the reflectors in the frame of the station, for each trial solution.
+        """
         size, rows = local_points.shape[:2]
         polar = to_polar(local_points.reshape(-1, 3))
         by = polar_jacobian(polar, np.ones(len(polar), dtype=np.int64))

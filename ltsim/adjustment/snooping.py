@@ -25,35 +25,38 @@ from ltsim.solve.elimination import BlockFactor, SingularSystemError
 from ltsim.solve.gauss_newton import Solution, solve
 
 MIN_COPIED_ROWS = 10
-"""Smallest number of repeated rows, in a recording without a clock, from which they count as copies; all pointings that
-can be repeated must be."""
+"""Number of equal rows in a recording without a clock, from which they count as copies. All repeated pointings must
+then be equal.
+"""
 MAX_TRACKER_ERROR = 1e-3
-"""Error [m] beyond any plausible tracker error within `MAX_WORKSHOP_RANGE`."""
+"""Displacement [m] of a measured point above which its pointing is a gross error, for ranges up to
+`MAX_WORKSHOP_RANGE`.
+"""
 MAX_WORKSHOP_RANGE = 10.0
-"""[m] Range up to which `MAX_TRACKER_ERROR` holds; beyond it, errors of angles grow with the range."""
+"""Range [m] above which the limit `MAX_TRACKER_ERROR` grows in proportion to the range."""
 MIN_GROSS_MISCLOSURE_RATIO = 30.0
-"""Ratio of a misclosure to the robust standard deviation of all misclosures above which a pointing is a gross
-error and not noise.
+"""Ratio of a misclosure to the robust standard deviation of all misclosures, above which a pointing is a gross error.
 """
 MAX_LINEAR_STEPS = 20
-"""Largest number of linear steps from approximate coordinates until no gross misclosure decreases."""
+"""Largest number of linear steps from approximate coordinates before gross errors are determined."""
 MAX_MISCLOSURE_RATIO = 0.9
-"""Ratio of successive gross misclosures below which an iteration is not converged."""
+"""Ratio of a gross misclosure to that before the last linear step, below which a further step is made."""
 MAX_REWEIGHTINGS = 8
-"""Number of reweightings before snooping; the single steps of snooping correct the remaining outliers."""
+"""Number of iterations of reweighted least squares before data snooping."""
 MAX_SNOOPING_PASSES = 20
-"""Largest number of solutions until the set of rejected readings is stable; readings that still alternate are
-borderline.
+"""Largest number of solutions until the set of rejected readings is stable; readings that still alternate remain
+rejected.
 """
 MAX_INTERMEDIATE_STEPS = 10
-"""Largest number of iterations of an intermediate solution; the last one converges."""
+"""Largest number of Gauss-Newton steps of each solution during data snooping, except the last."""
 MAX_PREDICTION_SIGMA = 100.0
-"""Standard deviation of the prediction of a rejected reading, in sigmas of the reading, above which its target counts
-as undetermined."""
+"""Standard deviation of the prediction of a rejected reading, in standard deviations of the reading, above which all
+readings to its target, or of its set-up, are rejected.
+"""
 
 
 def without_copied_rows(recording: Recording) -> tuple[Recording, int]:
-    """Recording that uses copied rows once: the readings of the others are missing. With the number of the latter."""
+    """Recording in which the readings of copied rows are missing, and the number of these rows."""
     is_copied = _is_copied_row(recording)
     if not is_copied.any():
         return recording, 0
@@ -61,10 +64,9 @@ def without_copied_rows(recording: Recording) -> tuple[Recording, int]:
 
 
 def _is_copied_row(recording: Recording) -> Bools:
-    """Flags (n,) of the rows that equal an earlier one of the same time, set-up, target and face in every digit.
+    """Flags (n,) of the rows that are exact copies of an earlier row with equal time, set-up, target and face.
 
-    Without a clock two pointings may be equal by chance: rows are then copies only if all repeated pointings are equal
-    in every digit.
+    Two pointings may be equal by chance. Without times rows count as copies only if all repeated pointings are equal.
     """
     values = np.sort(recording.readings, axis=None)
     if not np.any(values[1:] == values[:-1]):
@@ -80,7 +82,7 @@ def _is_copied_row(recording: Recording) -> Bools:
 
 
 def _equals_earlier_row(rows: np.ndarray) -> Bools:
-    """Flags (n,) of the rows that equal an earlier one."""
+    """Flags (n,) of the rows of an array that equal an earlier row."""
     is_later = np.ones(len(rows), dtype=bool)
     is_later[np.unique(rows, axis=0, return_index=True)[1]] = False
     return is_later
@@ -90,9 +92,9 @@ def _equals_earlier_row(rows: np.ndarray) -> Bools:
 
 
 def drop_undetermined(problem: NetworkProblem, state: NetworkState) -> NetworkProblem:
-    """Problem without the readings, reference lengths and differences of undetermined targets.
+    """Problem without the readings and known differences of undetermined targets.
 
-    The row of a length to such a target remains, without weight.
+    Reference lengths to these targets lose their weight.
     """
     while True:
         loose = is_undetermined_target(problem, state)
@@ -116,7 +118,7 @@ def drop_undetermined(problem: NetworkProblem, state: NetworkState) -> NetworkPr
 
 
 def is_undetermined_target(problem: NetworkProblem, state: NetworkState) -> Bools:
-    """Flags (T,) of the targets whose used readings leave a direction undetermined, given the stations."""
+    """Flags (T,) of the targets whose position the observations in use do not determine, for known stations."""
     recording, count = problem.model.recording, len(problem.model.recording.targets)
     n_complete = np.bincount(recording.target, problem.used_readings.all(axis=1), count) > 0
     is_doubtful = ~n_complete & ~problem.structure.is_unmeasured_target
@@ -146,9 +148,9 @@ def is_undetermined_target(problem: NetworkProblem, state: NetworkState) -> Bool
 
 
 def pose_defect(problem: NetworkProblem, state: NetworkState) -> str:
-    """Sentence on a station whose targets do not determine its pose, by geometry alone; empty for none.
+    """Sentence on a station whose targets do not determine its pose; empty if there is no such station.
 
-    Set-ups over marks and stations without readings are excluded.
+    Set-ups over marks and stations without readings are not considered.
     """
     recording, marks = problem.model.recording, problem.marks
     is_sighted = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
@@ -169,11 +171,12 @@ def pose_defect(problem: NetworkProblem, state: NetworkState) -> str:
 
 
 class ScreenedNetwork(NamedTuple):
-    """Recording without readings to unconnected targets, and the start of its network."""
+    """Start values of a network, and its gross pointings and unconnected targets."""
 
     recording: Recording
+    """Recording without the readings to unconnected targets."""
     start_network: tuple[Floats, Floats, Floats]
-    """Positions (S, 3), rotations (S, 3, 3) and targets (T, 3), after correction of errors in the start values."""
+    """Positions (S, 3) [m] and rotations (S, 3, 3) of S stations, and positions (T, 3) [m] of T targets."""
     is_gross_pointing: Bools
     """Flags (n,) of the pointings with errors beyond any tracker error."""
     is_unconnected_target: Bools
@@ -182,11 +185,12 @@ class ScreenedNetwork(NamedTuple):
 
 @raise_for_singular_network
 def screen_gross_errors(recording: Recording) -> ScreenedNetwork:
-    """Start of a network, and its gross pointings; raises NetworkError.
+    """Start values of a network, and its gross pointings; raises NetworkError.
 
-    Gross pointings have far larger misclosures than the others: an exchanged or misnamed reflector, a wrong unit in one
-    row. A long chain of stations that were joined one by one does not close, which looks similar. If any pointing seems
-    gross, the network is therefore iterated with reduced weights of such pointings until the set is stable.
+    Gross pointings have far larger misclosures than other pointings, for example because of an exchanged reflector or a
+    wrong unit in one row. A long chain of stations that are joined one by one has large misclosures too. If any
+    pointing seems gross, the network is therefore adjusted with reduced weights of such pointings until the set is
+    stable.
     """
     reached, lost = initial_network(recording)
     recording = recording.with_readings(np.where(lost[recording.target][:, None], np.nan, recording.readings))
@@ -205,7 +209,7 @@ def screen_gross_errors(recording: Recording) -> ScreenedNetwork:
 
 
 def _relative_misclosure(model: MeasurementModel, state: NetworkState) -> Floats:
-    """Misclosure (n,) of each pointing divided by the limit for gross errors."""
+    """Misclosures (n,) of n pointings as displacements, divided by the limit above which a pointing is gross."""
     readings, predicted = model.recording.readings, model.predict(state)
     gap = readings - predicted
     gap[:, 1:] = wrap_angle(gap[:, 1:])
@@ -223,9 +227,9 @@ def _relative_misclosure(model: MeasurementModel, state: NetworkState) -> Floats
 def _relaxed_step(
     problem: NetworkProblem, state: NetworkState, prediction: Prediction, sigma_factors: Floats
 ) -> tuple[NetworkState, float]:
-    """State after one step with standard deviations multiplied by `sigma_factors`, and the squared step length.
+    """State after one Gauss-Newton step, and the squared step length in standard deviations; 0 for a singular system.
 
-    It is 0 for a singular system.
+    The standard deviations of the readings are multiplied by `sigma_factors` (n, 1).
     """
     try:
         system = replace(problem, sigma=problem.sigma * sigma_factors).linear_system(state, prediction)
@@ -241,12 +245,10 @@ def _relaxed_step(
 def snoop_readings(
     problem: NetworkProblem, state: NetworkState, max_passes: int = MAX_SNOOPING_PASSES
 ) -> tuple[NetworkProblem, Solution[NetworkState]]:
-    """Problem without outliers, and its solution.
+    """Problem without outliers, and its solution; `state` is an approximate solution.
 
-    All readings in `use` may be used, and `state` is an approximate solution.
-
-    Reweighting gives a network that many outliers do not distort, and readings that it rejects are removed. Data
-    snooping follows, and removed readings are tested again against the network without them.
+    Reweighted least squares gives a network that many outliers do not distort. Readings that contradict this network
+    are rejected. Data snooping follows, in which rejected readings are tested again against the network without them.
     """
     limit = critical_w(int(problem.used_readings.sum()))
     state, _ = iterate_reweighted(
@@ -294,7 +296,10 @@ def snoop_readings(
 
 
 def _reject_readings(problem: NetworkProblem, state: NetworkState, limit: float) -> Bools:
-    """Readings (n, 3) in use whose test statistic is over `limit`; SingularSystemError where unknowns are open."""
+    """Flags (n, 3) of readings in use whose normalised residual exceeds `limit` times the noise factor.
+
+    Raises SingularSystemError if unknowns are undetermined.
+    """
     prediction = problem.model.linearise(state)
     readings, system = prediction.readings, problem.linear_system(state, prediction)
     del prediction
@@ -303,7 +308,7 @@ def _reject_readings(problem: NetworkProblem, state: NetworkState, limit: float)
 
 
 def _mostly_rejected_setups(is_rejected: Bools, problem: NetworkProblem) -> Bools:
-    """Flags (S,) of the set-ups with more rejected readings (n, 3) than used ones."""
+    """Flags (S,) of the set-ups with more than half of their readings (n, 3) rejected."""
     recording = problem.model.recording
     out, used = (
         np.bincount(recording.station, rows.sum(axis=1), len(recording.stations))
@@ -325,9 +330,10 @@ def _whitened_residuals_of(problem: NetworkProblem, readings: Floats) -> Floats:
 def prediction_sigmas(
     problem: NetworkProblem, solution: Solution[NetworkState], is_omitted: Bools, prediction: Prediction | None = None
 ) -> Floats:
-    """Standard deviations (k,) of the deviations of `is_omitted` (n, 3) readings from predictions, over the declared.
+    """Standard deviations (k,) of k rejected readings minus their predictions, divided by the declared ones.
 
-    The `prediction` is that of the solution's state, computed here by default.
+    `is_omitted` (n, 3) flags the rejected readings. `prediction` is that at the state of the solution; it is computed
+    by default.
     """
     assert solution.factor is not None
     system = problem.linear_system(solution.x, prediction or problem.model.linearise(solution.x))
@@ -339,9 +345,9 @@ def prediction_sigmas(
 def _test_readings(
     problem: NetworkProblem, reduced: NetworkProblem, readings: Floats, factor: BlockFactor
 ) -> tuple[Floats, float, Floats]:
-    """Values |w| (n, 3) of the readings of `reduced`, the scale of the noise, and redundancy numbers (n, 3).
+    """Absolute normalised residuals (n, 3) of readings in `reduced`, noise factor, and redundancy numbers (n, 3).
 
-    `factor` belongs to the state that predicts the `readings` (n, 3).
+    `readings` (n, 3) are the predicted readings, `factor` the factorised normal equations at the same state.
     """
     redundancy = redundancy_numbers(reduced, factor)
     w = standardised_residuals(reduced, problem.reading_residuals(readings), redundancy)

@@ -26,16 +26,16 @@ from ltsim.geometry.rotations import rotation_about_z, smallest_rotation
 from ltsim.recordings.recording import Recording
 
 INITIALISATION_METHODS = ("frame", "cloud", "ranges", "places", "bearings")
-"""Starts of a network: known points, points of one station, ranges alone, approximate positions, plan of directions."""
+"""Methods for first coordinates: known points, points of a station, ranges alone, approximate positions, directions."""
 
 
 def initial_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats], Bools]:
-    """Positions (S, 3), rotations (S, 3, 3) and targets (T, 3) [m], and flags (T,) of unconnected targets.
+    """Start values: positions (S, 3) [m], rotations (S, 3, 3), targets (T, 3) [m]; flags (T,) of unconnected targets.
 
     Levels and known points define the frame if there are any, otherwise the first station. The station with most known
-    targets is joined next; if too few were measured with range and both angles, beams are intersected and stations
-    resected, and a network of ranges alone starts with a closed-form solution. Unconnected targets get a position among
-    the others and must be removed.
+    targets is joined next. If too few targets were measured with range and both angles, beams are intersected and
+    stations resected. A network of ranges alone starts with a closed-form solution. Unconnected targets get the mean
+    position of the other targets and must be removed.
 
     Raises NetworkError if a station is not connected to the others, or if there are elevations alone.
     """
@@ -54,14 +54,14 @@ def initial_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats]
 
 
 class NetworkInitialiser:
-    """Stations and targets with approximate coordinates so far, in a local frame until the declared one is reached.
+    """Computation of approximate coordinates, by joining stations one by one, at first in a local frame.
 
     Parameters
     ----------
     recording : Recording
-    pairs : Pairs
-        Completely measured targets of each station, in its own frame.
-    frame : Frame
+    pairs : StationTargetPairs
+        Completely measured targets of each station, in the frame of the station.
+    frame : DeclaredFrame
     """
 
     def __init__(self, recording: Recording, pairs: StationTargetPairs, frame: DeclaredFrame) -> None:
@@ -139,7 +139,7 @@ class NetworkInitialiser:
             self._located_targets[mark] = position - self._frame.marks.instrument_offsets[station]
 
     def _join_by_cloud(self) -> bool:
-        """Addition of the station with most known targets; levelled stations need two."""
+        """True if a station was joined: that with most known targets, at least three, or two for a levelled station."""
         have = self._has_coordinates
         shared = np.where(self._is_joined, -1, self._shared_target_counts())
         for station in np.argsort(-shared, kind="stable").tolist():
@@ -161,7 +161,7 @@ class NetworkInitialiser:
         return False
 
     def _join_by_yaw(self) -> bool:
-        """Addition of an oriented station over a known mark, once the network is in its frame."""
+        """True if a station was joined that is over a known mark and has a known yaw; requires the declared frame."""
         oriented_indices = np.flatnonzero(self._frame.has_declared_yaw & ~self._is_joined).tolist()
         for station in oriented_indices if self._is_in_frame else ():
             stand = self._position_from_mark(station)
@@ -170,13 +170,13 @@ class NetworkInitialiser:
                 return True
         return False
 
-    def _targets_with_coordinates(self, mask: Ints) -> Floats:
-        """Known positions (k, 3) of some targets."""
-        placed = self._pairs.medians_by_target(self._pair_points, mask)
-        return np.where(np.isnan(placed), self._located_targets[mask], placed)
+    def _targets_with_coordinates(self, targets: Ints) -> Floats:
+        """Approximate positions (k, 3) [m] of the targets with the indices `targets` (k,)."""
+        placed = self._pairs.medians_by_target(self._pair_points, targets)
+        return np.where(np.isnan(placed), self._located_targets[targets], placed)
 
     def _locate_targets_and_marks(self) -> bool:
-        """Location of targets that joined stations measured incompletely, and of marks under joined stations."""
+        """True if new targets got coordinates from incomplete readings of joined stations."""
         recording, has_new = self._recording, False
         usable = self._is_joined[recording.station] & ~self._has_coordinates[recording.target]
         for target, rows in group_rows(recording.target, np.flatnonzero(usable)):
@@ -209,7 +209,7 @@ class NetworkInitialiser:
         return fit_point(replace(sight, readings=front), position, rotation)
 
     def _join_by_fit(self) -> bool:
-        """Addition of a station by a fit of all its readings to known targets."""
+        """True if a station was joined by a fit of all its readings to known targets."""
         places, recording = self._target_points(), self._recording
         usable = ~self._is_joined[recording.station] & np.isfinite(places[recording.target, 0])
         groups = group_rows(recording.station, np.flatnonzero(usable))
@@ -228,7 +228,7 @@ class NetworkInitialiser:
         return False
 
     def _resect(self) -> bool:
-        """Addition of a levelled station by resection: beams to and from other stations intersect in plan."""
+        """True if a levelled station was joined by intersection in plan of beams to and from other stations."""
         recording, over = self._recording, self._frame.marks.target_indices
         places, ahead, turn = self._target_points(), self._rotations[:, :, 0], self._front_readings[:, 1]
         usable = self._is_joined[recording.station] & ~self._has_coordinates[recording.target]
@@ -260,7 +260,7 @@ class NetworkInitialiser:
         self._positions, self._pair_points, self._located_targets = moved
 
     def _to_declared_frame(self) -> bool:
-        """Transformation to the declared frame as soon as the network has enough of its points."""
+        """True if the network was transformed to the declared frame, for which it needs enough declared points."""
         if self._is_in_frame or not self._frame.has_places:
             return False
         turn = self._frame.levelling_rotation(self._rotations, self._is_joined)

@@ -18,9 +18,9 @@ def require_connected_stations(recording: Recording, is_joined: Bools, points: F
     is_joined : array of bool (S,)
         Stations with coordinates.
     points : array (k, 3)
-        Targets [m] that the best connected of the other stations shares with the network.
+        Positions [m] of the targets that the best connected station without coordinates shares with the network.
     undetermined_lines : str
-        Text of the lines of the plan without a determined length.
+        Text on the lines of the plan whose length no reading determines; it ends the message.
     """
     if is_joined.all():
         return

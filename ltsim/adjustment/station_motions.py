@@ -1,7 +1,7 @@
 """Motions of stations during their measurement, as effects that an adjustment estimates, and sentences on them.
 
-A tripod that sinks, or that somebody touched, bends all that is measured from it; which station moved is decided in
-`identification`.
+A tripod that sinks, or that somebody touched, distorts all readings from it. `identification` decides which station
+moved.
 """
 
 from collections.abc import Iterator
@@ -19,17 +19,17 @@ from ltsim.physics.effects.station_bump import StationBump
 from ltsim.scene.sightings import Sightings
 
 MIN_SUPPORTING_TARGETS = 3
-"""Smallest number of targets that must support a motion of the station; with fewer the targets may have moved."""
+"""Number of targets measured before and after a motion, from which it is a motion of the station; with fewer the
+targets may have moved.
+"""
 
 
 @dataclass(frozen=True)
 class UniformMotion(StationMotion):
-    """Uniform motion of a station during its visit, parametrised by the final displacement.
+    """Motion of a station at a constant rate during its occupation; the parameters are the final displacement.
 
-    It is no effect of the catalogue, because many causes produce it.
-
-    Consecutive pointings to one target count at one time: changes during them may be motions of the target, and only
-    later repeats show the station's motion.
+    It is not in the catalogue of effects, because many causes produce it. Consecutive pointings to one target get the
+    same time: a change between them may be a motion of the target, and only later repeats show a motion of the station.
     """
 
     name = "station-motion"
@@ -39,14 +39,14 @@ class UniformMotion(StationMotion):
     parameters = StationBump.parameters
 
     def motion(self, sightings: Sightings) -> Floats:
-        """Fraction of the complete motion at each pointing, for each component."""
+        """Derivatives (n, 6, 6) of the motion at each pointing by the six components of the final displacement."""
         share = with_equal_times_per_run(sightings).elapsed_visit_fraction
         return (self.row_weights(sightings) * share)[:, None, None] * np.eye(6)
 
 
 @dataclass(frozen=True)
 class SuddenMotion(StationBump):
-    """Sudden motion of a station in one gap between its pointings, of any cause."""
+    """Sudden motion of a station, of any cause, between two of its pointings."""
 
     name = UniformMotion.name
 
@@ -56,7 +56,7 @@ FittedMotion = UniformMotion | SuddenMotion
 
 
 def with_equal_times_per_run(sightings: Sightings) -> Sightings:
-    """Sightings in which consecutive pointings to one target have equal times."""
+    """Sightings in which consecutive pointings to one target have the mean of their times."""
     _, run = np.unique(np.stack([sightings.station, sightings.seating_numbers]), axis=1, return_inverse=True)
     return replace(sightings, time=(np.bincount(run, sightings.time) / np.bincount(run))[run])
 

@@ -25,12 +25,13 @@ CAUCHY_LIMIT = 2.385
 """Residual, in robust standard deviations, at which Cauchy's weights are one half; the efficiency for normal residuals
 is 95 %."""
 MAX_FAR_FRACTION = 0.02
-"""Largest fraction of readings with residuals above `MIN_FAR_RESIDUAL` declared standard deviations that single errors
-explain."""
+"""Fraction of residuals above `MIN_FAR_RESIDUAL` declared standard deviations, above which Cauchy's weights are tried
+too: more than single errors explain.
+"""
 MAX_ROBUST_STEPS = 25
 """Largest number of reweightings, each with a linear step."""
 ROBUST_TOLERANCE = 1e-2
-"""Squared length of a step, in standard deviations, below which the iteration has converged."""
+"""Squared length of a step, in standard deviations, below which the reweighting ends."""
 
 
 def n_observation_rows(problem: NetworkProblem) -> int:
@@ -39,9 +40,9 @@ def n_observation_rows(problem: NetworkProblem) -> int:
 
 
 def fit_robust_state(problem: NetworkProblem, state: NetworkState) -> tuple[NetworkState, Floats]:
-    """State with robust weights of all observations, and the whitened residuals (m,) there.
+    """State with robust weights of all observations, and the m whitened residuals (m,) at this state.
 
-    See `iterate_reweighted`.
+    The method is that of `iterate_reweighted`.
     """
     return iterate_reweighted(problem, state, n_observation_rows(problem), min_scale=1.0, max_steps=MAX_ROBUST_STEPS)
 
@@ -49,15 +50,15 @@ def fit_robust_state(problem: NetworkProblem, state: NetworkState) -> tuple[Netw
 def iterate_reweighted(
     problem: NetworkProblem, state: NetworkState, n_observations: int, *, min_scale: float, max_steps: int
 ) -> tuple[NetworkState, Floats]:
-    """State by iteratively reweighted least squares, and the whitened residuals (m,) there.
+    """State by iteratively reweighted least squares, and the m whitened residuals (m,) at this state.
 
-    Huber's weights are used, which permit a poor start; if many residuals are then large, also Cauchy's, which retain a
-    good start although many readings of one place contradict it.
+    Huber's weights permit a poor start. If many residuals are then large, Cauchy's weights are tried too: they retain a
+    good start although many readings of one place contradict it. The better result is returned.
 
     Parameters
     ----------
     problem : NetworkProblem
-    state : State
+    state : NetworkState
     n_observations : int
         Number of rows (the first ones) that are reweighted.
     min_scale : float
@@ -76,12 +77,12 @@ def iterate_reweighted(
 
 
 def are_many_far(whitened_residuals: Floats) -> bool:
-    """True if more whitened residuals (m,) are large than single errors of a recording can explain."""
+    """True if more than `MAX_FAR_FRACTION` of the whitened residuals (m,) exceed `MIN_FAR_RESIDUAL`."""
     return bool(np.mean(np.abs(whitened_residuals) > MIN_FAR_RESIDUAL) > MAX_FAR_FRACTION)
 
 
 def best_end_index(residuals_of_ends: Sequence[Floats]) -> int:
-    """Index of the whitened residuals (m,) with the smallest Cauchy objective at a common scale."""
+    """Index of the solution with the smallest Cauchy objective at a common scale, from the residuals (m,) of each."""
     scale = max(min(robust_sigma(whitened) for whitened in residuals_of_ends), 1.0)
     return int(
         np.argmin([np.sum(np.log1p((whitened / (CAUCHY_LIMIT * scale)) ** 2)) for whitened in residuals_of_ends])
@@ -106,7 +107,7 @@ def _iterate_weights(
     max_steps: int,
     weight_function: Callable[[Floats], Floats],
 ) -> tuple[NetworkState, Floats]:
-    """State with one kind of weights, and the whitened residuals (m,).
+    """State by reweighted least squares with one weight function, and the m whitened residuals (m,) at this state.
 
     The scale of the residuals never increases: otherwise a large error would gain weight by distorting the network
     (Huber 1981, Robust statistics, section 7.8: with a fixed scale each step lowers the objective).
@@ -130,23 +131,26 @@ def _iterate_weights(
 
 
 NoiseGrouping = Literal["observable", "instrument"]
-"""Groups of readings with separate noise: by observable, or also by instrument."""
+"""Groups of readings with separate noise: by observable, or by observable and instrument."""
 VARIANCE_FACTOR_TOLERANCE = 2e-3
-"""Relative change of variance factors that ends their estimation: a tenth of the standard deviation of one from 1,250
-readings."""
+"""Relative change of the noise factors below which their estimation ends: a tenth of the standard deviation of a factor
+from 1,250 readings.
+"""
 MAX_VARIANCE_ESTIMATES = 30
-"""Estimates of the variance factors at most, for given outliers."""
+"""Largest number of estimates of the noise factors for a given set of outliers."""
 MAX_CONVERGENCE_RATIO = 0.9
-"""Largest ratio of two steps of the estimation that is extrapolated: to ten times the last step."""
+"""Upper limit of the estimated ratio of successive steps of the noise factors, so that an extrapolation is at most ten
+times the last step.
+"""
 MAX_OUTLIER_ESTIMATES = 6
-"""Estimates of outliers at most, for given variance factors: they alternate on the edge."""
+"""Largest number of searches for outliers, each with new noise factors; the set of outliers may alternate."""
 MIN_GROUP_REDUNDANCY = 3.0
 """Redundancy below which a group keeps its declared noise."""
 
 
 @dataclass(frozen=True)
 class VarianceComponent:
-    """Variance component: noise of one group of readings."""
+    """Estimated noise of one group of readings."""
 
     observable: str
     """Name of the observable, or ``level``."""
@@ -212,16 +216,16 @@ def estimate_variance_components(
 
 
 def _extrapolated_limit(step: Floats, last_step: Floats) -> Floats:
-    """Limit of a sequence with linear convergence beyond its last step, from that and the `last_step` one (0: none).
+    """Remaining change to the limit of a sequence with linear convergence (Aitken's delta-squared process).
 
-    Steps shrink by a constant ratio: Aitken's delta-squared process.
+    `step` (g,) is the present step of each of g sequences, `last_step` (g,) the step before it; 0 for no extrapolation.
     """
     ratio = np.divide(step, last_step, out=np.zeros_like(step), where=last_step != 0.0)
     return step / (1.0 - np.clip(ratio, 0.0, MAX_CONVERGENCE_RATIO))
 
 
 def _scale_sigmas(problem: NetworkProblem, factor: Floats, group_indices: Ints, reading_mask: Bools) -> NetworkProblem:
-    """Problem with other standard deviations: a factor for each group, the last for the levels."""
+    """Problem whose standard deviations are multiplied by the factor of each group; the last group are the levels."""
     levels = replace(problem.level_rows, sigma=problem.level_rows.sigma * factor[-1])
     return replace(problem, sigma=problem.sigma * factor[group_indices], level_rows=levels, used_readings=reading_mask)
 
@@ -229,7 +233,7 @@ def _scale_sigmas(problem: NetworkProblem, factor: Floats, group_indices: Ints, 
 def _sums_by_group(
     problem: NetworkProblem, solution: Solution[NetworkState], group_indices: Ints, n_groups: int
 ) -> tuple[Floats, Floats]:
-    """Weighted sum of squares (count,) and redundancy (count,) of each group; the levels are last."""
+    """Weighted sums of squared residuals (g,) and redundancies (g,) of g groups; the last group are the levels."""
     assert solution.factor is not None
     share = 1.0 - solution.factor.leverage()
     residual = problem.whitened_residuals(solution.x)

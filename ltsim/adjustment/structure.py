@@ -19,30 +19,32 @@ from ltsim.recordings.recording import Recording
 
 @dataclass(frozen=True)
 class UnknownColumns:
-    """Columns of the design: poses, reduced targets, instrument parameters, additional effects; then the other targets.
+    """Columns of the unknowns in the design matrix.
 
-    Set-ups over one mark share the columns of their position, also with the target at that mark.
+    The order is: poses, targets that are not eliminated, instrument parameters, parameters of additional effects,
+    eliminated targets. Set-ups over one mark share the columns of their position, also with the target at that mark.
     """
 
     pose_columns: Ints
-    """Columns of translation and rotation of each station, (S, 6)."""
+    """Columns of translation and rotation of each of S stations, (S, 6)."""
     target_columns: Ints
-    """Columns of each target, (T, 3). Targets of reference lengths and differences, and targets under a set-up, are
-    reduced unknowns; all others are eliminated block by block."""
+    """Columns of each of T targets, (T, 3). Targets of reference lengths and differences, and targets under a set-up,
+    remain in the reduced normal equations; all other targets are eliminated one by one.
+    """
     instrument_columns: Ints
-    """Columns of the instrument parameters, (I, p)."""
+    """Columns of the p parameters of each of I instruments, (I, p)."""
     extra_columns: Ints
-    """Columns of the additional effects' parameters, (q,)."""
+    """Columns of the q parameters of additional effects, (q,)."""
     n_reduced: int
-    """Number K of reduced columns."""
+    """Number K of columns of the unknowns that are not eliminated."""
     n_columns: int
     """Number of all columns."""
 
     @property
     def place_columns(self) -> Ints:
-        """Columns of the places of targets and set-ups, (T + S + 1, 3).
+        """Columns of the positions of targets, set-ups and the origin, (T + S + 1, 3).
 
-        Those of the origin, the last, have no meaning.
+        The origin is fixed, so that its columns have no meaning.
         """
         return np.concatenate([self.target_columns, self.pose_columns[:, :3], self.pose_columns[:1, :3]])
 
@@ -82,14 +84,14 @@ class UnknownColumns:
 
 
 MIN_COS_PLUMB_INCLINATION = 1.0 - 1e-8
-"""Cosine of the inclination up to which a plumb line counts as parallel to that of the network (0.14 mrad, 900 m on the
-earth).
+"""Cosine of the angle between a plumb line and the z axis of the network, above which the line counts as vertical (0.14
+mrad, 900 m on the earth).
 """
 
 
 @dataclass(frozen=True)
 class NetworkRows:
-    """Readings in use, reference values, and the unknowns of both."""
+    """Observations of a network (readings in use, reference values) and the columns of its unknowns."""
 
     model: MeasurementModel
     """Forward model of the readings."""
@@ -114,7 +116,7 @@ class NetworkRows:
 
     @cached_property
     def structure(self) -> UndeterminedUnknowns:
-        """Unknowns that these readings and the set-up leave undetermined."""
+        """Unknowns that the observations leave undetermined, whatever the geometry."""
         return UndeterminedUnknowns.from_rows(self)
 
     @property
@@ -133,37 +135,41 @@ class NetworkRows:
 
 @dataclass(frozen=True)
 class UndeterminedUnknowns:
-    """Unknowns that no used reading determines for any geometry; they are fixed at their present values."""
+    """Unknowns that the observations in use do not determine for any geometry; they are fixed at their present values.
+
+    Stations and targets are given by their indices.
+    """
 
     unknowns: UnknownColumns
     yaw_free_stations: Ints
-    """Stations whose rotation about the vertical is undetermined."""
+    """Stations without azimuths, whose rotation about the standing axis is undetermined."""
     tilt_free_stations: Ints
-    """Stations without azimuths, and stations without any angle or level."""
+    """Stations without angles and level, whose tilts are undetermined."""
     height_free_stations: Ints
-    """Levelled stations with azimuths and horizontal distances only."""
+    """Stations with undetermined height: levelled ones with only azimuths and horizontal distances."""
     unread_stations: Ints
     """Stations without any reading."""
     is_unmeasured_target: Bools
-    """Flags of the targets without a used reading, known coordinates or a set-up on them, (T,)."""
+    """Flags (T,) of the targets without a reading in use, without known coordinates and without a set-up on them."""
     height_free_targets: Bools
-    """Flags of the targets connected to levelled set-ups by horizontal directions and distances only, (T,): their
-    height is undetermined.
+    """Flags (T,) of the targets with undetermined height: levelled set-ups measured only azimuths and horizontal
+    distances to them.
     """
     oriented_stations: Ints
-    """Stations whose yaw is determined by readings."""
+    """Stations with azimuths, whose yaw is determined."""
     constraints_on_unseen: int
-    """Number of known coordinates of unmeasured targets, which check nothing."""
+    """Number of known coordinates of unmeasured targets; they do not count as observations."""
     scale_target: Ints
-    """Target (one or none) whose distance from the first station the datum fixes, if directions leave the scale
-    undetermined and approximate coordinates define it.
+    """Target (one or none) whose distance from the first station is fixed, because directions alone leave the scale
+    undetermined and only approximate coordinates define it.
     """
     fixes_heights: bool
-    """True if the datum fixes all heights, so that a vertical translation is no datum defect."""
+    """True if all heights are undetermined and therefore fixed, so that no vertical translation remains for the datum.
+    """
 
     @classmethod
     def from_rows(cls, network: NetworkRows) -> UndeterminedUnknowns:
-        """Structure of a network, from the kinds of its readings."""
+        """Undetermined unknowns of a network, from the kinds of its observations."""
         recording, use, marks, levels = (
             network.model.recording,
             network.used_readings,
@@ -216,7 +222,7 @@ class UndeterminedUnknowns:
 
     @property
     def fixed_columns(self) -> Ints:
-        """Columns (h, 3) of each row that fixes an unknown."""
+        """Columns (h, 3) of the unknowns in each of the h equations that fix undetermined unknowns."""
         unknowns = self.unknowns
         single = [unknowns.target_columns[self.is_unmeasured_target], unknowns.pose_columns[self.unread_stations, :3]]
         single += [
@@ -231,7 +237,7 @@ class UndeterminedUnknowns:
         return np.concatenate([*rows, *(np.repeat(columns.reshape(-1, 1), 3, axis=1) for columns in single)])
 
     def fixed_directions(self, state: NetworkState) -> Floats:
-        """Directions (h, 3) in these columns."""
+        """Coefficients (h, 3) of the h equations that fix undetermined unknowns, in `fixed_columns`."""
         yaw = state.station_rotations[self.yaw_free_stations] @ VERTICAL
         tilt = np.swapaxes(state.station_rotations[self.tilt_free_stations], 1, 2)[:, :2].reshape(-1, 3)
         arm = (
@@ -245,7 +251,10 @@ class UndeterminedUnknowns:
 
     @property
     def fixed_pose_components(self) -> Bools:
-        """Flags (S, 6) of the fixed components of poses; all three rotations if the yaw is undetermined."""
+        """Flags (S, 6) of the fixed components of poses.
+
+        All three rotations are flagged if the rotation about the standing axis is undetermined.
+        """
         is_fixed = np.zeros(self.unknowns.pose_columns.shape, dtype=bool)
         is_fixed[self.yaw_free_stations, 3:] = True
         is_fixed[self.tilt_free_stations, 3:] = True
@@ -255,7 +264,7 @@ class UndeterminedUnknowns:
 
     @property
     def n_fixed(self) -> int:
-        """Number h of fixed unknowns."""
+        """Number h of equations that fix undetermined unknowns."""
         n_tilts = (
             len(self.yaw_free_stations)
             + 2 * len(self.tilt_free_stations)
@@ -267,12 +276,12 @@ class UndeterminedUnknowns:
 
     @property
     def datum_stations(self) -> Ints:
-        """Stations of the datum rows: the first one with determined yaw, or all if there is none (distances alone)."""
+        """Stations that define the datum: the first one with determined yaw, or all if there are only distances."""
         return self.oriented_stations[:1] if self.fixes_datum_rotations else np.arange(len(self.unknowns.pose_columns))
 
     @property
     def fixes_datum_rotations(self) -> bool:
-        """True if the datum rows also fix the rotations of the anchors."""
+        """True if the datum also fixes the rotation of its station."""
         return len(self.oriented_stations) > 0
 
 
@@ -298,7 +307,7 @@ def _has_approximate_scale(network: NetworkRows) -> bool:
 
 
 def _scale_target(network: NetworkRows) -> Ints:
-    """Target (1,) with an azimuth from the first station that has azimuths."""
+    """Index (1,) of a target with an azimuth from the first station that has azimuths."""
     recording, rows = network.model.recording, np.flatnonzero(network.used_readings[:, 1])
     first = rows[np.argsort(recording.station[rows], kind="stable")][:1]
     return recording.target[first]
@@ -311,7 +320,7 @@ DecoratedReturn = TypeVar("DecoratedReturn")
 def raise_for_singular_network(
     function: Callable[Concatenate[Recording, DecoratedParameters], DecoratedReturn],
 ) -> Callable[Concatenate[Recording, DecoratedParameters], DecoratedReturn]:
-    """Decorator for functions of a recording that raises NetworkError for matrices that are unexpectedly singular."""
+    """Decorator for functions of a recording: raises NetworkError in place of numpy's error for singular matrices."""
 
     @wraps(function)
     def refusing(

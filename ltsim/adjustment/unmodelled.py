@@ -1,8 +1,8 @@
-"""Uncertainty of adjusted places due to errors outside the adjustment: the air along the beams.
+"""Uncertainty of adjusted coordinates due to errors outside the stochastic model of the adjustment: those of the air.
 
-To first order the unknowns follow the whitened rows l of the adjustment by P = N^-1 A' (N the normal matrix, A the
-whitened design). An error with the shift s of these rows moves the places by P s, so that its part of their covariance
-is P s s' P'. Plans, adjustments, calibrations and uncertainties of tasks use these functions.
+To first order the unknowns depend on the whitened observations by P = N^-1 A', with the normal matrix N and the
+whitened design matrix A. An error that shifts the whitened observations by s displaces the unknowns by P s, and its
+part of their covariance is P s s' P'. Plans, adjustments, calibrations and uncertainties of tasks use these functions.
 """
 
 import numpy as np
@@ -26,12 +26,15 @@ TURBULENCE_ERROR = "turbulence"
 
 
 def displacement_per_row(adjustment: Adjustment, columns: Ints) -> Floats:
-    """Displacement (m, k) of unknowns `columns` (k,) per unit of each whitened row of the adjustment."""
+    """Displacements (m, k) of k unknowns by a unit change of each of the m whitened observations.
+
+    `columns` (k,) are the columns of the unknowns in the design matrix.
+    """
     return np.asarray(adjustment.solution.system.design @ _covariance_columns(adjustment, columns))
 
 
 def _covariance_columns(adjustment: Adjustment, columns: Ints) -> Floats:
-    """Covariance (u, k) of all unknowns with `columns` (k,), in the datum of the adjustment."""
+    """Covariances (u, k) of all u unknowns with the k unknowns in `columns` (k,), in the datum of the adjustment."""
     unit = np.zeros((adjustment.problem.unknowns.n_columns, len(columns)))
     unit[columns, np.arange(len(columns))] = 1.0
     spread = adjustment.factorised_normals.covariance_columns(unit)
@@ -41,7 +44,7 @@ def _covariance_columns(adjustment: Adjustment, columns: Ints) -> Floats:
 
 
 def relevant_air(adjustment: Adjustment, air: AirUncertainty | None = None) -> AirUncertainty | None:
-    """Uncertainty of the air (default that of the set-up) if the lines of sight are long enough; else None."""
+    """Uncertainty of the air, by default that of the set-up; None if the ranges are too short for an influence."""
     declared_air = air or adjustment.recording.setup.air or AirUncertainty()
     is_used = adjustment.problem.used_readings.any(axis=1)
     return declared_air if declared_air.is_relevant(longest_range(adjustment)) and is_used.any() else None
@@ -55,10 +58,10 @@ def longest_range(adjustment: Adjustment) -> float:
 def displacements_by_air(
     adjustment: Adjustment, displacement_per_row: Floats, air: AirUncertainty
 ) -> dict[str, Floats]:
-    """Displacements (k, q) of unknowns by the air, by cause, with one column per standard deviation of a variate.
+    """Displacements (k, q) of k unknowns by one standard deviation of each of q independent air errors, by cause.
 
-    Each station has a temperature and a gradient, each reading a turbulence. `displacement_per_row` (m, k) belongs to
-    these unknowns.
+    The independent errors are a temperature and a gradient of each station, and a turbulence of each reading.
+    `displacement_per_row` (m, k) contains the displacements of these unknowns by each of m whitened observations.
     """
     readings = displacement_per_row[: int(adjustment.problem.used_readings.sum())].T
     common, station = _temperature_and_gradient_shifts(adjustment, air)
@@ -72,9 +75,9 @@ def displacements_by_air(
 
 
 def _temperature_and_gradient_shifts(adjustment: Adjustment, air: AirUncertainty) -> tuple[Floats, Ints]:
-    """Shifts (2, r) of the readings in use by the temperature and the gradient of a station, and their stations (r,).
+    """Shifts (2, r) of the r readings in use by errors of temperature and gradient, and the station (r,) of each.
 
-    One standard deviation of each; shifts are in standard deviations of the readings.
+    The errors have the size of one standard deviation. The shifts are in standard deviations of the readings.
     """
     rows, columns = np.nonzero(adjustment.problem.used_readings)
     errors = reading_changes_per_sigma(air, adjustment.sightings)[rows, columns]
@@ -82,16 +85,16 @@ def _temperature_and_gradient_shifts(adjustment: Adjustment, air: AirUncertainty
 
 
 def _turbulence_shifts(adjustment: Adjustment, air: AirUncertainty) -> Floats:
-    """Standard deviation (r,) of the readings in use due to turbulence, in units of the declared one."""
+    """Standard deviations (r,) of the r readings in use due to turbulence, divided by the declared ones."""
     rows, columns = np.nonzero(adjustment.problem.used_readings)
     variance = turbulence_variance(air, adjustment.sightings)[rows, columns]
     return np.asarray(np.sqrt(variance) / adjustment.problem.sigma[rows, columns])
 
 
 def shared_air_errors(air: AirUncertainty) -> tuple[str, str]:
-    """Names of the errors of the air that all stations share.
+    """Names of the two errors of the air that all stations share: temperature and vertical gradient.
 
-    Poses and targets absorb them, so that residuals do not show them.
+    Poses and targets absorb these errors, so that residuals do not show them.
     """
     scale = air.temperature_k * relative_index_change_per_kelvin() / PPM
     return (
@@ -103,16 +106,16 @@ def shared_air_errors(air: AirUncertainty) -> tuple[str, str]:
 def displacements_by_shared_air(
     adjustment: Adjustment, displacement_per_row: Floats, air: AirUncertainty
 ) -> dict[str, Floats]:
-    """Displacements (k,) of unknowns by one standard deviation of each of the `shared_air_errors`."""
+    """Displacements (k,) of k unknowns by one standard deviation of each of the `shared_air_errors`, by name."""
     shifts, _ = _temperature_and_gradient_shifts(adjustment, air)
     return dict(zip(shared_air_errors(air), shifts @ displacement_per_row[: shifts.shape[1]], strict=True))
 
 
 def air_covariance(adjustment: Adjustment, columns: Ints, air: AirUncertainty | None = None) -> Floats:
-    """Covariance (c, k, k) of sets (c, k) of unknowns due to the air; zero for short ranges.
+    """Covariances (c, k, k) of c sets of k unknowns due to the air; zero for short ranges.
 
-    With C the covariance of the unknowns and S that of the shifts of the rows, it is C A' S A C: no matrix has the
-    readings for rows and the sets for columns.
+    `columns` (c, k) are the columns of the unknowns in the design matrix A. With the covariance C of the unknowns and
+    the covariance S of the whitened observations due to the air, the result is C A' S A C.
     """
     counted, size = relevant_air(adjustment, air), columns.shape[1]
     added_covariance = np.zeros((*columns.shape, size))
@@ -135,7 +138,11 @@ def air_covariance(adjustment: Adjustment, columns: Ints, air: AirUncertainty | 
 
 
 def _air_right_hand_sides(adjustment: Adjustment, air: AirUncertainty) -> tuple[Floats, DesignMatrix]:
-    """Right-hand sides (u, q) by the temperature and gradient of each station, and the matrix A' S A of turbulence."""
+    """Right-hand sides A' s (u, q) of the normal equations, and the matrix A' S A (u, u) of turbulence.
+
+    s are the shifts of the whitened observations by temperature and gradient of each station, S is their covariance due
+    to turbulence, A the design matrix of u unknowns.
+    """
     common, station = _temperature_and_gradient_shifts(adjustment, air)
     turbulence, design = _turbulence_shifts(adjustment, air), adjustment.solution.system.design[: len(station)]
     stations, place = np.unique(station, return_inverse=True)
@@ -150,15 +157,16 @@ def _air_right_hand_sides(adjustment: Adjustment, air: AirUncertainty) -> tuple[
 
 
 def joint_air_covariance(adjustment: Adjustment, air: AirUncertainty | None = None) -> Floats:
-    """Covariance (3 T, 3 T) [m^2] of all targets due to the air; zero for short ranges."""
+    """Joint covariance (3 T, 3 T) [m^2] of the T targets due to the air; zero for short ranges."""
     columns = adjustment.problem.unknowns.target_columns.reshape(1, -1)
     return air_covariance(adjustment, columns, air)[0]
 
 
 def hidden_displacements(adjustment: Adjustment, air: AirUncertainty | None = None) -> dict[str, float]:
-    """Rms displacement [m] of the targets by each error of the air that all stations share, after the best rigid fit.
+    """Rms displacements [m] of the targets by one standard deviation of each of the `shared_air_errors`, by name.
 
-    It is for one standard deviation; readings do not show the errors, so that no adjustment reports them.
+    A best rigid motion of the targets is removed. Residuals do not show these errors, so that no adjustment reports
+    them.
     """
     chosen = air or adjustment.recording.setup.air or AirUncertainty()
     targets = np.flatnonzero(~adjustment.problem.structure.is_unmeasured_target & ~adjustment.undetermined_heights)

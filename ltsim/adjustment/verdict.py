@@ -1,4 +1,4 @@
-"""Verdict on an adjustment where the global test, data snooping and the two sigma0 disagree."""
+"""Verdict on an adjustment from the global test, the tests of single readings, and declared and estimated noise."""
 
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -14,7 +14,7 @@ from ltsim.core.notation import listing
 from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
 
 MAX_SINGLE_ERROR_FRACTION = 0.05
-"""Largest fraction of outliers among the readings at which they count as single errors; above it the noise is wrong."""
+"""Fraction of outliers among the readings up to which they count as single errors; above it the noise is wrong."""
 
 
 NOISE_KEYS = {
@@ -26,7 +26,7 @@ NOISE_KEYS = {
 
 
 class VerdictCase(Enum):
-    """Agreement or disagreement of the tests."""
+    """Conclusion from the tests of an adjustment."""
 
     CLEAN = "clean"
     SINGLE_ERRORS = "single errors"
@@ -39,9 +39,10 @@ class VerdictCase(Enum):
 
 @dataclass(frozen=True)
 class Verdict:
-    """Verdict on an adjustment: its case, the reasons, and the use of the estimated sigma0."""
+    """Verdict on an adjustment: conclusion from the tests, its reason, and the noise to use."""
 
     agreement: VerdictCase
+    """Conclusion from the tests."""
     sentence: str
     """Sentence with the verdict and its reason."""
     uses_estimated_noise: bool
@@ -51,10 +52,10 @@ class Verdict:
 def verdict_on(
     adjustment: Adjustment, alpha: float = GLOBAL_LEVEL, fit_with_constants: tuple[float, int] | None = None
 ) -> Verdict:
-    """The verdict on an adjustment, by a global test at a two-sided `alpha`.
+    """Verdict on an adjustment, with `alpha` as the two-sided significance level of the global test.
 
-    `fit_with_constants` is chi-square and degrees of freedom of a fit that also estimates the constants of the
-    instrument, if there is one.
+    `fit_with_constants` contains chi-square and degrees of freedom of a fit that also estimates the constants of the
+    instrument; None if there is no such fit.
     """
     judged = _verdict_from_tests(adjustment, alpha, fit_with_constants)
     open_ = adjustment_warnings(adjustment)
@@ -66,7 +67,11 @@ def verdict_on(
 
 
 def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants: tuple[float, int] | None) -> Verdict:
-    """Verdict: single errors if their removal makes the global test pass, other noise if not."""
+    """Verdict without the warnings on the network.
+
+    A failed global test means single errors if it passes without the outliers, otherwise other noise or an error of the
+    model.
+    """
     dof, sigma0, chi2 = adjustment.dof, adjustment.sigma0, adjustment.chi2
     if dof <= 0:
         sentence = "There is no redundancy: no test is possible, and the declared noise is used."
@@ -120,15 +125,16 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants
 
 
 def _sigma0_limits(dof: int, alpha: float) -> tuple[float, float]:
-    """Lower and upper limit of sigma0 at a two-sided `alpha`."""
+    """Lower and upper critical value of sigma0 at the two-sided significance level `alpha`."""
     low, high = np.sqrt(2.0 * special.gammaincinv(0.5 * dof, [alpha / 2, 1 - alpha / 2]) / dof).tolist()
     return low, high
 
 
 def _rejection_reasons(adjustment: Adjustment, alpha: float, fit_with_constants: tuple[float, int] | None) -> str:
-    """Possible reasons for a rejected fit; the instrument is one if its constants are neither removed nor estimated.
+    """Text of the possible reasons for a failed global test.
 
-    A fit with the constants estimated decides between them.
+    Errors of the instrument are a possible reason if they are neither corrected nor estimated. A fit that estimates
+    them, `fit_with_constants` (chi-square and degrees of freedom), decides.
     """
     if fit_with_constants is not None and fit_with_constants[1] > 0:
         chi2, dof = fit_with_constants
@@ -151,10 +157,10 @@ def _rejection_reasons(adjustment: Adjustment, alpha: float, fit_with_constants:
 
 
 def noise_declaration_advice(adjustment: Adjustment, alpha: float = GLOBAL_LEVEL) -> str:
-    """Advice on the noise to declare if readings scatter less than declared, in a sentence; empty otherwise.
+    """Sentence on the noise to declare if readings scatter less than declared; empty otherwise.
 
-    Observables are tested separately: the sum of squared residuals divided by their redundancy must be smaller than
-    chance permits.
+    Observables are tested separately, by the sum of their squared residuals (chi-square with their redundancy as
+    degrees of freedom) at the one-sided level `alpha` / 2.
     """
     problem, recording = adjustment.problem, adjustment.recording
     scaled, advice, by_row = adjustment.residuals / problem.sigma, [], []
@@ -180,7 +186,7 @@ def noise_declaration_advice(adjustment: Adjustment, alpha: float = GLOBAL_LEVEL
 
 
 def _noisy_targets_text(adjustment: Adjustment) -> str:
-    """Text of the targets whose readings scatter far more than all others."""
+    """Text on the targets whose readings scatter far more than those to other targets; empty if there are none."""
     named, scatter, rest = adjustment.noisy_targets
     if not len(named):
         return ""

@@ -1,1 +1,1 @@
-"""Calibration: instrument parameters from a recording, undetermined combinations, and the corrected recording."""
+"""Calibration of a tracker: its parameters from a recording, undetermined combinations, and corrected readings."""

@@ -1,4 +1,4 @@
-"""Arrays of a calibration in SI units (also from a file), and the tables of its targets and residuals."""
+"""Arrays of a calibration in SI units, their construction from a file, and the tables of its targets and residuals."""
 
 from __future__ import annotations
 
@@ -23,36 +23,37 @@ from ltsim.recordings.recording import OBSERVABLES
 
 @dataclass(frozen=True)
 class CalibrationArrays(ValueEquality):
-    """Parameters of I instruments with p parameters each, and T targets; SI units."""
+    """Arrays of a calibration in SI units: p parameters of each of I instruments, and the coordinates of T targets."""
 
     construction: Construction
-    """Construction whose parameters were estimated."""
+    """Instrument model whose parameters were estimated."""
     instruments: tuple[str, ...]
     """Names of the instruments; a single unnamed instrument is called ''."""
     estimates: Floats
-    """Estimates, (I, p)."""
+    """Estimates of the p parameters of each of I instruments, shape (I, p) [SI]."""
     prior_sigma: Floats
-    """Prior standard deviations, (I, p)."""
+    """Prior standard deviations of the p parameters of each of I instruments, shape (I, p) [SI]."""
     covariance: Floats
-    """Covariance of the estimates, zero for fixed parameters, (I p, I p)."""
+    """Covariance of the p parameters of all I instruments, shape (I p, I p) [SI]. Rows of fixed parameters are zero."""
     is_fixed: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
-    """Flags (I, p) of the parameters that were not estimated but fixed at their value."""
+    """Mask (instruments, parameters) of the parameters that were not estimated but fixed at a value."""
     is_prior_rejected: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
-    """Flags (I, p) of the parameters whose prior the readings contradict, and whose estimate follows the readings."""
+    """Mask (instruments, parameters) of the parameters that were estimated without their prior, because the readings
+    contradict this prior."""
     applied_values: Floats | None = None
-    """Parameters that are applied to readings, (I, p); None if these are the estimates."""
+    """Parameters that are removed from readings, shape (instruments, parameters) [SI]. None means the estimates."""
     null_space: Floats | None = field(default=None, repr=False)
-    """Combinations (k, I p) of the p parameters of I instruments, in units of their prior standard deviations, that a
-    distance method does not determine and sets to zero.
-    """
+    """Orthonormal combinations of the parameters that a distance method does not determine and sets to zero.
+
+    The shape is (combinations, instruments times parameters); the unit is the prior standard deviation."""
     target_names: tuple[str, ...] = ()
     """Names of the targets."""
     target_points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
-    """Coordinates of the targets, (T, 3) [m]."""
+    """Coordinates of the T targets, shape (T, 3) [m]."""
     target_covariance: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
-    """Covariance of each target, (T, 3, 3) [m^2]."""
+    """Covariance of the coordinates of each of T targets, shape (T, 3, 3) [m^2]."""
     adjustment: Adjustment | None = field(default=None, repr=False, compare=False)
-    """The adjusted network; None for a calibration that was read from a file."""
+    """Adjusted network; None for a calibration that was read from a file."""
 
     def __post_init__(self) -> None:
         for name in ("is_fixed", "is_prior_rejected"):
@@ -61,43 +62,51 @@ class CalibrationArrays(ValueEquality):
 
     @cached_property
     def sigma(self) -> Floats:
-        """Standard deviations of the estimates, (I, p)."""
+        """Standard deviations of the estimates, shape (instruments, parameters) [SI]."""
         return np.sqrt(np.diag(self.covariance)).reshape(self.estimates.shape)
 
     @property
     def effective_prior_sigma(self) -> Floats:
-        """Standard deviations of the prior that the estimates had, (I, p)."""
+        """Standard deviations of the prior used in the estimation, shape (instruments, parameters) [SI].
+
+        A prior that the readings contradict was widened by `WIDENED_SIGMA_FACTOR`.
+        """
         return np.where(self.is_prior_rejected, WIDENED_SIGMA_FACTOR, 1.0) * self.prior_sigma
 
     @property
     def bias_operator(self) -> Floats:
-        """Bias operator (I p, I p), in prior sigmas: the expected error of the estimates is -bias_operator @ truth."""
+        """Matrix that maps the true parameters to the expected bias of their estimates, with the opposite sign.
+
+        The shape is (q, q) for q parameters of all instruments, in units of the prior standard deviations. The expected
+        error of the estimates is -bias_operator @ truth.
+        """
         if self.null_space is not None:
             return self.null_space.T @ self.null_space
         unit = self.prior_sigma.ravel()
         return self.covariance / np.outer(unit, unit)
 
-    def for_instrument(self, instrument: int, parameter_mask: Ints) -> CalibrationArrays:
-        """Arrays of one instrument with the parameters `parameter_mask` (k,)."""
-        row, at = slice(instrument, instrument + 1), instrument * self.construction.n_parameters + parameter_mask
+    def for_instrument(self, instrument: int, parameter_indices: Ints) -> CalibrationArrays:
+        """Arrays of one instrument and of its parameters with the given indices."""
+        row, at = slice(instrument, instrument + 1), instrument * self.construction.n_parameters + parameter_indices
         return replace(
             self,
-            construction=self.construction.with_parameter_subset(parameter_mask),
+            construction=self.construction.with_parameter_subset(parameter_indices),
             instruments=self.instruments[row],
-            estimates=self.estimates[row, parameter_mask],
-            prior_sigma=self.prior_sigma[row, parameter_mask],
+            estimates=self.estimates[row, parameter_indices],
+            prior_sigma=self.prior_sigma[row, parameter_indices],
             covariance=self.covariance[np.ix_(at, at)],
-            is_fixed=self.is_fixed[row, parameter_mask],
-            is_prior_rejected=self.is_prior_rejected[row, parameter_mask],
+            is_fixed=self.is_fixed[row, parameter_indices],
+            is_prior_rejected=self.is_prior_rejected[row, parameter_indices],
         )
 
 
 def arrays_from_file_rows(
     construction: str, rows: Sequence[ParameterEntry], covariance: Sequence[Sequence[float]], file: object
 ) -> tuple[CalibrationArrays, list[str]]:
-    """Arrays of the parameters in the rows of a file, and the names of the parameters that it lacks.
+    """Arrays of the parameters in a calibration file, and the names of the parameters that the file lacks.
 
-    A file without a covariance gets a diagonal one; missing parameters are zero with their prior sigma.
+    Without a covariance in the file the parameters are uncorrelated. Missing parameters are zero with their prior
+    standard deviation.
 
     Raises
     ------
@@ -113,9 +122,9 @@ def arrays_from_file_rows(
     at = _flat_parameter_indices(construction, rows, place, built.parameter_names, file)
     factor = np.array([SI_PER_UNIT[row.unit] for row in rows])
 
-    def with_file_values(default: Floats, cells: Sequence[float | None]) -> Floats:
-        """The default [SI], replaced by the values of the file."""
-        merged, given = default.copy(), np.array([np.nan if cell is None else cell for cell in cells]) * factor
+    def with_file_values(default: Floats, file_values: Sequence[float | None]) -> Floats:
+        """Parameters [SI] of all instruments: the values of the file, and the defaults where the file has none."""
+        merged, given = default.copy(), np.array([np.nan if cell is None else cell for cell in file_values]) * factor
         merged[at] = np.where(np.isnan(given), default[at], given)
         return merged
 
@@ -145,23 +154,23 @@ def arrays_from_file_rows(
 def _flat_parameter_indices(
     construction: str,
     rows: Sequence[ParameterEntry],
-    location: dict[tuple[str, str], int],
+    index_by_instrument_and_name: dict[tuple[str, str], int],
     names: Sequence[str],
     file: object,
 ) -> list[int]:
-    """Indices of the file's parameters in the flattened array of the parameters of all instruments.
+    """Indices of the parameters of a file in the flat vector of the parameters of all instruments.
 
-    Checks names and units.
+    Unknown names, unknown units and repeated parameters raise RecordError.
     """
     at: list[int] = []
     for number, row in enumerate(rows, start=1):
-        if (row.instrument, row.name) not in location:
+        if (row.instrument, row.name) not in index_by_instrument_and_name:
             kind = f"parameter of construction {construction}"
             raise RecordError(f"parameters: {unknown_name(kind, quoted_text(row.name), names)}", file=file, row=number)
         if row.unit not in SI_PER_UNIT:
             expected = f"expected one of {', '.join(SI_PER_UNIT)}"
             raise RecordError(f"parameters: unknown unit '{quoted_text(row.unit)}'; {expected}", file=file, row=number)
-        at.append(location[row.instrument, row.name])
+        at.append(index_by_instrument_and_name[row.instrument, row.name])
         if at[-1] in at[:-1]:
             problem = f"parameters: '{quoted_text(row.name)}' occurs twice; expected one entry per parameter"
             raise RecordError(problem, file=file, row=number)
@@ -169,9 +178,10 @@ def _flat_parameter_indices(
 
 
 def targets_table(names: Sequence[str], points: Floats, covariance: Floats) -> Table:
-    """Table of points (T, 3) [m] with covariance (T, 3, 3) [m^2].
+    """Table of the coordinates and standard deviations of T targets.
 
-    Undetermined points have no row, undetermined heights no value.
+    `points` (T, 3) [m] are the coordinates, `covariance` (T, 3, 3) [m^2] is the covariance of each target. A target
+    without determined coordinates has no row; a target without a determined height has an empty cell.
     """
     sigma = np.sqrt(np.einsum("tii->ti", covariance)) / MILLIMETRE
     cells = np.concatenate([np.where(np.isfinite(sigma), points / MILLIMETRE, np.nan), sigma], axis=1)
@@ -180,10 +190,10 @@ def targets_table(names: Sequence[str], points: Floats, covariance: Floats) -> T
 
 
 def residuals_table(adjustment: Adjustment) -> Table:
-    """Table of residuals: a row per observation in use, numbered from 1."""
+    """Table of residuals with one row for each observation in use; row numbers of the recording start at 1."""
     recording = adjustment.recording
 
-    def row(i: int, k: int) -> list[object]:
+    def table_row(i: int, k: int) -> list[object]:
         unit, factor = DISPLAY_UNITS[k]
         names = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
         size = (
@@ -194,4 +204,4 @@ def residuals_table(adjustment: Adjustment) -> Table:
         )
         return [i + 1, *names, recording.face[i], recording.repeat[i], OBSERVABLES[k], *size]
 
-    return RESIDUALS_TABLE.with_rows(row(i, k) for i, k in np.argwhere(adjustment.problem.used_readings).tolist())
+    return RESIDUALS_TABLE.with_rows(table_row(i, k) for i, k in np.argwhere(adjustment.problem.used_readings).tolist())

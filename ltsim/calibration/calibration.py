@@ -52,29 +52,28 @@ MAX_SIGMA_RATIO_DETERMINED = 0.975
 """Ratio of sigma to prior sigma below which the readings determine a parameter: they removed at least 5 % of the prior
 variance (0.975 squared is 0.95)."""
 MIN_RELATIVE_DIFFERENCE_APPLIED = 1e-9
-"""Smallest relative difference between `applied_values` and the estimate (or its sigma) that is written: above
-rounding."""
+"""Relative difference of an applied value from its estimate above which the file contains it (above rounding)."""
 MAX_ESTIMATED_NOISE_FRACTION = 0.9
-"""Fraction of the redundancy with estimated noise above which the global test is void: chi-square over redundancy is
-then 1 by construction."""
+"""Fraction of the redundancy with estimated noise above which the global test is not valid: chi-square is then equal to
+the redundancy by construction."""
 
 
 FIELDS_NOT_COPIED = frozenset(
     ("format", "files", "construction_name", "parameters", "parameter_covariance", "harmonics", "determined",
      "noise_estimated")
 )  # fmt: skip
-"""Fields that a copy of a calibration does not have: derived from its arrays, or set when it is written."""
+"""Fields that a copy of a calibration does not take over: derived from its arrays, or set when it is written."""
 
 
 def _none_if_empty(value: Any) -> Any:
-    """Input value, or None for an empty table."""
+    """Value of a field, with None in place of an empty table of the file."""
     return value or None
 
 
 class Calibration(UncertaintyEntry, ResultFile):
-    """`calibration.json`: the result of `calibrate` and `adjust`.
+    """Result of `calibrate` and `adjust`, with the content of `calibration.json`.
 
-    Name, value and unit of the parameters are enough to apply it.
+    A file with the names, values and units of the parameters is sufficient to correct a recording.
     """
 
     FILE: ClassVar[str] = "calibration.json"
@@ -87,49 +86,49 @@ class Calibration(UncertaintyEntry, ResultFile):
     fit: FitEntry = FitEntry()
     """Agreement of readings and model."""
     frame: str = ""
-    """Frame of all coordinates."""
+    """Description of the coordinate frame of all coordinates."""
     parameters: tuple[ParameterEntry, ...]
-    """Estimates."""
+    """Estimates of the instrument's parameters."""
     parameter_covariance: tuple[tuple[Finite, ...], ...] = Field(default=(), alias="covariance")
-    """Covariance of the parameters, in their order and units."""
+    """Covariance of the parameters, in the order and the units of `parameters`."""
     harmonics: tuple[HarmonicEntry, ...] = ()
-    """Cosines and sines as amplitude and phase."""
+    """Amplitude and phase of each pair of a cosine and a sine parameter."""
     undetermined: tuple[UndeterminedEntry, ...] = ()
     """Combinations of parameters that the recording does not determine."""
     determined: tuple[DeterminedEntry, ...] = ()
-    """Combinations of parameters that the recording determines far better than each parameter."""
+    """Combinations of parameters that the recording determines far better than their members."""
     stations: tuple[StationPose, ...] = ()
     """Poses of the stations."""
     criteria: Annotated[CriteriaEntry | None, BeforeValidator(_none_if_empty)] = None
-    """Paper's criteria before and after calibration; null for a single station."""
+    """Disagreement of the stations before and after calibration (criteria of the paper); null for one station."""
     outliers: tuple[OutlierRow, ...] = ()
     """Outlying readings."""
     tests: tuple[CauseTest, ...] = ()
-    """Table of tests: simple causes that the readings support, and outliers; the basis of all statements on misfit."""
+    """Tests of single causes (a moved station, an outlier) that explain why readings and model disagree."""
     robust: bool = False
-    """True if outlying readings were excluded."""
+    """True if outlying readings were excluded from the adjustment."""
     noise: tuple[NoiseRow, ...] = ()
-    """Noise estimated from the readings, one entry per group."""
+    """Noise estimated from the readings, one entry per group of readings."""
     with_constants: FitEntry | None = None
-    """Fit of the readings with the instrument's constants estimated, where `adjust` rejects the fit without them."""
+    """Fit with the instrument's constants estimated too; only if `adjust` rejects the fit without them."""
     noise_estimated: bool = False
-    """True if the noise was estimated from the readings and used."""
+    """True if the adjustment used noise that was estimated from the readings."""
     verdict: VerdictEntry = VerdictEntry()
-    """Verdict on the test to trust."""
+    """Verdict on which test to trust, if the tests disagree."""
     reference_values: tuple[ReferenceValueEntry, ...] = ()
-    """Reference coordinates, lengths and levels, each tested by the other observations."""
+    """Reference coordinates, lengths and levels, each tested against the other observations."""
     undetermined_targets: tuple[str, ...] = ()
     """Targets that their readings do not determine."""
     axes: AxesEntry | None = None
-    """Standard deviations of the axes, if declared coordinates define them (`--frame`)."""
+    """Standard deviations of the coordinate axes, if declared coordinates define them (`--frame`)."""
     correction: RecommendedCorrection | None = None
-    """Correction that is worth applying; null if it was not requested."""
+    """Recommended correction of readings; null if none was requested."""
     effects: tuple[FittedEffectEntry, ...] = ()
-    """Effects that were estimated with the parameters (`--with`)."""
+    """Effects of the catalogue that were estimated with the parameters (`--with`)."""
     reflectors: tuple[ReflectorEntry, ...] = ()
-    """Incidence errors of reflectors in fixed nests."""
+    """Incidence errors of the reflectors in fixed nests."""
     history_prior: bool = False
-    """True if earlier calibrations were the prior."""
+    """True if the prior comes from earlier calibrations."""
     notes: tuple[str, ...] = ()
     """Notes on how the result was obtained, one sentence each."""
     _arrays: CalibrationArrays | None = PrivateAttr(None)
@@ -149,7 +148,7 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     @classmethod
     def from_arrays(cls, arrays: CalibrationArrays, **fields: Any) -> Self:
-        """Calibration from its arrays and other fields."""
+        """Calibration with the given arrays; `fields` are the other fields of the result."""
         factors = np.tile([p.si_per_display_unit for p in arrays.construction.parameters], len(arrays.instruments))
         defaults = {name: entry.get_default(call_default_factory=True) for name, entry in cls.model_fields.items()}
         fields = {name: value for name, value in defaults.items() if name not in FIELDS_NOT_COPIED} | fields
@@ -169,7 +168,7 @@ class Calibration(UncertaintyEntry, ResultFile):
         return result
 
     def with_changes(self, **changes: Any) -> Self:
-        """Copy of the calibration with other fields or arrays."""
+        """Copy of the calibration with other values of the given fields or arrays."""
         by_name = {entry.name for entry in dataclasses.fields(CalibrationArrays)} & changes.keys()
         arrays = replace(self.arrays, **{name: changes.pop(name) for name in by_name})
         return self._with_arrays_and_fields(arrays, **changes)
@@ -180,14 +179,14 @@ class Calibration(UncertaintyEntry, ResultFile):
         return type(self).from_arrays(arrays, **{**fields, **changes})
 
     def with_arrays(self, arrays: CalibrationArrays, warnings: tuple[str, ...] = ()) -> Self:
-        """Copy of the calibration with the arrays of its parameters, and warnings for their application."""
+        """Copy of the calibration with the given arrays, and with warnings for the user of these parameters."""
         result = self.model_copy()
         result._arrays, result._warnings = arrays, warnings
         return result
 
     @property
     def arrays(self) -> CalibrationArrays:
-        """The parameters and the network as arrays in SI units; raises RecordError for a file that has wrong ones."""
+        """Parameters and network as arrays in SI units; raises RecordError for a file with invalid parameters."""
         if self._arrays is None:
             covariance = self.parameter_covariance
             self._arrays, _ = arrays_from_file_rows(self.construction_name, self.parameters, covariance, self.FILE)
@@ -195,12 +194,12 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings about the application of a calibration that was read from a file."""
+        """Warnings for the user of a calibration that was read from a file."""
         return self._warnings
 
     @property
     def construction(self) -> Construction:
-        """Construction whose parameters were estimated."""
+        """Instrument model whose parameters were estimated."""
         return self.arrays.construction
 
     @property
@@ -210,32 +209,32 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     @property
     def instrument_parameter_names(self) -> tuple[str, ...]:
-        """Names (I p) of all parameters, with ``@instrument`` for several instruments."""
+        """Names of the parameters of all instruments, with ``@instrument`` if there are several instruments."""
         return self.construction.instrument_parameter_names(self.instruments)
 
     @property
     def estimates(self) -> Floats:
-        """Estimates (I, p) [SI]."""
+        """Estimates of the parameters, shape (instruments, parameters) [SI]."""
         return self.arrays.estimates
 
     @property
     def sigma(self) -> Floats:
-        """Standard deviations (I, p) of the estimates [SI]."""
+        """Standard deviations of the estimates, shape (instruments, parameters) [SI]."""
         return self.arrays.sigma
 
     @property
     def prior_sigma(self) -> Floats:
-        """Prior standard deviations (I, p) [SI]."""
+        """Prior standard deviations, shape (instruments, parameters) [SI]."""
         return self.arrays.prior_sigma
 
     @property
     def covariance(self) -> Floats:
-        """Covariance (I p, I p) of the estimates [SI]."""
+        """Covariance of the p parameters of all I instruments, shape (I p, I p) [SI]."""
         return self.arrays.covariance
 
     @property
     def is_fixed(self) -> Bools:
-        """Flags (I, p) of the parameters that were not estimated but fixed at their value."""
+        """Mask (instruments, parameters) of the parameters that were fixed at a value and not estimated."""
         return self.arrays.is_fixed
 
     @property
@@ -245,12 +244,12 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     @property
     def target_points(self) -> Floats:
-        """Coordinates (T, 3) of the targets [m]."""
+        """Coordinates of the targets, shape (targets, 3) [m]."""
         return self.arrays.target_points
 
     @property
     def target_covariance(self) -> Floats:
-        """Covariance (T, 3, 3) of each target [m^2]."""
+        """Covariance of the coordinates of each target, shape (targets, 3, 3) [m^2]."""
         return self.arrays.target_covariance
 
     @property
@@ -260,7 +259,7 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     @property
     def applied_values(self) -> Floats:
-        """Parameters (I, p) [SI] that are removed from readings."""
+        """Parameters that a correction removes from readings, shape (instruments, parameters) [SI]."""
         applied = self.arrays.applied_values
         return self.estimates if self.correction is None or applied is None else applied
 
@@ -316,7 +315,7 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     @property
     def applied_reflectors(self) -> dict[str, Floats]:
-        """Parameters (14,) [SI] of `smr-incidence` that are removed from readings, by the reflector's name.
+        """Incidence parameters, shape (14,) [SI], that a correction removes from readings, by the reflector's name.
 
         They are removed together with the instrument's parameters, or not at all.
         """
@@ -328,14 +327,14 @@ class Calibration(UncertaintyEntry, ResultFile):
             for name, values in sizes.items()
         }
 
-    def for_instrument(self, instrument: int, parameter_mask: Ints) -> Self:
-        """Calibration of one instrument with the parameters `parameter_mask` (k,), without a correction."""
-        return self._with_arrays_and_fields(self.arrays.for_instrument(instrument, parameter_mask), correction=None)
+    def for_instrument(self, instrument: int, parameter_indices: Ints) -> Self:
+        """Calibration of one instrument and of its parameters with the given indices, without `correction`."""
+        return self._with_arrays_and_fields(self.arrays.for_instrument(instrument, parameter_indices), correction=None)
 
     def values_for(self, recording: Recording) -> Floats:
-        """Parameters to apply to a recording, (p,), or (n, p) by pointing if instruments differ.
+        """Parameters [SI] to remove from a recording, shape (parameters,), or (pointings, parameters) by pointing.
 
-        A calibration of one instrument is applied to any recording; one of several needs the same names.
+        Parameters of a single instrument apply to any recording, those of several to instruments of the same names.
 
         Raises
         ------
@@ -353,7 +352,7 @@ class Calibration(UncertaintyEntry, ResultFile):
 
 
 def _parameter_entries(arrays: CalibrationArrays, applied_values: Floats) -> tuple[ParameterEntry, ...]:
-    """Entries of the estimates in units of display, with those of `applied_values` (I, p) [SI] that differ."""
+    """Entries of the estimates in display units, with the applied values (instruments, parameters) [SI] that differ."""
     is_multiple = len(arrays.instruments) > 1
     entries = []
     for i, instrument in enumerate(arrays.instruments):
@@ -380,7 +379,7 @@ def _entries_per_instrument(
     make_entries: Callable[[Sequence[Parameter], Floats, Floats], list[EntryType]],
     transform: Callable[[Sequence[Parameter], Floats, Floats, Floats], tuple[Floats, Floats]] | None = None,
 ) -> tuple[EntryType, ...]:
-    """Entries of each instrument from its values and covariance, transformed by `transform` if given."""
+    """Entries of each instrument, from its estimates and covariance after the optional `transform`."""
     several, size = len(arrays.instruments) > 1, arrays.construction.n_parameters
     rows: list[EntryType] = []
     parameters = arrays.construction.parameters
@@ -394,7 +393,7 @@ def _entries_per_instrument(
 
 
 def _is_noise_estimated(noise: Sequence[NoiseRow]) -> bool:
-    """True if the noise was estimated from the same readings, so that the global test is void."""
+    """True if the noise was estimated from the same readings, so that the global test is not valid."""
     redundancy = sum(n.redundancy for n in noise)
     redundancy_estimated = sum(n.redundancy for n in noise if n.factor_sigma is not None)
     return redundancy_estimated > MAX_ESTIMATED_NOISE_FRACTION * redundancy

@@ -1,8 +1,8 @@
-"""Calibrations of one instrument over time: course of its parameters, and tests for changes.
+"""Calibrations of one instrument over time: changes of its parameters from date to date, and tests of these changes.
 
-Two calibrations with a common prior are not independent: without information both give the prior mean, and their
-agreement has no meaning. All tests therefore use the joint covariance of the estimates for one unchanged instrument
-that is drawn from the prior and measured independently each time.
+Two calibrations with the same prior are not independent: without information both give the prior mean, and their
+agreement means nothing. All tests therefore use the joint covariance of the estimates. It assumes one unchanged
+instrument that is drawn from the prior once and is measured independently each time.
 """
 
 from __future__ import annotations
@@ -28,32 +28,32 @@ from ltsim.physics.model.construction import Construction
 from ltsim.recordings.result_file import Entry, Finite
 
 SINGULARITY_TOLERANCE = 1e-12
-"""Relative eigenvalue below which a covariance counts as singular by construction (rounding); also the smallest
-variance, in prior variances."""
+"""Eigenvalue of a covariance, relative to the largest, below which its combination counts as exactly known (rounding).
+It is also the smallest variance of a parameter, in prior variances."""
 MAX_EM_STEPS = 2000
 """Largest number of expectation-maximisation steps, which converge linearly."""
 EM_TOLERANCE = 1e-4
-"""Change of the log variances at which the expectation-maximisation ends."""
+"""Largest change of a log variance in one step at which the expectation-maximisation has converged."""
 
 
 class ChiSquareEntry(Entry):
-    """Entry of a chi-square test."""
+    """Result of a chi-square test."""
 
     chi2: Finite
     """Weighted sum of squares."""
     dof: int
     """Degrees of freedom."""
     p_value: Finite
-    """p-value: probability of as large a chi-square or larger; 1 without degrees of freedom."""
+    """p-value: probability of a chi-square at least this large; 1 without degrees of freedom."""
 
     @classmethod
     def from_statistic(cls, chi2: float, dof: int) -> Self:
-        """Test from its statistic and degrees of freedom."""
+        """Result of a chi-square test from its statistic and its degrees of freedom."""
         return cls(chi2=chi2, dof=dof, p_value=float(special.chdtrc(dof, max(chi2, 0.0))) if dof else 1.0)
 
 
 class DifferenceEntry(Entry):
-    """Later minus earlier estimate of one parameter."""
+    """Difference of one parameter between two calibrations: later minus earlier estimate."""
 
     name: str
     """Name of the parameter."""
@@ -68,28 +68,29 @@ class DifferenceEntry(Entry):
 
 
 class ChangeEntry(ChiSquareEntry):
-    """Change between two calibrations."""
+    """Change of an instrument between two calibrations, with the test that it did not change."""
 
     from_: str = Field(alias="from")
     """Label of the earlier calibration."""
     to: str
     """Label of the later calibration."""
     changed: tuple[str, ...] = ()
-    """Names of the parameters that differ significantly."""
+    """Names of the parameters that changed significantly."""
     parameters: tuple[DifferenceEntry, ...] = ()
     """Differences of all parameters."""
 
 
 @dataclass(frozen=True)
 class ParameterPopulation(ValueEquality):
-    """Mean of an instrument's parameters, and their spread from one calibration to the next."""
+    """Distribution of an instrument's parameters over its calibrations: mean and standard deviation."""
 
     mean: Floats
-    """Mean of each parameter, (p,) [SI]."""
+    """Mean of each parameter over the calibrations, shape (parameters,) [SI]."""
     covariance: Floats
-    """Covariance of the mean, (p, p) [SI]."""
+    """Covariance of the mean, shape (parameters, parameters) [SI]."""
     spread: Floats
-    """Standard deviation of the parameters between calibrations, (p,) [SI], without the estimation errors."""
+    """Standard deviation of each parameter from calibration to calibration, without estimation errors, (parameters,)
+    [SI]."""
 
 
 @dataclass(frozen=True)
@@ -97,11 +98,11 @@ class CalibrationSeries(ValueEquality):
     """Calibrations of one instrument in chronological order."""
 
     labels: tuple[str, ...]
-    """Labels, one per calibration."""
+    """Label of each calibration."""
     calibrations: tuple[Calibration, ...]
-    """Calibrations, each of one instrument and all with the same construction."""
+    """Calibrations, each of one instrument, and all with the same instrument model."""
     days: Floats | None = None
-    """Days since the first calibration, (K,); None if a date is missing."""
+    """Days since the first calibration, one number per calibration; None if a date is missing."""
 
     @classmethod
     def from_labelled(
@@ -110,9 +111,10 @@ class CalibrationSeries(ValueEquality):
         instrument: str | None = None,
         dates: Sequence[str] | None = None,
     ) -> CalibrationSeries:
-        """Series of labelled calibrations; `instrument` selects one of several.
+        """Series of calibrations with labels, in chronological order.
 
-        `dates` (ISO format, one per calibration) replace those of the recordings.
+        `instrument` selects one of several instruments. `dates` (ISO format, one per calibration) replace the dates of
+        the recordings.
 
         Raises
         ------
@@ -153,22 +155,25 @@ class CalibrationSeries(ValueEquality):
 
     @property
     def construction(self) -> Construction:
-        """Construction of all calibrations."""
+        """Instrument model of all calibrations."""
         return self.calibrations[0].construction
 
     @cached_property
     def estimates(self) -> Floats:
-        """Estimates of all calibrations, (K, p) [SI]."""
+        """Estimates, shape (calibrations, parameters) [SI]."""
         return np.array([c.estimates[0] for c in self.calibrations])
 
     @cached_property
     def sigma(self) -> Floats:
-        """Standard deviations of the estimates, (K, p) [SI]."""
+        """Standard deviations of the estimates, shape (calibrations, parameters) [SI]."""
         return np.array([c.sigma[0] for c in self.calibrations])
 
     @cached_property
     def prior_sigma(self) -> Floats:
-        """Largest prior sigma of each parameter, (p,) [SI], the unit of all computations here."""
+        """Largest prior standard deviation of each parameter over the calibrations, shape (parameters,) [SI].
+
+        It is the unit of the parameters in all computations of this class.
+        """
         return np.max([c.prior_sigma[0] for c in self.calibrations], axis=0)
 
     @cached_property
@@ -180,16 +185,21 @@ class CalibrationSeries(ValueEquality):
 
     @cached_property
     def _informative_combinations(self) -> Floats:
-        """Orthonormal combinations (p, r), in prior sigmas, on which the calibrations have information on average."""
+        """Orthonormal combinations that the calibrations determine on average, shape (parameters, combinations).
+
+        The parameters are in units of their prior standard deviations.
+        """
         remaining = np.mean([e.posterior_covariance for e in self._likelihood_information], axis=0)
         values, vectors = linalg.eigh(remaining)
         return vectors[:, 1.0 - values > MAX_UNINFORMATIVE_GAIN]
 
     @cached_property
     def _joint_covariance(self) -> Floats:
-        """Covariance (K, p, K, p) of the estimates of an unchanged instrument, in prior sigmas.
+        """Joint covariance of the estimates of all calibrations of an unchanged instrument, in prior variances.
 
-        Estimate i is C_i N_i x + noise with covariance C_i N_i C_i, x drawn once from the prior.
+        The shape is (K, p, K, p) for K calibrations of p parameters. Calibration i has the posterior covariance C_i and
+        the information N_i; its estimate is C_i N_i x + noise with the noise covariance C_i N_i C_i. The parameters x
+        are drawn from the prior once for all calibrations.
         """
         remaining = np.array([e.posterior_covariance for e in self._likelihood_information])
         pull = np.array([e.posterior_covariance @ e.information for e in self._likelihood_information])
@@ -199,10 +209,10 @@ class CalibrationSeries(ValueEquality):
         return covariance
 
     def change(self, first_number: int, second_number: int) -> ChangeEntry:
-        """Change from calibration number `first_number` to number `second_number`: later minus earlier, with p-values.
+        """Change from one calibration of the series to another: later minus earlier estimates, with p-values.
 
-        Parameters that changed are identified by Holm's procedure at `FAMILY_LEVEL`; undetermined ones have a p-value
-        of 1.
+        `first_number` and `second_number` count from 0. Parameters that changed are selected by Holm's procedure at
+        `FAMILY_LEVEL`. Undetermined parameters have a p-value of 1.
         """
         contrast, parameters = np.zeros((1, len(self))), self.construction.parameters
         contrast[0, [first_number, second_number]] = -1.0, 1.0
@@ -230,7 +240,7 @@ class CalibrationSeries(ValueEquality):
 
     @cached_property
     def _mean_variance_reduction(self) -> Floats:
-        """Mean share (p,) of each parameter's prior variance that the readings removed."""
+        """Fraction (parameters,) of the prior variance that the readings remove, mean over the calibrations."""
         return 1.0 - np.mean([np.diag(e.posterior_covariance) for e in self._likelihood_information], axis=0)
 
     def changes(self) -> list[ChangeEntry]:
@@ -238,7 +248,10 @@ class CalibrationSeries(ValueEquality):
         return [self.change(i, i + 1) for i in range(len(self) - 1)]
 
     def constancy_test(self, parameter: int | None = None) -> ChiSquareEntry:
-        """Test that all calibrations have equal parameters: all, or one by its index."""
+        """Chi-square test that the parameters are equal in all calibrations.
+
+        It concerns the parameter with the index `parameter`, or all parameters for None.
+        """
         contrast = np.diff(np.eye(len(self)), axis=0)
         if parameter is None:
             return _chi_square_test(*self._contrasts_and_covariance(contrast, self._informative_combinations))
@@ -249,7 +262,12 @@ class CalibrationSeries(ValueEquality):
         )
 
     def _contrasts_and_covariance(self, contrast: Floats, combination: Floats) -> tuple[Floats, Floats]:
-        """Contrasts (m, K) of combinations (p, r) of the parameters, and their covariance without a change."""
+        """Differences between calibrations, and their covariance for an unchanged instrument.
+
+        Each of the m rows of `contrast` (m, K) holds the coefficients of K calibrations; each of the r columns of
+        `combination` (p, r) holds the coefficients of p parameters. The differences have the shape (m r,), in prior
+        standard deviations.
+        """
         values = contrast @ (self.estimates / self.prior_sigma) @ combination
         half_product: Floats = np.einsum(
             "mi,iajb,as->msjb", contrast, self._joint_covariance, combination, optimize=True
@@ -259,11 +277,11 @@ class CalibrationSeries(ValueEquality):
 
     @cached_property
     def population(self) -> ParameterPopulation:
-        """Mean and spread of the parameters over the calibrations, the spread by the restricted likelihood.
+        """Mean of the parameters over the calibrations, and their standard deviation by restricted maximum likelihood.
 
-        Expectation-maximisation with the mean as an unknown is used (Patterson and Thompson, Biometrika 58 (1971) 545),
-        so that the estimation of the mean from the same few calibrations does not bias the spread. The mean retains the
-        prior for combinations without information. The spread of a parameter without information is the prior sigma.
+        Expectation-maximisation with an unknown mean is used (Patterson and Thompson, Biometrika 58 (1971) 545): the
+        mean comes from the same few calibrations and would otherwise bias the standard deviation. Combinations without
+        information keep the prior mean. A parameter without information has the prior standard deviation.
         """
         information = np.array([e.information for e in self._likelihood_information])
         vectors = np.array([e.information_vector for e in self._likelihood_information])
@@ -289,10 +307,10 @@ class CalibrationSeries(ValueEquality):
         return ParameterPopulation(mean * unit, of_mean * np.outer(unit, unit), np.sqrt(variance) * unit)
 
     def with_population_prior(self, calibration: Calibration) -> Calibration:
-        """Copy of a calibration whose prior is the population of this series instead of the specification.
+        """Copy of a calibration in which the distribution of this series replaces the prior from the specification.
 
-        It applies to a calibration that is not part of the history. Each parameter is a weighted mean: one that hardly
-        varies mostly follows the history, one that varies mostly the calibration.
+        The calibration must not be part of the series. A parameter that hardly varies between calibrations follows the
+        series, and a parameter that varies much follows its own calibration.
         """
         population, unit = self.population, self.prior_sigma
         input_calibration = single_instrument(calibration, None, "the calibration")
@@ -314,7 +332,7 @@ class CalibrationSeries(ValueEquality):
 
 
 def single_instrument(calibration: Calibration, instrument: str | None, label: str) -> Calibration:
-    """Part of a calibration that belongs to one instrument, without its network.
+    """Calibration of one instrument, without the adjusted network.
 
     Raises
     ------
@@ -330,9 +348,9 @@ def single_instrument(calibration: Calibration, instrument: str | None, label: s
 
 
 def _with_common_parameters(calibrations: Sequence[Calibration]) -> tuple[Calibration, ...]:
-    """Calibrations (of one instrument) with the parameters that all of them estimated.
+    """Calibrations of one instrument, reduced to the parameters that all of them estimated.
 
-    Raises RecordError if there are none.
+    RecordError is raised if there is no such parameter.
     """
     is_fixed = np.any([c.is_fixed[0] for c in calibrations], axis=0)
     if is_fixed.all():
@@ -341,7 +359,10 @@ def _with_common_parameters(calibrations: Sequence[Calibration]) -> tuple[Calibr
 
 
 def _chi_square_test(difference: Floats, covariance: Floats) -> ChiSquareEntry:
-    """Chi-square test of a vector (m,) over the combinations that its covariance (m, m) determines."""
+    """Chi-square test that a vector is zero, over the combinations that its covariance determines.
+
+    `difference` has the shape (m,), `covariance` the shape (m, m).
+    """
     values, vectors = linalg.eigh(0.5 * (covariance + covariance.T))
     is_resolved = values > SINGULARITY_TOLERANCE * max(float(values[-1]), 0.0)
     z = (vectors[:, is_resolved].T @ difference) / np.sqrt(values[is_resolved])
@@ -349,7 +370,10 @@ def _chi_square_test(difference: Floats, covariance: Floats) -> ChiSquareEntry:
 
 
 def days_since_first(labels: Sequence[str], dates: Sequence[str | None]) -> Floats | None:
-    """Days (K,) since the first of dates in ISO form; None where one is missing; raises RecordError."""
+    """Days since the first date, one number per calibration; None if a date is missing.
+
+    The dates are in ISO form. RecordError is raised for other forms, a wrong number of dates, or a wrong order.
+    """
     if len(dates) != len(labels):
         problem = f"there are {len(dates)} dates for {len(labels)} calibrations"
         raise RecordError(f"{problem}; expected one date per calibration")

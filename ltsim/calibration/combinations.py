@@ -1,4 +1,7 @@
-"""Combinations of parameters in result files: undetermined, or determined far better than their members."""
+"""Entries of result files for combinations of parameters.
+
+A combination is undetermined, or the recording determines it far better than its members.
+"""
 
 from pydantic import Field
 
@@ -19,7 +22,7 @@ class CombinationTerms(Entry):
 
 
 class UndeterminedEntry(CombinationTerms):
-    """Undetermined combination of parameters, in prior sigmas."""
+    """Combination of parameters, in prior standard deviations, that the recording does not determine."""
 
     gain: OptionalFloat = None
     """Fraction of the prior variance that the readings removed."""
@@ -33,9 +36,9 @@ class DeterminedEntry(CombinationTerms):
     combination: dict[str, NonZero] = Field(min_length=1)
     """Coefficient of each parameter; the first one names the combination and gives its scale."""
     value: Finite
-    """Size of the effect's parameter."""
+    """Estimate of the combination."""
     sigma: OptionalFloat = None
-    """Standard deviation of the size."""
+    """Standard deviation of the estimate."""
     unit: str = ""
     """Unit of value and standard deviation."""
     instrument: str = ""

@@ -1,4 +1,4 @@
-"""Correction of a recording: the instrument's errors are removed from its readings."""
+"""Correction of a recording: removal of the instrument's errors from its readings."""
 
 import numpy as np
 
@@ -22,10 +22,10 @@ def correct(
     allow_repeated: bool = False,
     allow_rejected: bool = False,
 ) -> Recording:
-    """Recording that an ideal tracker would have made, by a calibration of the instrument.
+    """Recording that an ideal tracker would have made, computed with a calibration of the instrument.
 
-    Readings are on the same face; the set-up of the result declares its instruments corrected. A row without a range
-    (or without an angle) is corrected at the position of its target in the network, to a millimetre.
+    Each reading stays on its face. The set-up of the result declares its instruments corrected. A row without a range
+    or without an angle is corrected at the adjusted position of its target, which need be known to a millimetre only.
 
     Parameters
     ----------
@@ -72,9 +72,9 @@ def correct(
 
 
 def incidence_correction_change(recording: Recording, calibration: Calibration) -> Floats:
-    """Change (n, 3) of the readings by the reflectors' incidence errors that a calibration estimated.
+    """Change of the readings by the estimated incidence errors of the reflectors, shape (pointings, 3).
 
-    Directions of nests and an approximate network are needed; without them it is zero.
+    It needs the directions of the nests and an approximate network. It is zero if one of them is missing.
     """
     reflectors = calibration.applied_reflectors
     model = MeasurementModel(recording, ideal_construction())
@@ -89,7 +89,10 @@ def incidence_correction_change(recording: Recording, calibration: Calibration) 
 
 
 def corrected_readings(recording: Recording, construction: Construction, values: Floats) -> Floats:
-    """Ideal raw readings (n, 3) of the points that the raw readings describe; NaN if not measured."""
+    """Readings of an ideal tracker for the measured points, shape (pointings, 3); NaN where no reading was made.
+
+    `values` are the parameters of the instrument, shape (parameters,) or (pointings, parameters) [SI].
+    """
     raw_readings = np.where(recording.is_measured, recording.readings, _replacement_readings(recording))
     ideal = to_face(to_polar(construction.point(raw_readings, values)), recording.face)
     change = ideal - raw_readings
@@ -98,7 +101,10 @@ def corrected_readings(recording: Recording, construction: Construction, values:
 
 
 def _replacement_readings(recording: Recording) -> Floats:
-    """Readings (n, 3) of an ideal tracker at the start network for incomplete rows; zeros if there are none."""
+    """Predicted readings of an ideal tracker for pointings without a range or an angle, shape (pointings, 3).
+
+    They follow from the approximate network. All are zero if every pointing is complete.
+    """
     incomplete: Bools = np.asarray(~recording.is_measured.all(axis=1))
     if not incomplete.any():
         return np.zeros(recording.readings.shape)

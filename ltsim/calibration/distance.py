@@ -1,4 +1,4 @@
-"""Calibration by the paper's distance objective, and the network adjusted with its parameters."""
+"""Calibration by the paper's distance objective, and the network adjusted with the estimated parameters."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ltsim.calibration.correct import corrected_readings
 from ltsim.calibration.distance_solver import (
     DistanceEstimate,
     ObjectiveNorm,
-    compare_with_minimum,
+    sentences_on_minimum,
     solve_distances,
     solve_equation_9,
 )
@@ -40,7 +40,7 @@ DISTANCE_METHODS: dict[str, ObjectiveNorm] = {
     "equation-9": "squares",
     "equation-9-l1": "absolute",
 }
-"""Norm of the objective of each distance method: sum of squares, or sum of absolute values."""
+"""Norm that each distance method minimises: the sum of squares, or the sum of absolute values."""
 
 
 def calibrate_distance(
@@ -49,17 +49,17 @@ def calibrate_distance(
     *,
     method: str = "distance",
     advise: bool = True,
-    choice: ParameterSelection | None = None,
+    parameter_selection: ParameterSelection | None = None,
     bound_in_prior_sigmas: float | None = None,
 ) -> Calibration:
-    """Distance methods of `ltsim.calibrate` (eq. 9 and 10), with its options and errors.
+    """Calibration by one of the distance methods of `ltsim.calibrate` (eq. 9 and 10), with its options and errors.
 
-    Stations and targets follow from an adjustment of the corrected readings; their covariance includes the uncertainty
+    Stations and targets follow from an adjustment of the corrected readings. Their covariance includes the uncertainty
     of the parameters, which were estimated from the same readings.
     """
     require_equal_radii(recording, f"the method {method}")
     model = construction or declared_construction(recording)
-    parameter_prior = (choice or ParameterSelection()).prior_of(recording, model)
+    parameter_prior = (parameter_selection or ParameterSelection()).prior_of(recording, model)
     prior, held = parameter_prior.sigma, parameter_prior.is_fixed
     source = SourceEntry.from_recording(recording)
     recording, _, gross, _ = screen_gross_errors(recording)
@@ -76,7 +76,7 @@ def calibrate_distance(
         )
     else:
         estimate = solve_distances(problem, norm, start_values=start_values, fixed_mask=held.ravel())
-        notes = compare_with_minimum(problem, norm, estimate, held.ravel()) if advise else ()
+        notes = sentences_on_minimum(problem, norm, estimate, held.ravel()) if advise else ()
     values = estimate.unknowns.reshape(prior.shape) * prior
     applied_values = values[0] if len(values) == 1 else values[recording.instrument]
     corrected_recording = recording.with_readings(corrected_readings(recording, model, applied_values))
@@ -109,7 +109,7 @@ def calibrate_distance(
         arrays,
         method=method,
         fit=_fit_entry(propagation),
-        undetermined=_undetermined_entries(adjustment, model, estimate, advise=advise),
+        undetermined=_undetermined_entries(adjustment, model, estimate, recommend_measurements=advise),
         frame=result.frame_text(adjustment),
         stations=result.station_poses(adjustment, pose),
         criteria=result.criteria_table(recording, adjustment, model, values, reflectors=False),
@@ -123,7 +123,7 @@ def calibrate_distance(
 
 
 def _fit_entry(propagation: ErrorPropagation) -> FitEntry:
-    """Fit of the network adjusted with the parameters; `dof` is the expected chi-square, rounded."""
+    """Fit of the network that was adjusted with the parameters; `dof` is the expected chi-square, rounded."""
     chi2, estimate = propagation.adjustment.chi2, propagation.estimate
     mean, variance = propagation.chi2_moments()
     expected_chi2 = round(mean)
@@ -144,12 +144,16 @@ def _fit_entry(propagation: ErrorPropagation) -> FitEntry:
 
 
 def _undetermined_entries(
-    adjustment: Adjustment, construction: Construction, estimate: DistanceEstimate, *, advise: bool
+    adjustment: Adjustment, construction: Construction, estimate: DistanceEstimate, *, recommend_measurements: bool
 ) -> tuple[UndeterminedEntry, ...]:
+    """Entries of the combinations of parameters that the distances do not determine."""
     instruments = adjustment.recording.instruments
     if len(instruments) == 1:
         return result.undetermined_entries(
-            adjustment, construction, [list(estimate.undetermined_combinations)], recommend_measurements=advise
+            adjustment,
+            construction,
+            [list(estimate.undetermined_combinations)],
+            recommend_measurements=recommend_measurements,
         )
     names = construction.instrument_parameter_names(instruments)
     return tuple(
@@ -160,41 +164,49 @@ def _undetermined_entries(
 
 @dataclass(frozen=True)
 class ErrorPropagation:
-    """Propagation of the error of previously estimated parameters through the adjustment of corrected readings.
+    """Propagation of the error of estimated parameters through the adjustment of the corrected readings.
 
-    With e the whitened noise of readings and gauge, A the adjustment, D its design, B the design of the parameters and
-    dx their error, the error of the network is A e - A B dx and the residuals are R e - R B dx, R = 1 - D A. The
-    parameters are estimated from the same readings: their error is correlated with e, and the residuals of an estimator
-    other than the adjustment are larger than the degrees of freedom imply.
+    Let e be the whitened noise of the readings and the gauge, A the matrix of the adjustment, D its design matrix, B
+    the design matrix of the parameters, and dx the error of the parameters. The error of the network is A e - A B dx,
+    and the residuals are R e - R B dx with R = 1 - D A.
+
+    The parameters are estimated from the same readings, so that dx is correlated with e. The estimator is not the
+    adjustment: its residuals are larger than the degrees of freedom imply.
     """
 
     recording: Recording
     """Uncorrected recording."""
     construction: Construction
+    """Instrument model."""
     estimates: Floats
-    """Estimated parameters, (I, p) [SI]."""
+    """Estimated parameters, shape (instruments, parameters) [SI]."""
     estimate: DistanceEstimate
+    """Estimate of the distance method, with its covariance."""
     adjustment: Adjustment
     """Adjustment of the corrected readings, without parameters."""
 
     @cached_property
     def _used_rows(self) -> Ints:
+        """Indices of the readings in use, in the flattened array of all readings."""
         return np.flatnonzero(self.adjustment.problem.used_readings.ravel())
 
     @cached_property
     def _whitened_design(self) -> Floats:
-        """Whitened design of readings and gauge, (m, size)."""
+        """Whitened design matrix of readings and gauge, shape (observations, unknowns of the network)."""
         rows = len(self._used_rows) + len(self.adjustment.problem.gauge_rows)
         return to_dense(self.adjustment.solution.system.design[:rows])
 
     @cached_property
     def _adjustment_response(self) -> Floats:
-        """Matrix A of the adjustment, (size, m)."""
+        """Matrix A that maps whitened observations to the unknowns of the network, shape (unknowns, observations)."""
         return self.adjustment.factorised_normals.covariance_columns(np.ascontiguousarray(self._whitened_design.T))
 
     @cached_property
     def _parameter_design(self) -> Floats:
-        """Design B in units of the prior sigmas, (m, I p); gauge lengths do not depend on the parameters."""
+        """Whitened design matrix B of the parameters, shape (observations, parameters of all instruments).
+
+        The parameters are in units of their prior standard deviations. Rows of gauge lengths are zero.
+        """
         recording, (count, size) = self.recording, self.estimates.shape
         state = self.adjustment.state
         linear_state = NetworkState(
@@ -210,25 +222,26 @@ class ErrorPropagation:
 
     @cached_property
     def _noise_parameter_covariance(self) -> Floats:
-        """Covariance of the whitened noise and the parameters' error, (m, I p)."""
+        """Covariance of the whitened noise with the error of the parameters, shape (observations, parameters)."""
         readings = 3 * len(self.recording)
         noise = self.estimate.noise_covariance
         return np.concatenate([noise[:, self._used_rows], noise[:, readings:]], axis=1).T
 
     def added_covariance(self) -> Floats:
-        """Contribution of the parameters' error to the covariance (size, size) of the adjustment."""
+        """Part of the covariance (unknowns, unknowns) of the network that comes from the error of the parameters."""
         through = self._adjustment_response @ self._parameter_design
         cross_covariance = (self._adjustment_response @ self._noise_parameter_covariance) @ through.T
         return through @ self.estimate.covariance @ through.T - cross_covariance - cross_covariance.T
 
-    def _project_on_residuals(self, columns: Floats) -> Floats:
+    def _residual_part(self, columns: Floats) -> Floats:
+        """Part of observation vectors, one per column, that remains in the residuals of the adjustment."""
         return columns - self._whitened_design @ (self._adjustment_response @ columns)
 
     def chi2_moments(self) -> tuple[float, float]:
-        """Expected value and variance of the adjustment's chi-square for a correct model and declared noise."""
+        """Expected value and variance of the adjustment's chi-square, for a correct model and the declared noise."""
         systematic, noise = (
-            self._project_on_residuals(self._parameter_design),
-            self._project_on_residuals(self._noise_parameter_covariance),
+            self._residual_part(self._parameter_design),
+            self._residual_part(self._noise_parameter_covariance),
         )
         stacked = np.concatenate([systematic, noise], axis=1)
         identity = np.eye(systematic.shape[1])
@@ -241,7 +254,7 @@ class ErrorPropagation:
         )
 
     def chi2_tail(self, chi2: float) -> float:
-        """Probability of a larger chi-square (Satterthwaite's approximation by a scaled chi-square)."""
+        """Probability of a larger chi-square, by Satterthwaite's approximation with a scaled chi-square."""
         mean, variance = self.chi2_moments()
         scale = variance / (2 * mean)
         return float(special.chdtrc(mean / scale, max(chi2 / scale, 0.0)))

@@ -1,14 +1,18 @@
-"""Estimator of the paper: parameters that make distances agree between stations and with the gauge (eq. 9).
+"""Estimator of the paper: parameters with which distances agree between stations and with the gauge (eq. 9).
 
-Least squares and least absolute deviations both use Gauss-Newton steps; a step of the latter is the solution of a
-linear program. The objective as printed estimates up to 78 parameters even if the data do not determine them.
-`solve_distances` estimates only combinations whose estimate is more precise than the prior (gain above one half); the
-others remain zero with their prior uncertainty. That is no minimum of eq. 9. `solve_equation_9` computes the minimum,
-optionally within a box: it excludes only combinations that do not change the objective, and therefore fits noise if the
-readings determine little. It serves for comparison and reproduction.
+Least squares and least absolute deviations both use Gauss-Newton steps. For absolute deviations, each step is the
+solution of a linear program.
 
-The objective ignores that distances share points, so its own covariance would be too small. The covariance computed
-here propagates the declared noise of every reading (and of the gauge) through the estimator.
+`solve_distances` estimates only combinations of parameters that the distances determine better than the prior (gain
+above one half). The other combinations stay at zero with their prior uncertainty, so that the result is not the minimum
+of eq. 9.
+
+`solve_equation_9` computes this minimum, for comparison with the paper. It can be restricted to a box around zero. It
+excludes only combinations that change no distance, and therefore fits the noise if the readings determine little: eq. 9
+as printed has up to 78 parameters.
+
+The objective ignores that distances share points, so that the covariance derived from it would be too small. The
+covariance computed here propagates the declared noise of each reading and of the gauge through the estimator.
 """
 
 from dataclasses import dataclass
@@ -27,14 +31,15 @@ from ltsim.solve.absolute import solve_least_absolute
 MAX_GAUSS_NEWTON_STEPS = 30
 """Largest number of Gauss-Newton steps of the distance methods."""
 DISTANCE_STEP_TOLERANCE = 1e-7
-"""Largest change of an unknown, in prior sigmas, at which the iteration has converged."""
+"""Largest step of an unknown, in prior standard deviations, at which the iteration has converged."""
 MAX_EQUATION_9_STEPS = 60
 """Largest number of steps to the minimum of eq. 9 over all combinations."""
 EQUATION_9_TOLERANCE = 1e-9
-"""Change of an unknown (in prior sigmas) or relative change of the objective at which the iteration to the minimum of
-eq. 9 has converged."""
+"""Largest step of an unknown (in prior standard deviations), or largest relative decrease of the objective in one step,
+at which the iteration to the minimum of eq. 9 has converged."""
 MIN_DISTANCE_SINGULAR_VALUE = 1e-9
-"""Singular value, relative to the largest, below which a combination changes no compared distance (rounding)."""
+"""Singular value of the design matrix, relative to the largest, below which a combination of parameters is taken to
+change no distance. The value is above rounding."""
 
 ObjectiveNorm = Literal["squares", "absolute"]
 """Norm of the objective: sum of squares, or sum of absolute values."""
@@ -42,40 +47,54 @@ ObjectiveNorm = Literal["squares", "absolute"]
 
 @dataclass(frozen=True)
 class ComparedDistances:
-    """Compared distances: comparison matrix (R, D), residuals (R,), derivatives (R, q) and noise (R, 3 n + g)."""
+    """Comparisons of distances between sets, linearised in the unknowns and the noise.
+
+    R is the number of comparisons, D that of the distances, q that of the unknowns.
+    """
 
     comparison_matrix: sp.csr_array
+    """Coefficient of each distance in each comparison, shape (comparisons, distances)."""
     residuals: Floats
+    """Value of each comparison, shape (comparisons,) [m]; zero if the distances agree."""
     unknown_derivatives: Floats
+    """Derivative of each comparison with respect to each unknown in prior standard deviations, (comparisons, unknowns)
+    [m]."""
     noise_derivatives: sp.csr_array
+    """Derivative of each comparison with respect to each whitened reading and gauge length, shape (comparisons, 3
+    pointings + gauge lengths) [m]."""
 
 
 @dataclass(frozen=True)
 class DistanceEstimate:
-    """Estimates in units of their prior sigmas, and their dependence on the noise."""
+    """Parameters estimated from distances, in units of their prior standard deviations."""
 
     unknowns: Floats
-    """Estimated unknowns, (q,)."""
+    """Estimated parameters of all instruments, shape (unknowns,)."""
     covariance: Floats
-    """Covariance of the error, including combinations fixed at zero, (q, q)."""
+    """Covariance of the estimates, shape (unknowns, unknowns). Combinations fixed at zero contribute their prior
+    variance."""
     noise_covariance: Floats
-    """Covariance of the error and the whitened readings and gauge lengths, (q, 3 n + g)."""
+    """Covariance of the estimates with the whitened readings and gauge lengths, shape (unknowns, 3 pointings + gauge
+    lengths)."""
     undetermined_combinations: tuple[ParameterCombination, ...]
+    """Combinations of parameters that are fixed at zero."""
     objective_value: float
     """Objective at the minimum: [m^2] for least squares, [m] for absolute deviations."""
     n_iterations: int
+    """Number of Gauss-Newton steps."""
     has_converged: bool
+    """True if the last step was below the tolerance."""
 
 
 def mean_deviation_rows(problem: DistanceProblem, distances: SetDistances) -> ComparedDistances:
-    """Rows whose sum of squares is eq. 9 squared: weighted deviations from the mean over sets."""
+    """Comparisons whose sum of squares is the objective of eq. 9: weighted deviations from the mean over the sets."""
     centre, count = centring_matrix(distances)
     scaled_centring = sp.diags_array(np.sqrt(count)) @ centre
     return _append_gauge_rows(problem, distances, sp.csr_array(scaled_centring))
 
 
 def pair_difference_rows(problem: DistanceProblem, distances: SetDistances) -> ComparedDistances:
-    """Single terms of eq. 9: differences between pairs of sets, then gauge terms."""
+    """Comparisons that are the single terms of eq. 9: differences of two sets, and deviations from gauge lengths."""
     first, second = set_pairs(distances)
     problem._check_matrix_size(len(first))
     count = len(distances.lengths)
@@ -85,7 +104,7 @@ def pair_difference_rows(problem: DistanceProblem, distances: SetDistances) -> C
 
 
 def _selection_matrix(row_indices: Ints, n_columns: int) -> sp.csr_array:
-    """Matrix (k, count) that selects the rows `row_indices` (k,)."""
+    """Sparse matrix that selects the given rows of a matrix with `n_columns` rows."""
     return sp.csr_array(
         (np.ones(len(row_indices)), (np.arange(len(row_indices)), row_indices)), shape=(len(row_indices), n_columns)
     )
@@ -94,6 +113,7 @@ def _selection_matrix(row_indices: Ints, n_columns: int) -> sp.csr_array:
 def _append_gauge_rows(
     problem: DistanceProblem, distances: SetDistances, comparison_matrix: sp.csr_array
 ) -> ComparedDistances:
+    """Comparisons between sets, followed by the deviations of distances from their gauge lengths."""
     at, which = problem.gauge_matches(distances)
     n_lengths = len(problem.reference_lengths)
     selection = _selection_matrix(at, len(distances.lengths))
@@ -116,9 +136,10 @@ def solve_distances(
     start_values: Floats | None = None,
     fixed_mask: Bools | None = None,
 ) -> DistanceEstimate:
-    """Minimum of eq. 9 over the combinations that the readings determine.
+    """Minimum of eq. 9 over the combinations of unknowns that the readings determine.
 
-    The iteration starts at zero or at `start_values` (q,); unknowns that are `fixed_mask` (q,) keep their start value.
+    The iteration starts at `start_values` (default zero). Unknowns in `fixed_mask` keep their start value. Both have
+    the shape (unknowns,).
 
     Raises
     ------
@@ -147,9 +168,10 @@ def solve_equation_9(
     start_values: Floats | None = None,
     fixed_mask: Bools | None = None,
 ) -> DistanceEstimate:
-    """Minimum of eq. 9 with every unknown within `bound_in_prior_sigmas` prior sigmas.
+    """Minimum of eq. 9 over all combinations of unknowns.
 
-    Arguments and errors as `solve_distances`.
+    Each unknown stays within `bound_in_prior_sigmas` prior standard deviations of zero, if given. The other arguments
+    and the errors are those of `solve_distances`.
 
     Raises
     ------
@@ -157,7 +179,9 @@ def solve_equation_9(
         When the box is not positive.
     """
     if bound_in_prior_sigmas is not None and not bound_in_prior_sigmas > 0:
-        raise ModelError(f"the box is {bound_in_prior_sigmas}, expected a positive number of prior sigmas")
+        raise ModelError(
+            f"the bound on the parameters (box) is {bound_in_prior_sigmas}; expected a positive number of prior sigmas"
+        )
     unknowns, free = _start_values(problem, start_values, fixed_mask)
     rows, iterations, moved = compared_rows(problem, unknowns, norm), 0, np.inf
     _require_compared_distances(rows, free)
@@ -175,13 +199,14 @@ def solve_equation_9(
 def _start_values(
     problem: DistanceProblem, start_values: Floats | None, fixed_mask: Bools | None
 ) -> tuple[Floats, Bools]:
-    """Start values (q,) of the unknowns, and flags of the free ones."""
+    """Start values of the unknowns, and mask of the unknowns to estimate, both of shape (unknowns,)."""
     size = problem.prior_sigma.size
     unknowns: Floats = np.zeros(size) if start_values is None else start_values.copy()
     return unknowns, np.ones(size, dtype=bool) if fixed_mask is None else ~fixed_mask
 
 
 def _require_compared_distances(rows: ComparedDistances, free_unknowns: Bools) -> None:
+    """Check that a comparison of distances depends on the unknowns to estimate; raises NetworkError otherwise."""
     if not np.any(rows.unknown_derivatives[:, free_unknowns]):
         raise NetworkError("no distance can be compared: stations share no pair of targets, and there is no gauge")
 
@@ -193,7 +218,11 @@ def _make_estimate(
     n_iterations: int,
     is_converged: bool,
 ) -> DistanceEstimate:
-    """Estimates from the unknowns, with the estimated combinations (q, k) and the excluded ones."""
+    """Estimate with its covariance at the solution of an iteration.
+
+    `solution` contains the unknowns, the estimated combinations (unknowns, combinations), and the combinations fixed at
+    zero.
+    """
     unknowns, estimated, undetermined = solution
     covariance, noise = estimate_covariance(rows, estimated, norm)
     prior = np.array([d.vector for d in undetermined]).reshape(len(undetermined), len(unknowns))
@@ -209,20 +238,24 @@ def _make_estimate(
 
 
 def compared_rows(problem: DistanceProblem, unknowns: Floats, norm: ObjectiveNorm) -> ComparedDistances:
-    """Rows whose sum of squares, or of absolute values, is eq. 9."""
+    """Comparisons whose sum of squares, or of absolute values, is the objective of eq. 9."""
     distances = problem.distances_at(unknowns)
     return mean_deviation_rows(problem, distances) if norm == "squares" else pair_difference_rows(problem, distances)
 
 
 def objective_of(rows: ComparedDistances, norm: ObjectiveNorm) -> float:
-    """Value of eq. 9 [m^2], or of its sum of absolute values [m]."""
+    """Objective of eq. 9: sum of squares [m^2], or sum of absolute values [m]."""
     return float(np.sum(rows.residuals**2) if norm == "squares" else np.sum(np.abs(rows.residuals)))
 
 
 def determined_combinations(
     rows: ComparedDistances, free_unknowns: Bools
 ) -> tuple[Floats, tuple[ParameterCombination, ...]]:
-    """Combinations (q, k) of the free unknowns (q,) that are estimated; those fixed at zero with their gains."""
+    """Combinations of unknowns to estimate, and combinations to fix at zero.
+
+    The former have the shape (unknowns, combinations). The latter have a gain below `MIN_DETERMINED_GAIN`; they are
+    listed in the order of their gains. Only unknowns in the mask `free_unknowns` take part.
+    """
     strength, eigenvectors = np.linalg.eigh(
         rows.unknown_derivatives[:, free_unknowns].T @ rows.unknown_derivatives[:, free_unknowns]
     )
@@ -239,7 +272,10 @@ def determined_combinations(
 
 
 def _split_observable_combinations(rows: ComparedDistances, free_unknowns: Bools) -> tuple[Floats, Floats]:
-    """Combinations (q, k) of the free unknowns that change a compared distance, and combinations that change none."""
+    """Combinations of unknowns that change a compared distance, and combinations that change none.
+
+    Both have the shape (unknowns, combinations). Only unknowns in the mask `free_unknowns` take part.
+    """
     _, strength, right_vectors = np.linalg.svd(rows.unknown_derivatives[:, free_unknowns], full_matrices=False)
     vectors = np.zeros((len(free_unknowns), len(right_vectors)))
     vectors[free_unknowns] = right_vectors.T
@@ -248,7 +284,7 @@ def _split_observable_combinations(rows: ComparedDistances, free_unknowns: Bools
 
 
 def _unbounded_step(design: Floats, residual: Floats, norm: ObjectiveNorm) -> Floats:
-    """Step that minimises |residual + design @ step| in the norm."""
+    """Step of the unknowns that minimises the norm of residual + design @ step."""
     if norm == "squares":
         return -np.asarray(np.linalg.lstsq(design, residual, rcond=None)[0], dtype=np.float64)
     return -solve_least_absolute(design, residual)
@@ -261,7 +297,7 @@ def _bounded_step(
     norm: ObjectiveNorm,
     bound_in_prior_sigmas: float | None,
 ) -> Floats:
-    """Step (f,) of the free unknowns to the minimum of the linearised objective."""
+    """Step of the free unknowns to the minimum of the linearised objective within the bounds."""
     design = rows.unknown_derivatives[:, free_unknowns]
     if bound_in_prior_sigmas is None:
         visible = _split_observable_combinations(rows, free_unknowns)[0][free_unknowns]
@@ -271,13 +307,17 @@ def _bounded_step(
 
 
 def _least_squares_in_bounds(design: Floats, residual: Floats, bounds: tuple[Floats, Floats]) -> Floats:
+    """Step within bounds that minimises the sum of squares of residual + design @ step."""
     scale = float(np.linalg.norm(residual))
     solution = lsq_linear(design / scale, -residual / scale, bounds, method="bvls", tol=1e-14)
     return np.asarray(solution.x, dtype=np.float64)
 
 
 def _least_absolute_in_bounds(design: Floats, residual: Floats, bounds: tuple[Floats, Floats]) -> Floats:
-    """Solution of a linear program: residual + design @ step = above - below, both nonnegative, smallest sum."""
+    """Step within bounds that minimises the sum of absolute values of residual + design @ step, by a linear program.
+
+    The residual is written as the difference of two nonnegative vectors, whose sum is minimised.
+    """
     count, size = design.shape
     scale = float(np.mean(np.abs(residual)))
     weights = np.concatenate([np.zeros(size), np.ones(2 * count)])
@@ -286,14 +326,19 @@ def _least_absolute_in_bounds(design: Floats, residual: Floats, bounds: tuple[Fl
     limits = [*zip(*bounds, strict=True), *[(0.0, None)] * (2 * count)]
     solution = linprog(weights, A_eq=matrix, b_eq=-residual / scale, bounds=limits, method="highs")
     if solution.x is None:
-        raise NetworkError(f"eq. 9 in the box: the linear program has no solution ({solution.message})")
+        raise NetworkError(
+            f"eq. 9 has no minimum within the bound: the linear program has no solution ({solution.message})"
+        )
     return np.asarray(solution.x[:size], dtype=np.float64)
 
 
 def _line_search(
     problem: DistanceProblem, unknowns: Floats, step: Floats, rows: ComparedDistances, norm: ObjectiveNorm
 ) -> tuple[Floats, ComparedDistances, float]:
-    """Backtracking line search along a step: unknowns, rows at them, and relative decrease of the objective."""
+    """Backtracking line search along a step of the unknowns.
+
+    The result is the new unknowns, the comparisons at these, and the relative decrease of the objective.
+    """
     before, share = objective_of(rows, norm), 1.0
     while share > 1e-3:
         there = unknowns + share * step
@@ -308,10 +353,11 @@ def _line_search(
 def estimate_covariance(
     rows: ComparedDistances, estimated_combinations: Floats, norm: ObjectiveNorm
 ) -> tuple[Floats, Floats]:
-    """Covariance (q, q) of the estimate and its covariance (q, 3 n + g) with the whitened noise.
+    """Covariance of the estimates (unknowns, unknowns), and their covariance with the whitened observations.
 
-    For absolute deviations by the asymptotic law of the median for correlated normal rows: the score is the sign,
-    E[sign sign] = 2/pi asin(correlation), taken to first order off the diagonal.
+    The observations are the readings and gauge lengths. For absolute deviations the asymptotic distribution of the
+    median for correlated normal observations is used: the score of an observation is its sign, with E[sign sign] = 2/pi
+    asin(correlation), to first order off the diagonal.
     """
     design = rows.unknown_derivatives @ estimated_combinations
     if norm == "squares":
@@ -330,16 +376,16 @@ def estimate_covariance(
     return covariance, estimated_combinations @ (-inverse @ noise_response)
 
 
-def compare_with_minimum(
+def sentences_on_minimum(
     problem: DistanceProblem, norm: ObjectiveNorm, estimate: DistanceEstimate, fixed_mask: Bools
 ) -> tuple[str, ...]:
-    """Sentence on the objective at an estimate without all combinations, and the minimum of eq. 9."""
+    """Sentence that compares the objective at an estimate with the minimum of eq. 9 over all combinations."""
     minimum = solve_equation_9(problem, norm, start_values=estimate.unknowns, fixed_mask=fixed_mask).objective_value
     power, unit = (1e6, "mm^2") if norm == "squares" else (1e3, "mm")
     method = "equation-9" if norm == "squares" else "equation-9-l1"
     count = len(estimate.undetermined_combinations)
     return (
-        f"eq. 9 is {power * estimate.objective_value:.4g} {unit} here, with {count} combinations left "
-        f"at zero that the readings hardly determine; its own minimum is {power * minimum:.4g} {unit} "
-        f"(method {method}, which fits these to the noise)",
+        f"eq. 9 is {power * estimate.objective_value:.4g} {unit} here: {count} combinations that the readings hardly "
+        f"determine are set to zero. The minimum of eq. 9 is {power * minimum:.4g} {unit} (method {method}): "
+        "there these combinations are fitted to the noise",
     )

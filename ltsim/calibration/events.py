@@ -1,12 +1,12 @@
-"""Events in a history: steps of a parameter that are outliers among its steps between calibrations.
+"""Events in a history: steps of a parameter between calibrations that are outliers among its other steps.
 
-The parameters of a tracker vary from day to day by more than their standard deviations, which is no event. The spread
-of the steps is estimated from the steps themselves. Each step is tested against the spread of the others; the most
-significant one is removed and the rest is tested again, so that two events do not mask each other.
+The parameters of a tracker vary from day to day by more than their standard deviations, and such variation is no event.
+The usual size of the steps is therefore estimated from the steps themselves. Each step is tested against the other
+steps. The most significant step is removed, and the rest is tested again, so that two events do not mask each other.
 
-Where the days between calibrations are known, part of that spread may grow with them (a random walk) and part may not
-(independent for each calibration): variance s^2 (1 - g + g days / median days). The p-value of a step is the mean over
-the values `TIME_GROWTH_FRACTIONS` of g, weighted by the likelihood of the other steps.
+If the days between calibrations are known, a fraction g of the variance of usual steps may grow with them (random
+walk), and the rest is the same for each step: s^2 (1 - g + g days / median days). The p-value of a step is the mean
+over the values `TIME_GROWTH_FRACTIONS` of g, weighted by the likelihood of the other steps.
 """
 
 import numpy as np
@@ -21,18 +21,18 @@ from ltsim.recordings.result_file import Entry, Finite, NotNegative
 MIN_STEPS_FOR_TEST = 3
 """Number of steps between calibrations from which events are tested: the t-test then has two degrees of freedom."""
 MIN_STEPS_FOR_USUAL = 5
-"""Number of steps from which a step that is no event is reported as usual: the spread then has four degrees of freedom.
-"""
+"""Number of steps from which a report calls a step usual if it is no event: their variance then has four degrees of
+freedom."""
 TIME_GROWTH_FRACTIONS = np.linspace(0.0, 1.0, 5)
 """Fractions of the variance of usual steps that grow with the days between calibrations; results are averaged over them
 by their likelihood."""
 
 
 class EventEntry(Entry):
-    """Step of one parameter that is an outlier among its steps between calibrations."""
+    """Step of one parameter between two calibrations that is an outlier among its steps."""
 
     from_: str = Field(alias="from")
-    """The earlier calibration."""
+    """Label of the earlier calibration."""
     to: str
     """Label of the later calibration."""
     name: str
@@ -42,7 +42,7 @@ class EventEntry(Entry):
     sigma: NotNegative
     """Standard deviation of the difference."""
     usual_step_sigma: NotNegative
-    """Standard deviation of the other steps of the parameter between successive calibrations, without estimation
+    """Standard deviation of the other steps of this parameter between successive calibrations, without estimation
     errors."""
     unit: str
     """Unit of `difference`, `sigma` and `usual_step_sigma`."""
@@ -51,14 +51,14 @@ class EventEntry(Entry):
 
 
 def has_enough_steps(history: CalibrationSeries) -> bool:
-    """True if there are enough steps to test them for events."""
+    """True if the history has enough steps (`MIN_STEPS_FOR_TEST`) to test them for events."""
     return len(history) > MIN_STEPS_FOR_TEST
 
 
 def significant_steps(history: CalibrationSeries) -> tuple[EventEntry, ...]:
-    """Significant steps in chronological order; empty if there are too few steps for a test.
+    """Significant steps of all parameters in chronological order; empty if there are too few steps for a test.
 
-    p-values are corrected for all steps and parameters (Bonferroni).
+    p-values are corrected for the number of steps and parameters (Bonferroni).
     """
     if not has_enough_steps(history):
         return ()
@@ -87,7 +87,7 @@ def significant_steps(history: CalibrationSeries) -> tuple[EventEntry, ...]:
 
 
 def _relative_step_durations(history: CalibrationSeries) -> Floats:
-    """Days of each step divided by their median; ones if the days are unknown."""
+    """Days between successive calibrations divided by their median, shape (steps,); ones if the days are unknown."""
     durations = np.diff(history.days) if history.days is not None else np.zeros(0)
     median = float(np.median(durations)) if len(durations) else 0.0
     return durations / median if median > 0 else np.ones(len(history) - 1)
@@ -96,7 +96,10 @@ def _relative_step_durations(history: CalibrationSeries) -> Floats:
 def _significant_steps_of(
     difference: Floats, sigma: Floats, relative_durations: Floats, alpha: float
 ) -> list[tuple[int, float, float]]:
-    """Steps (K - 1,) of one parameter between calibrations that are significant: index, usual size, p-value."""
+    """Significant steps of one parameter: index of the step, standard deviation of usual steps, and p-value.
+
+    The arguments `difference`, `sigma` and `relative_durations` have the shape (steps,).
+    """
     is_usual: Bools = np.ones(len(difference), dtype=bool)
     significant: list[tuple[int, float, float]] = []
     while is_usual.sum() > MIN_STEPS_FOR_TEST - 1:
@@ -114,7 +117,7 @@ def _significant_steps_of(
 def _step_p_value(
     difference: Floats, sigma: Floats, relative_durations: Floats, step_index: int, other_steps: Ints
 ) -> tuple[float, float]:
-    """Two-sided p-value of a step relative to the spread of the others, and the usual size of a step."""
+    """Two-sided p-value of one step relative to the other steps, and the standard deviation of usual steps."""
     likelihood, chance, usual = (
         np.zeros(len(TIME_GROWTH_FRACTIONS)),
         np.zeros(len(TIME_GROWTH_FRACTIONS)),
@@ -136,7 +139,7 @@ def _step_p_value(
 
 
 def _moment_variance(difference: Floats, sigma: Floats, relative_variances: Floats) -> float:
-    """Variance (>= 0) of usual steps with which the expected chi-square equals the number of steps."""
+    """Variance of steps that are no events, at which their expected chi-square equals their number; at least 0."""
     from scipy.optimize import brentq  # imported here: it takes a tenth of a second
 
     def excess(variance: float) -> float:
@@ -153,5 +156,5 @@ def _moment_variance(difference: Floats, sigma: Floats, relative_variances: Floa
 
 
 MAX_RELATIVE_VARIANCE = 1e6
-"""Largest trial variance, relative to the sum of squared steps: the search ends there if no finite variance suffices.
-"""
+"""Largest tested variance of usual steps, relative to the sum of squared steps. The search ends there if no finite
+variance gives the expected chi-square."""

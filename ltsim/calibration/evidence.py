@@ -1,4 +1,4 @@
-"""Likelihood information, score tests of changes, determined combinations, and log evidence averaged over sizes."""
+"""Likelihood information of calibrations, score tests, determined combinations, and evidence averaged over sizes."""
 
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -16,41 +16,49 @@ from ltsim.core.units import DEGREE
 from ltsim.physics.effects.signature import Parameter
 
 MAX_SIGMA_RATIO_COMBINATION = 0.25
-"""Largest ratio of the standard deviation of a combination to the one that independent members would give, at which the
-combination is reported: the recording determines it four times better than its members."""
+"""Ratio of the standard deviation of a combination to that for independent members, at or below which the combination
+is reported: the recording then determines it four times better than its members."""
 MAX_TRUNCATION_SIGMA_RATIO = 1.2
-"""Largest ratio of the standard deviation of a shortened combination to that of the complete eigenvector; the smallest
-members are omitted as long as the ratio permits."""
+"""Largest permitted increase of the standard deviation of a combination when its smallest members are omitted, as a
+ratio."""
 MIN_LEADING_WEIGHT = 0.9
-"""A combination is scaled to its first member whose weight exceeds this share of the largest."""
+"""Coefficient, relative to the largest of a combination, above which a member can be the reference with coefficient 1.
+The first such member is used."""
 MIN_AMPLITUDE_FOR_PHASE = 2.0
-"""Smallest amplitude, in its standard deviations, of a harmonic whose phase is reported."""
+"""Ratio of a harmonic's amplitude to its standard deviation above which a phase is reported."""
 EVIDENCE_SIZES = np.array(list(probability.SIZE_PRIOR))
-"""Sizes of an effect, relative to a plausible one, over which the evidence is averaged."""
+"""Sizes of an effect over which the evidence is averaged, relative to its plausible size."""
 LOG_SIZE_PRIOR = np.log(np.array(list(probability.SIZE_PRIOR.values())))
-"""Logarithms of the prior probabilities of the sizes t relative to a plausible one."""
+"""Logarithms of the prior probabilities of `EVIDENCE_SIZES`."""
 MAX_SINGLE_CALL_ENTRIES = 100
-"""Arrays of up to this many values are summed by one library call, larger ones by several vectorised calls."""
+"""Number of array entries up to which one NumPy call computes a log-sum-exp; several vectorised calls are faster above
+it."""
 # 'azimuth-eccentricity-cos', and 'J1.eY_cos2' with an order behind.
 _COSINE_SUFFIX = re.compile(r"^(?P<front>.+[-_])cos(?P<order>\d?)$")
 
 
 @dataclass(frozen=True)
 class LikelihoodInformation:
-    """Information of a calibration's readings without its prior, in units of common prior sigmas."""
+    """Information of the readings of a calibration without its prior, in units of prior standard deviations."""
 
     posterior_covariance: Floats
-    """Covariance of the estimates, (p, p)."""
+    """Covariance of the estimates, shape (parameters, parameters)."""
     information: Floats
-    """Inverse covariance minus that of the prior, (p, p); 0 for combinations below `MAX_UNINFORMATIVE_GAIN`."""
+    """Information matrix of the readings (posterior minus prior precision), shape (parameters, parameters).
+
+    Combinations whose gain is below `MAX_UNINFORMATIVE_GAIN` have zero information."""
     information_vector: Floats
-    """Product of `information` and the estimate from the readings alone, (p,)."""
+    """Product of the information matrix and the estimate from the readings alone, shape (parameters,)."""
 
 
 def likelihood_information(
     estimates: Floats, covariance: Floats, prior_sigma: Floats, unit: Floats
 ) -> LikelihoodInformation:
-    """Likelihood information of estimates (p,) with covariance (p, p) and priors (p,) about 0, in units (p,) [SI]."""
+    """Information of the readings in an estimate with a prior of mean zero.
+
+    `estimates`, `prior_sigma` and `unit` have the shape (p,) [SI], `covariance` the shape (p, p). The result is in
+    multiples of `unit`.
+    """
     prior = prior_sigma / unit
     remaining = covariance / np.outer(unit, unit)
     shares, vectors = linalg.eigh(remaining / np.outer(prior, prior))
@@ -63,17 +71,22 @@ def likelihood_information(
 
 
 def score_test(information: Floats, score: Floats, prior_covariance: Floats) -> tuple[Floats, Floats]:
-    """Score (p,) and information (p, p) of a change of each parameter in addition to a prior `prior_covariance` (p, p).
+    """Score and information of a change of each parameter, in addition to random changes with `prior_covariance`.
 
-    `score` is `information_vector` less `information` times the expected parameters; score / weight[k, k] estimates
-    a change of parameter k alone, with the variance 1 / weight[k, k].
+    `score` (p,) is the information vector minus the information matrix times the expected parameters. The result is a
+    vector s (p,) and a matrix M (p, p): s[k] / M[k, k] estimates a change of parameter k alone, with the variance 1 /
+    M[k, k].
     """
     keeps = np.linalg.inv(np.eye(len(score)) + information @ prior_covariance)
     return keeps @ score, keeps @ information
 
 
 def log_marginal_likelihood(likelihood: LikelihoodInformation, mean: Floats, prior_covariance: Floats) -> float:
-    """Log of the likelihood exp(b'x - x'N x / 2) averaged over x ~ N(`mean` (p,), `prior_covariance` (p, p))."""
+    """Log marginal likelihood of a calibration for parameters with a normal prior, up to a constant.
+
+    The likelihood exp(b'x - x'N x / 2), with the information matrix N and the information vector b, is averaged over x
+    ~ N(`mean`, `prior_covariance`).
+    """
     information, vector = likelihood.information, likelihood.information_vector
     score = vector - information @ mean
     keeps = np.eye(len(score)) + information @ prior_covariance
@@ -82,10 +95,11 @@ def log_marginal_likelihood(likelihood: LikelihoodInformation, mean: Floats, pri
 
 
 def forward_select(scores: Callable[[Collection[int]], Floats], min_score: float) -> dict[int, Floats]:
-    """Forward selection with exchange: selected changes, and the `scores` (h,) given the others when each was selected.
+    """Changes selected by forward selection with exchange: the scores at the selection of each change, by its index.
 
-    A change is added while one scores more than `min_score`; after each addition every earlier one is replaced by the
-    best change given the others.
+    `scores` returns the score of each of h candidate changes given the indices of selected ones. The best change is
+    added while its score exceeds `min_score`. After each addition, every earlier change is exchanged for the best
+    change given the others.
     """
     odds_by_index: dict[int, Floats] = {}
     while (values := scores(odds_by_index)).max(initial=-np.inf) > min_score:
@@ -100,7 +114,10 @@ def forward_select(scores: Callable[[Collection[int]], Floats], min_score: float
 def with_plausible_priors(
     parameters: Sequence[Parameter], estimates: Floats, covariance: Floats, prior_sigma: Floats
 ) -> tuple[Floats, Floats]:
-    """Estimates (p,) and covariance (p, p) [SI] under priors of plausible size, as tight ones conceal combinations."""
+    """Estimates (p,) and covariance (p, p) [SI] that the plausible priors of the parameters would give.
+
+    A tight prior would conceal combinations that the readings determine.
+    """
     free_indices = np.flatnonzero(np.diag(covariance) > 0)
     unit, block = np.array([p.prior_sigma for p in parameters])[free_indices], np.ix_(free_indices, free_indices)
     if np.array_equal(unit, prior_sigma[free_indices]):
@@ -121,11 +138,11 @@ def with_plausible_priors(
 def determined_combinations(
     parameters: Sequence[Parameter], estimates: Floats, covariance: Floats
 ) -> list[DeterminedEntry]:
-    """Combinations determined far better than each of their members, from values (p,) and covariance (p, p) [SI].
+    """Combinations of parameters that the readings determine far better than each of their members.
 
     In a single face, for example, the vertical index and two eccentricities of the circle are determined to 12 urad
-    each and their sum to 0.3 urad. Combinations have one unit: eigenvectors of the covariance that join several
-    parameters, scaled to the first of them.
+    each, and their sum to 0.3 urad. A combination is an eigenvector of the covariance of parameters with the same unit.
+    Its first member has the coefficient 1. `estimates` (p,) and `covariance` (p, p) are in SI units.
     """
     entries = []
     for unit in dict.fromkeys(p.unit for p in parameters):
@@ -152,10 +169,11 @@ def determined_combinations(
 
 
 def amplitude_and_phase(coefficients: Floats, covariance: Floats) -> tuple[float, float, float | None, float | None]:
-    """Amplitude, phase [rad] and their sigmas from cosine and sine coefficients (2,) with covariance (2, 2).
+    """Amplitude, phase [rad] and their standard deviations, from a cosine and a sine coefficient.
 
-    a cos x + b sin x = A cos(x - phase), to first order in the covariance. Without a defined phase the sigma is the
-    square root of half the trace, an average over directions.
+    The order is amplitude, its standard deviation, phase, its standard deviation: a cos x + b sin x = A cos(x - phase).
+    Standard deviations are propagated to first order from the covariance (2, 2). If the amplitude is not significant,
+    the phase is None, and the standard deviation is the mean over all directions: the square root of half the trace.
     """
     amplitude = float(np.hypot(*coefficients))
     if amplitude > 0:
@@ -169,7 +187,7 @@ def amplitude_and_phase(coefficients: Floats, covariance: Floats) -> tuple[float
 
 
 def cosine_sine_pairs(names: Sequence[str]) -> Iterator[tuple[str, int, int]]:
-    """Harmonics among parameters: name, index of the cosine, index of the sine."""
+    """Pairs of a cosine and a sine coefficient: name of the harmonic, index of the cosine, index of the sine."""
     for i, name in enumerate(names):
         match = _COSINE_SUFFIX.match(name)
         if match:
@@ -179,7 +197,7 @@ def cosine_sine_pairs(names: Sequence[str]) -> Iterator[tuple[str, int, int]]:
 
 
 def harmonic_entries(parameters: Sequence[Parameter], estimates: Floats, covariance: Floats) -> list[HarmonicEntry]:
-    """Amplitude and phase of every pair of a cosine and a sine coefficient; values (p,), covariance (p, p) [SI]."""
+    """Amplitude and phase of each pair of a cosine and a sine parameter; estimates and covariance [SI]."""
     entries = []
     for name, *at in cosine_sine_pairs([p.name for p in parameters]):
         parameter = parameters[at[0]]
@@ -198,7 +216,7 @@ def harmonic_entries(parameters: Sequence[Parameter], estimates: Floats, covaria
 
 
 def log_sum_exp(logarithms: Floats, axis: int = 0) -> Floats:
-    """Log of the sum of exp(values) along an axis; minus infinity for none."""
+    """Logarithm of the sum of the exponentials along an axis; minus infinity for an empty axis."""
     total: Floats
     if logarithms.size <= MAX_SINGLE_CALL_ENTRIES:
         total = np.logaddexp.reduce(logarithms, axis=axis)
@@ -212,25 +230,32 @@ def log_sum_exp(logarithms: Floats, axis: int = 0) -> Floats:
 def size_weights_and_constants(
     information_strength: Floats, sizes: Floats = EVIDENCE_SIZES, log_weights: Floats = LOG_SIZE_PRIOR
 ) -> tuple[Floats, Floats]:
-    """Weights (..., k, sizes) of squared scores and constants (..., sizes) of the log evidence at each size."""
+    """Weights of the squared scores and additive constants in the log evidence of an effect, at each of its sizes.
+
+    `information_strength` (..., k) holds the information on k independent components. The weights have the shape (...,
+    k, sizes), the constants (..., sizes).
+    """
     scale = 1.0 + sizes**2 * np.asarray(information_strength)[..., None]
     return 0.5 * sizes**2 / scale, log_weights - 0.5 * np.log(scale).sum(axis=-2)
 
 
 def log_evidence_by_size(squared_scores: Floats, weights_and_constants: tuple[Floats, Floats]) -> Floats:
-    """The weighted log marginal likelihood ratio (..., sizes) of squared scores (..., k) for each size."""
+    """Log evidence of an effect at each size, including the prior probability of the size, shape (..., sizes).
+
+    `squared_scores` has the shape (..., k); `weights_and_constants` is the result of `size_weights_and_constants`.
+    """
     logs: Floats = (squared_scores[..., None, :] @ weights_and_constants[0])[..., 0, :] + weights_and_constants[1]
     return logs
 
 
 def log_evidence(squared_scores: Floats, information_strength: Floats) -> Floats:
-    """Log marginal likelihood ratio (...), averaged over sizes.
+    """Log marginal likelihood ratio of an effect against its absence, averaged over its sizes, shape (...).
 
     Parameters
     ----------
     squared_scores : (..., k) float
-        Squared scores z_j^2 along the eigenvectors.
+        Squared scores of k independent components of the effect.
     information_strength : (..., k) float
-        Eigenvalues d_j.
+        Information on each component, in units of its plausible variance.
     """
     return log_sum_exp(log_evidence_by_size(squared_scores, size_weights_and_constants(information_strength)), axis=-1)

@@ -1,7 +1,7 @@
-"""Effects of the catalogue, and empirical laws, that the user requests, estimated with the calibration.
+"""Estimation of effects and empirical laws that the user requests, together with the calibration.
 
-Places and constants that the user does not fix are chosen to explain most of the residuals; the constants are then
-adjusted with everything else. The p-value of the decrease of chi-square is corrected for all candidates.
+Places and constants that the user does not fix are chosen so that chi-square decreases most. The constants are then
+adjusted with all other unknowns. The p-value of the decrease is corrected for the number of candidates.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,22 +26,22 @@ from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import Recording
 
 PLACE_FIELDS = ("stations", "targets")
-"""Fields of an effect that hold its places."""
+"""Fields of an effect that contain the stations and targets where it acts."""
 MAX_REFIT_PASSES = 3
-"""Largest number of passes in which outliers and noise are estimated again with the new constants."""
+"""Largest number of repetitions in which outliers and noise are determined again with the newly estimated constants."""
 
 
 @dataclass(frozen=True)
 class RequestedEffect:
-    """An effect or law to estimate; fields that are not `fixed_fields` are chosen by the readings."""
+    """Effect or empirical law that the user requests; the readings determine the fields outside `fixed_fields`."""
 
     effect: CandidateEffect
     """Effect with the requested places and constants."""
     fixed_fields: frozenset[str] = frozenset()
-    """Names of the fields that the user gave; the readings select the others."""
+    """Names of the fields whose values the user gave."""
 
     def require_estimable(self, recording: Recording, construction: Construction) -> None:
-        """Check that it can be estimated with the calibration of a recording; raises ModelError."""
+        """Check that the effect can be estimated with the calibration of a recording; raises ModelError otherwise."""
         effect, name = self.effect, self.effect.name
         if isinstance(effect, NoiseEffect):
             how = f"use {option('noise_from_data=True')} to estimate the noise"
@@ -50,14 +50,16 @@ class RequestedEffect:
             raise ModelError(f"{name} is a blunder in the recording and has no size; ltsim diagnose corrects it")
         parameter_names = {p.name for p in effect.parameters}
         if not effect.place_text and parameter_names <= set(construction.parameter_names):
-            raise ModelError(f"{name} is part of the ordinary calibration; confine it to a station, as in {name}:NAME")
+            raise ModelError(
+                f"{name} is always estimated in a calibration; restrict it to a station, as in {name}:NAME"
+            )
         for kind, names in zip(PLACE_FIELDS, (recording.stations, recording.targets), strict=True):
             lost = sorted(set(getattr(effect, kind)) - set(names))
             if lost:
                 raise ModelError(f"{name}: the recording has no {kind[:-1]} '{lost[0]}'")
 
     def candidates(self, adjustment: Adjustment) -> Sequence[CandidateEffect]:
-        """All instances of the effect that agree with the fixed fields."""
+        """All variants of the effect (places and constants) that agree with the fields fixed by the user."""
         if not isinstance(self.effect, Effect):
             return [self.effect]
         matching = [
@@ -77,9 +79,9 @@ def fit_with_extra_effects(
     unreported_effects: Sequence[CandidateEffect],
     extra_effects: Sequence[RequestedEffect],
 ) -> tuple[Adjustment, tuple[FittedEffectEntry, ...]]:
-    """Adjustment with the requested effects, each selected given the previous ones, and the entry of each effect.
+    """Adjustment with the requested effects, and the entry of each effect for the result.
 
-    `unreported_effects` effects are estimated first and are not reported.
+    Each effect is selected given the previous ones. `unreported_effects` are estimated first and have no entry.
     """
     adjustment, fits = adjust_with(unreported_effects), list[FittedEffectEntry]()
     fit, fixed = Refit(adjustment, tuple(unreported_effects), ()), [frozenset[str]()] * len(unreported_effects)
@@ -119,7 +121,7 @@ def _refit_with_best_constants(
     effects: Sequence[CandidateEffect],
     fixed_fields: Sequence[frozenset[str]],
 ) -> tuple[Adjustment, Refit]:
-    """Adjustment with effects at their best constants, and the refit with its readings and weights."""
+    """Adjustment with effects at their best constants, and the last refit of these constants."""
     for _ in range(MAX_REFIT_PASSES):
         adjustment = adjust_with(effects)
         near = adjustment.with_effects
@@ -131,7 +133,7 @@ def _refit_with_best_constants(
 
 
 def effect_display_name(effect: Signature, adjustment: Adjustment) -> str:
-    """Name of an effect; for a law its text form."""
+    """Name of an effect; for an empirical law its text, response ~ regressor."""
     if not isinstance(effect, EmpiricalLaw):
         return effect.name
     regressor_name = regressor_text(effect.regressor, clock=adjustment.recording.has_clock)
@@ -139,7 +141,7 @@ def effect_display_name(effect: Signature, adjustment: Adjustment) -> str:
 
 
 def _law_size_entries(law: EmpiricalLaw, adjustment: Adjustment) -> tuple[FittedParameterEntry, ...]:
-    """Estimated sizes of a law among an adjustment's effects, one entry each."""
+    """Entries of the estimated sizes of an empirical law, one of the effects of an adjustment."""
     effects_before = adjustment.effects[: adjustment.effects.index(law)]
     first = sum(len(effect.parameters) for effect in effects_before)
     columns = slice(first, first + len(law.parameters))
@@ -155,7 +157,7 @@ def _law_size_entries(law: EmpiricalLaw, adjustment: Adjustment) -> tuple[Fitted
 def _effect_entries(
     effect: CandidateEffect, estimates: Sequence[ParameterEstimate], fixed_fields: frozenset[str]
 ) -> tuple[FittedParameterEntry, ...]:
-    """Entries of an effect: parameters, kind, fixed constants, and estimated constants."""
+    """Entries of an effect for the result: sizes, constants with names as values, fixed and estimated constants."""
     numbers = [_parameter_entry(*estimate) for estimate in estimates]
     words = [
         FittedParameterEntry(name=key, value=value if isinstance(value, str) else float(value), unit="")
@@ -170,7 +172,7 @@ def _effect_entries(
 
 
 def _parameter_entry(parameter: Parameter | ShapeParameter, estimate: float, sigma: float) -> FittedParameterEntry:
-    """A number in its unit."""
+    """Entry of one estimated number in its display unit."""
     unit = SI_PER_UNIT[parameter.unit]
     spread = float(sigma / unit) if np.isfinite(sigma) else None
     return FittedParameterEntry(name=parameter.name, value=float(estimate / unit), sigma=spread, unit=parameter.unit)

@@ -1,4 +1,4 @@
-"""Writing and reading of calibration.json and its tables; files are written completely or not at all."""
+"""Files of a calibration: `calibration.json` and its tables, written completely or not at all."""
 
 from pathlib import Path
 
@@ -16,13 +16,13 @@ from ltsim.recordings.files import quoted_text, read_text
 from ltsim.recordings.result_file import read_result, write_result
 
 CalibrationSource = Calibration | str | Path
-"""Calibration, its file, or the folder that contains it."""
+"""Calibration, path of its file, or path of the folder that contains the file."""
 
 
 def write_calibration(calibration: Calibration, folder: Path) -> Calibration:
-    """Output of `calibration.json`, `targets.csv` and, if there is a network, residuals and covariance into a folder.
+    """Files of a calibration in a folder: `calibration.json`, `targets.csv`, and residuals and covariance of a network.
 
-    Returns the calibration with the digests of its files.
+    The result is the calibration with the digests of the written files.
 
     Raises
     ------
@@ -38,7 +38,7 @@ def write_calibration(calibration: Calibration, folder: Path) -> Calibration:
 
 
 def read_targets(file: Path) -> tuple[tuple[str, ...], Floats, Floats]:
-    """Names, coordinates (T, 3) [m] and their standard deviations (T, 3) [m] from a `targets.csv`.
+    """Names, coordinates (T, 3) [m] and standard deviations (T, 3) [m] of T targets from a `targets.csv`.
 
     Raises
     ------
@@ -51,15 +51,15 @@ def read_targets(file: Path) -> tuple[tuple[str, ...], Floats, Floats]:
 
 
 def load_calibration(source: CalibrationSource) -> Calibration:
-    """Calibration of a source; a path is read."""
+    """Calibration itself, or the calibration read from a path."""
     return source if isinstance(source, Calibration) else read_calibration(Path(source))
 
 
 def read_calibration(path: Path) -> Calibration:
-    """Calibration of a `calibration.json`, or of the folder that contains it.
+    """Calibration read from a `calibration.json`, or from the folder that contains it.
 
-    The targets and the network are not in the file. A file without a covariance gets a diagonal one; missing parameters
-    are zero with their prior sigma, as the warnings of the result report.
+    The targets and the network are not in this file. Without a covariance in the file the parameters are uncorrelated.
+    Missing parameters are zero with their prior standard deviation, and a warning reports them.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def _check_reflector_parameters(content: Calibration, file: Path) -> None:
-    """Check that parameters of reflectors are those of `smr-incidence` in their units; raises RecordError."""
+    """Check of the names and units of reflector parameters against `smr-incidence`; raises RecordError."""
     unit_by_name = {parameter.name: parameter.unit for parameter in SmrIncidence.parameters}
     for entry in content.reflectors:
         for row in entry.parameters:
@@ -90,7 +90,7 @@ def _check_reflector_parameters(content: Calibration, file: Path) -> None:
 
 
 def _rejected_fit_warning(content: Calibration, file: Path) -> tuple[str, ...]:
-    """Warning about a calibration whose fit was rejected; empty for others."""
+    """Warning that the readings of a calibration contradict its model; empty if they do not."""
     if content.uncertainty_factor == 1.0:
         return ()
     return (
@@ -101,7 +101,7 @@ def _rejected_fit_warning(content: Calibration, file: Path) -> tuple[str, ...]:
 
 
 def _missing_parameters_warning(names: list[str], file: Path) -> tuple[str, ...]:
-    """Warning about parameters that a file lacks; empty if there are none."""
+    """Warning that lists the parameters missing in a file; empty if there are none."""
     if not names:
         return ()
     phrase = "one parameter is" if len(names) == 1 else f"{len(names)} parameters are"

@@ -1,4 +1,4 @@
-"""Result of `history`: the course of the parameters of an instrument over its calibrations, and its changes."""
+"""Result of `history`: parameters of an instrument over its calibrations, and their changes."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, Literal, Self
@@ -18,7 +18,7 @@ from ltsim.recordings.result_file import Entry, Finite, NotNegative, OptionalFlo
 
 
 class ParameterCourse(Entry):
-    """Course of a parameter over the calibrations, in its display unit."""
+    """Values of one parameter in successive calibrations, in its display unit."""
 
     name: str
     """Name of the parameter."""
@@ -33,9 +33,9 @@ class ParameterCourse(Entry):
     mean: Finite
     """Weighted mean of the estimates."""
     spread: Finite
-    """Standard deviation over the calibrations."""
+    """Standard deviation of the parameter from calibration to calibration, without estimation errors."""
     constancy_test: ChiSquareEntry
-    """Test that the parameter did not change."""
+    """Chi-square test that the parameter is the same in all calibrations."""
 
 
 class HistoryCalibration(Entry):
@@ -96,7 +96,7 @@ EVENTS_TABLE = Table(
 
 
 class History(ResultFile):
-    """`history.json`: the result of `history`."""
+    """Result of `history`, with the content of `history.json`."""
 
     FILE: ClassVar[str] = "history.json"
     format: Literal["ltsim-history/1"] = "ltsim-history/1"
@@ -106,22 +106,23 @@ class History(ResultFile):
     calibrations: tuple[HistoryCalibration, ...] = Field(min_length=1)
     """Calibrations in chronological order."""
     parameters: tuple[ParameterCourse, ...] = ()
-    """Course of each parameter over the calibrations."""
+    """Values of each parameter over the calibrations."""
     mean_covariance: tuple[tuple[Finite, ...], ...] = ()
-    """Covariance of the means, in the parameters' units; combinations that no calibration determines have the prior."""
+    """Covariance of the mean parameters, in their units. Combinations that no calibration determines have their prior
+    variance."""
     constant: ChiSquareEntry | None = None
-    """Test that no parameter changed."""
+    """Chi-square test that no parameter changed."""
     changes: tuple[ChangeEntry, ...] = ()
     """Changes between successive calibrations."""
     events: tuple[EventEntry, ...] = ()
-    """Significant steps; empty also for too few calibrations."""
+    """Significant steps of parameters; empty also if there are too few calibrations for a test."""
     since_first: ChangeEntry
     """Change between the first and the last calibration."""
     _series: CalibrationSeries | None = PrivateAttr(None)
 
     @classmethod
     def from_series(cls, series: CalibrationSeries) -> Self:
-        """Result of a series, with parameters in units of display."""
+        """History of a series of calibrations, with the parameters in display units."""
         factors = np.array([p.si_per_display_unit for p in series.construction.parameters])
         result = cls(
             construction=series.construction.name,
@@ -153,7 +154,7 @@ class History(ResultFile):
 
     @property
     def determined_parameters(self) -> list[ParameterCourse]:
-        """Parameters that the calibrations determine."""
+        """Parameters that at least one calibration determines."""
         return [course for course in self.parameters if course.constancy_test.dof]
 
     def _lines(self) -> list[str]:
@@ -176,7 +177,7 @@ class History(ResultFile):
         }
 
     def _table_by_calibration(self, rows: Sequence[tuple[float, ...]]) -> ColumnValues:
-        """Table with one row per calibration and one column per parameter."""
+        """Table with one row per calibration and one column per parameter, from the values of each parameter."""
         columns = {f"{p.name} [{p.unit}]": list(column) for p, column in zip(self.parameters, rows, strict=True)}
         return {"label": self.labels, **columns}
 
@@ -211,6 +212,7 @@ class History(ResultFile):
 
 
 def _parameter_course(series: CalibrationSeries, parameter_index: int) -> ParameterCourse:
+    """Values of one parameter over the calibrations of a series, in its display unit."""
     parameter, population = series.construction.parameters[parameter_index], series.population
     return ParameterCourse(
         name=parameter.name,

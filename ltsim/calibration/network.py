@@ -1,4 +1,4 @@
-"""Calibration by rigorous network adjustment: poses, targets and instrument parameters at once, with priors."""
+"""Calibration by network adjustment: poses, targets and instrument parameters in one adjustment, with priors."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -39,7 +39,7 @@ from ltsim.recordings.recording import MODE_COLUMN, Recording
 from ltsim.recordings.result_file import SourceEntry
 
 MAX_ADJUSTMENTS = 5
-"""Largest number of adjustments in which the noise and the set of widened priors may still change."""
+"""Largest number of adjustments before the noise and the set of widened priors must be final."""
 
 
 def calibrate_network(
@@ -54,18 +54,18 @@ def calibrate_network(
     choose_correction: bool = True,
     extra_effects: Sequence[RequestedEffect] = (),
 ) -> Calibration:
-    """Method `network` of `ltsim.calibrate`, with its options and errors, and with additional options.
+    """Calibration by the method `network` of `ltsim.calibrate`, with its options and errors and with further options.
 
     Parameters
     ----------
     parameter_selection : ParameterSelection, optional
-        Parameters to estimate, and their prior; default all, with the prior of the set-up.
+        Parameters to estimate, and their prior. Default: all, with the prior of the set-up.
     choose_correction : bool
         True to shrink the correction (`calibration.shrinkage`), to widen the prior of constants that contradict it, and
-        to identify simple causes. If False, the model and the priors are the declared ones, and the estimates are
-        linear in the readings.
+        to identify single causes of a misfit, such as a moved station. If False, the model and the priors are the
+        declared ones, and the estimates are linear in the readings.
     extra_effects : sequence of RequestedEffect
-        Effects of the catalogue, and laws, that are also estimated.
+        Effects of the catalogue and empirical laws that are estimated together with the parameters.
     """
     recording.require_at_most(MAX_CALIBRATED_POINTINGS, "a calibration")
     model = construction or declared_construction(recording)
@@ -80,7 +80,7 @@ def calibrate_network(
     )
     freed, grouping = np.zeros(prior.mean.shape, dtype=bool), _noise_grouping(noise_from_data)
     quiet_by, noise_may_differ = "", True
-    # A simple cause could absorb an effect that the user requests.
+    # A single cause of a misfit could absorb an effect that the user requests.
     selection = identify_causes(recording, model, prior) if choose_correction and not extra_effects else None
     for remaining in reversed(range(MAX_ADJUSTMENTS if choose_correction else 1)):
         adjusted = partial(
@@ -114,7 +114,13 @@ def calibrate_network(
             freed = further
     tests = () if selection is None else cause_tests(selection)
     calibration = _make_calibration(
-        recording, adjustment, "network", advise=recommend_measurements, robust=robust, effects=fits, tests=tests
+        recording,
+        adjustment,
+        "network",
+        recommend_measurements=recommend_measurements,
+        robust=robust,
+        effects=fits,
+        tests=tests,
     )
     changes: dict[str, Any] = {"prior_sigma": prior.sigma, "is_prior_rejected": freed, "history_prior": history_prior}
     if choose_correction:
@@ -125,7 +131,7 @@ def calibrate_network(
             calibration.instrument_parameter_names,
             history_prior=history_prior,
             prior_widening_factor=wider,
-            factor=factor,
+            noise_factor=factor,
         )
         criteria = result.criteria_table(adjustment.recording, adjustment, model, applied_values)
         changes |= {"correction": worth, "applied_values": applied_values, "criteria": criteria}
@@ -142,7 +148,7 @@ def adjust(
     noise_from_data: bool = False,
     datum: str | Sequence[str] | None = None,
 ) -> Calibration:
-    """Network adjustment of a recording without instrument parameters: targets, stations, outliers.
+    """Network adjustment of a recording without instrument parameters: coordinates of targets, stations, and outliers.
 
     Parameters
     ----------
@@ -152,7 +158,7 @@ def adjust(
     noise_from_data : bool
         True to estimate the noise of each observable and instrument from the residuals.
     datum : str or sequence of str, optional
-        Targets that define the datum by inner constraints; default the selection in the set-up.
+        Targets that define the datum by inner constraints. Default: the selection in the set-up.
 
     Returns
     -------
@@ -179,11 +185,16 @@ def adjust(
     )
     tests, constants = () if selection is None else cause_tests(selection), _fit_with_constants(adjustment)
     options = {"robust": robust, "tests": tests, "with_constants": constants}
-    return with_reported_uncertainty(_make_calibration(source, adjustment, "adjustment", advise=False, **options))
+    return with_reported_uncertainty(
+        _make_calibration(source, adjustment, "adjustment", recommend_measurements=False, **options)
+    )
 
 
 def _fit_with_constants(adjustment: Adjustment) -> FitEntry | None:
-    """Fit of rejected readings of uncorrected instruments with their constants estimated; None for others."""
+    """Fit with the instrument's constants estimated, if the readings reject the fit without them; otherwise None.
+
+    It is None for corrected instruments too.
+    """
     recording = adjustment.recording
     if recording.is_corrected or _uncertainty_factor_of(adjustment) == 1.0:
         return None
@@ -196,12 +207,14 @@ def _fit_with_constants(adjustment: Adjustment) -> FitEntry | None:
 
 
 def _uncertainty_factor_of(adjustment: Adjustment) -> float:
+    """Factor on the standard deviations of a network: sigma0 if the readings contradict the model, otherwise 1."""
     return uncertainty_factor(
         result.fit_entry(adjustment), is_noise_estimated=result.verdict_entry(adjustment).uses_estimated_noise
     )
 
 
 def _noise_grouping(noise_from_data: bool) -> NoiseGrouping | None:
+    """Grouping of the readings for the estimation of their noise; None if it is not estimated."""
     return "instrument" if noise_from_data else None
 
 
@@ -215,6 +228,7 @@ def _adjust_with_options(
     selection: CauseSelection | None = None,
     effects: Sequence[Signature] = (),
 ) -> Adjustment:
+    """Adjustment with the options of a calibration, with extra effects, and with the selected causes of a misfit."""
     how: dict[str, Any] = {"robust": robust, "variance_components": grouping, "datum": datum, "prior": prior}
     if selection is not None and selection.requires_initial_causes:
         fit = selection.fit
@@ -240,20 +254,21 @@ def _adjust_with_options(
 
 
 def _cause_sentences(selection: CauseSelection) -> tuple[str, ...]:
-    """Sentences on the selected causes, the most certain first."""
+    """Sentences on the selected causes of a misfit, the most certain cause first."""
     return tuple(cause_sentence(selection.fit, choice.hypothesis) for choice in selection.selected_hypotheses)
 
 
 def _require_available_datum(adjustment: Adjustment, datum: Sequence[str] | None) -> Adjustment:
-    """Adjustment; raises NetworkError for a requested datum in a network whose frame control points define."""
+    """Adjustment unchanged; raises NetworkError if a datum is requested but control points define the frame."""
     if datum and not adjustment.problem.free_motions.shape[1]:
         raise NetworkError("the control points define the frame already: leave the datum out, or their coordinates")
     return adjustment
 
 
 def _make_calibration(
-    source: Recording, adjustment: Adjustment, method: str, *, advise: bool, **fields: Any
+    source: Recording, adjustment: Adjustment, method: str, *, recommend_measurements: bool, **fields: Any
 ) -> Calibration:
+    """Calibration from an adjusted network; `fields` are further fields of the result."""
     recording, construction = adjustment.recording, adjustment.construction
     columns_of_free = adjustment.problem.unknowns.instrument_columns.ravel()
     is_fixed = adjustment.problem.prior.is_fixed
@@ -279,7 +294,9 @@ def _make_calibration(
         arrays,
         method=method,
         fit=result.fit_entry(adjustment),
-        undetermined=result.undetermined_entries(adjustment, construction, directions, recommend_measurements=advise),
+        undetermined=result.undetermined_entries(
+            adjustment, construction, directions, recommend_measurements=recommend_measurements
+        ),
         frame=result.frame_text(adjustment),
         stations=result.station_poses(adjustment),
         criteria=result.criteria_table(recording, adjustment, construction, values),

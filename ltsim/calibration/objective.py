@@ -1,11 +1,11 @@
 """The paper's distance objective (Sensors 2021, 21, 7479, eq. 9 and 10) in matrix form.
 
-Distances between all pairs of targets are compared between all pairs of stations, and those of the gauge with their
-reference lengths. Distances do not depend on poses. The two faces of a station count as two stations, because averages
-would hide errors that change sign with the face.
+Distances between all pairs of targets are compared between all pairs of stations, and distances of the gauge with their
+reference lengths. Distances do not depend on poses. The two faces of a station count as two stations, because their
+mean would hide errors that change sign with the face.
 
-For least squares the sum over pairs of stations is the number of stations times the sum of squares of deviations from
-the mean over stations, which makes the objective linear in the number of stations.
+For least squares the sum over pairs of stations equals the number of stations times the sum of squared deviations from
+the mean over stations. The cost of the objective is then linear in the number of stations.
 """
 
 from collections.abc import Iterable
@@ -22,47 +22,51 @@ from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import Recording
 
 MAX_MATRIX_ENTRIES = 2e8
-"""Largest number of entries in one matrix."""
+"""Number of entries of one matrix above which the distance objective is refused, to limit the memory."""
 
 
 @dataclass(frozen=True)
 class SetDistances:
-    """Distances within each set (a station and a face) at given parameters, and their derivatives."""
+    """Distances between targets within each set (one station and one face), and their derivatives."""
 
     lengths: Floats
-    """Distances, (D,) [m]."""
+    """Distances, shape (distances,) [m]."""
     pair_indices: Ints
-    """Index of the pair of targets of each distance, (D,)."""
+    """Index of the pair of targets of each distance, shape (distances,)."""
     parameter_derivatives: Floats
-    """Derivative with respect to each parameter, per prior sigma, (D, q)."""
+    """Derivative of each distance with respect to each parameter in prior sigmas, shape (distances, parameters) [m]."""
     reading_derivatives: sp.csr_array
-    """Derivative with respect to each reading, per standard deviation, (D, 3 n)."""
+    """Derivative of each distance with respect to each whitened reading, shape (distances, 3 pointings) [m]."""
 
 
 @dataclass(frozen=True)
 class DistanceProblem:
-    """Distances of a recording as functions of the parameters and the readings."""
+    """Distances within the sets of a recording, as functions of the instrument parameters and the readings."""
 
     recording: Recording
-    """Recording; rows without a range or an angle are not used."""
+    """Recording; pointings without a range or an angle are not used."""
     construction: Construction
+    """Instrument model."""
     prior_sigma: Floats
-    """Prior sigmas, the units of the unknowns, (I, p) [SI]."""
+    """Prior standard deviations, shape (instruments, parameters) [SI]; the units of the unknowns."""
 
     @cached_property
     def reference_lengths(self) -> GaugeRows:
-        """Reference lengths in the workshop."""
+        """Reference lengths declared in the set-up."""
         return GaugeRows.from_recording(self.recording)
 
     @cached_property
     def set_numbers(self) -> Ints:
-        """Number of the set (station and face) of each row, from 0, (n,)."""
+        """Number of the set (station and face) of each pointing, from 0, shape (pointings,)."""
         _, number = np.unique(2 * self.recording.station + self.recording.face - 1, return_inverse=True)
         return number.astype(np.int64)
 
     @cached_property
     def _averaging_matrix(self) -> tuple[sp.csr_array, Floats]:
-        """Matrix (M, n) that averages repeats to one point per set and target; set and target of each point (M, 2)."""
+        """Matrix (M, n) that averages n pointings to M mean points, one per set and target, and indices (M, 2).
+
+        The indices are the set and the target of each mean point.
+        """
         count = len(self.recording.targets)
         key = self.set_numbers * count + self.recording.target
         complete_rows = np.flatnonzero(self.recording.is_measured.all(axis=1))
@@ -73,7 +77,7 @@ class DistanceProblem:
 
     @cached_property
     def _distance_ends(self) -> tuple[Ints, Ints, Ints]:
-        """First point, second point and pair of targets of every distance."""
+        """Indices of the first and second mean point of each distance, and the index of its pair of targets."""
         sets, target = self._averaging_matrix[1].T
         a, b = _index_pairs(
             np.flatnonzero(sets == number) for number in range(int(self.set_numbers.max(initial=-1)) + 1)
@@ -82,23 +86,24 @@ class DistanceProblem:
         return a, b, target[a] * len(self.recording.targets) + target[b]
 
     def _check_matrix_size(self, n_rows: int) -> None:
+        """Check that the matrix of the distances is not too large; raises NetworkError."""
         if n_rows * (self.prior_sigma.size + 8) > MAX_MATRIX_ENTRIES:
             raise NetworkError(f"the distance objective has {n_rows} distances, too many; use the network method")
 
     def distances_at(self, unknowns: Floats) -> SetDistances:
-        """All distances at unknowns (I p,) in units of the prior sigmas."""
+        """Distances within all sets, for parameters of all instruments in units of their prior standard deviations."""
         point, by_reading, by_value = self._points(self.recording.readings, unknowns)
         group = self._distance_ends[2]
         length, unit, by_parameter = self._distances_and_derivatives(point, by_value)
         return SetDistances(length, group, by_parameter, self._reading_derivatives(unit, by_reading))
 
     def parameter_derivatives(self, readings: Floats, unknowns: Floats) -> Floats:
-        """Derivative (D, q) of all distances with respect to the unknowns (q,) for other readings (n, 3)."""
+        """Derivative (distances, unknowns) of the distances with respect to the parameters, at other readings."""
         point, _, by_value = self._points(readings, unknowns)
         return self._distances_and_derivatives(point, by_value)[2]
 
     def _distances_and_derivatives(self, point: Floats, point_derivatives: Floats) -> tuple[Floats, Floats, Floats]:
-        """Distances (D,), their directions (D, 3) and their derivatives (D, q) by the unknowns."""
+        """Distances (D,), unit vectors along them (D, 3), and derivatives (D, q) with respect to q parameters."""
         averaging, _ = self._averaging_matrix
         a, b, _ = self._distance_ends
         points = averaging @ point
@@ -109,14 +114,18 @@ class DistanceProblem:
         return length, unit, np.einsum("di,dip->dp", unit, means[a]) - np.einsum("di,dip->dp", unit, means[b])
 
     def distances_of_points(self, points: Floats) -> Floats:
-        """Distances (D, B) within sets for points (n, 3, B) in the instruments' frames."""
+        """Distances (D, B) within sets, for B realisations of the n measured points in instrument frames, (n, 3, B)."""
         averaging, _ = self._averaging_matrix
         a, b, _ = self._distance_ends
         means = (averaging @ points.reshape(len(points), -1)).reshape(-1, *points.shape[1:])
         return np.linalg.norm(means[a] - means[b], axis=1)
 
     def _points(self, readings: Floats, unknowns: Floats) -> tuple[Floats, Floats, Floats]:
-        """Points (n, 3), derivatives by readings (n, 3, 3) per sigma and by unknowns (n, 3, I p)."""
+        """Measured points (n, 3) of n pointings, and their derivatives.
+
+        The derivatives are with respect to the whitened readings, shape (n, 3, 3), and to the q parameters of all
+        instruments in prior standard deviations, shape (n, 3, q).
+        """
         recording, (count, size) = self.recording, self.prior_sigma.shape
         values = unknowns.reshape(self.prior_sigma.shape) * self.prior_sigma
         raw_readings = np.where(recording.is_measured, readings, 1.0)
@@ -129,7 +138,7 @@ class DistanceProblem:
         return point, by_reading * recording.sigma()[:, None, :], design
 
     def _reading_derivatives(self, directions: Floats, point_derivatives: Floats) -> sp.csr_array:
-        """Derivative (D, 3 n) of the distances by the whitened readings."""
+        """Derivative of the distances with respect to the whitened readings, shape (distances, 3 pointings)."""
         averaging, _ = self._averaging_matrix
         a, b, _ = self._distance_ends
         n = len(point_derivatives)
@@ -143,7 +152,7 @@ class DistanceProblem:
         return sp.csr_array(total)
 
     def gauge_matches(self, distances: SetDistances) -> tuple[Ints, Ints]:
-        """Rows of `distances` with a reference length, and its index."""
+        """Indices of the distances that have a reference length, and the index of this length for each."""
         count = len(self.recording.targets)
         lower_targets = np.minimum(self.reference_lengths.first_targets, self.reference_lengths.second_targets)
         upper_targets = np.maximum(self.reference_lengths.first_targets, self.reference_lengths.second_targets)
@@ -154,7 +163,10 @@ class DistanceProblem:
 
 
 def centring_matrix(distances: SetDistances) -> tuple[sp.csr_array, Floats]:
-    """Matrix (D, D) that subtracts the mean over sets from each pair's distances, and each row's number of sets."""
+    """Matrix that subtracts from each distance the mean over all sets, and the number of sets with this distance.
+
+    The matrix has the shape (distances, distances).
+    """
     _, group, count = np.unique(distances.pair_indices, return_inverse=True, return_counts=True)
     rows = np.arange(len(group))
     member = sp.csr_array(sp.coo_array((np.ones(len(group)), (rows, group))))
@@ -163,13 +175,13 @@ def centring_matrix(distances: SetDistances) -> tuple[sp.csr_array, Floats]:
 
 
 def set_pairs(distances: SetDistances) -> tuple[Ints, Ints]:
-    """Rows of `distances` to be compared: one pair of targets from two sets, for all pairs of sets."""
+    """Indices of the first and second distance of each comparison: the same pair of targets in two sets."""
     order = np.argsort(distances.pair_indices, kind="stable")
     return _index_pairs(np.split(order, np.flatnonzero(np.diff(distances.pair_indices[order])) + 1))
 
 
 def _index_pairs(groups: Iterable[Ints]) -> tuple[Ints, Ints]:
-    """First and second index of all pairs within groups."""
+    """First and second index of all pairs of members of the same group."""
     pairs = [members[np.stack(np.triu_indices(len(members), k=1))] for members in groups]
     first, second = np.concatenate(pairs, axis=1)
     return first, second

@@ -1,4 +1,4 @@
-"""Contradictions between the readings and the prior of a parameter."""
+"""Tests for contradictions between the readings and the prior of a parameter."""
 
 from collections.abc import Collection
 
@@ -17,37 +17,38 @@ from ltsim.core.notation import with_sigma
 from ltsim.core.probability import P_CONSTANT
 
 MAX_NOISE_FREE_SIGMA0 = 0.1
-"""Value of sigma0 below which readings count as free of noise, such as in a simulation without noise."""
+"""Value of sigma0 below which readings count as free of noise, as in a simulation without noise."""
 MAX_SIGMA0_FOR_WIDENING = 2.0
 """Value of sigma0 from which no prior is widened, because the readings contradict each other and not only the prior."""
 MAX_WIDENED_FRACTION = 0.25
-"""Largest fraction of contradicting parameters of an instrument at which single priors are widened; above it the scale
-of all priors is wrong, which `shrinkage` estimates."""
+"""Fraction of an instrument's parameters up to which contradicted priors are widened one by one. If more parameters
+contradict their prior, the scale of all priors is wrong, and `shrinkage` estimates this scale."""
 CORRECTED_INSTRUMENT_TEXT = "its declared correction, which leaves"
-"""Text for the prior of an instrument that the set-up declares corrected."""
+"""Text in a sentence for the prior of an instrument that the set-up declares corrected."""
 MAX_SENTENCES = 3
-"""Largest number of sentences in a report on contradictions."""
+"""Largest number of parameters for which a report has a sentence on the contradiction."""
 MAX_COMBINATION_TERMS = 6
-"""Largest number of terms of a combination in a report."""
+"""Largest number of parameters in the text of a combination."""
 
 
 def sigma0_of_readings(adjustment: Adjustment) -> float:
-    """Square root of chi-square over the degrees of freedom, without the contribution of the parameters' prior."""
+    """Square root of chi-square per degree of freedom, without the contribution of the prior of the parameters."""
     gap = adjustment.problem.prior.whitened_residuals(adjustment.state.instrument_parameters)
     return float(np.sqrt(max(adjustment.chi2 - float(gap @ gap), 0.0) / max(adjustment.dof, 1)))
 
 
 def is_noise_overstated(adjustment: Adjustment) -> bool:
-    """True if readings scatter less than declared, so that the declared noise is too large."""
+    """True if readings scatter significantly less than declared, so that the declared noise is too large."""
     testable = adjustment.dof >= MIN_DOF_FOR_ESTIMATED_NOISE and sigma0_of_readings(adjustment) > MAX_NOISE_FREE_SIGMA0
     return testable and bool(special.chdtr(adjustment.dof, adjustment.chi2) < SINGLE_LEVEL)
 
 
 def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bools:
-    """Mask (I, p) of parameters whose `prior` the readings contradict, of one instrument or of all in common.
+    """Mask (instruments, parameters) of the parameters whose prior the readings contradict.
 
-    Forward selection with exchange (`forward_select`), selected parameters having a wide prior. The prior of the
-    adjustment may be wider than `prior`.
+    Contradictions are of one instrument, or common to all instruments. They are selected by `forward_select`; a
+    selected parameter has a wide prior while the others are tested. The prior of the adjustment may already be wider
+    than `prior`.
     """
     rejected, scale = np.zeros(prior.mean.shape, dtype=bool), max(1.0, adjustment.sigma0)
     if prior.has_correlations or not np.isfinite(prior.sigma).all() or not scale < MAX_SIGMA0_FOR_WIDENING:
@@ -60,7 +61,10 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
     ways = np.concatenate([np.eye(rejected.size)[free], common_changes])[:, free]
 
     def log_odds_given(other_changes: Collection[int]) -> Floats:
-        """Log odds (h,) of each change given others, to 0.1 so that of equivalent changes the first is selected."""
+        """Log odds of each candidate contradiction given the selected ones, rounded to 0.1.
+
+        Of candidates that the readings do not distinguish, the first is then selected.
+        """
         given_changes = WIDENED_SIGMA_FACTOR * ways[list(other_changes)]
         score, weight = score_test(
             likelihood.information, likelihood.information_vector, np.eye(len(free)) + given_changes.T @ given_changes
@@ -77,9 +81,10 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
 
 
 def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
-    """Sentences on the parameters that contradict their prior most, or else on the contradicting combination.
+    """Sentences on the parameters that contradict their prior most, or else on a contradicting combination.
 
-    Parameters with a widened prior are reported as such. Parameters and combinations share one prior probability.
+    Parameters whose prior was widened are reported too. Parameters and combinations share one prior probability of a
+    contradiction.
     """
     if not calibration.estimates.size or calibration.adjustment is None:
         return ()
@@ -111,19 +116,20 @@ def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
         name, p = rows[k]
         sentences.append(
             f"{name}: the readings contradict its prior of {p.prior_sigma:.3g} {p.unit} "
-            f"(w = {w[k]:.1f}, estimate {p.value:.3g}); if such a value is plausible, state a larger sigma in "
+            f"(w = {w[k]:.1f}, estimate {p.value:.3g}); if such a value is plausible, declare a larger sigma in "
             "[instrument.prior.parameters]"
         )
     if len(contradictions) > MAX_SENTENCES:
-        sentences.append(f"{len(contradictions) - MAX_SENTENCES} more parameters contradict their prior")
+        sentences.append(f"{len(contradictions) - MAX_SENTENCES} further parameters contradict their prior")
     return tuple(sentences)
 
 
 def log_odds_of_errors(normalised_changes: Floats, information: Floats, n_constants: int) -> Floats:
-    """Log posterior odds (h,) that each of `n_constants` constants is wrong, from normalised changes z (h,).
+    """Log posterior odds that each constant is wrong, shape (h,) for h possible errors.
 
-    `information` (h,) is the information on each constant in prior variances. They are averaged over sizes as in a
-    diagnosis, so that a constant with little information needs a larger z.
+    `normalised_changes` (h,) are the changes of the constants divided by their standard deviations, `information` (h,)
+    is the information on each, in prior variances. One error is expected among `n_constants` constants with a fixed
+    probability. The evidence is averaged over sizes, so that a constant with little information needs a larger change.
     """
     information = np.maximum(information, 0.0)
     return log_evidence((normalised_changes**2 * information)[:, None], information[:, None]) + np.log(
@@ -132,7 +138,7 @@ def log_odds_of_errors(normalised_changes: Floats, information: Floats, n_consta
 
 
 def _normalised_deviations(deviation: Floats, information_gain: Floats) -> Floats:
-    """Deviations (k,) from the prior in units of their standard deviation; 0 without information."""
+    """Deviations of estimates from the prior, divided by their standard deviations; 0 without information."""
     return np.where(
         information_gain > MAX_UNINFORMATIVE_GAIN,
         deviation / np.sqrt(np.maximum(information_gain, MAX_UNINFORMATIVE_GAIN)),
@@ -141,7 +147,10 @@ def _normalised_deviations(deviation: Floats, information_gain: Floats) -> Float
 
 
 def _combination_sentence(calibration: Calibration, prior: ParameterPrior, scale: float) -> tuple[str, ...]:
-    """Sentence on the combination that contradicts the prior most; combinations are independent in prior sigmas."""
+    """Sentence on the combination of parameters that contradicts the prior most; empty if none does significantly.
+
+    The tested combinations are independent: eigenvectors of the covariance in prior standard deviations.
+    """
     size = calibration.construction.n_parameters
     for i in range(len(calibration.instruments)):
         at = np.flatnonzero(~calibration.is_fixed[i])

@@ -1,4 +1,4 @@
-"""Prior information of a calibration: selected parameters, fixed values, and results of earlier calibrations."""
+"""Prior information of a calibration: parameters to estimate, fixed values, and results of earlier calibrations."""
 
 from __future__ import annotations
 
@@ -20,31 +20,32 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import read_json, read_result
 
 NO_PRIOR_SIGMA_FACTOR = 1000.0
-"""Factor on prior sigmas that represents no prior: 10 to 20 mm and 15 mrad, for which the linearisation is valid."""
+"""Factor on the prior standard deviations that stands for no prior. The priors are then 10 to 20 mm and 15 mrad, for
+which the linearisation is still valid."""
 
 
 @dataclass(frozen=True)
 class EarlierCalibrations:
-    """Prior from earlier calibrations: values with their covariance, by names of instruments and parameters."""
+    """Prior from earlier calibrations: means and covariance, by names of instruments and parameters."""
 
     construction: str
-    """Name of the construction of the earlier calibrations."""
+    """Name of the instrument model of the earlier calibrations."""
     parameters: tuple[str, ...]
     """Names of the parameters."""
     instruments: tuple[str, ...]
-    """Names of the instruments; a single one applies to any instrument of a recording."""
+    """Names of the instruments; a single instrument applies to any instrument of a recording."""
     mean: Floats
-    """Mean of the parameters, (I, p) [SI]."""
+    """Mean of the parameters, shape (instruments, parameters) [SI]."""
     covariance: Floats
-    """Covariance of the parameters, (I, p, p) [SI]."""
+    """Covariance of the parameters of each of I instruments, shape (I, parameters, parameters) [SI]."""
     between_calibration_sigma: Floats
-    """Standard deviation (p,) [SI] of the parameters between calibrations; 0 for a single calibration."""
+    """Standard deviation of each parameter from calibration to calibration [SI]; 0 for a single calibration."""
     n_calibrations: int = 1
     """Number of calibrations."""
 
     @classmethod
     def from_source(cls, source: Calibration | History | EarlierCalibrations | str | Path) -> EarlierCalibrations:
-        """Prior information from a calibration, a history, or the file of one; raises RecordError."""
+        """Prior from a calibration, a history, or the file of one of these; raises RecordError for other files."""
         if isinstance(source, EarlierCalibrations):
             return source
         if isinstance(source, Calibration):
@@ -61,7 +62,7 @@ class EarlierCalibrations:
 
     @classmethod
     def _from_calibration(cls, calibration: Calibration) -> EarlierCalibrations:
-        """Prior information of a calibration without its fixed parameters."""
+        """Prior from a calibration, without its fixed parameters."""
         free_indices = np.flatnonzero(~calibration.is_fixed.any(axis=0) & (calibration.sigma > 0).all(axis=0))
         count, size = calibration.estimates.shape
         blocks = calibration.covariance.reshape(count, size, count, size)
@@ -78,10 +79,11 @@ class EarlierCalibrations:
 
     @classmethod
     def _from_history(cls, content: History, file: Path | None = None) -> EarlierCalibrations:
+        """Prior from a history: mean parameters, their covariance, and standard deviations between calibrations."""
         courses = content.parameters
-        strange = next((course for course in courses if course.unit not in SI_PER_UNIT), None)
-        if strange is not None:
-            raise RecordError(f"parameters: unknown unit '{strange.unit}' of {strange.name}", file=file)
+        unsupported = next((course for course in courses if course.unit not in SI_PER_UNIT), None)
+        if unsupported is not None:
+            raise RecordError(f"parameters: unknown unit '{unsupported.unit}' of {unsupported.name}", file=file)
         if np.shape(content.mean_covariance) != (len(courses), len(courses)):
             raise RecordError("the file has no covariance of the means; write it again with `ltsim history`", file=file)
         factor = np.array([SI_PER_UNIT[course.unit] for course in courses])
@@ -93,7 +95,9 @@ class EarlierCalibrations:
     def replace_nominal_prior(
         self, nominal_prior: ParameterPrior, construction: Construction, instruments: tuple[str, ...]
     ) -> ParameterPrior:
-        """Prior of a recording's instruments: that of the earlier calibrations, or the nominal one of others.
+        """Prior of the instruments of a recording, from the earlier calibrations where these have the parameter.
+
+        Other parameters keep their prior of `nominal_prior`.
 
         Raises
         ------
@@ -121,30 +125,30 @@ class EarlierCalibrations:
 
 @dataclass(frozen=True)
 class ParameterSelection:
-    """Selection of the parameters to estimate and of their prior; default all, with the prior of the set-up.
+    """Selection of the parameters to estimate and of their prior; by default all, with the prior of the set-up.
 
-    A name means a parameter (`beam-tilt`), several with a common beginning (`azimuth-eccentricity`, `J1.eX`), or the
-    parameter of one instrument (`beam-tilt@TRACKER`).
+    A name selects one parameter (`beam-tilt`), all parameters that begin with it (`azimuth-eccentricity`, `J1.eX`), or
+    the parameter of one instrument (`beam-tilt@TRACKER`).
     """
 
     estimated_parameters: Sequence[str] | None = None
-    """Parameters to estimate; all others are fixed at zero. None for all."""
+    """Names of the parameters to estimate; all others are fixed at zero. None selects all."""
     excluded_parameters: Sequence[str] = ()
-    """Parameters that are fixed at zero."""
+    """Names of the parameters that are fixed at zero."""
     fixed_values: Mapping[str, float] = field(default_factory=dict)
-    """Parameters that are fixed at a value, in the parameter's unit."""
+    """Value of each parameter that is fixed at a value, by its name, in the parameter's display unit."""
     earlier_calibrations: EarlierCalibrations | None = None
-    """Result of earlier calibrations that replaces the set-up's prior."""
+    """Prior from earlier calibrations that replaces the prior of the set-up."""
     has_no_prior: bool = False
     """True if the parameters have no prior: their prior standard deviations are then `NO_PRIOR_SIGMA_FACTOR` times
     those of the set-up."""
 
     def prior_of(self, recording: Recording, construction: Construction) -> ParameterPrior:
-        """Resulting prior of a recording's instruments; raises ModelError, SetupError."""
+        """Prior of a recording's instruments for this selection; raises ModelError or SetupError for wrong names."""
         return self.prior_with_sigma(prior_sigmas(recording, construction), recording, construction)
 
     def prior_with_sigma(self, sigma: Floats, recording: Recording, construction: Construction) -> ParameterPrior:
-        """Resulting prior of a recording's instruments for expected standard deviations (I, p) [SI]."""
+        """Prior of a recording's instruments for this selection and given sigmas (instruments, parameters) [SI]."""
         check_prior_names(recording, construction)
         nominal_prior = ParameterPrior.independent(sigma * (NO_PRIOR_SIGMA_FACTOR if self.has_no_prior else 1.0))
         if self.earlier_calibrations is not None:
@@ -152,10 +156,10 @@ class ParameterSelection:
                 nominal_prior, construction, recording.instruments
             )
 
-        def places(*pattern: str) -> list[int]:
+        def indices_of(*parameters_or_prefixes: str) -> list[int]:
             return [
                 k
-                for name in pattern
+                for name in parameters_or_prefixes
                 for k in flat_parameter_indices(name, construction.parameter_names, recording.instruments)
             ]
 
@@ -163,10 +167,10 @@ class ParameterSelection:
         values = np.zeros(nominal_prior.mean.shape)
         if self.estimated_parameters is not None:
             is_fixed[:] = True
-            is_fixed.flat[places(*self.estimated_parameters)] = False
-        is_fixed.flat[places(*self.excluded_parameters)] = True
+            is_fixed.flat[indices_of(*self.estimated_parameters)] = False
+        is_fixed.flat[indices_of(*self.excluded_parameters)] = True
         for name, value in self.fixed_values.items():
-            at = places(name)
+            at = indices_of(name)
             if len({k % construction.n_parameters for k in at}) > 1:
                 raise ModelError(f"'{name}' names several parameters; expected one parameter for a value")
             is_fixed.flat[at] = True
@@ -174,7 +178,7 @@ class ParameterSelection:
                 float(value) * construction.parameters[at[0] % construction.n_parameters].si_per_display_unit
             )
         if is_fixed.all():
-            raise ModelError("all parameters are held; leave at least one to estimate")
+            raise ModelError("all parameters are fixed; leave at least one to estimate")
         # Held parameters carry no information on the others.
         covariance, diagonal = nominal_prior.covariance.copy(), np.eye(construction.n_parameters, dtype=bool)
         covariance[(is_fixed[:, :, None] | is_fixed[:, None, :]) & ~diagonal] = 0.0
@@ -184,7 +188,10 @@ class ParameterSelection:
 def flat_parameter_indices(
     parameter_or_prefix: str, parameters: Sequence[str], instruments: Sequence[str]
 ) -> list[int]:
-    """Indices in the flat vector (I p) of a parameter, or of several with a common beginning; raises ModelError."""
+    """Indices of a parameter, or of all parameters with a common prefix, in the vector of all instruments' parameters.
+
+    ModelError is raised if there is none.
+    """
     name, at, instrument = parameter_or_prefix.strip().partition("@")
     if at and instrument not in instruments:
         raise unknown_name("instrument", instrument, [label or "unnamed" for label in instruments])
@@ -197,7 +204,7 @@ def flat_parameter_indices(
 
 
 def check_prior_names(recording: Recording, construction: Construction) -> None:
-    """Check that all parameters with a prior in the set-up exist in a construction; raises SetupError."""
+    """Check that the set-up declares priors only for parameters of the instrument model; raises SetupError."""
     setup = recording.setup
     tables = {"instrument": setup.instrument, **{f"instruments.{k}": i for k, i in setup.instruments.items()}}
     parameter_names = {*construction.parameter_names, *all_parameter_names()}

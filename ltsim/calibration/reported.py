@@ -1,4 +1,4 @@
-"""Reported uncertainty: increased if the readings contradict the model, and with the air for long ranges."""
+"""Reported standard deviations: multiplied by sigma0 if the readings contradict the model, with errors of the air."""
 
 from __future__ import annotations
 
@@ -26,15 +26,14 @@ from ltsim.physics.effects.air import air_uncertainty_text
 
 FittedEntryType = TypeVar("FittedEntryType", FittedEffectEntry, ReflectorEntry)
 MIN_RELATIVE_HIDDEN_DISPLACEMENT = 0.2
-"""Smallest displacement, relative to the targets' rms standard deviation, of a reported error without effect on the
-readings.
-"""
+"""Displacement of the targets, relative to their rms standard deviation, from which an error without effect on the
+readings is reported."""
 
 
 def uncertainty_factor(fit: FitEntry, *, is_noise_estimated: bool | None = None) -> float:
     """Factor on the standard deviations: sigma0 if it is significantly above 1 and not due to single readings, else 1.
 
-    `is_noise_estimated` is the verdict of the tests; without it the global test decides, at the level
+    `is_noise_estimated` is the decision of the tests on sigma0. Without it the global test decides, at the level
     `AGREEMENT_LEVEL`.
     """
     if fit.sigma0 is None or fit.sigma0 <= 1.0:
@@ -44,7 +43,7 @@ def uncertainty_factor(fit: FitEntry, *, is_noise_estimated: bool | None = None)
 
 
 def with_reported_uncertainty(calibration: Calibration) -> Calibration:
-    """Calibration with the reported standard deviations of its targets, stations and parameters."""
+    """Copy of a calibration with the reported standard deviations of targets, stations and parameters."""
     verdict, adjustment = calibration.verdict, calibration.adjustment
     factor = uncertainty_factor(calibration.fit, is_noise_estimated=verdict.scale_by_sigma0 if verdict.case else None)
     if adjustment is None:
@@ -68,7 +67,7 @@ def with_reported_uncertainty(calibration: Calibration) -> Calibration:
 
 
 def joint_covariance_csv(calibration: Calibration) -> str | None:
-    """Content of `targets.covariance.csv`; None for many targets or without a network."""
+    """Text of `targets.covariance.csv`; None if there are too many targets or no network."""
     adjustment = calibration.adjustment
     if adjustment is None or len(calibration.target_names) > MAX_TARGETS_IN_FILE:
         return None
@@ -77,10 +76,10 @@ def joint_covariance_csv(calibration: Calibration) -> str | None:
 
 
 def _scaled_parameters(calibration: Calibration, factor: float) -> Floats:
-    """Covariance (I p, I p) with the noise of the readings multiplied by a factor and an unchanged prior.
+    """Covariance of the parameters if the noise of the readings is `factor` times as large, with an unchanged prior.
 
-    With C the covariance in prior standard deviations, C^-1 - 1 is the information of the readings: it falls by the
-    factor squared.
+    The shape is (q, q) for the q parameters of all instruments. With C the covariance in prior standard deviations,
+    C^-1 - 1 is the information of the readings, which is divided by the square of the factor.
     """
     covariance, adjustment = calibration.covariance, calibration.adjustment
     free_indices = np.flatnonzero(~calibration.is_fixed.ravel())
@@ -98,7 +97,7 @@ def _scaled_parameters(calibration: Calibration, factor: float) -> Floats:
 
 
 def _scaled_pose(pose: StationPose, factor: float, air_covariance: Floats) -> StationPose:
-    """Pose with its standard deviations multiplied by a factor, and with the covariance (6, 6) of the air."""
+    """Pose with standard deviations multiplied by a factor, plus the covariance (6, 6) from errors of the air."""
     air = np.sqrt(np.diag(air_covariance))
     sizes = {}
     for name, unit, part in (
@@ -113,13 +112,13 @@ def _scaled_pose(pose: StationPose, factor: float, air_covariance: Floats) -> St
 
 
 def _scaled_fitted_entry(entry: FittedEntryType, factor: float) -> FittedEntryType:
-    """Entry of fitted parameters with standard deviations multiplied by a factor."""
+    """Entry of an effect or reflector with standard deviations multiplied by a factor."""
     parameters = tuple(p if p.sigma is None else p.with_values(sigma=factor * p.sigma) for p in entry.parameters)
     return entry.with_values(parameters=parameters)
 
 
 def _hidden_errors(adjustment: Adjustment, covariance: Floats) -> tuple[HiddenError, ...]:
-    """Errors without effect on the readings that move targets by a relevant part of their standard deviation."""
+    """Errors that do not change the readings but move targets noticeably, compared with their standard deviations."""
     variance = np.einsum("tii->t", covariance)
     is_determined = np.isfinite(variance)
     if not is_determined.any():
@@ -133,7 +132,7 @@ def _hidden_errors(adjustment: Adjustment, covariance: Floats) -> tuple[HiddenEr
 
 
 def _air_text(adjustment: Adjustment) -> str:
-    """Text of the errors of the air in the standard deviations; empty for short ranges or undeclared air."""
+    """Text on the errors of the air that the standard deviations include; empty for short ranges or undeclared air."""
     air = relevant_air(adjustment)
     if air is None or not (air.temperature_k or air.gradient_k_per_m or air.turbulence_um2_per_m3):
         return ""

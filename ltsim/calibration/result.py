@@ -1,4 +1,4 @@
-"""Parts of a calibration result that all methods derive from the adjusted network in the same way."""
+"""Parts of a calibration result that all methods derive from the adjusted network."""
 
 from typing import Any
 
@@ -43,7 +43,8 @@ from ltsim.physics.model.measurement import smr_radius_offsets
 from ltsim.recordings.recording import MODE_COLUMN, OBSERVABLES, Recording
 
 MIN_CONTRADICTION_SIGMAS = 3.0
-"""Deviation from the last position, in sigmas, above which a reading of an undetermined target is reported."""
+"""Deviation of a reading of an undetermined target from its last position, in standard deviations, above which it is an
+outlier."""
 HEIGHT_COMPONENT = np.array([False, False, True])
 """Mask (3,) that selects the height of a point."""
 
@@ -65,7 +66,7 @@ def fit_entry(adjustment: Adjustment) -> FitEntry:
 
 
 def reflector_entries(adjustment: Adjustment) -> tuple[ReflectorEntry, ...]:
-    """Estimated incidence errors of reflectors in fixed nests."""
+    """Entries of the estimated incidence errors of reflectors in fixed nests."""
     model, covariance = adjustment.problem.model, adjustment.extra_covariance
     values, units = model.incidence_parameters_by_reflector(adjustment.state.extra_parameters), SmrIncidence.parameters
     entries = []
@@ -83,7 +84,7 @@ def reflector_entries(adjustment: Adjustment) -> tuple[ReflectorEntry, ...]:
 
 
 def station_poses(adjustment: Adjustment, covariance: Floats | None = None) -> tuple[StationPose, ...]:
-    """Poses with standard deviations; `covariance` (S, 6, 6), default that of the adjustment."""
+    """Poses of the stations with standard deviations from `covariance` (stations, 6, 6), default the adjustment's."""
     spread = adjustment.pose_covariance if covariance is None else covariance
     sigma = np.sqrt(np.maximum(np.einsum("sii->si", spread), 0.0))
     state, over = adjustment.state, adjustment.problem.marks.target_indices
@@ -101,7 +102,7 @@ def station_poses(adjustment: Adjustment, covariance: Floats | None = None) -> t
 
 
 def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
-    """Gross pointings first, then other excluded readings, then outliers by the test that the verdict trusts."""
+    """Entries of outlying readings: gross pointings, other excluded readings, then outliers by the trusted test."""
     recording = adjustment.recording
     scaled = np.nan_to_num(adjustment.residuals / adjustment.problem.sigma)
 
@@ -130,9 +131,9 @@ def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
 
 
 def _has_estimated_error(adjustment: Adjustment, scaled_residuals: Floats) -> Bools:
-    """Flags (n, 3) of the readings whose residual is an error.
+    """Mask (pointings, 3) of readings whose residual estimates their error.
 
-    For an undetermined target those that contradict others.
+    Of an undetermined target only contradicting readings are included.
     """
     recording = adjustment.recording
     lost = np.isin(recording.targets, adjustment.undetermined_targets)[recording.target]
@@ -141,12 +142,12 @@ def _has_estimated_error(adjustment: Adjustment, scaled_residuals: Floats) -> Bo
 
 
 def verdict_entry(adjustment: Adjustment, fit: FitEntry | None = None) -> Verdict:
-    """Verdict on the test to trust at the level `AGREEMENT_LEVEL`; `fit` is that with the constants estimated."""
+    """Verdict on which test to trust, at the level `AGREEMENT_LEVEL`; `fit` is the fit with the constants estimated."""
     return verdict_on(adjustment, AGREEMENT_LEVEL, None if fit is None else (fit.chi2, fit.dof))
 
 
 def noise_rows(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
-    """Entries of the estimated noise, one per group."""
+    """Entries of the estimated noise, one per group of readings."""
     problem, recording = adjustment.problem, adjustment.recording
     rows = []
     for c in adjustment.variance_components:
@@ -176,7 +177,7 @@ def noise_rows(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
 
 
 def reference_value_entries(adjustment: Adjustment) -> tuple[ReferenceValueEntry, ...]:
-    """Entries of reference coordinates, lengths and levels with their tests, one per component."""
+    """Entries of reference coordinates, lengths and levels with their tests, one entry per component."""
     entries = []
     for test, k in ((each, k) for each in adjustment.reference_tests for k in range(len(each.error))):
         unit, factor = ERROR_UNITS.get(test.kind, ("mm", MILLIMETRE))
@@ -205,8 +206,6 @@ def axes_entry(adjustment: Adjustment) -> AxesEntry | None:
     """Standard deviations of the axes that declared coordinates define, from the misfit of these to the network.
 
     None if no coordinates are declared.
-
-    None for others.
     """
     used = [test for test in adjustment.axis_tests if not test.is_excluded]
     if not used:
@@ -226,13 +225,13 @@ def axes_entry(adjustment: Adjustment) -> AxesEntry | None:
 
 
 def network_notes(adjustment: Adjustment) -> tuple[str, ...]:
-    """Notes on an adjusted network: its axes, its range zeros, a possible mirror image."""
+    """Notes on an adjusted network: its axes, its range zeros, and a possible mirror image."""
     kinds = (_axes_notes, range_zero_notes, _handedness_notes, _undetermined_height_notes)
     return tuple(note for notes_of in kinds for note in notes_of(adjustment))
 
 
 def _axes_notes(adjustment: Adjustment) -> tuple[str, ...]:
-    """Note on the fit of the coordinates that only define the axes; empty without such coordinates."""
+    """Note on how well declared coordinates define the axes; empty if no coordinates define only the axes."""
     used = [test for test in adjustment.axis_tests if not test.is_excluded]
     fitted = axes_entry(adjustment)
     if fitted is None:
@@ -286,7 +285,7 @@ def frame_text(adjustment: Adjustment) -> str:
 
 
 def _free_frame_text(adjustment: Adjustment, station: str) -> str:
-    """Description of the frame that fixes the motions which no observation determines."""
+    """Text on how the free motions of the network are fixed."""
     state, frame = adjustment.state, DeclaredFrame.from_recording(adjustment.recording)
     if adjustment.datum is not None and _has_declared_datum_points(adjustment):
         source = adjustment.recording.setup.axes
@@ -298,7 +297,7 @@ def _free_frame_text(adjustment: Adjustment, station: str) -> str:
 
 
 def _has_declared_datum_points(adjustment: Adjustment) -> bool:
-    """True if the set-up declares coordinates of targets of the datum."""
+    """True if the set-up declares coordinates for targets of the datum."""
     names = adjustment.datum.point_names if adjustment.datum is not None else ()
     setups = [adjustment.recording.target_setup(name) for name in names]
     return any(s.approximate_mm or s.known_mm for s in setups)
@@ -311,7 +310,7 @@ def undetermined_entries(
     *,
     recommend_measurements: bool,
 ) -> tuple[UndeterminedEntry, ...]:
-    """Undetermined combinations of each instrument, with the measurements that determine them on request."""
+    """Entries of each instrument's undetermined combinations, on request with the measurements that determine them."""
     instruments = adjustment.recording.instruments
     nothing = [[""] * len(group) for group in undetermined_directions]
     sentences = (
@@ -328,7 +327,7 @@ def undetermined_entries(
 
 
 def undetermined_directions(covariance: Floats, prior_sigma: Floats) -> list[list[ParameterCombination]]:
-    """Undetermined directions of each instrument; covariance (I p, I p), prior sigmas (I, p)."""
+    """Undetermined combinations of each instrument; covariance (I p, I p) and prior sigmas (I, p) of I instruments."""
     count, size = prior_sigma.shape
     if not size:
         return [[] for _ in range(count)]
@@ -339,10 +338,10 @@ def undetermined_directions(covariance: Floats, prior_sigma: Floats) -> list[lis
 def criteria_table(
     recording: Recording, adjustment: Adjustment, construction: Construction, values: Floats, *, reflectors: bool = True
 ) -> CriteriaEntry | None:
-    """Criteria of the paper without excluded pointings; None if stations cannot be compared.
+    """Disagreement of the stations before and after correction, without excluded pointings; None for a single station.
 
-    After the correction the readings do not contain the estimated effects and the incidence errors of `reflectors`, as
-    in `correct`. Other nuisance errors remain in them.
+    The correction removes the estimated effects and the incidence errors of `reflectors`, as in `correct`. Other
+    estimated errors remain.
     """
     use: Bools = np.asarray(~adjustment.is_rejected.any(axis=1))
     recording = _recording_with_reference_smr(recording, adjustment)
@@ -360,7 +359,7 @@ def criteria_table(
 
 
 def _recording_with_reference_smr(recording: Recording, adjustment: Adjustment) -> Recording:
-    """Recording as measured with the reference SMR."""
+    """Recording with ranges as if each pointing had been made with the reference SMR."""
     off = smr_radius_offsets(recording)
     if off is None:
         return recording
@@ -369,7 +368,7 @@ def _recording_with_reference_smr(recording: Recording, adjustment: Adjustment) 
 
 
 def _handedness_notes(adjustment: Adjustment) -> tuple[str, ...]:
-    """Note on the handedness of a network of ranges alone, if it may be the mirror image of the hall."""
+    """Note that a network of ranges alone may be the mirror image of the hall; empty for other networks."""
     recording, state = adjustment.recording, adjustment.state
     if recording.is_measured[:, 1:].any() or adjustment.problem.free_motions.shape[1] == 0:
         return ()
@@ -390,7 +389,7 @@ def _undetermined_height_notes(adjustment: Adjustment) -> tuple[str, ...]:
 
 
 def range_zero_notes(adjustment: Adjustment) -> tuple[str, ...]:
-    """Note on the range zeros if both distance meters were used."""
+    """Note on the range zeros of interferometer and absolute distance meter, if both were used."""
     if MODE_COLUMN not in adjustment.recording.regressor_covariates:
         return ()
     if not any(isinstance(effect, RangeMode) for effect in adjustment.effects):

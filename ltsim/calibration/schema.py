@@ -1,4 +1,4 @@
-"""Entries of calibration.json and its tables."""
+"""Entries and tables of `calibration.json`."""
 
 import math
 from typing import Literal, Self
@@ -24,7 +24,7 @@ from ltsim.recordings.result_file import (
 )
 
 DISPLAY_UNITS = (("mm", MILLIMETRE), ("arcsec", ARCSECOND), ("arcsec", ARCSECOND))
-"""Unit of display of each column of the readings."""
+"""Name and SI value of the display unit of range, azimuth and elevation."""
 
 COORDINATE_COLUMNS = (
     *texts(target="name"),
@@ -48,24 +48,23 @@ RESIDUALS_TABLE = Table(
 
 
 class FitEntry(Entry):
-    """Goodness of fit: agreement of readings and model; the test is null without redundancy."""
+    """Goodness of fit of readings and model; sigma0 and the p-value are null without redundancy."""
 
     chi2: Finite = 0.0
-    """Weighted sum of squares."""
+    """Chi-square: weighted sum of squared residuals."""
     dof: int = 0
     """Degrees of freedom."""
     sigma0: OptionalFloat = None
     """Square root of chi-square over degrees of freedom."""
     p_value: OptionalFloat = None
-    """p-value: probability of as large a chi-square; near 1 if readings scatter less than declared; displayed
-    two-sided.
-    """
+    """Probability of a chi-square at least this large; near 1 if readings scatter less than declared. Texts show it
+    two-sided."""
     iterations: int = 0
     """Number of Gauss-Newton steps."""
     status: str = "not declared"
-    """Status: `converged`, or the reason for no convergence."""
+    """`converged`, or the reason why the iteration did not converge."""
     sentence: str = ""
-    """Sentence on the fit."""
+    """Sentence on the convergence."""
     chi2_sigma: OptionalFloat = None
     """Expected standard deviation of chi-square, if it is not the square root of 2 dof."""
 
@@ -76,7 +75,7 @@ class ParameterEntry(Entry):
     name: str
     """Name of the parameter, as in `ltsim effects` and the construction."""
     value: Finite
-    """Correction, truth minus reading."""
+    """Estimate, with the sign of a correction: truth minus reading."""
     sigma: Sigma = None
     """Standard deviation of the estimate."""
     unit: str
@@ -84,20 +83,20 @@ class ParameterEntry(Entry):
     prior_sigma: Positive | None = None
     """Prior standard deviation of the parameter, in `unit`."""
     held: bool = False
-    """True if not estimated but fixed at this value."""
+    """True if the parameter was not estimated but fixed at this value."""
     prior_rejected: bool = False
-    """True if the readings contradict the prior, and the estimate follows the readings."""
+    """True if the readings contradict the prior, so that the estimate follows the readings."""
     applied: OptionalFloat = None
-    """Correction to apply to readings, in `unit`; null if it is `value`."""
+    """Correction to apply to readings, in `unit`; null if it equals `value`."""
     instrument: str = ""
     """Name of the instrument; empty for a single unnamed one."""
 
 
 class HarmonicEntry(Entry):
-    """Cosine and sine coefficients as amplitude and phase; no phase for an insignificant amplitude."""
+    """Amplitude and phase of a pair of a cosine and a sine coefficient; no phase for an insignificant amplitude."""
 
     name: str
-    """Name of the combination."""
+    """Name of the harmonic."""
     amplitude: Finite
     """Amplitude of the harmonic, in `unit`."""
     sigma: Sigma
@@ -113,14 +112,14 @@ class HarmonicEntry(Entry):
 
 
 class StationPose(Entry):
-    """Pose of a station: mm, quaternion x y z w from instrument to network."""
+    """Position of a station [mm] and rotation from instrument to network as a quaternion x y z w."""
 
     name: str
     """Name of the station."""
     position_mm: tuple[OptionalFloat, OptionalFloat, OptionalFloat]
-    """Position in the frame that the file names; without height if adjusted in plan only."""
+    """Position in the frame of the network; the height is null if the station was adjusted in plan only."""
     rotation_quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)
-    """Rotation from instrument to network."""
+    """Rotation from instrument to network, as a quaternion x y z w."""
     sigma_position_mm: tuple[OptionalFloat, OptionalFloat, OptionalFloat] | None = None
     """Standard deviation of each coordinate [mm]."""
     sigma_rotation_arcsec: tuple[OptionalFloat, OptionalFloat, OptionalFloat] | None = None
@@ -133,7 +132,7 @@ class StationPose(Entry):
 
     @property
     def quaternion(self) -> Floats:
-        """Quaternion (4,) x, y, z, w from instrument to network."""
+        """Rotation from instrument to network, as a quaternion (4,) x, y, z, w."""
         return np.array(self.rotation_quaternion)
 
     @property
@@ -148,7 +147,7 @@ class StationPose(Entry):
 
 
 class AxesEntry(Entry):
-    """Standard deviations of the coordinate system that known points define, from their misfit to the network."""
+    """Standard deviations of the coordinate axes that declared coordinates define, from their misfit to the network."""
 
     target_names: tuple[str, ...]
     """Names of the targets whose coordinates define the axes."""
@@ -159,7 +158,7 @@ class AxesEntry(Entry):
 
 
 class OutlierRow(Entry):
-    """Outlying reading; with `gross` the largest of a completely excluded pointing."""
+    """Outlying reading; if `gross` is true, the largest residual of a pointing that was excluded as a whole."""
 
     row: int
     """Row of the recording's table, from 1."""
@@ -176,92 +175,99 @@ class OutlierRow(Entry):
     w: Finite
     """Normalised residual (statistic of the w-test)."""
     p_value: OptionalFloat = None
-    """p-value, corrected for all readings, of the test that the verdict trusts; null for excluded readings."""
+    """p-value by the trusted test, corrected for the number of readings; null for excluded readings."""
     gross: bool = False
     """True if this is the largest residual of a pointing that was excluded as a whole."""
     excluded: bool = False
-    """True if the reading did not take part in the adjustment."""
+    """True if the reading was excluded from the adjustment."""
 
 
 class ReferenceValueEntry(Entry):
-    """A component of a reference value, tested like a reading; coordinates that define only axes have kind `axes`."""
+    """Component of a reference value, tested against the other observations like a reading.
+
+    Coordinates that define only the axes have the kind `axes`.
+    """
 
     kind: Literal["point", "difference", "length", "level", "yaw", "mark", "axes", "scale"]
     """Kind of reference value."""
     name: str
-    """Target, both ends of a length or a difference, station, or the observations whose `scale` is tested."""
+    """Target, both ends of a length or difference, station, or the observations whose scale is tested."""
     component: str = ""
     """Component x, y or z of a point or difference; x and y for the two tilts of a level."""
     residual: Finite
     """Declared minus adjusted value."""
     error: Finite
-    """Estimated error of the value, from all other observations."""
+    """Error of the declared value, estimated from all other observations."""
     sigma_error: OptionalFloat = None
-    """Standard deviation of the error; null without redundancy."""
+    """Standard deviation of the estimated error; null without redundancy."""
     minimal_detectable: OptionalFloat = None
     """Smallest error that the test detects with probability 80 %."""
     unit: str
-    """Unit of residual, error, its standard deviation and `minimal_detectable`."""
+    """Unit of `residual`, `error`, `sigma_error` and `minimal_detectable`."""
     redundancy: Finite
     """Redundancy number: derivative of the residual with respect to the error."""
     w: Finite
-    """Square root of the decrease of chi-square without the whole reference value."""
+    """Test statistic: square root of the decrease of chi-square if the whole reference value is left out."""
     excluded: bool = False
-    """True if the value contradicts the others and did not take part in the adjustment."""
+    """True if the value contradicts the other observations and was excluded from the adjustment."""
 
 
 class NoiseRow(Entry):
-    """Noise estimated from the readings; without `factor_sigma` the redundancy was too small and the factor is 1."""
+    """Noise of a group of readings, estimated from their residuals.
+
+    Without `factor_sigma` the redundancy was too small for an estimate, and the factor is 1.
+    """
 
     observable: str
     """Observable: `distance`, `azimuth`, `elevation` or `level`."""
     instrument: str = ""
     """Name of the instrument; empty if all instruments are one group."""
     factor: Finite
-    """Factor on the declared standard deviations."""
+    """Estimated standard deviations of the readings divided by the declared ones."""
     factor_sigma: OptionalFloat = None
     """Standard deviation of the factor."""
     redundancy: Finite
-    """Total redundancy of the group's readings."""
+    """Sum of the redundancy numbers of the group's readings."""
     typical_sigma: Finite
-    """Median standard deviation of a reading."""
+    """Median of the estimated standard deviations of the readings."""
     unit: str = ""
     """Unit of `typical_sigma`."""
 
 
 class VerdictEntry(Entry):
-    """Verdict on the test to trust if tests disagree."""
+    """Verdict on which test to trust, if the tests of a fit disagree."""
 
     case: str = ""
-    """Text of the agreement or disagreement of the tests."""
+    """Short text on the agreement or disagreement of the tests."""
     sentence: str = ""
-    """Sentence of the verdict."""
+    """Sentence with the verdict."""
     scale_by_sigma0: bool = False
-    """True if the estimated sigma0 is to be trusted and not the declared noise."""
+    """True if the estimated sigma0 is more credible than the declared noise."""
 
     @classmethod
     def from_verdict(cls, verdict: Verdict) -> Self:
-        """The entry of a verdict."""
+        """Entry of the file for a verdict."""
         return cls(
             case=verdict.agreement.value, sentence=verdict.sentence, scale_by_sigma0=verdict.uses_estimated_noise
         )
 
 
 class RecommendedCorrection(Entry):
-    """Correction that is worth applying, and the error of new points that is expected with it."""
+    """Recommended correction of readings, and the expected error of new points with this correction."""
 
     prior_scale: Positive
-    """Most likely size of the parameters, in prior sigmas."""
+    """Most likely size of the parameters, relative to their prior standard deviations."""
     plausible_scale: tuple[Positive, Positive]
-    """Limits of that size, one-sided 95 % each."""
+    """Lower and upper limit of `prior_scale`, each with a one-sided confidence of 95 %."""
     uncorrected_um: NotNegative
-    """Expected rms error [um] of an uncorrected point in its set-up's frame, from the instrument's constants alone."""
+    """Expected rms error [um] of an uncorrected point in the frame of its set-up, from the instrument's constants
+    alone."""
     corrected_um: NotNegative
-    """Expected rms error [um] after the correction, from the constants alone."""
+    """Expected rms error [um] of a corrected point, from the instrument's constants alone."""
     noise_um: NotNegative = 0.0
-    """Rms 3D error [um] from the noise of one reading of such a point."""
+    """Rms 3D error [um] of such a point from the noise of its reading."""
     not_applied: tuple[str, ...] = ()
-    """Parameters that are not applied, because held-out targets are predicted better without them."""
+    """Names of parameters that are not applied, because held-out targets are predicted better without them."""
     sentences: tuple[str, ...] = ()
     """Sentences on the correction."""
 
@@ -279,37 +285,37 @@ class RecommendedCorrection(Entry):
 
 
 class FittedParameterEntry(Entry):
-    """Parameter of an effect, constant selected by the readings, or size of a law."""
+    """Number or text that describes an estimated effect: parameter, constant, or size of an empirical law."""
 
     name: str
-    """Name as `ltsim effects` lists it; for an empirical law amplitude and phase, or swing, as in a diagnosis."""
+    """Name as in `ltsim effects`; for an empirical law `amplitude`, `phase` or another name as in a diagnosis."""
     value: Finite | str
-    """Value in its unit; a text for a constant with names as values."""
+    """Value in `unit`; a text for a constant that has names as values."""
     sigma: Sigma = None
-    """Standard deviation."""
+    """Standard deviation of the value; null for a fixed constant."""
     unit: str
     """Unit of value and sigma."""
 
 
 class FittedEffectEntry(Entry):
-    """An effect, or a law, that was estimated with the calibration on request."""
+    """Effect or empirical law that was estimated with the calibration because the user requested it."""
 
     effect: str
-    """Name as in `ltsim effects`; for a law its text form as in a diagnosis: response ~ regressor."""
+    """Name as in `ltsim effects`; for an empirical law its text as in a diagnosis, response ~ regressor."""
     place_text: str = ""
-    """Stations and targets at which it acts; empty for all."""
+    """Stations and targets at which the effect acts; empty for all."""
     parameters: tuple[FittedParameterEntry, ...] = ()
     """Parameters and constants of the effect."""
     chi2_drop: NotNegative
-    """Decrease of chi-square."""
+    """Decrease of chi-square by the effect."""
     n_distinguishable_parameters: int
-    """Number of parameters that the recording distinguishes from the others."""
+    """Number of the effect's parameters that the recording distinguishes from all other unknowns."""
     n_candidates: int
-    """Number of candidates: places and constants."""
+    """Number of tested combinations of places and constants."""
 
     @property
     def p_value(self) -> float:
-        """p-value of the decrease without the effect, corrected for all candidates."""
+        """Probability of such a decrease of chi-square without the effect, corrected for the number of candidates."""
         return (
             min(1.0, self.n_candidates * float(special.chdtrc(self.n_distinguishable_parameters, self.chi2_drop)))
             if self.n_distinguishable_parameters
@@ -318,10 +324,12 @@ class FittedEffectEntry(Entry):
 
     @property
     def sentence(self) -> str:
-        """Sentence on the effect."""
+        """Sentence with the estimated size of the effect and its significance."""
         name = self.effect + (f" at {self.place_text}" if self.place_text else "")
         if not self.n_distinguishable_parameters:
-            return f"{name}: poses, targets and parameters absorb it in this recording; it was not estimated"
+            return (
+                f"{name}: not estimated, because the readings do not distinguish it from poses, targets and parameters"
+            )
         phrase = ", ".join(
             f"{p.name} {p.value}" if isinstance(p.value, str) else f"{p.name} {with_sigma(p.value, p.sigma, p.unit)}"
             for p in self.parameters

@@ -1,16 +1,17 @@
-"""Shrinkage of the correction: the values to apply to readings, so that new points are not expected to become worse.
+"""Shrinkage of the correction: parameters to apply to readings, so that new points are not expected to become worse.
 
-The estimates and their covariance are those of the declared prior. The applied values may be smaller:
+The estimates and their covariance belong to the declared prior. The applied values may be smaller:
 
-* a term that predicts targets worse than going without it, when they take no part in its estimation (`HeldOutTarget`);
-* where the readings contradict the scale of the prior, the correction follows the scale that they make most likely;
-* where the correction is expected to do harm under a plausible scale, the correction of the smallest plausible scale.
+* a parameter is not applied if the readings of targets are predicted better without it (`HeldOutTarget`);
+* if the readings contradict the scale of the prior, the correction follows the scale that they make most likely;
+* if the correction is expected to do harm under a plausible scale, the smallest plausible scale is used.
 
-With u the parameters in prior sigmas, N the information of the readings and b = N times the estimate by them alone,
-b is normal with covariance N + s^2 N N under a prior of s times the declared sigmas: its likelihood, free of poses and
-targets, is the restricted likelihood of s (Patterson and Thompson, Biometrika 58 (1971) 545). A prior from earlier
-calibrations has a mean; u is then the deviation from it. Without a prior the scale is
-estimated in any case, and each combination of the parameters is shrunk by the factor that minimises the expected error.
+Let u be the parameters in prior standard deviations, N the information of the readings, and b = N times the estimate
+from the readings alone. Under a prior of s times the declared standard deviations, b is normal with covariance N + s^2
+N N. Its likelihood does not depend on poses and targets and is the restricted likelihood of s (Patterson and Thompson,
+Biometrika 58 (1971) 545). With a prior from earlier calibrations, u is the deviation from the mean of the prior.
+Without a prior the scale is always estimated, and each combination of parameters is shrunk by the factor with the
+smallest expected error.
 """
 
 from collections.abc import Sequence
@@ -34,52 +35,46 @@ from ltsim.recordings.recording import Recording
 from ltsim.solve.design import to_dense
 
 PRIOR_SCALES = np.geomspace(1e-4, 1e4, 161)
-"""Tested scales of the prior: steps of 12 %."""
+"""Tested scales of the prior (factors on the declared standard deviations), in steps of 12 %."""
 MIN_LOG_LIKELIHOOD_EXCESS_REJECTED = 0.5 * float(special.chdtri(1, FAMILY_LEVEL))
-"""Smallest excess of the maximum log-likelihood over that of the declared scale (1) at which this scale is rejected
-(likelihood ratio test).
-"""
+"""Excess of the maximum log-likelihood over that of the declared scale (1) from which the declared scale is rejected
+(likelihood ratio test)."""
 MAX_LOG_LIKELIHOOD_DEFICIT_PLAUSIBLE = 0.5 * float(special.chdtri(1, 2.0 * GLOBAL_LEVEL))
-"""Largest deficit of the log-likelihood of a plausible scale: one-sided likelihood ratio test."""
+"""Largest deficit of the log-likelihood of a plausible scale (one-sided likelihood ratio test)."""
 MAX_PRIOR_SCALE = 30.0
-"""Largest plausible scale of the prior: no instrument exceeds its whole specification by more, so that a larger misfit
-has another cause."""
+"""Largest plausible scale of the prior: no instrument exceeds its whole specification by more; a larger misfit has
+another cause."""
 MIN_RELATIVE_CORRECTION = 0.02
-"""Smallest applied correction, relative to the estimate (rms effect on a point); a smaller one is not applied."""
+"""Ratio of the applied to the estimated correction (rms effect on a point) below which no correction is applied."""
 MIN_HELD_OUT_IMPROVEMENT = 2.0
-"""Decrease of the held-out sum of squares above which a term is not applied: Akaike's penalty of one parameter, 2 in
-units of chi-square.
-"""
+"""Decrease of the held-out sum of squares above which a parameter is not applied: Akaike's penalty of one parameter."""
 MAX_DENSE_UNKNOWNS = 400
-"""Largest number of poses and parameters of a network in which held-out targets are tested (cost of
-a dense inverse).
-"""
+"""Number of poses and parameters up to which held-out targets are tested; the cost is that of a dense inverse."""
 MAX_HELD_OUT_TARGETS = 150
 """Largest number of held-out targets (run time); of more targets, an evenly distributed selection is held out."""
 MIN_PREDICTED_TARGETS = 5
-"""Smallest number of mutually predicted targets for a test with held-out targets."""
+"""Smallest number of targets that other targets predict, for a test with held-out targets."""
 
 
 def recommend_correction(
     adjustment: Adjustment,
-    names: Sequence[str],
+    parameter_names: Sequence[str],
     *,
     history_prior: bool = False,
     prior_widening_factor: float | None = None,
-    factor: float = 1.0,
+    noise_factor: float = 1.0,
 ) -> tuple[RecommendedCorrection, Floats]:
-    """Correction that is worth applying, and its values (I, p) [SI]; `names` (I p) are those of the parameters.
+    """Recommended correction for the result, and the parameters to apply, shape (instruments, parameters) [SI].
 
-    A prior widened by the factor `prior_widening_factor` represents no prior: its scale is then estimated in any case.
-    With a prior from earlier calibrations (`history_prior`) all terms are applied, because more than the targets of
-    this recording supports them, and the estimated scale is 1 at least. `factor` multiplies the noise of the readings:
-    in a
-    rejected fit they support a correction as far as their scatter allows.
+    A prior widened by `prior_widening_factor` represents no prior, and its scale is always estimated. With a prior from
+    earlier calibrations (`history_prior`) all parameters are applied, because more than this recording supports them,
+    and the scale is at least 1. `noise_factor` multiplies the noise: after a rejected fit, readings support a
+    correction only as far as their scatter permits.
     """
     prior = adjustment.problem.prior
     held, mean = prior.is_fixed.ravel(), prior.mean.ravel()
     free_indices = np.flatnonzero(~held)
-    dropped_terms = np.zeros(0, dtype=np.int64) if history_prior else terms_to_drop(adjustment, factor)
+    dropped_terms = np.zeros(0, dtype=np.int64) if history_prior else terms_to_drop(adjustment, noise_factor)
     used_terms = np.setdiff1d(free_indices, dropped_terms)
     root = block_diag(*prior.whitening_matrices)[np.ix_(free_indices, free_indices)]
     columns_of_free = adjustment.problem.unknowns.instrument_columns.ravel()[free_indices]
@@ -88,17 +83,22 @@ def recommend_correction(
     used_positions = np.searchsorted(free_indices, used_terms)
     unit = prior_widening_factor or 1.0
     spread = np.linalg.inv(root)[np.ix_(used_positions, used_positions)] / unit
-    information = (precision[np.ix_(used_positions, used_positions)] - np.eye(len(used_terms))) / (factor * unit) ** 2
-    least, is_free = (1.0 if history_prior else 0.0), prior_widening_factor is not None
+    scale = noise_factor * unit
+    information = (precision[np.ix_(used_positions, used_positions)] - np.eye(len(used_terms))) / scale**2
+    least, is_scale_estimated = (1.0 if history_prior else 0.0), prior_widening_factor is not None
     sigma0 = sigma0_of_readings(adjustment)
     evidence = ScaledPrior(
-        information, vector[used_positions] / (factor**2 * unit), min_scale=least, is_free=is_free, sigma0=sigma0
+        information,
+        vector[used_positions] / (noise_factor**2 * unit),
+        min_scale=least,
+        is_scale_estimated=is_scale_estimated,
+        sigma0=sigma0,
     )
     by_unit = spread.T @ point_error_form(adjustment)[np.ix_(used_terms, used_terms)] @ spread
     weighted_mean: Floats = np.asarray(np.linalg.solve(spread, mean[used_terms]), dtype=np.float64)
     applied, note = evidence.shrunk_correction(by_unit, weighted_mean)
     before, after = evidence.point_errors(by_unit, applied, weighted_mean)
-    not_applied = tuple(names[k] for k in dropped_terms)
+    not_applied = tuple(parameter_names[k] for k in dropped_terms)
     notes = [n for n in (evidence.scale_sentence, note) if n]
     if not_applied:
         words, plural = listing([name.replace("-", " ") for name in not_applied]), len(not_applied) > 1
@@ -119,19 +119,19 @@ def recommend_correction(
 
 
 class ScaledPrior:
-    """Likelihood information on parameters in prior sigmas, evaluated for priors of other scales.
+    """Likelihood of the scale of a prior, and the parameters estimated under each scale.
 
     Parameters
     ----------
     information : (q, q) float
     information_vector : (q,) float
-        Information times the estimate from the readings alone.
+        Information matrix times the estimate from the readings alone.
     min_scale : float
         Smallest permitted scale of the prior.
-    is_free : bool
-        True if the scale is estimated in any case: 1 is then only its unit.
+    is_scale_estimated : bool
+        True if the scale is always estimated, because there is no prior.
     sigma0 : float
-        sigma0 of the readings; if it is large, no scale above 1 is accepted.
+        sigma0 of the readings. If it is large, no scale above 1 is accepted.
     """
 
     def __init__(
@@ -140,10 +140,10 @@ class ScaledPrior:
         information_vector: Floats,
         *,
         min_scale: float = 0.0,
-        is_free: bool = False,
+        is_scale_estimated: bool = False,
         sigma0: float = 1.0,
     ) -> None:
-        self._is_free, self._sigma0 = is_free, sigma0
+        self._is_scale_estimated, self._sigma0 = is_scale_estimated, sigma0
         strength, self._basis = np.linalg.eigh(0.5 * (information + information.T))
         self._strength = np.maximum(strength, 1e-12 * float(strength.max(initial=1.0)))
         self._information_vector = self._basis.T @ information_vector
@@ -155,12 +155,12 @@ class ScaledPrior:
 
     @property
     def most_likely_scale(self) -> float:
-        """Most likely scale."""
+        """Scale of the prior with the largest likelihood."""
         return float(self._scales[self._best_index])
 
     @property
     def plausible_scale_limits(self) -> tuple[float, float]:
-        """Smallest and largest plausible scale."""
+        """Smallest and largest plausible scale of the prior."""
         near_indices = np.flatnonzero(
             self._log_likelihoods > self._log_likelihoods[self._best_index] - MAX_LOG_LIKELIHOOD_DEFICIT_PLAUSIBLE
         )
@@ -168,7 +168,7 @@ class ScaledPrior:
 
     @property
     def rejects_declared_scale(self) -> bool:
-        """True if the readings reject the declared scale."""
+        """True if the readings reject the declared scale of the prior."""
         nominal_index = int(np.argmin(np.abs(np.log(self._scales))))
         return bool(
             self._log_likelihoods[self._best_index] - self._log_likelihoods[nominal_index]
@@ -177,22 +177,23 @@ class ScaledPrior:
 
     @property
     def _exceeds_plausible_scale(self) -> bool:
+        """True if the most likely scale is so large that the misfit has another cause."""
         max_scale = MAX_PRIOR_SCALE if self._sigma0 < MAX_SIGMA0_FOR_WIDENING else 1.0
-        return self.rejects_declared_scale and not self._is_free and self.most_likely_scale > max_scale
+        return self.rejects_declared_scale and not self._is_scale_estimated and self.most_likely_scale > max_scale
 
     @property
     def scale_of_applied_values(self) -> float:
-        """Scale of the applied values: 1 unless the readings reject it."""
+        """Scale of the prior for the applied parameters: 1 unless it is rejected or there is no prior."""
         return (
             self.most_likely_scale
-            if (self.rejects_declared_scale and not self._exceeds_plausible_scale) or self._is_free
+            if (self.rejects_declared_scale and not self._exceeds_plausible_scale) or self._is_scale_estimated
             else 1.0
         )
 
     @property
     def scale_sentence(self) -> str:
-        """Sentence on a rejected or estimated scale; empty without either."""
-        if not (self.rejects_declared_scale or self._is_free):
+        """Sentence on the scale of the prior if it was rejected or estimated; empty otherwise."""
+        if not (self.rejects_declared_scale or self._is_scale_estimated):
             return ""
         low, high = self.plausible_scale_limits
         scale_phrase = f"{self.most_likely_scale:.2g} times as large is most likely ({low:.2g} to {high:.2g})"
@@ -203,21 +204,21 @@ class ScaledPrior:
                 f"the readings require parameters {self.most_likely_scale:.2g} times the declared priors{why}: "
                 "another cause explains the misfit, and no correction is applied"
             )
-        if not self._is_free:
+        if not self._is_scale_estimated:
             return f"the readings contradict the declared priors: {scale_phrase}; the correction uses this scale"
         share = self._strength / (self._strength + self.most_likely_scale**-2)
         phrase = f"{int(np.sum(share > 0.5))} of {len(share)} combinations are applied by more than half"
-        return f"without a prior, parameters of the usual proportions and {scale_phrase}; {phrase}, the others hardly"
+        return f"without a prior, parameters of the usual proportions and {scale_phrase}; {phrase}, the others by less"
 
     def estimate(self, prior_scale: float) -> Floats:
-        """Estimate (q,) under a scale."""
+        """Estimate of the parameters (q,) in prior standard deviations, for a scale of the prior."""
         return self._basis @ (self._information_vector / (self._strength + prior_scale**-2))
 
     def shrunk_correction(self, point_error_form: Floats, prior_mean: Floats | float = 0.0) -> tuple[Floats, str]:
-        """Correction (q,) that does not increase errors under any plausible scale, and a sentence if it is shrunk.
+        """Parameters (q,) to apply, which increase errors under no plausible scale, and a sentence if they are shrunk.
 
-        `point_error_form` (q, q) is the mean square of a new point's error as a form of the parameters' errors,
-        `prior_mean` (q,) the prior's mean.
+        The mean square error of a new point is the quadratic form `point_error_form` (q, q) of the errors of the
+        parameters. `prior_mean` (q,) is the mean of the prior.
         """
         if self._exceeds_plausible_scale:
             return np.zeros(len(self._information_vector)), ""
@@ -236,7 +237,7 @@ class ScaledPrior:
     def point_errors(
         self, point_error_form: Floats, applied_values: Floats, prior_mean: Floats | float = 0.0
     ) -> tuple[float, float]:
-        """Expected rms error [m] of a new point due to the constants, without a correction and with the applied one."""
+        """Expected rms error [m] of a new point from the constants, uncorrected and with the applied parameters."""
         scale = self.scale_of_applied_values
         mean = prior_mean + self.estimate(scale)
         spread = (self._basis / (self._strength + scale**-2)) @ self._basis.T
@@ -248,7 +249,7 @@ class ScaledPrior:
 
 
 def point_noise_rms(recording: Recording, sigma: Floats) -> float:
-    """Rms displacement [m] of a point by noise (n, 3) of one reading, over all complete pointings."""
+    """Rms displacement [m] of a complete pointing's point by noise with standard deviations `sigma` (pointings, 3)."""
     is_complete = recording.is_measured.all(axis=1)
     if not is_complete.any():
         return 0.0
@@ -258,9 +259,9 @@ def point_noise_rms(recording: Recording, sigma: Floats) -> float:
 
 
 def point_error_form(adjustment: Adjustment) -> Floats:
-    """Mean square error of a point as a quadratic form (I p, I p) of the parameters' errors [m^2 / SI^2].
+    """Mean square error of a new point as a quadratic form (q, q) of the errors of the parameters [m^2 / SI^2].
 
-    The mean is over the pointings of each set-up, in the frame of the instrument; the part that a rigid motion of the
+    The mean is over the pointings of each set-up, in the frame of the instrument. The part that a rigid motion of the
     set-up explains is removed, because it needs no calibration.
     """
     recording, state = adjustment.recording, adjustment.state
@@ -282,25 +283,25 @@ def point_error_form(adjustment: Adjustment) -> Floats:
 
 @dataclass(frozen=True)
 class HeldOutTarget:
-    """Residuals of one target's readings when it is held out and the other targets predict them.
+    """Prediction of the readings of one target from all other targets.
 
-    After elimination of its place they check each other. With r their residual (m,) and A (m, K) their design by poses
-    and parameters, both so reduced, C the covariance of these from all readings, H = A C A' and S = (1 - H)^-1, the
-    held-out residual is S r; a term fixed at zero changes the prediction by a rank-one update for each of its
-    parameters. All matrices are m x m or p x p: one adjustment is sufficient for all targets and terms.
+    Let r (m,) be the residuals and A (m, K) their design by poses and parameters, both after elimination of the
+    coordinates of the target. With the covariance C of poses and parameters from all readings, H = A C A' and S = (1 -
+    H)^-1, the held-out residual is S r. A parameter fixed at zero changes the prediction by a rank-one update. All
+    matrices are m x m or p x p, so that one adjustment is sufficient for all targets and parameters.
     """
 
     held_out_residual: Floats
-    """Held-out residual S r, (m,)."""
+    """Difference S r of the readings from their prediction, shape (m,)."""
     parameter_covariance: Floats
-    """Covariance S B' of the prediction with the parameters, B = C A', (m, q)."""
+    """Covariance S B' of the prediction with the q parameters, B = C A', shape (m, q)."""
     covariance: Floats
-    """Covariance of the parameters from the other targets, (q, q)."""
+    """Covariance of the q parameters from the other targets, shape (q, q)."""
     estimate_shift: Floats
-    """Difference b S r of the estimates from all readings and from the other targets, (q,)."""
+    """Estimates from all readings minus estimates from the other targets, b S r, shape (q,)."""
 
     def sum_of_squares(self, parameters: Floats, fixed_indices: Ints) -> float:
-        """Sum of squares with the parameters `fixed_indices` at zero.
+        """Sum of squared held-out residuals if the parameters `fixed_indices` are zero.
 
         `parameters` (q,) are the estimates from all readings.
         """
@@ -314,11 +315,11 @@ class HeldOutTarget:
         return float(residual @ residual)
 
 
-def terms_to_drop(adjustment: Adjustment, factor: float = 1.0) -> Ints:
-    """Indices, in the flat vector of parameters (I p), of terms without which held-out targets are predicted better.
+def terms_to_drop(adjustment: Adjustment, noise_factor: float = 1.0) -> Ints:
+    """Indices of the parameters without which held-out targets are predicted better, in the vector of all instruments.
 
-    Backward elimination, the worst term first. Empty in a large network or one with few targets. `factor` multiplies
-    the noise of the readings.
+    Parameters are eliminated one after the other, the worst first. None is eliminated in a large network or one with
+    few targets. `noise_factor` multiplies the noise of the readings.
     """
     none = np.zeros(0, dtype=np.int64)
     unknowns = adjustment.problem.unknowns
@@ -334,7 +335,7 @@ def terms_to_drop(adjustment: Adjustment, factor: float = 1.0) -> Ints:
         tried = [np.concatenate([gone, term]) for term in candidates]
         after = [sum(t.sum_of_squares(values, fixed) for t in targets) for fixed in tried]
         best = int(np.argmin(after))
-        if now - after[best] <= MIN_HELD_OUT_IMPROVEMENT * factor**2:
+        if now - after[best] <= MIN_HELD_OUT_IMPROVEMENT * noise_factor**2:
             break
         gone, now = tried[best], after[best]
         del candidates[best]
@@ -342,7 +343,7 @@ def terms_to_drop(adjustment: Adjustment, factor: float = 1.0) -> Ints:
 
 
 def _informative_terms(adjustment: Adjustment) -> list[Ints]:
-    """Indices of each estimated term with information: a cosine with its sine, or a single parameter."""
+    """Indices of each estimated parameter with information; a cosine and its sine form one group."""
     prior, at = adjustment.problem.prior, adjustment.problem.unknowns.instrument_columns.ravel()
     remaining = np.diag(adjustment.reduced_covariance)[at] / prior.sigma.ravel() ** 2
     open_ = ~prior.is_fixed.ravel() & (remaining < 1.0 - MAX_UNINFORMATIVE_GAIN)
@@ -354,9 +355,9 @@ def _informative_terms(adjustment: Adjustment) -> list[Ints]:
 
 
 def held_out_targets(adjustment: Adjustment) -> list[HeldOutTarget]:
-    """Held-out residuals of every target with redundant readings and eliminated coordinates.
+    """Predictions of every target that has redundant readings and whose coordinates were eliminated.
 
-    Control coordinates of a target are held out with its readings and predicted with them.
+    The declared coordinates of a target are held out with its readings and predicted too.
     """
     problem, unknowns = adjustment.problem, adjustment.problem.unknowns
     system, n_reduced = adjustment.solution.system, adjustment.problem.unknowns.n_reduced
@@ -382,12 +383,13 @@ def held_out_targets(adjustment: Adjustment) -> list[HeldOutTarget]:
 
 
 def _eliminate_target(target_design: Floats, design: Floats, residual: Floats) -> tuple[Floats, Floats]:
-    """Design (m, K) and residual (m,) of a target's rows after elimination of its place (m, 3)."""
+    """Design (m, K) and residuals (m,) of a target's rows after elimination of its coordinates."""
     basis = np.linalg.qr(target_design)[0]
     return design - basis @ (basis.T @ design), residual - basis @ (basis.T @ residual)
 
 
 def _hold_out_target(adjustment: Adjustment, design: Floats, residual: Floats) -> HeldOutTarget:
+    """Prediction of a target's m rows, from design (m, K) and residuals (m,) after elimination of its coordinates."""
     covariance, at = adjustment.reduced_covariance, adjustment.problem.unknowns.instrument_columns.ravel()
     spread = covariance @ design.T
     inverse = np.linalg.inv(np.eye(len(residual)) - design @ spread)

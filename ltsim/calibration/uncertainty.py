@@ -1,4 +1,4 @@
-"""Sentences on the errors that the standard deviations of a calibration include and exclude."""
+"""Sentences on the errors that the standard deviations of a calibration include or do not include."""
 
 from typing import Protocol
 
@@ -7,29 +7,31 @@ from ltsim.recordings.result_file import Entry, NotNegative, Positive
 
 
 class HiddenError(Entry):
-    """Error without effect on the readings, which no standard deviation includes."""
+    """Error that does not change the readings, so that no standard deviation includes it."""
 
     source_text: str
-    """Text of the error, with its size."""
+    """Text that names the error and its size."""
     target_error_um: NotNegative
-    """Rms displacement [um] of the targets by it, after the best rigid fit."""
+    """Rms displacement [um] of the targets by this error, after the best rigid fit."""
 
 
 class UncertaintyEntry(Entry):
-    """Errors that standard deviations include or exclude."""
+    """Errors that the standard deviations of a result include or do not include."""
 
     constants_included: bool = True
     """True if the instrument's constants were estimated, or the set-up declares the instrument corrected."""
     uncertainty_factor: Positive = 1.0
-    """Factor in all standard deviations and covariances: sigma0 if the readings contradict the model, else 1."""
+    """Factor in all standard deviations and in the square root of all covariances: sigma0 if the readings contradict
+    the model, otherwise 1."""
     air_text: str = ""
-    """Text of the errors of the air in the standard deviations of targets and stations; empty for short ranges."""
+    """Text on the errors of the air that the standard deviations of targets and stations include; empty for short
+    ranges."""
     hidden_errors: tuple[HiddenError, ...] = ()
-    """Errors without effect on the readings that matter, the largest first; no standard deviation includes them."""
+    """Noticeable errors that do not change the readings, the largest first; no standard deviation includes them."""
 
 
 class ReportedUncertainty(Protocol):
-    """Interface of a calibration: fields on the errors that its standard deviations include."""
+    """Interface of a result with the errors that its standard deviations include."""
 
     @property
     def uncertainty_factor(self) -> float: ...  # noqa: D102
@@ -42,7 +44,7 @@ class ReportedUncertainty(Protocol):
 
 
 def uncertainty_sentences(result: ReportedUncertainty) -> list[str]:
-    """Sentences on the standard deviations of a result: factor, uncertainty of the air, errors not included."""
+    """Sentences on the standard deviations of a result: factor, errors of the air, and errors that are not included."""
     sentences = []
     if result.uncertainty_factor > 1.0:
         model = "the model" if result.constants_included else "the model without the instrument's constants"

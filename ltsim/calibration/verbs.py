@@ -1,4 +1,4 @@
-"""Public functions: calibration, its evaluation and verification, history."""
+"""Public functions for calibration: `calibrate`, `evaluate`, `verify` and `history`."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
@@ -31,7 +31,7 @@ from ltsim.recordings import Recording
 from ltsim.recordings.exchange import RecordingSource, load_recording, read
 
 NO_PRIOR_OPTION = "none"
-"""Value of the option `prior` for a calibration without prior information."""
+"""Value of the option `prior` that requests a calibration without prior information."""
 
 
 def calibrate(
@@ -63,10 +63,10 @@ def calibrate(
         parameters, which fits undetermined combinations to the noise (`equation-9`, `equation-9-l1`).
     construction : {`misalignment`, `dh`, `steering-mirror`} or Construction, optional
         Misalignments with the source in the head (`misalignment`, 16 parameters) or with a steering mirror
-        (`steering-mirror`, 21), or the paper's Denavit-Hartenberg chain (`dh`, 78); default the declared construction
-        of the set-up.
+        (`steering-mirror`, 21), or the paper's Denavit-Hartenberg chain (`dh`, 78); default: the model
+        declared in the set-up.
     robust, noise_from_data, datum
-        Options as of `adjust`, for method `network` only.
+        Options of `adjust`, for method `network` only.
     parameters : str or sequence of str, optional
         Parameters to estimate, by name or by a common beginning of several names (`azimuth-eccentricity`);
         ``NAME@INSTRUMENT`` means the parameter of one instrument. All other parameters are fixed at zero.
@@ -145,14 +145,16 @@ def calibrate(
         listed = ", ".join(map(option, ("robust", "noise_from_data", "datum", "prior")))
         raise ModelError(f"{listed} and {option('with_effects')} need {option('method')} network, not {method}")
     return with_reported_uncertainty(
-        calibrate_distance(source, built, method=method, advise=advise, choice=choice, bound_in_prior_sigmas=box)
+        calibrate_distance(
+            source, built, method=method, advise=advise, parameter_selection=choice, bound_in_prior_sigmas=box
+        )
     )
 
 
 def parse_requested_effect(effect_or_text: str | Effect | SizedEffect, recording: Recording) -> RequestedEffect:
-    """Requested effect from an effect (default fields are selected by the readings) or a text.
+    """Requested effect from an effect or its text; ModelError for an effect with a size.
 
-    Raises ModelError for sizes.
+    Fields of the effect with default values are determined by the readings.
     """
     if isinstance(effect_or_text, SizedEffect):
         raise ModelError(f"{effect_or_text.effect.name} has a size, as for simulate and inject; give it without a size")
@@ -163,7 +165,7 @@ def parse_requested_effect(effect_or_text: str | Effect | SizedEffect, recording
 
 
 def _parse_effect_text(text: str, recording: Recording) -> RequestedEffect:
-    """Requested effect from a text, `NAME` or `NAME:WHERE,...` with stations, targets and constants; or a law."""
+    """Requested effect from the text `NAME` or `NAME:WHERE,...` with stations, targets and constants, or from a law."""
     name, _, rest = text.partition(":")
     carrier, is_law, driver = name.partition("~")
     places: dict[str, tuple[str, ...]] = {"stations": (), "targets": ()}
@@ -181,7 +183,7 @@ def _parse_effect_text(text: str, recording: Recording) -> RequestedEffect:
             listed = ", ".join(recording.stations)
             raise ModelError(f"'{text}': '{item}' is not a station ({listed}), a target or CONSTANT=VALUE")
     if is_law and constants:
-        raise ModelError(f"'{text}': a law has no constants but those in its words")
+        raise ModelError(f"'{text}': a law has no further constants; give them in its text")
     if is_law:
         return RequestedEffect(parse_law(carrier.strip(), driver.strip(), recording, **places))
     fixed_names = {kind for kind, named in places.items() if named} | set(constants)
@@ -189,7 +191,7 @@ def _parse_effect_text(text: str, recording: Recording) -> RequestedEffect:
 
 
 def _named_construction(name: str | None, harmonics: int | None, degree: int | None) -> Construction | None:
-    """Construction of a name; None for the declared one."""
+    """Instrument model with the given name; None for the model declared in the set-up."""
     if name is not None:
         return construction_called(name, harmonics, degree)
     if harmonics is not None or degree is not None:
@@ -268,7 +270,7 @@ def history(
     dates: str | Sequence[str] | None = None,
     **options: Any,
 ) -> History:
-    """History of one instrument over calibrations in chronological order: course, spread, and changes.
+    """History of one instrument over several calibrations: parameters in the order of time, and their changes.
 
     Parameters
     ----------
@@ -305,7 +307,7 @@ def history(
 def _load_labelled(
     label: str, source: RecordingSource | Calibration, options: dict[str, Any]
 ) -> tuple[str, Calibration]:
-    """Label and calibration; the label of a file is its name."""
+    """Label and calibration of a source; the label of a file is its name."""
     if isinstance(source, Calibration):
         return label, source
     if isinstance(source, Recording):

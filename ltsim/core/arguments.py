@@ -16,9 +16,9 @@ ARGUMENT_BOUNDS: dict[str, tuple[float, float | None]] = {
     "jobs": (1, MAX_JOBS), "level": (1e-6, 0.5), "noncentrality": (1e-3, None), "length_sigma": (1e-6, None),
     "every": (1, 10**6),
 }  # fmt: skip
-"""Smallest and largest permitted value by argument name (None: no upper bound); an integer bound requires whole
-numbers.
-"""
+"""Smallest and largest permitted value of each argument by its name; None means no upper bound.
+
+If the smallest value is an integer, only whole numbers are permitted."""
 MOVE_SYNTAX = "STATION=X,Y or STATION=X,Y,Z or STATION=X,Y,Z,YAW in mm and degrees, such as S2=5000,3000"
 """Syntax of a moved station, for messages and help."""
 
@@ -33,8 +33,8 @@ def range_text(argument_name: str) -> str:
 def check_bounds(*, required_argument: str = "", **argument_values: object) -> None:
     """Check of numeric arguments against `ARGUMENT_BOUNDS`; raises SetupError for a value out of range.
 
-    None means that an argument was not given; it is an error for the arguments in `required_argument`, names separated
-    by blanks.
+    None means that an argument was not given. This is an error for the arguments named in `required_argument`, with
+    blanks between the names.
     """
     for name, value in argument_values.items():
         low, high = ARGUMENT_BOUNDS[name]
@@ -47,7 +47,7 @@ def check_bounds(*, required_argument: str = "", **argument_values: object) -> N
 
 
 def bounded_parser(argument_name: str) -> Callable[[object], int | float]:
-    """Parser of a numeric argument on the command line; it raises SetupError under the conditions of `check_bounds`."""
+    """Function that reads a numeric argument of the command line; it raises SetupError for a value out of range."""
     kind = int if isinstance(ARGUMENT_BOUNDS[argument_name][0], int) else float
 
     def parse_bounded(text: object) -> int | float:
@@ -67,19 +67,19 @@ def bounded_parser(argument_name: str) -> Callable[[object], int | float]:
 def check_choice(
     argument_name: str, argument_value: object, choices: Sequence[str], *, allow_none: bool = False
 ) -> None:
-    """Check that an argument is one of its choices, or None with `allow_none`; raises SetupError."""
+    """Check that an argument is one of its choices (or None with `allow_none`); raises SetupError otherwise."""
     if argument_value not in choices and not (allow_none and argument_value is None):
         raise SetupError(f"{option(argument_name)} is {argument_value}, expected {' or '.join(choices)}")
 
 
 def check_mapping(argument_name: str, argument_value: object) -> None:
-    """Check that an argument is a mapping or None; raises SetupError."""
+    """Check that an argument is a mapping or None; raises SetupError otherwise."""
     if argument_value is not None and not isinstance(argument_value, Mapping):
         raise SetupError(f"{option(argument_name)} is {argument_value}, expected a mapping")
 
 
 def source_path(path_or_name: object) -> Path:
-    """Path or name of a source; raises SetupError for another object, and for an empty text."""
+    """Path or name of a source; SetupError for an empty text, and for an object that is neither text nor path."""
     text = fspath(path_or_name) if isinstance(path_or_name, str | PathLike) else None
     if not isinstance(text, str) or not text or "\0" in text:
         raise SetupError(f"the source is {path_or_name!r}, expected the name of a built-in one, or the path of a file")

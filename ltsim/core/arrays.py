@@ -1,4 +1,4 @@
-"""Array aliases, and checks of array arguments."""
+"""Type aliases of arrays, and checks of array arguments."""
 
 from collections.abc import Iterator
 
@@ -14,13 +14,13 @@ Singles = NDArray[np.float32]
 Ints = NDArray[np.int64]
 """Array of 64-bit integers."""
 Bools = NDArray[np.bool_]
-"""Array of flags."""
+"""Array of truth values."""
 MAX_TEMPORARY_ENTRIES = 4_000_000
-"""Largest number of entries of a temporary array: 32 MB."""
+"""Number of entries up to which a temporary array is allocated as a whole: 32 MB."""
 
 
 def stack_columns(*columns: Floats) -> Floats:
-    """Array (n, k, ...) of k columns (n, ...), joined as a second axis.
+    """Array (n, k, ...) that joins k arrays (n, ...) along a new second axis.
 
     Three times as fast as `np.stack` for a hundred rows.
     """
@@ -31,7 +31,7 @@ def stack_columns(*columns: Floats) -> Floats:
 
 
 def stack_and_release(rows: list[Singles]) -> Singles:
-    """Array (k, ...) of the rows of a list, which is emptied meanwhile: together they take the memory once."""
+    """Array (k, ...) of k rows from a list; the list is emptied, so that the rows need their memory only once."""
     array = np.empty((len(rows), *rows[0].shape), dtype=np.float32)
     while rows:
         last = rows.pop()
@@ -40,9 +40,9 @@ def stack_and_release(rows: list[Singles]) -> Singles:
 
 
 def median(values: Floats) -> float:
-    """Median of all entries (at least one); NaN if an entry is NaN.
+    """Median of all entries of an array that is not empty; NaN if an entry is NaN.
 
-    For a hundred entries ten times as fast as `np.median`.
+    Ten times as fast as `np.median` for a hundred entries.
     """
     sorted_values = np.sort(values, axis=None)
     middle_index = len(sorted_values) // 2
@@ -54,7 +54,7 @@ def median(values: Floats) -> float:
 
 
 def group_rows(keys: Ints, rows: Ints) -> Iterator[tuple[int, Ints]]:
-    """Pairs of each distinct key and the rows that have it, in ascending order of the keys."""
+    """Pairs of a key and the rows with this key, in ascending order of the distinct keys."""
     order = rows[np.argsort(keys[rows], kind="stable")]
     values, first = np.unique(keys[order], return_index=True)
     for key, group in zip(values, np.split(order, first[1:]), strict=False):

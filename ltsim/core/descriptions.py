@@ -1,7 +1,7 @@
-"""Descriptions of the fields of pydantic models: the docstrings below the fields, read only when they are used.
+"""Descriptions of the fields of pydantic models, from the docstrings below the fields.
 
-Pydantic's `use_attribute_docstrings` reads the source of each class when it is created, which takes a tenth of the time
-that a command needs to start; only schemas, tables and pages show descriptions.
+They are read only when a schema, a table or a page shows them. Pydantic's `use_attribute_docstrings` would read the
+source of each class when the class is created, which takes a tenth of the time that a command needs to start.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pydantic_core import CoreSchema
 
 
 class DescribedModel(BaseModel):
-    """Base of models whose JSON schema holds the docstrings below the fields as descriptions."""
+    """Base class of models whose JSON schema contains the docstrings below the fields as descriptions."""
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
@@ -35,7 +35,7 @@ class DescribedModel(BaseModel):
 
 
 def descriptions(model: type[BaseModel]) -> dict[str, str]:
-    """Descriptions of the fields of a model by field name; fields of base classes are included."""
+    """Description of each field of a model, by the name of the field; fields of base classes are included."""
     meanings: dict[str, str] = {}
     for kind in reversed(model.__mro__):
         if issubclass(kind, BaseModel) and kind is not BaseModel:
@@ -45,7 +45,7 @@ def descriptions(model: type[BaseModel]) -> dict[str, str]:
 
 @cache
 def _docstrings(module_name: str) -> dict[str, dict[str, str]]:
-    """Docstrings below the annotated names of each class of a module, by the qualified name of the class."""
+    """Docstring of each annotated attribute, for each class of a module by its qualified name."""
     try:
         tree = ast.parse(inspect.getsource(sys.modules[module_name]))
     except (OSError, TypeError):  # no source is at hand, as in an interactive session
@@ -54,6 +54,7 @@ def _docstrings(module_name: str) -> dict[str, dict[str, str]]:
 
 
 def _descriptions_of_classes(statements: list[ast.stmt], prefix: str) -> list[tuple[str, dict[str, str]]]:
+    """Qualified name of each class among parsed statements, and the docstrings of its annotated attributes."""
     classes = []
     for node in statements:
         if isinstance(node, ast.ClassDef):

@@ -17,11 +17,11 @@ from importlib.util import find_spec
 
 
 class LtsimError(Exception):
-    """Base class of the exceptions of ltsim; the command line prints its sentence and exits with status 2."""
+    """Base class of the exceptions of ltsim; the command line prints the message and exits with status 2."""
 
 
 class RecordError(LtsimError):
-    """Error in a recording or another input file.
+    """Error in the content of a recording or another input file.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class SetupError(LtsimError):
 
 @contextmanager
 def as_setup_error(error_location: str = "") -> Iterator[None]:
-    """Context that re-raises RecordError, SetupError and ModelError as SetupError, with `error_location` as prefix."""
+    """Context in which RecordError, SetupError and ModelError become SetupError, with `error_location` as prefix."""
     try:
         yield
     except (RecordError, SetupError, ModelError) as problem:
@@ -68,7 +68,7 @@ class NetworkError(LtsimError):
 
 
 class WorkerError(LtsimError):
-    """Error for a worker process that ended before its work was done."""
+    """Error for a worker process that ended before its result was complete."""
 
 
 class StoppedError(LtsimError):
@@ -76,14 +76,14 @@ class StoppedError(LtsimError):
 
 
 class CalibratorError(LtsimError):
-    """Error for an external calibrator that ended without a result.
+    """Error for an external calibration program that ended without a result.
 
-    The message has its command, status and last line.
+    The message contains its command, its exit status and its last line of output.
     """
 
 
 class ConvergenceError(LtsimError):
-    """Error for a solver that did not converge, raised by `Solution.require_success()`; it carries the solution."""
+    """Error for an iteration that did not converge; the attribute `solution` holds its last state."""
 
     def __init__(self, message: str, solution: object) -> None:
         self.solution = solution
@@ -91,7 +91,7 @@ class ConvergenceError(LtsimError):
 
 
 MAX_QUOTED_NAME_LENGTH = 60
-"""Largest number of characters of a name that is quoted in a message; longer names are shortened."""
+"""Number of characters up to which a message quotes a name in full; longer names are shortened."""
 _SPELLING = {"flags": False}
 """Spelling of options in messages: as flags of the command line, or as arguments in Python."""
 FLAG_SPELLINGS = {"with_effects": "--with", "scaled": "--scale", "hints": "--hint", "calibrate=False": "--no-calibrate"}
@@ -109,25 +109,25 @@ def options_are_flags() -> Iterator[None]:
 
 
 def option(argument_name: str) -> str:
-    """Spelling of an option for the reader: `prior` or `resume=True` in Python, `--prior` or `--resume` as a flag."""
+    """Name of an option as the user writes it: `resume=True` in Python, `--resume` on the command line."""
     if not _SPELLING["flags"]:
         return argument_name
     return FLAG_SPELLINGS.get(argument_name) or "--" + argument_name.removesuffix("=True").replace("_", "-")
 
 
 def missing_extra(feature_name: str, extra_name: str) -> SetupError:
-    """SetupError for a function that needs packages of an extra."""
+    """SetupError that says how to install the packages of an optional extra, which `feature_name` needs."""
     return SetupError(f"{feature_name} need the extra '{extra_name}': pip install \"ltsim[{extra_name}]\"")
 
 
 def require(package_names: Sequence[str], feature_name: str, extra_name: str) -> None:
-    """Check that the packages of an optional extra are installed; raises SetupError that says what to install."""
+    """Check that the packages of an optional extra are installed; SetupError with the command to install them."""
     if not all(is_installed(name) for name in package_names):
         raise missing_extra(feature_name, extra_name)
 
 
 def is_installed(package_name: str) -> bool:
-    """True where a package can be imported."""
+    """True if a package can be imported."""
     try:
         return find_spec(package_name) is not None
     except ValueError:  # it was hidden from this process
@@ -135,12 +135,12 @@ def is_installed(package_name: str) -> bool:
 
 
 def printable(text: str) -> str:
-    """The text with control characters replaced by `?`, safe to print on a terminal."""
+    """Text with `?` in place of control characters, safe to print on a terminal."""
     return "".join(c if c.isprintable() or c in "\n\t" else "?" for c in text)
 
 
 def unknown_name(object_kind: str, unknown_name_text: str, valid_names: Iterable[str]) -> ModelError:
-    """ModelError for a name that does not exist, with the closest valid ones."""
+    """ModelError for a name that does not exist, with the most similar valid names."""
     choices = sorted(valid_names)
     short = printable(
         unknown_name_text

@@ -20,7 +20,7 @@ MAX_TEXT_LINES = 500_000
 while it is read.
 """
 MAX_LINE_CHARACTERS = 20_000
-"""Largest number of characters in a line; a header of `MAX_ROW_FIELDS` names of 40 characters has as many."""
+"""Largest number of characters in a line: that of a header of `MAX_ROW_FIELDS` names with 40 characters each."""
 MAX_ROW_FIELDS = 500
 """Largest number of columns in a table."""
 MAX_TABLE_HEADERS = 10_000
@@ -101,9 +101,9 @@ is read, and 1,500 in a hall where it may hide targets."""
 
 
 def max_pointings(default_limit: int) -> int:
-    """Largest number of pointings of a network: a limit of this module, or the environment variable if it is larger.
+    """Largest number of pointings of a network: the given limit, or the environment variable if this is larger.
 
-    Raises ModelError where the variable is no whole number.
+    ModelError is raised if the variable is not a whole number.
     """
     text = os.environ.get(POINTINGS_LIMIT_VARIABLE, "").strip()
     if text and not re.fullmatch("[0-9]{1,9}", text):

@@ -1,8 +1,8 @@
-"""Notation of numbers: one rule for value and sigma, one for an expanded uncertainty, everywhere.
+"""Notation of numbers with standard deviations and with expanded uncertainties, the same in all texts.
 
-`a +- b` is always a value and **one standard deviation** (sigma, JCGM 100 standard uncertainty). What covers 95 % is
-written as an expanded uncertainty with its factor, `U = b (k = 2)`, or as an interval that says so. Pages turn `+-` and
-`um` into their signs.
+`a +- b` is always a value and **one standard deviation** (standard uncertainty of JCGM 100). An uncertainty that covers
+95 % is written as an expanded uncertainty with its coverage factor, `U = b (k = 2)`, or as an interval that says so.
+Pages show `+-` and `um` as symbols.
 """
 
 import math
@@ -11,13 +11,13 @@ from collections.abc import Sequence
 from ltsim.core.errors import ModelError
 
 MISSING_TEXT = "-"
-"""Text of a missing number; never `nan`."""
+"""Text for a missing number, in place of `nan`."""
 MAX_DECIMALS = 12
-"""Largest number of decimals of a displayed standard deviation: with sigmas below 1e-12 it shows 0."""
+"""Largest number of decimals in a displayed standard deviation; one below 1e-12 is displayed as 0."""
 
 
 def number_text(value: float | None, n_digits: int = 3) -> str:
-    """Number with `n_digits` significant digits, without exponent from 1e-4 to 1e6; a dash for a missing number."""
+    """Number as text with `n_digits` significant digits, without exponent from 1e-4 to 1e6; a dash if it is missing."""
     if value is None or not math.isfinite(value):
         return MISSING_TEXT
     if value == 0:
@@ -29,7 +29,7 @@ def number_text(value: float | None, n_digits: int = 3) -> str:
 
 
 def with_sigma(value: float | None, sigma: float | None, unit: str = "") -> str:
-    """`1.23 +- 0.10 um`: value and one standard deviation, both to the second digit of sigma."""
+    """Value and one standard deviation as text, to the second digit of the standard deviation: `1.23 +- 0.10 um`."""
     if value is None or not math.isfinite(value):
         return MISSING_TEXT
     if sigma is None or not (math.isfinite(sigma) and sigma > 0):
@@ -41,7 +41,7 @@ def with_sigma(value: float | None, sigma: float | None, unit: str = "") -> str:
 def with_expanded_uncertainty(
     value: float | None, expanded_uncertainty: float | None, unit: str = "", coverage_factor: float = 2.0
 ) -> str:
-    """`1.23 um, U = 0.20 um (k = 2)`: value and expanded uncertainty of a coverage factor."""
+    """Value and expanded uncertainty with its coverage factor as text: `1.23 um, U = 0.20 um (k = 2)`."""
     if expanded_uncertainty is None or not (math.isfinite(expanded_uncertainty) and expanded_uncertainty > 0):
         return with_sigma(value, None, unit)
     if value is None or not math.isfinite(value):
@@ -52,7 +52,7 @@ def with_expanded_uncertainty(
 
 
 def decimals_of_sigma(sigma: float) -> int:
-    """Decimals that end at the second digit of an uncertainty: 2 for 0.10, 0 for 12 and above."""
+    """Number of decimals down to the second digit of a standard deviation: 2 for 0.10, and 0 from 12 on."""
     rounded_sigma = float(f"{sigma:.1e}")  # 0.0996 is 0.10
     return min(max(1 - math.floor(math.log10(rounded_sigma)), 0), MAX_DECIMALS)
 
@@ -60,7 +60,7 @@ def decimals_of_sigma(sigma: float) -> int:
 def align_columns(header: Sequence[str], rows: Sequence[Sequence[str]], n_text_columns: int = 1) -> str:
     """Rows as aligned text: the first `n_text_columns` columns flush left, the others flush right.
 
-    Raises ModelError when a row is not as long as the header.
+    ModelError is raised if a row is not as long as the header.
     """
     if any(len(row) != len(header) for row in rows):
         raise ModelError("a row of a table is not as long as its header")
@@ -76,14 +76,14 @@ def align_columns(header: Sequence[str], rows: Sequence[Sequence[str]], n_text_c
 
 
 def listing(items: Sequence[str], max_items: int = 6) -> str:
-    """Words with commas; those beyond `max_items` are counted: `a, b and 3 more`."""
+    """List of names as text; names beyond `max_items` are only counted: `a, b and 3 more`."""
     if len(items) <= max_items:
         return ", ".join(items)
     return ", ".join(items[:max_items]) + f" and {len(items) - max_items} more"
 
 
 def fixed_point_text(value: float | None, n_decimals: int) -> str:
-    """Number with `n_decimals` decimals and without thousands separators; a dash for a missing number."""
+    """Number as text with `n_decimals` decimals and without thousands separators; a dash if it is missing."""
     if value is None or not math.isfinite(value):
         return MISSING_TEXT
     text = f"{value:.{n_decimals}f}"

@@ -1,4 +1,4 @@
-"""Parallel work: functions in worker processes that exit with their parent, even if the parent is killed."""
+"""Functions in parallel worker processes, which exit with their parent process even if this is killed."""
 
 import os
 import threading
@@ -11,10 +11,10 @@ from typing import Any, TypeVar
 from ltsim.core.arguments import check_bounds
 from ltsim.core.errors import WorkerError, option
 
-PARENT_CHECK_INTERVAL = 1.0
-"""Time [s] between two checks of a worker that its parent process still runs."""
+PARENT_CHECK_INTERVAL_S = 1.0
+"""Time [s] between two checks of a worker process that its parent process still exists."""
 SAFE_PATH = "PYTHONSAFEPATH"
-"""Environment variable that keeps Python from adding the working folder to its module path."""
+"""Environment variable that keeps Python from adding the working folder to its module search path."""
 ReturnType = TypeVar("ReturnType")
 
 
@@ -26,11 +26,11 @@ def run_parallel(
     keeps_order: bool = True,
     calls_per_batch: int = 1,
 ) -> Iterator[ReturnType]:
-    """Results of a function for each tuple of arguments in `argument_tuples`, computed by `n_processes` processes.
+    """Results of a function for each tuple of arguments, computed by `n_processes` worker processes.
 
-    With `jobs=1` this process computes them. The function must be importable by its name. Results come in the order of
-    the calls, or with `ordered=False` as they are ready; `calls_per_batch` calls are sent to a worker together. Raises
-    WorkerError when a worker process ends early, SetupError for fewer jobs than one.
+    With one process this process computes the results. The function must be importable by its name. Results come in the
+    order of the calls, or as soon as they are ready if `keeps_order` is false. Each worker receives `calls_per_batch`
+    calls together. WorkerError is raised if a worker process ends early, SetupError for fewer than one process.
     """
     check_bounds(jobs=n_processes)
     if n_processes == 1:
@@ -61,9 +61,9 @@ def run_parallel(
 
 @contextmanager
 def _without_working_folder() -> Iterator[None]:
-    """Context in which worker processes start without the working folder on their path.
+    """Context in which worker processes start without the working folder on their module search path.
 
-    A `numpy.py` in the working folder would run in place of numpy.
+    A file `numpy.py` in the working folder would otherwise be imported in place of numpy.
     """
     old_value = os.environ.get(SAFE_PATH)
     os.environ[SAFE_PATH] = "1"
@@ -77,11 +77,11 @@ def _without_working_folder() -> Iterator[None]:
 
 
 def _watch_parent(parent_process_id: int) -> None:
-    """Thread that ends this process as soon as its parent process no longer exists."""
+    """Start of a thread that ends this process as soon as its parent process no longer exists."""
 
     def look() -> None:
         while os.getppid() == parent_process_id:
-            time.sleep(PARENT_CHECK_INTERVAL)
+            time.sleep(PARENT_CHECK_INTERVAL_S)
         os._exit(1)
 
     threading.Thread(target=look, daemon=True).start()

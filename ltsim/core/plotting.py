@@ -1,4 +1,4 @@
-"""Registry of the plotting modules, loaded lazily, so that results do not import matplotlib."""
+"""Lazy import of the plotting modules, so that results do not import matplotlib."""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,10 +7,10 @@ _loaders: list[Callable[[str], Any]] = []
 
 
 def register_plotting(import_module: Callable[[str], Any]) -> None:
-    """Registration of the function that imports a plotting module by its name within `ltsim.reports`."""
+    """Registration of the function that imports a plotting module by its name in `ltsim.reports`."""
     _loaders[:] = [import_module]
 
 
 def plotting_module(module_name: str) -> Any:
-    """A plotting module, imported by the registered function."""
+    """Plotting module of the given name, imported by the registered function."""
     return _loaders[0](module_name)

@@ -1,7 +1,7 @@
-"""Independent streams of random numbers, addressed by keys.
+"""Independent streams of random numbers, each addressed by a key that names its purpose.
 
-A stream is named by its purpose: ``stream(seed, "truth", "beam-tilt", 17)``. A draw depends on its key alone, so
-neither the number of workers nor the list of effects can change it.
+For example, ``stream(seed, "truth", "beam-tilt", 17)``. A draw depends only on the seed and the key, so that neither
+the number of worker processes nor the list of effects can change it.
 """
 
 import zlib
@@ -13,20 +13,19 @@ from numpy.typing import NDArray
 from ltsim.core.errors import SetupError
 
 WORD_SIZE = 2**32
-"""Upper bound of the words of a seed: NumPy's SeedSequence takes unsigned integers of 32 bits."""
+"""Upper bound of the integers in a seed: NumPy's SeedSequence takes unsigned integers of 32 bits."""
 TRIALS_PER_STREAM = 256
-"""Number of consecutive trials whose numbers come from one stream. It is part of the definition of the numbers and must
-not change.
-"""
+"""Number of consecutive trials whose numbers come from one stream. It defines the numbers and must not change."""
 
 
 @lru_cache(maxsize=4096)
 def _key_number(key_text: str) -> int:
+    """Integer for one part of a key: a checksum of a name."""
     return zlib.crc32(key_text.encode())
 
 
 def stream(seed: int, *stream_key: str | int) -> np.random.Generator:
-    """Random generator of `stream_key` under the root `seed`.
+    """Random generator for the key `stream_key` and the seed.
 
     Parameters
     ----------
@@ -59,12 +58,10 @@ def stream(seed: int, *stream_key: str | int) -> np.random.Generator:
 def standard_normal_trials(
     seed: int, trial_numbers: NDArray[np.int64], n_values: int, *stream_key: str | int
 ) -> NDArray[np.float64]:
-    """Standard normal numbers (size, B) of the trials with numbers `trial_numbers` (B,) under `stream_key`.
+    """Standard normal numbers of several trials, shape (n_values, trials), for the key `stream_key`.
 
-    Each trial is independent of the others in the call.
-
-    Trial 0 has the stream of the key alone; `TRIALS_PER_STREAM` consecutive trials, from 0 on, share one for all
-    others.
+    The numbers of each trial are independent of the other trials in the call. Trial 0 uses the stream of the key alone.
+    For all other trials, `TRIALS_PER_STREAM` consecutive trials share one stream.
     """
     first, count = int(trial_numbers[0]), len(trial_numbers)
     if (
@@ -84,7 +81,7 @@ def standard_normal_trials(
 
 
 def _block_numbers(seed: int, block_number: int, n_values: int, *stream_key: str | int) -> NDArray[np.float64]:
-    """Standard normal numbers (size, BLOCK) of all trials of one block."""
+    """Standard normal numbers of all trials that share one stream, shape (n_values, `TRIALS_PER_STREAM`)."""
     numbers = stream(seed, *stream_key, "block", block_number).standard_normal((n_values, TRIALS_PER_STREAM))
     if not block_number:
         numbers[:, 0] = stream(seed, *stream_key).standard_normal(n_values)

@@ -1,8 +1,7 @@
-"""Results and their tables; the columns of a table are declared once for every form of output.
+"""Results and their tables; the columns of a table are declared once for all forms of output.
 
-A `Column` has name, meaning, unit and number format; a `Table` of columns and rows gives the CSV file (written and
-read), the rows of JSON, the data frame, the text of a terminal, and the tables of notebooks and pages. A `Result` of a
-verb has a few lines of summary, tables and a picture; it is compared by value, and can be copied and pickled.
+A `Column` has name, meaning, unit and number format. A `Table` gives the CSV file, the rows of JSON, the data frame,
+the text of a terminal, and the tables of notebooks and pages. A `Result` has a short summary, tables and a picture.
 """
 
 from __future__ import annotations
@@ -34,16 +33,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FORMULA_STARTS = ("=", "+", "-", "@", "'")
-"""Characters at the start of a cell that a spreadsheet interprets as a formula."""
+"""First characters of a cell that a spreadsheet interprets as a formula."""
 MAX_MAGNITUDE = 1e40
-"""Largest magnitude of a number in a result file; products of eight larger numbers, as in a product of four variances,
-could overflow.
-"""
+"""Largest magnitude of a number in a result file; a product of eight larger numbers could overflow."""
 MAX_NOTEBOOK_ROWS = 12
-"""Number of table rows that a notebook shows."""
+"""Number of rows up to which a notebook shows a table in full."""
 ColumnKind = Literal["text", "number", "flag", "chance"]
+"""Kind of the values of a column: text, number, true or false, or p-value (`chance`)."""
 ColumnValues = Mapping[str, Sequence[Any]]
-"""Columns of equal length by their headers."""
+"""Values of columns of equal length, by the names of the columns."""
 
 
 @dataclass(frozen=True)
@@ -90,14 +88,14 @@ class Column:
 
     @property
     def heading(self) -> str:
-        """Displayed title with its unit: `x [mm]`."""
+        """Displayed title of the column with its unit: `x [mm]`."""
         unit = self.unit or unit_of_key(self.name)
         ending = next((e for e, u in UNIT_BY_KEY_ENDING.items() if u == unit and self.name.endswith(e)), "")
         title = self.title or self.name.removesuffix(ending).replace("_", " ")
         return f"{title} [{unit}]" if unit else title
 
     def cell(self, value: Any) -> Any:
-        """Value of a CSV cell; empty for a missing value."""
+        """Value for a cell of the CSV file; empty if it is missing."""
         if value is None or (isinstance(value, float) and not math.isfinite(value)):
             return ""
         if self.kind == "text":
@@ -107,7 +105,7 @@ class Column:
         return f"{value:.6g}" if isinstance(value, float) and abs(value) < 1e4 else value
 
     def display(self, value: Any, precision: Any = None) -> str:
-        """Displayed text of a value, `precision` being the value of its column `sigma` or `like`; a dash for none."""
+        """Displayed text of a value to the digits of `precision`, the value of its column `sigma` or `like`."""
         if value is None or (isinstance(value, float) and not math.isfinite(value)):
             return MISSING_TEXT
         if isinstance(value, bool | np.bool_):
@@ -126,17 +124,17 @@ class Column:
 
 
 def texts(**columns: str) -> tuple[Column, ...]:
-    """Columns of text, as `name="meaning"`."""
+    """Columns of text, given as `name="meaning"`."""
     return tuple(Column(name, about, "text") for name, about in columns.items())
 
 
 def numbers(format_text: str = "", display_format: str = "", **columns: str) -> tuple[Column, ...]:
-    """Columns of numbers of one format, as `name="meaning"`."""
+    """Columns of numbers with the same format, given as `name="meaning"`."""
     return tuple(Column(name, about, form=format_text, shown=display_format) for name, about in columns.items())
 
 
 def flags(**columns: str) -> tuple[Column, ...]:
-    """Columns of true and false, as `name="meaning of true"`."""
+    """Columns of true and false, given as `name="meaning of true"`."""
     return tuple(Column(name, about, "flag") for name, about in columns.items())
 
 
@@ -161,26 +159,26 @@ def _is_text(annotation: Any) -> bool:
 
 @dataclass(frozen=True)
 class Table(ValueEquality):
-    """A table: subject and columns, declared once; `with_rows` adds rows.
+    """Table with a subject, columns and rows.
 
-    Spreadsheets take a cell that begins with ``=``, ``+``, ``-`` or ``@`` for a formula. Such a text is written to CSV
-    with an apostrophe before it, as is a text that begins with an apostrophe; `parse_csv` removes it.
+    A spreadsheet interprets a cell that begins with ``=``, ``+``, ``-`` or ``@`` as a formula. Such texts, and texts
+    that begin with an apostrophe, are written to CSV with an apostrophe before them; `parse_csv` removes it.
     """
 
     file: str
-    """Name of the CSV file; without its suffix the name of the table."""
+    """Name of the CSV file; without its suffix, the name of the table."""
     about: str
     columns: tuple[Column, ...]
     rows: tuple[tuple[Any, ...], ...] = ()
 
     @classmethod
     def from_columns(cls, table_name: str, columns: ColumnValues, table_description: str = "") -> Table:
-        """Table of columns that are not declared in advance, such as additional columns of a recording."""
+        """Table of columns that are not declared in advance, such as further columns of a recording."""
         table_columns = tuple(Column(head, kind=_column_kind(column)) for head, column in columns.items())
         return cls(f"{table_name}.csv", table_description, table_columns, tuple(zip(*columns.values(), strict=True)))
 
     def with_rows(self, rows: Iterable[Any]) -> Table:
-        """The table with rows: sequences in the order of its columns, or objects or mappings with their names."""
+        """Copy of the table with rows: sequences in the order of the columns, or objects or mappings by name."""
         return replace(self, rows=tuple(self._row(row) for row in rows))
 
     def _row(self, row: Any) -> tuple[Any, ...]:
@@ -203,7 +201,7 @@ class Table(ValueEquality):
         return [column.name for column in self.columns]
 
     def with_columns(self, names: str) -> Table:
-        """The table with the columns `names`, separated by blanks, in this order, and their standard deviations."""
+        """Copy of the table with the columns `names` (separated by blanks), and with their standard deviations."""
         by_name = {column.name: column for column in self.columns}
         columns_used = [by_name[name] for name in names.split() if name in by_name]
         names_used = dict.fromkeys(name for c in columns_used for name in (c.name, c.sigma or c.like) if name)
@@ -212,18 +210,18 @@ class Table(ValueEquality):
         return replace(self, columns=tuple(self.columns[i] for i in indices), rows=rows)
 
     def column(self, column_name: str) -> list[Any]:
-        """All cells of one column; raises ModelError."""
+        """All values of one column; raises ModelError for an unknown name."""
         if column_name not in self.header:
             raise unknown_name(f"column of {self.name}", column_name, self.header)
         at = self.header.index(column_name)
         return [row[at] for row in self.rows]
 
     def json(self) -> list[dict[str, Any]]:
-        """The rows as mappings from column name to value."""
+        """Rows of the table as mappings from column name to value."""
         return [dict(zip(self.header, row, strict=True)) for row in self.rows]
 
     def frame(self) -> pd.DataFrame:
-        """The table as a data frame; raises SetupError without pandas."""
+        """Data frame of the table; raises SetupError without pandas."""
         try:
             from pandas import DataFrame
         except ImportError:
@@ -240,7 +238,7 @@ class Table(ValueEquality):
         return stream.getvalue()
 
     def parse_csv(self, text: str, file: object = None) -> Table:
-        """The table with the rows of a CSV text; an empty number is NaN, undeclared columns are ignored.
+        """Copy of the table with the rows of a CSV text; an empty number is NaN, undeclared columns are ignored.
 
         Raises
         ------
@@ -263,13 +261,13 @@ class Table(ValueEquality):
             raise RecordError(f"is not CSV ({problem})", file=file) from None
 
     def numbers(self, *names: str) -> Floats:
-        """The named columns as a float array (rows, columns)."""
+        """Values of the named columns as a float array (rows, columns)."""
         columns = [np.array(self.column(name), dtype=np.float64) for name in names]
         return np.stack(columns, axis=1) if columns else np.zeros((len(self.rows), 0))
 
     @property
     def _displayed_columns(self) -> list[Column]:
-        """Displayed columns: no empty ones, and no standard deviations, which share a cell with their value."""
+        """Columns that are displayed: not empty, and not the standard deviations that share a cell with their value."""
         merged_names = {column.sigma for column in self.columns}
         empty_names = {
             c.name for i, c in enumerate(self.columns) if self.rows and all(r[i] in (None, "") for r in self.rows)
@@ -278,22 +276,22 @@ class Table(ValueEquality):
 
     @property
     def headings(self) -> list[str]:
-        """Displayed titles of the columns, with units."""
+        """Displayed titles of the columns with their units."""
         return [column.heading for column in self._displayed_columns]
 
     @property
     def meanings(self) -> dict[str, str]:
-        """Meanings of the displayed columns by heading; columns without a meaning are omitted."""
+        """Meanings of the displayed columns by displayed title; columns without a meaning are omitted."""
         return {column.heading: column.meaning for column in self._displayed_columns if column.meaning}
 
     def cells(self) -> list[list[str]]:
-        """Displayed texts of the rows, in the columns of `headings`."""
+        """Displayed texts of the rows, in the order of `headings`."""
         at = {name: i for i, name in enumerate(self.header)}
         column_pairs = [(c, c.sigma or c.like) for c in self._displayed_columns]
         return [[c.display(row[at[c.name]], row[at[p]] if p else None) for c, p in column_pairs] for row in self.rows]
 
     def text(self) -> str:
-        """Aligned text for a terminal: text flush left, numbers flush right."""
+        """Aligned text of the table for a terminal: text flush left, numbers flush right."""
         kinds = [column.kind == "text" for column in self._displayed_columns]
         return align_columns(self.headings, self.cells(), kinds.index(False) if False in kinds else len(kinds))
 
@@ -314,17 +312,17 @@ class Table(ValueEquality):
 
 
 class Result(ValueEquality):
-    """Base class of the results of verbs; a subclass defines `_lines` and `_tables`.
+    """Base class of the results of public functions; a subclass defines `_lines` and `_tables`.
 
-    Results are compared by value, arrays included; they can be copied and pickled.
+    Results are compared by value, including their arrays; they can be copied and pickled.
     """
 
     def _lines(self) -> list[str]:
-        """Summary of the result in a few lines."""
+        """Lines of the summary of the result."""
         raise NotImplementedError
 
     def _tables(self) -> Mapping[str, Callable[[], Table | ColumnValues]]:
-        """Functions that make the tables, by name; the first one is the default."""
+        """Functions that make the tables of the result, by table name; the first is the default."""
         return {}
 
     def __repr__(self) -> str:
@@ -357,22 +355,22 @@ class Result(ValueEquality):
         return content if isinstance(content, Table) else Table.from_columns(name, content)
 
     def to_dataframe(self, table: str | None = None) -> pd.DataFrame:
-        """A table of the result as a data frame; raises ModelError as `table`, SetupError without pandas."""
+        """Data frame of a table of the result; raises ModelError for an unknown table and SetupError without pandas."""
         return self.table(table).frame()
 
     def plot(self) -> Figure:
-        """Figure of the result (matplotlib); raises ModelError for a result without one."""
+        """Figure of the result (matplotlib); raises ModelError for a result without a figure."""
         figure: Figure = plotting_module("plots").figure_of(self)
         return figure
 
 
 def guard_formula(text: str) -> str:
-    """The text with an apostrophe before it if a spreadsheet would interpret it as a formula."""
+    """Text with an apostrophe before it if a spreadsheet would interpret the text as a formula."""
     return f"'{text}" if text.startswith(FORMULA_STARTS) else text
 
 
 def unguard_formula(text: str) -> str:
-    """The text without the apostrophe of `guard_formula`."""
+    """Text without the apostrophe that `guard_formula` adds."""
     return text[1:] if text.startswith("'") and text[1:].startswith(FORMULA_STARTS) else text
 
 
@@ -396,5 +394,5 @@ def _parse_value(column: Column, cell: str, file: object, row: int) -> Any:
 
 
 def columns_from_rows(rows: Sequence[Mapping[str, Any]]) -> ColumnValues:
-    """Columns from rows that have equal keys."""
+    """Values of each column, from rows with the same keys."""
     return {key: [row[key] for row in rows] for key in (rows[0] if rows else ())}

@@ -1,8 +1,9 @@
-"""Atomic replacement of the files of a folder, by one process that may be killed at any moment.
+"""Atomic replacement of files in a folder, by a process that may be killed at any moment.
 
-Contents are written to temporary files first; a journal then lists their final names, and the moves follow. A process
-that is killed before the journal leaves the folder unchanged; the next process that writes there completes the moves of
-a journal (`complete_interrupted_moves`). Files and folders have the permissions of the user's umask.
+Contents are written to temporary files first. A journal file then lists the final names, and the files are renamed. A
+process that is killed before it writes the journal leaves the folder unchanged. If it is killed later, the next process
+that writes there completes the renaming (`complete_interrupted_moves`). Files and folders have the permissions of the
+user's umask.
 """
 
 from __future__ import annotations
@@ -20,18 +21,18 @@ from tempfile import TemporaryFile
 from ltsim.core.errors import RecordError
 
 FILE_MODE = 0o666
-"""Permissions of a new file before the umask applies."""
+"""Permissions of a new file, which the umask restricts further."""
 _PROCESS_TOKEN = secrets.token_hex(4)
-"""Random token of this process; process numbers alone are reused by the system."""
+"""Random identifier of this process, because the system uses process numbers again."""
 _TEMPORARY_NAME = re.compile(r"\.ltsim-(\d{1,9})-([0-9a-f]{8})-[0-9a-f]{8}\.(tmp|moves)")
-"""Pattern of the names of temporary files and journals; the groups are number and token of the writing process."""
+"""Pattern of the names of temporary files and journals; its groups are number and random identifier of the process."""
 
 
 def write_files(folder: Path, content_by_name: Mapping[str, bytes], *, flush_to_disk: bool = False) -> None:
-    """Atomic writing of files into a folder, which is created if necessary: all of them are written, or none.
+    """Atomic writing of files into a folder, which is created if necessary: all files are written, or none.
 
-    A name may contain folders. A device or a pipe is written to directly. `flush_to_disk` files and their names are
-    flushed to the disk. Raises OSError, and RecordError as `path_in_folder`.
+    A name may contain folders. A device or a pipe is written to directly. With `flush_to_disk` the files and their
+    names are forced to the disk. OSError is raised, and RecordError as in `path_in_folder`.
     """
     folder.mkdir(parents=True, exist_ok=True)
     complete_interrupted_moves(folder)
@@ -63,11 +64,9 @@ def write_files(folder: Path, content_by_name: Mapping[str, bytes], *, flush_to_
 
 
 def complete_interrupted_moves(folder: Path) -> set[str]:
-    """Completion of the interrupted moves of killed processes.
+    """Names of the files whose interrupted renaming was completed; temporary files of killed processes are removed.
 
-    Returns the names of the completed files and removes temporary ones.
-
-    Raises OSError.
+    OSError is raised if the folder cannot be written.
     """
     finished_names: set[str] = set()
     for journal in _abandoned_files(folder, "moves"):
@@ -89,7 +88,7 @@ def complete_interrupted_moves(folder: Path) -> set[str]:
 
 
 def path_in_folder(folder: Path, file_name: str) -> Path:
-    """Path of a file in a folder, symbolic links resolved; RecordError for a link that leaves the folder."""
+    """Path of a file in a folder after resolution of links; RecordError for a link that leads out of the folder."""
     place = Path(os.path.realpath(folder / file_name))
     if not (place.is_relative_to(os.path.realpath(folder)) or is_device(place)):
         raise RecordError(
@@ -100,12 +99,15 @@ def path_in_folder(folder: Path, file_name: str) -> Path:
 
 
 def is_device(path: Path) -> bool:
-    """True when a path leads to something that is neither a file nor a folder: a device, a pipe."""
+    """True if a path is neither a file nor a folder but a device or a pipe."""
     return path.exists() and not path.is_file() and not path.is_dir()
 
 
 def check_writable(path: Path, *, folder: bool) -> None:
-    """Check that a file, or a `folder`, can be written at a path; parent folders may be missing. Raises RecordError."""
+    """Check that a file, or a folder if `folder` is true, can be written at a path; raises RecordError otherwise.
+
+    Parent folders may be missing.
+    """
     try:
         if path.is_dir() != folder and path.exists():
             wrong = "the path is a file, expected a folder" if folder else "the path is a folder, expected a file"
@@ -143,7 +145,7 @@ def _create_file(path: Path, content: bytes, *, flush_to_disk: bool) -> None:
 
 
 def _rename_files(folder: Path, final_name_by_temporary: Mapping[str, str], *, flush_to_disk: bool) -> None:
-    """Renaming of temporary files to their final names; files that were already renamed are skipped."""
+    """Renaming of temporary files to their final names; files that were renamed before are skipped."""
     parents = set()
     for source, name in final_name_by_temporary.items():
         place = path_in_folder(folder, name)
@@ -163,7 +165,7 @@ def _is_inside(folder: Path, file_name: str) -> bool:
 
 
 def _abandoned_files(folder: Path, suffix: str) -> Iterator[Path]:
-    """Temporary files of processes that have ended, in a folder and its subfolders."""
+    """Temporary files in a folder and its subfolders whose processes have ended."""
     for path in [*folder.glob(f".ltsim-*.{suffix}"), *folder.glob(f"*/.ltsim-*.{suffix}")]:
         match = _TEMPORARY_NAME.fullmatch(path.name)
         if match and not _is_running(int(match[1]), match[2]):

@@ -1,6 +1,6 @@
-"""Units of input and output; inside, every float is SI: metre, radian, second, kelvin difference.
+"""Units of input and output. Inside the program every number is in SI units: metre, radian, second, kelvin.
 
-A parameter declares its display unit; ``displayed = value / SI_PER_UNIT[unit]``.
+A parameter declares its display unit: ``displayed = value / SI_PER_UNIT[unit]``.
 """
 
 import functools
@@ -10,13 +10,21 @@ from decimal import Decimal
 from types import MappingProxyType
 
 MICROMETRE = 1e-6
+"""Micrometre [m]."""
 MILLIMETRE = 1e-3
+"""Millimetre [m]."""
 MICRORADIAN = 1e-6
+"""Microradian [rad]."""
 ARCSECOND = math.pi / 648_000
+"""Arc second [rad]."""
 DEGREE = math.pi / 180
+"""Degree [rad]."""
 GON = math.pi / 200
+"""Gon [rad]."""
 QUARTER_TURN = 0.5 * math.pi
+"""Quarter of a full turn [rad]."""
 PPM = 1e-6
+"""Part per million, 1e-6."""
 EARTH_RADIUS = 6_371_000.0
 """Mean radius [m] of the earth."""
 
@@ -55,7 +63,7 @@ SI_PER_UNIT = MappingProxyType(
         "um2/m3": MICROMETRE**2,
     }
 )
-"""Size of each unit in SI."""
+"""Value of each unit in SI units, by the name of the unit."""
 
 CONVERTIBLE_UNITS = (
     frozenset({"um", "mm", "cm", "m", "in", "ft"}),
@@ -63,7 +71,7 @@ CONVERTIBLE_UNITS = (
     frozenset({"ms", "s", "min", "h"}),
     frozenset({"um/m", "ppm"}),
 )
-"""Groups of units that convert into each other."""
+"""Groups of units of the same kind of quantity, which can be converted into each other."""
 _SPELLINGS = MappingProxyType(
     {
         "deg": "deg degree degrees ° grad° º", "gon": "gon gons grad grads g gr neugrad", "rad": "rad radian radians",
@@ -78,7 +86,7 @@ _SPELLINGS = MappingProxyType(
 UNITS_BY_SPELLING = MappingProxyType(
     {word.replace("_", " "): unit for unit, words in _SPELLINGS.items() for word in words.split()}
 )
-"""Units by their spellings in lower case; `dms` is degrees, minutes and seconds in one cell."""
+"""Unit for each spelling in lower case; `dms` means degrees, minutes and seconds in one cell."""
 ANGLE_UNITS = ("deg", "gon", "rad", "dms")
 """Units of angles."""
 LENGTH_UNITS = ("mm", "m", "in", "cm", "ft", "um")
@@ -99,9 +107,9 @@ UNIT_BY_KEY_ENDING = MappingProxyType(
         "_ppm": "ppm", "_c": "°C", "_hpa": "hPa", "_pct": "%", "_percent": "%", "_s": "s", "_h": "h",
     }
 )  # fmt: skip
-"""Units by the last part of a key: `_mm` means millimetres."""
+"""Unit of a key by its last part: `_mm` means millimetres."""
 UNIT_BY_KEY_BEGINNING = MappingProxyType({"seconds": "s", "minutes": "min", "hours": "h"})
-"""Units by the first word of a key: `seconds` means s."""
+"""Unit of a key by its first word: `seconds` means s."""
 _QUANTITY_PATTERN = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s]\S*)\s*")
 
 
@@ -114,7 +122,7 @@ def unit_ratio(numerator_unit: str, denominator_unit: str) -> Decimal:
 
 
 def unit_of_key(key_name: str) -> str:
-    """Unit in the name of a key; empty for a key without one."""
+    """Unit that the name of a key contains; empty for a key without a unit."""
     for ending, name in UNIT_BY_KEY_ENDING.items():
         if key_name.endswith(ending):
             return name
@@ -122,14 +130,14 @@ def unit_of_key(key_name: str) -> str:
 
 
 def has_same_kind(unit: str, other_unit: str) -> bool:
-    """True for two units of the same kind of quantity, such as two lengths."""
+    """True if two units measure the same kind of quantity, for example two units of length."""
     return unit == other_unit or any({unit, other_unit} <= kind for kind in CONVERTIBLE_UNITS)
 
 
 def parse_in_unit(text: str, unit: str) -> float | None:
-    """Number in another unit of the same kind, from a text with its unit such as ``2 urad``.
+    """Number in the given unit, from a text with its own unit such as ``2 urad``.
 
-    It is None if the text is no such quantity.
+    It is None if the text is not a quantity of the same kind.
     """
     match = _QUANTITY_PATTERN.fullmatch(text)
     if match is None:

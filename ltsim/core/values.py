@@ -1,7 +1,6 @@
-"""Equality of results by value, arrays included.
+"""Comparison of results by value, including their arrays.
 
-Results are read from files through the models of these files alone. No function of ltsim reads a
-`pickle`.
+Results are read from files only through the models of these files. No function of ltsim reads a `pickle`.
 """
 
 import dataclasses
@@ -14,9 +13,9 @@ from pydantic import BaseModel
 
 
 class ValueEquality:
-    """Base class of data classes that are compared by value, arrays included.
+    """Base class of data classes that are compared by value, including their arrays.
 
-    Data classes derived from it use this comparison instead of comparing tuples of fields, which fails for arrays.
+    The usual comparison of data classes compares tuples of fields, which fails for arrays.
     """
 
     def __init_subclass__(cls, **class_options: Any) -> None:
@@ -34,7 +33,7 @@ class ValueEquality:
 
 
 def equal_values(first_value: Any, second_value: Any) -> bool:
-    """Equality of two values of one type by their contents; NaN equals NaN."""
+    """True if two values have the same type and the same content; NaN equals NaN."""
     if first_value is second_value:
         return True
     if isinstance(first_value, np.ndarray) or isinstance(second_value, np.ndarray):
@@ -59,9 +58,9 @@ def equal_values(first_value: Any, second_value: Any) -> bool:
 
 
 def _parts_of(object_value: Any) -> tuple[Any, ...] | None:
-    """Contents of an object that is neither a data class nor a model.
+    """Content of an object that is neither a data class nor a model, for the comparison; None without such content.
 
-    A sparse matrix and an object with `__reduce__` have such contents; None for another object.
+    Sparse matrices and objects with `__reduce__` have such content.
     """
     kind = type(object_value)
     if kind.__module__.startswith("scipy.sparse"):

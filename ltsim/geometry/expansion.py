@@ -1,8 +1,8 @@
 """Thermal expansion of a body, L(T) = L_0 (1 + a (T - T_0)), and its uncertainty.
 
-a is the mean coefficient of linear expansion between T_0 and T, both temperatures those of the body and not of the air.
-To first order the error of the factor is (T - T_0) da + a dT. Bodies of one material share da, those at one thermometer
-dT.
+a is the mean coefficient of linear expansion between T_0 and T. Both are temperatures of the body and not of the air.
+To first order the error of the factor is (T - T_0) da + a dT. Bodies of one material share the error da, and bodies
+whose temperature the same thermometer measures share the error dT.
 
 References
 ----------
@@ -33,9 +33,10 @@ class ThermalExpansion:
         sigma_coefficient: float | None = None,
         sigma_temperature: float | None = None,
     ) -> ThermalExpansion:
-        """Expansion of a body that is warmer [K] than its reference temperature; `coefficient_per_k` [1/K].
+        """Expansion of a body that is warmer than its reference temperature by `temperature_difference` [K].
 
-        Without a sigma it is exact.
+        `coefficient_per_k` is the coefficient of linear expansion [1/K]. A standard deviation that is not given counts
+        as zero.
         """
         return cls(
             1.0 + coefficient_per_k * temperature_difference,

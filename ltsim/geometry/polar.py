@@ -32,7 +32,10 @@ def from_polar(readings: Floats) -> Floats:
 
 
 def to_face(polar_coordinates: Floats, face: Ints) -> Floats:
-    """Raw readings (n, 3) on `face` (1 or 2) of front-face values (n, 3); its own inverse."""
+    """Raw readings (n, 3) on `face` (n,), 1 or 2, of front-face polar coordinates (n, 3).
+
+    The function is its own inverse: it also converts raw readings to front-face values.
+    """
     raw = polar_coordinates.copy()
     is_back_face = face == 2
     raw[is_back_face, 1] = wrap_angle(polar_coordinates[is_back_face, 1] + np.pi)
@@ -51,16 +54,17 @@ def unit_vectors(azimuth: Floats, elevation: Floats) -> tuple[Floats, Floats, Fl
 
 
 def parts_across_beam(vectors: Floats, points: Floats) -> Floats:
-    """Left and up parts (n, 2) of vectors (n, 3) as seen from the origin towards points (n, 3)."""
+    """Components (n, 2) of vectors (n, 3) to the left and upwards, across the beam from the origin to points (n, 3)."""
     _, azimuth, elevation = to_polar(points).T
     _, across, up = unit_vectors(azimuth, elevation)
     return stack_columns(np.einsum("ni,ni->n", vectors, across), np.einsum("ni,ni->n", vectors, up))
 
 
 def polar_jacobian(polar_coordinates: Floats, face: Ints) -> Floats:
-    """Derivative (n, 3, 3) of the raw readings on `face` with respect to the point, at front-face readings.
+    """Derivative (n, 3, 3) of the raw readings on `face` with respect to the point, at front-face readings (n, 3).
 
-    On face 2 the raw elevation runs backwards (180 deg minus), hence the sign of its row.
+    Axis 1 is the reading (range, azimuth, elevation), axis 2 the coordinate. On face 2 the raw elevation is 180 deg
+    minus the elevation, so that its row has the opposite sign.
     """
     range_, azimuth, elevation = polar_coordinates.T
     beam, across, up = unit_vectors(azimuth, elevation)

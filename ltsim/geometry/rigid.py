@@ -6,22 +6,24 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.geometry.rotations import cross_matrix
 
 MAX_COLLINEAR_RATIO = 1e-6
-"""Largest distance of points from a line, as a fraction of their extent, up to which they count as collinear."""
+"""Largest distance of points from a common line, as a fraction of their extent. Up to it the points count as collinear,
+and they do not determine a rotation about the line."""
 
 
 def rigid_motion_design(points: Floats, centre: Floats | None = None) -> Floats:
-    """Displacement (3 k, 6) of points (k, 3) by unit translations and unit rotations about `centre`.
+    """Displacement (3 k, 6) of points (k, 3) by unit translations and by unit rotations about `centre` (3,).
 
-    Without it about the origin.
+    Without `centre` the rotations are about the origin.
     """
     turn = -cross_matrix(points if centre is None else points - centre)
     return np.concatenate([np.broadcast_to(np.eye(3), turn.shape), turn], axis=2).reshape(-1, 6)
 
 
 def remove_rigid_motion(displacement: Floats, points: Floats, free_motions: Floats | None = None) -> Floats:
-    """Displacements (3 k, c) of points (k, 3) with the best-fitting rigid motion of each column removed.
+    """Displacements (3 k, c) of k points in c cases, with the best-fitting rigid motion of each case removed.
 
-    If `free_motions` (6, f) is given, only motions in the span of its columns are removed.
+    If `free_motions` (6, f) is given, only combinations of its f columns are removed; each column is a rigid motion
+    with three translations and three rotations.
     """
     motion = rigid_motion_design(points)
     basis = np.linalg.qr(motion if free_motions is None else motion @ free_motions)[0]
@@ -29,7 +31,9 @@ def remove_rigid_motion(displacement: Floats, points: Floats, free_motions: Floa
 
 
 def pose_design(point_derivatives: Floats, sight_vectors: Floats) -> Floats:
-    """Derivative (n, 3, 6) of readings with respect to translation and rotation of their station, network frame.
+    """Derivative (n, 3, 6) of n pointings' readings with respect to translation and rotation of their station.
+
+    Translations and rotations are in the network frame.
 
     Parameters
     ----------
@@ -48,9 +52,9 @@ def determines_pose(
     *,
     min_relative_width: float = MAX_COLLINEAR_RATIO,
 ) -> Bools:
-    """Flags (...): the geometry of the targets that a station measures determines its pose (six parameters).
+    """Flags (...) of stations whose pose (six parameters) is determined by the geometry of the targets they measure.
 
-    Three targets that are not collinear are sufficient; a levelled station needs two that are not on one vertical.
+    Three targets that are not collinear are sufficient. A levelled station needs two that are not on one vertical.
 
     Parameters
     ----------
@@ -60,16 +64,16 @@ def determines_pose(
     plumb_direction : (..., 3) float, optional
         Unit vector of the plumb line that a level defines at each station, NaN without a level.
     min_relative_width : float
-        Distance from a line, as a fraction of their extent, up to which targets count as collinear.
+        Distance of targets from a common line, as a fraction of their extent, up to which they count as collinear.
     """
     count = np.maximum(is_sighted.sum(axis=-1), 1)
     centre = (is_sighted @ points) / count[..., None]
-    arms = (points - centre[..., None, :]) * is_sighted[..., None]
-    scatter = np.swapaxes(arms, -1, -2) @ arms
+    centred_points = (points - centre[..., None, :]) * is_sighted[..., None]
+    scatter = np.swapaxes(centred_points, -1, -2) @ centred_points
     spread = np.linalg.eigvalsh(scatter)
-    held: Bools = spread[..., 1] > min_relative_width**2 * spread[..., 2]
+    is_determined: Bools = spread[..., 1] > min_relative_width**2 * spread[..., 2]
     if plumb_direction is not None:
         extent = spread.sum(axis=-1)
         across = extent - np.einsum("...i,...ij,...j->...", plumb_direction, scatter, plumb_direction)
-        held |= across > min_relative_width**2 * extent
-    return held
+        is_determined |= across > min_relative_width**2 * extent
+    return is_determined

@@ -17,9 +17,9 @@ def cross_matrix(vectors: Floats) -> Floats:
 def perpendicular_vectors(vectors: Floats) -> tuple[Floats, Floats]:
     """Two unit vectors (n, 3) that are perpendicular to each of the given unit vectors (n, 3) and to each other."""
     helper = np.where(np.abs(vectors[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
-    side = np.cross(vectors, helper)
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
-    return side, np.cross(vectors, side)
+    first_perpendicular = np.cross(vectors, helper)
+    first_perpendicular /= np.linalg.norm(first_perpendicular, axis=1, keepdims=True)
+    return first_perpendicular, np.cross(vectors, first_perpendicular)
 
 
 def from_rotation_vector(vectors: Floats) -> Floats:
@@ -43,11 +43,11 @@ def quaternion_from_matrix(matrix: Floats) -> Floats:
 
 
 def smallest_rotation(start_axis: Floats, goal_axis: Floats) -> Floats:
-    """Smallest rotation (3, 3) that turns one unit vector into another."""
-    across, cosine = np.cross(start_axis, goal_axis), float(start_axis @ goal_axis)
-    sine = float(np.linalg.norm(across))
+    """Rotation matrix (3, 3) of the smallest rotation that turns the unit vector `start_axis` into `goal_axis`."""
+    rotation_axis, cosine = np.cross(start_axis, goal_axis), float(start_axis @ goal_axis)
+    sine = float(np.linalg.norm(rotation_axis))
     if sine < 1e-12 and cosine > 0:
         return np.eye(3)
     if sine < 1e-12:
-        across = np.cross(start_axis, np.eye(3)[np.argmin(np.abs(start_axis))])
-    return from_rotation_vector(across / np.linalg.norm(across) * np.arctan2(sine, cosine))
+        rotation_axis = np.cross(start_axis, np.eye(3)[np.argmin(np.abs(start_axis))])
+    return from_rotation_vector(rotation_axis / np.linalg.norm(rotation_axis) * np.arctan2(sine, cosine))

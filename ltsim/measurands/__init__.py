@@ -1,1 +1,1 @@
-"""Measurands: results computed from adjusted points, their uncertainty (GUM and Monte Carlo), conformity decisions."""
+"""Measurands: results computed from adjusted points, with their uncertainty (GUM, Monte Carlo) and conformity."""

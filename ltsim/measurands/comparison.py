@@ -43,12 +43,12 @@ ELLIPSOID_COVERAGE = 0.95
 
 
 class Displacement(Entry):
-    """Displacement of a point: position in the first epoch [mm], displacement and its uncertainty [um]."""
+    """Displacement of a point between two epochs, with its uncertainty and its test."""
 
     target: str
     """Name of the target."""
     moved: bool
-    """True if the test finds a displacement."""
+    """True if the test finds a significant displacement."""
     place_mm: Vector
     """Position in the first epoch [mm]."""
     shift_um: Vector
@@ -60,13 +60,13 @@ class Displacement(Entry):
     semi_axes_um: Vector
     """Semi-axes of the 95 % error ellipsoid of the displacement [um], the largest first."""
     p_value: Finite
-    """p-value of zero displacement, with the other displaced points modelled, corrected for the number of tested
-    points.
-    """
+    """p-value of the hypothesis that the point did not move, with the displacements of other points in the model. It is
+    corrected for the number of tested points."""
     visible_um: tuple[Finite, Finite]
-    """Smallest displacement that is detected with a probability of 80 % [um], in the best and the worst direction."""
+    """Displacement that is detected with a probability of 80 % [um], in the most and the least favourable direction."""
     point_chi2: OptionalFloat = None
-    """Chi-square of the point's separate difference between epochs in one frame, independent of the other points."""
+    """Chi-square of the difference of this point alone between the epochs, in one frame; independent of other points.
+    """
 
     @property
     def row(self) -> list[Any]:
@@ -76,7 +76,7 @@ class Displacement(Entry):
 
 
 class Comparison(ResultFile):
-    """`comparison.json`: the result of `compare`; `recording` is the first epoch."""
+    """Result of `compare`, with the content of `comparison.json`; `recording` is the first epoch."""
 
     FILE: ClassVar[str] = "comparison.json"
     format: Literal["ltsim-comparison/1"] = "ltsim-comparison/1"
@@ -86,21 +86,21 @@ class Comparison(ResultFile):
     sentence: str
     """Sentence with the result."""
     level: Finite
-    """Significance level: probability that any point is reported as moved although none did."""
+    """Significance level: probability that any point is reported as displaced if none is."""
     statistic: Finite
-    """Chi-square of the global test that no point moved."""
+    """Chi-square of the global test (congruence test) that no point is displaced."""
     dof: int
     """Degrees of freedom of the global test."""
     p_value: Finite
     """p-value of the global test."""
     p_value_after: Finite
-    """p-value of the global test without the points that moved."""
+    """p-value of the global test without the displaced points."""
     scale_ppm: OptionalFloat = None
     """Scale of the second epoch [ppm]; null if it was not estimated."""
     notes: tuple[str, ...] = ()
-    """Notes on the epochs: undetermined motions, exchanged names, a motion of all points."""
+    """Notes on the epochs: undetermined motions of the network, exchanged names, a common motion of all points."""
     is_rigid_motion: bool = False
-    """True if one motion of all points explains most displacements: the frames of the lists may differ."""
+    """True if one rigid motion of all points explains most displacements: the lists may have different frames."""
     displacements: tuple[Displacement, ...] = Field(min_length=1)
     """Displacements, one per common point, in the order of the first recording."""
 
@@ -122,30 +122,33 @@ class Comparison(ResultFile):
 
 
 def coordinate_rows(points: Sequence[int] | Ints, axes: int) -> Ints:
-    """Rows (a k,) of the points (k,) among coordinates along a axes, ordered point by point."""
+    """Indices of the coordinates of the given points in a vector that lists the coordinates point by point.
+
+    `axes` is the number of coordinates per point.
+    """
     return (axes * np.asarray(points, dtype=np.int64)[:, None] + np.arange(axes)).ravel()
 
 
 @dataclass(frozen=True)
 class EpochDifference:
-    """Differences d (T a,) of common points after alignment, their covariance, and free motions (T a, f).
+    """Differences of the common points between two epochs after alignment, their covariance, and the free motions.
 
-    A term added to the covariance along the free motions does not change results, and makes the covariance of a free
-    datum regular.
+    T is the number of points, a the number of compared axes, f the number of free motions. A term added to the
+    covariance along the free motions does not change results. It makes the covariance of a free network regular.
     """
 
     point_names: Sequence[str]
     """Names of the common points."""
     differences: Floats
-    """Differences of the coordinates, second minus first epoch, (T a,) [m]."""
+    """Differences of the coordinates, second minus first epoch, point by point, shape (T a,) [m]."""
     covariance: Floats
-    """Covariance of the differences, (T a, T a) [m^2]."""
+    """Covariance of the T a differences, shape (T a, T a) [m^2]."""
     free_motions: Floats
-    """Free motions of the second epoch, (T a, f)."""
+    """Displacements of all points by each free motion of the second epoch, one column per motion, shape (T a, f)."""
     compared_axes: Ints
-    """Indices of the compared coordinate axes, (a,)."""
+    """Indices of the compared coordinate axes; 0 is x."""
     first_epoch_points: Floats
-    """Coordinates in the first epoch, (T, 3) [m]."""
+    """Coordinates of the points in the first epoch, shape (points, 3) [m]."""
     estimates_scale: bool = False
     """True if the last free motion is the scale of the second epoch."""
 
@@ -160,7 +163,7 @@ class EpochDifference:
         return len(self._whitening_root) - self.free_motions.shape[1]
 
     def chi2_of(self, point: int) -> float | None:
-        """Chi-square of one point's separate difference; None in a free frame."""
+        """Chi-square of the difference of one point alone; None if the frames of the epochs are free."""
         if self.free_motions.shape[1]:
             return None
         rows = coordinate_rows([point], len(self.compared_axes))
@@ -177,18 +180,18 @@ class EpochDifference:
         return (vectors[:, keep] / np.sqrt(values[keep])).T / scale
 
     def _whitened_design(self, moved_points: Sequence[int]) -> Floats:
-        """Whitened design of the free motions and of unit displacements of the `other_moved_points` points."""
+        """Whitened design matrix of the free motions and of the displacements of the given points."""
         columns = np.eye(len(self.differences))[:, coordinate_rows(moved_points, len(self.compared_axes))]
         return self._whitening_root @ np.hstack([self.free_motions, columns])
 
     def sum_of_squares(self, moved_points: Sequence[int] = ()) -> float:
-        """Weighted sum of squared differences that motions and displaced points do not explain."""
+        """Weighted sum of squared differences, less the part that motions and displaced points explain."""
         remaining, design = self._whitening_root @ self.differences, self._whitened_design(moved_points)
         basis = scipy.linalg.orth(design / np.linalg.norm(design, axis=0))
         return float(remaining @ remaining - np.sum((basis.T @ remaining) ** 2))
 
     def estimate_displacements(self, moved_points: Sequence[int]) -> tuple[Floats, Floats]:
-        """Estimates of free motions and displacements of `other_moved_points` points, and their covariance."""
+        """Estimates of free motions and of the displacements of the given points, and covariance of all estimates."""
         design = self._whitened_design(moved_points)
         size = np.linalg.norm(design, axis=0)
         inverse = np.linalg.pinv(design / size) / size[:, None]
@@ -201,7 +204,7 @@ def congruence_test(
     alpha: float,
     epoch_sources: tuple[SourceEntry, SourceEntry],
 ) -> Comparison:
-    """Result of the congruence test, in which the points that are not `stable_mask` as stable are tested."""
+    """Comparison of two epochs by a congruence test; points outside `stable_mask` are tested for displacements."""
     tested = np.flatnonzero(~stable_mask)
     moved = _find_moved_points(difference, tested, alpha)
     displacements = tuple(
@@ -234,9 +237,9 @@ def congruence_test(
 
 
 def _find_moved_points(difference: EpochDifference, tested_indices: Ints, alpha: float) -> list[int]:
-    """Indices of the points that moved. Significant points are added one by one.
+    """Indices of the displaced points. Significant points are added one by one.
 
-    After each addition all are tested again given the others.
+    After each addition all displaced points are tested again given the others.
     """
     moved_points: list[int] = []
     limit = special.chdtri(len(difference.compared_axes), alpha / max(len(tested_indices), 1))
@@ -259,7 +262,7 @@ def _find_moved_points(difference: EpochDifference, tested_indices: Ints, alpha:
 def _displacement_of_point(
     difference: EpochDifference, point: int, other_moved_points: list[int], n_tested: int, alpha: float
 ) -> Displacement:
-    """Displacement of a point in the frame of the stable points, and its test given the other displacements."""
+    """Displacement of a point relative to the stable points, and its test given the displacements of other points."""
     count, a = max(n_tested, 1), len(difference.compared_axes)
     others = [p for p in other_moved_points if p != point]
     values, joint = difference.estimate_displacements([*others, point])

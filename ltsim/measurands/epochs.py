@@ -1,9 +1,9 @@
-"""Displacements between two epochs: adjustment of each, alignment, congruence test.
+"""Displacements of points between two epochs: adjustment of each epoch, alignment, and congruence test.
 
-Each epoch is adjusted by itself; the second is aligned to the first by the rigid motions that are free in one of them
-(and by a scale if requested). The remaining differences are compared with the full covariance of both. Displaced points
-are added one by one, each time the one that explains most of the remaining differences, until the others are congruent;
-each is then tested with the others in the model.
+Each epoch is adjusted separately. The second is aligned to the first by the rigid motions that are free in one of the
+epochs, and by a scale if requested. The remaining differences are compared with their full covariance. Displaced points
+are added one by one, each time the point that explains most of the remaining differences, until the other points are
+congruent. Each displaced point is then tested with the others in the model.
 """
 
 from __future__ import annotations
@@ -39,11 +39,10 @@ from ltsim.recordings.tables.setups import normalised_name
 ALL_AXES = np.arange(3)
 """Indices of the three coordinate axes."""
 N_ALIGNMENT_ROUNDS = 30
-"""Number of iterations of the alignment by distances, in which up to a third of the points may be displaced far."""
-MIN_RELATIVE_UNIT_MOTION = 1e-9
-"""Smallest displacement of points by a unit motion, relative to their extent, at which measured axes determine the
-motion.
+"""Number of iterations of the alignment by distances, which permits large displacements of up to a third of the points.
 """
+MIN_RELATIVE_UNIT_MOTION = 1e-9
+"""Displacement of points by a unit motion, relative to their extent, above which measured axes determine the motion."""
 
 
 def compare_adjustments(
@@ -55,9 +54,9 @@ def compare_adjustments(
     same_instrument: bool = False,
     alpha: float = 0.05,
 ) -> Comparison:
-    """Comparison of two converged adjustments by their common points, each in its own frame.
+    """Comparison of two converged adjustments, each in its own frame, by their common points.
 
-    Options and errors as `lt.compare`.
+    Options and errors are those of `lt.compare`.
     """
     undetermined = {*first.undetermined_targets, *second.undetermined_targets}
     common = [n for n in first.recording.targets if n in second.recording.targets and n not in undetermined]
@@ -80,9 +79,9 @@ def compare_coordinates(
     with_scale: bool = False,
     alpha: float = 0.05,
 ) -> Comparison:
-    """Comparison of two lists of coordinates in one frame, or in `free_motions` ones.
+    """Comparison of two lists of coordinates, in one frame or (with `has_free_motions`) each in its own frame.
 
-    Options and errors as `lt.compare`.
+    Options and errors are those of `lt.compare`.
     """
     if first.axes != second.axes:
         raise ModelError(
@@ -115,7 +114,10 @@ def compare_coordinates(
 
 
 def _with_names_of(epoch: EpochCoordinates, names: Sequence[str]) -> tuple[EpochCoordinates, list[str]]:
-    """Epoch whose names are those of `names` where they differ only in case, blanks or leading zeros, and a note."""
+    """Epoch with the spelling of `names` for points whose names differ only in case, blanks or leading zeros.
+
+    The second element of the result is a note on these names.
+    """
     spellings = {normalised_name(name): name for name in names if name not in epoch.names}
     other = [name for name in epoch.names if name not in names]
     normalised = [normalised_name(name) for name in other]
@@ -134,9 +136,9 @@ def _with_names_of(epoch: EpochCoordinates, names: Sequence[str]) -> tuple[Epoch
 def _with_rigid_motion(
     fixed_frame_result: Comparison, compare_with_free_motions: Callable[[], Comparison]
 ) -> Comparison:
-    """Comparison of lists in one frame, with a note if one motion of all points explains that most of them moved.
+    """Comparison of lists in one frame, with a note if one common rigid motion explains that most points moved.
 
-    `compare_with_free_motions` compares the lists in frames of their own.
+    `compare_with_free_motions` compares the lists with each in its own frame.
     """
     count = len(fixed_frame_result.displacements)
     if 2 * len(fixed_frame_result.moved_points) <= count:
@@ -163,7 +165,7 @@ def _compare_epochs(
     compared_axes: Ints = ALL_AXES,
     notes: Sequence[str] = (),
 ) -> Comparison:
-    """Comparison of epochs with equal names; points whose names are exchanged are compared by position."""
+    """Comparison of epochs with the same points; points whose names are exchanged are compared by their positions."""
     gap = _align_epochs(first, second, with_scale, stable_mask, compared_axes)
     result = congruence_test(gap, declared_stable, alpha, epoch_sources)
     order = exchanged_names(gap, [i for i, d in enumerate(result.displacements) if d.moved])
@@ -181,7 +183,10 @@ def _compare_epochs(
 def _stable_point_mask(
     point_noun: str, common_names: Sequence[str], stable_names: Sequence[str] | None, *, n_held: int
 ) -> Bools:
-    """Flags (T,) of the common points that may define the frame: all or the declared stable ones, at least `n_held`."""
+    """Mask of the common points that may define the frame: all, or the points declared stable.
+
+    At least `n_held` points are necessary.
+    """
     for name in stable_names or ():
         if name not in common_names:
             raise unknown_name("common point", name, common_names)
@@ -195,17 +200,18 @@ def _stable_point_mask(
 
 @dataclass(frozen=True)
 class _Epoch:
-    """Points (T, 3) of one epoch, their joint covariance (T a, T a), and free rigid motions (6, f).
-
-    `common_observation_response` (T a, g) is the derivative of the points with respect to errors that the epochs may
-    have in common, in standard deviations.
-    """
+    """Points of one epoch with their joint covariance and the rigid motions that are free."""
 
     point_names: Sequence[str]
+    """Names of the points."""
     points: Floats
+    """Coordinates of the T points, shape (T, 3) [m]."""
     covariance: Floats
+    """Joint covariance of the points along a axes, shape (T a, T a) [m^2]."""
     common_observation_response: Floats
+    """Change of the points per standard deviation of each error that both epochs may share, shape (T a, errors) [m]."""
     free_motions: Floats
+    """Coefficients of each free motion in three translations and three rotations, shape (6, motions)."""
 
     @classmethod
     def from_adjustment(cls, adjustment: Adjustment, target_indices: Ints, target_names: Sequence[str]) -> Self:
@@ -225,7 +231,7 @@ class _Epoch:
 
     @classmethod
     def from_coordinates(cls, coordinates: EpochCoordinates, point_names: Sequence[str], free_motions: Floats) -> Self:
-        """Epoch of a list of coordinates with free motions `free_motions` (6, f)."""
+        """Epoch of a list of coordinates with the given free motions."""
         indices = np.array([coordinates.names.index(name) for name in point_names])
         rows = coordinate_rows(indices, len(coordinates.axes))
         return cls(
@@ -237,7 +243,7 @@ class _Epoch:
         )
 
     def with_order(self, point_order: Ints, axes: int) -> Self:
-        """Epoch in which point i has the position of point `order[i]`."""
+        """Epoch in which the point with index i takes the position of the point with index `point_order[i]`."""
         rows = coordinate_rows(point_order, axes)
         covariance = self.covariance[np.ix_(rows, rows)]
         return replace(
@@ -249,10 +255,7 @@ class _Epoch:
 
 
 def _common_observations(first: Adjustment, second: Adjustment, same_instrument: bool) -> list[str]:
-    """Groups of observations that are common to both epochs including their errors.
-
-    Their declarations are equal in both epochs.
-    """
+    """Groups of observations whose errors are common to both epochs, because their declarations are equal."""
     earlier, later = first.recording.setup, second.recording.setup
     common = []
     if same_instrument:
@@ -276,7 +279,7 @@ def _common_observations(first: Adjustment, second: Adjustment, same_instrument:
 
 
 def _certificate_lengths(gauge: Gauge) -> Gauge:
-    """Reference lengths of a certificate, without their temperatures during the measurement."""
+    """Reference lengths as on their certificate, without the temperatures during the measurement."""
     plain = {"measured_at_c": None, "sigma_temperature_k": None}
     lengths = tuple(line.model_copy(update=plain) for line in gauge.distance)
     return gauge.model_copy(update={"measured_at_c": 0.0, "sigma_temperature_k": None, "distance": lengths})
@@ -285,7 +288,7 @@ def _certificate_lengths(gauge: Gauge) -> Gauge:
 def _align_epochs(
     first: _Epoch, second: _Epoch, with_scale: bool, stable_mask: Bools, axes: Ints = ALL_AXES
 ) -> EpochDifference:
-    """Differences of the second epoch, aligned to the first unless both frames are fixed, along axes (a,)."""
+    """Differences of the points after alignment of the second epoch to the first, if their frames are free."""
     before, after, turn = first.points, second.points, np.eye(3)
     centre = before[stable_mask].mean(axis=0)
     stacked = np.hstack([first.free_motions, second.free_motions])
@@ -316,25 +319,23 @@ def _align_epochs(
 
 
 def _motions_about(free_motions: Floats, centre: Floats) -> Floats:
-    """Motions (6, f) with rotations about a centre in place of the origin."""
+    """Motions (6, f) whose rotations are about a given centre, from rotations about the origin."""
     about = free_motions.copy()
     about[:3] += np.cross(free_motions[3:].T, centre).T
     return about
 
 
 MAX_RELATIVE_EIGENVALUE = 1e-7
-"""Ratio of an eigenvalue of the correlation matrix to the largest below which the covariance has a rank defect; files
-round to 1e-9.
-"""
+"""Eigenvalue of the correlation matrix, relative to the largest, below which the covariance is rank-deficient."""
 MAX_EXCHANGE_DISTANCE = 0.1
-"""Largest distance of each of two points from the other's earlier position at which their names count as exchanged,
-relative to the distance between the points."""
+"""Largest distance of two points from each other's earlier positions, relative to the distance between the points, at
+which their names count as exchanged."""
 MOTIONS_BY_RANK_DEFECT = {3: (0, 1, 2), 4: (0, 1, 2, 5), 6: tuple(range(6))}
-"""Rigid motions (shifts along x, y, z, rotations about them) that a datum fixes, by the rank defect."""
+"""Free rigid motions of a network by the rank defect of its covariance; 0 to 2 are translations, 3 to 5 rotations."""
 
 
 def free_motions_of_epoch(epoch: EpochCoordinates) -> Floats:
-    """Rigid motions (6, f) that are free in an epoch, by the rank defect of its covariance.
+    """Coefficients (6, motions) of the rigid motions that are free in an epoch, by the rank defect of its covariance.
 
     With inner constraints over all points the covariance has no variance along the motions. A datum of some points has
     the same defect in other directions; the usual motions are then used.
@@ -366,7 +367,7 @@ def free_motions_of_epoch(epoch: EpochCoordinates) -> Floats:
 def exchanged_names(difference: EpochDifference, moved_points: Sequence[int]) -> Ints | None:
     """Index of the point whose name each common point has in the second epoch; None if no names are exchanged.
 
-    Each of the `moved_points` points is at the first-epoch position of another one, far from its own.
+    Each of the `moved_points` is at the first-epoch position of another one, far from its own.
     """
     if len(moved_points) < 2:
         return None
@@ -384,14 +385,14 @@ def exchanged_names(difference: EpochDifference, moved_points: Sequence[int]) ->
 
 
 def exchanged_names_sentence(names: Sequence[str], point_order: Ints) -> str:
-    """Sentence on names that are exchanged in the second epoch."""
+    """Sentence on the names that are exchanged in the second epoch."""
     changed_indices = np.flatnonzero(point_order != np.arange(len(point_order)))
     names_changed = listing([names[i] for i in changed_indices.tolist()], len(changed_indices))
     return f"the names {names_changed} are exchanged in the second epoch; these points are compared by position"
 
 
 def undetermined_motions_note(n_motions: int) -> str:
-    """Note on the undetermined motions of the whole network, their number `n_motions`, and how they were fixed."""
+    """Note on the number of undetermined motions of the whole network, and on the alignment that fixes them."""
     return (
         f"the covariances leave {n_motions} motions of the whole network open (free networks): the second epoch is "
         "aligned with the first along them"

@@ -33,37 +33,41 @@ from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.threads import single_threaded
 
 MIN_HIDDEN_FRACTION = 0.2
-"""Smallest fraction of the standard uncertainty from which an error without effect on the readings is reported: it
+"""Ratio of an error without effect on the readings to the standard uncertainty from which the error is reported. It
 would add 2 % to the uncertainty."""
 
 
 @dataclass(frozen=True, repr=False)
 class TaskEvaluation:
-    """Results of propagation and Monte Carlo for the tasks on a recording, as arrays.
+    """Results of tasks with their uncertainty by propagation and by Monte Carlo, as arrays.
 
-    `to_result` is what `uncertainty` returns.
+    `to_result` converts them to the result of `uncertainty`.
     """
 
     tasks: Tasks
+    """Tasks that are evaluated."""
     inputs: TaskInputs
+    """Points of the tasks and their sources of uncertainty."""
     measurands: tuple[Measurand, ...]
+    """Measurand of each task."""
     linear: LinearUncertainty
     """Uncertainty by the law of propagation (GUM)."""
     monte_carlo: MonteCarloUncertainty
     """Uncertainty by Monte Carlo (JCGM 101)."""
     interval_agrees: Bools
-    """Flags (k,) that the linear interval agrees with that of the distribution (JCGM 101, clause 8)."""
+    """Agreement of each result's interval by propagation with that by Monte Carlo (JCGM 101, clause 8), True or False.
+    """
     curvature_ratios: Floats
-    """Difference between the exact adjustment and its linear form, in standard uncertainties, (k,)."""
+    """Difference of each result between the exact and the linearised adjustment, in standard uncertainties."""
 
     @property
     def outputs(self) -> list[tuple[Task, TaskOutput]]:
-        """Task and output of each of the k results, in order."""
+        """Task and definition of each result, in the order of the results."""
         return [(m.task, output) for m in self.measurands for output in m.outputs]
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings on results that are less reliable than they appear, one sentence each."""
+        """Warnings on results that are less reliable than they seem, one sentence each."""
         air = self.inputs.air_text
         warnings = [f"all budgets include the {air}; change it as [air] of the task file or the set-up"] if air else []
         for i, (task, output) in enumerate(self.outputs):
@@ -134,7 +138,7 @@ class TaskEvaluation:
         )
 
     def _hidden_errors(self, result_index: int, unit: float, sigma: float) -> tuple[HiddenPart, ...]:
-        """Errors without effect on the readings that change a result by a relevant part of its uncertainty."""
+        """Errors without effect on the readings that change a result noticeably, compared with its uncertainty."""
         changes = {
             name: abs(float(self.linear.point_derivatives[result_index] @ moved)) / unit
             for name, moved in self.inputs.hidden_displacements.items()
@@ -147,10 +151,7 @@ class TaskEvaluation:
         )
 
     def _budget_parts(self, result_index: int, sigma: float) -> tuple[BudgetPart, ...]:
-        """Budget of one result: sources with their fraction of its variance, the largest first.
-
-        The fractions add up to 1.
-        """
+        """Budget of one result: the fraction of its variance from each source, the largest first; the sum is 1."""
         shares, kinds = (
             {name: float(share[result_index]) for name, share in self.linear.variance_by_source.items()},
             self.linear.evaluation_types,
@@ -167,7 +168,7 @@ class TaskEvaluation:
 
 @raise_for_singular_network
 def evaluate_tasks(recording: Recording, tasks: Tasks) -> TaskEvaluation:
-    """Results of tasks with their uncertainty by propagation and by Monte Carlo; errors as of `lt.uncertainty`."""
+    """Results of tasks on a recording, with uncertainty by propagation and Monte Carlo; errors as `lt.uncertainty`."""
     return _evaluate(TaskInputs.from_recording(recording, tasks), tasks)
 
 
@@ -178,7 +179,7 @@ def evaluate_listed_tasks(coordinates: EpochCoordinates, tasks: Tasks) -> TaskEv
 
 @single_threaded
 def _evaluate(task_inputs: TaskInputs, tasks: Tasks) -> TaskEvaluation:
-    """Results of tasks on points with known covariance."""
+    """Results of tasks on points with known sources of uncertainty."""
     measurands = tuple(Measurand.from_task(task, task_inputs.target_names, task_inputs.points) for task in tasks.task)
     stretch = part_expansion(tasks.growth)
     linear = propagate(task_inputs, measurands, stretch)

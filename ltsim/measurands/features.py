@@ -1,7 +1,11 @@
 """Geometric features fitted to points by orthogonal least squares, for many sets of points at once.
 
-Line and plane are closed forms; circle, sphere and cylinder are Gauss-Newton iterations from algebraic starts. Points
-(..., n, 3) [m] carry any leading dimensions: draws of a Monte Carlo trial, or steps of a derivative.
+Line and plane have closed solutions. Circle, sphere and cylinder are Gauss-Newton iterations from algebraic start
+values. Arrays of points (..., n, 3) [m] may have any leading dimensions, for example the draws of a Monte Carlo
+simulation.
+
+References ---------- Forbes, Least-squares best-fit geometric elements, NPL report DITC 140/89 (1989). Shakarji, J.
+Res. NIST 103 (1998) 633: objective functions and Gauss-Newton iterations of the same elements.
 
 References
 ----------
@@ -19,9 +23,9 @@ from ltsim.core.errors import ModelError
 MAX_FEATURE_FIT_STEPS = 60
 """Largest number of Gauss-Newton steps of a fit."""
 FEATURE_STEP_TOLERANCE = 1e-11
-"""Largest step, relative to the extent of the points, at which an iteration has converged."""
+"""Largest step, relative to the extent of the points, at which the iteration of a fit has converged."""
 N_INITIAL_AXES = 60
-"""Number of initial axes of a cylinder, distributed over a half sphere."""
+"""Number of start directions of a cylinder's axis, distributed over a half sphere."""
 
 
 @dataclass(frozen=True)
@@ -29,17 +33,14 @@ class FittedFeature:
     """Fitted geometric feature."""
 
     reference_point: Floats
-    """Point on the line, plane or axis (the foot of the centroid of the points), or the centre, (..., 3) [m]."""
+    """Centre of the feature, or the foot of the points' centroid on the line, plane or axis, shape (..., 3) [m]."""
     direction: Floats
-    """Direction of the line or axis, or normal of the plane or of the circle's plane, a unit vector (..., 3); NaN for a
-    sphere.
-    """
+    """Unit vector (..., 3) along a line or axis, or normal to a plane or to the plane of a circle; NaN for a sphere."""
     radius: Floats
-    """Radius [m]; NaN for line and plane."""
+    """Radius [m]; NaN for a line and a plane."""
     deviations: Floats
-    """Signed orthogonal distances (..., n) [m] from the feature. For a line in space it is the unsigned distance, for a
-    circle in space the larger of radial and axial deviation with its sign.
-    """
+    """Orthogonal distance of each of n points from the feature with its sign, shape (..., n) [m]. It has no sign for a
+    line; for a circle it is the larger of radial and axial deviation."""
 
 
 MIN_POINTS_BY_FEATURE = {"line": 2, "plane": 3, "circle": 3, "sphere": 4, "cylinder": 5}
@@ -49,8 +50,8 @@ MIN_POINTS_BY_FEATURE = {"line": 2, "plane": 3, "circle": 3, "sphere": 4, "cylin
 def fit_feature(feature_kind: str, points: Floats, start_feature: FittedFeature | None = None) -> FittedFeature:
     """Least-squares feature for points (..., n, 3) [m]: line, plane, circle, sphere or cylinder.
 
-    `start_feature` is an approximate feature; without it a cylinder starts from many axes. Raises ModelError if the
-    points do not determine the feature.
+    `start_feature` is an approximate feature. Without it, a cylinder is fitted from many start directions. ModelError
+    is raised if the points do not determine the feature.
     """
     points = np.asarray(points, dtype=np.float64)
     if points.shape[-2] < MIN_POINTS_BY_FEATURE[feature_kind]:
@@ -136,7 +137,7 @@ def _fit_circle(centred_points: Floats, _start_feature: FittedFeature | None) ->
 
 
 def _fit_cylinder(centred_points: Floats, initial_feature: FittedFeature | None) -> FittedFeature:
-    """Cylinder through points: of many axes, each with an algebraic circle perpendicular to it, the best is refined."""
+    """Least-squares cylinder, refined from the best of many axes with an algebraic circle perpendicular to each."""
     if initial_feature is not None:
         return _refine_cylinder(
             centred_points, initial_feature.direction, initial_feature.reference_point, initial_feature.radius
@@ -195,7 +196,7 @@ def _refine_cylinder(
 def _axis_coordinates(
     centred_points: Floats, centre: Floats, axis_direction: Floats
 ) -> tuple[tuple[Floats, Floats], Floats, Floats, Floats]:
-    """Two directions perpendicular to an axis, and coordinates (..., n) of points along axis and directions."""
+    """Two directions perpendicular to an axis, and coordinates (..., n) of points along all three directions."""
     sides = _perpendicular_vectors(axis_direction)
     arm = centred_points - centre[..., None, :]
     height, x, y = (np.einsum("...ni,...i->...n", arm, axis) for axis in (axis_direction, *sides))
@@ -205,14 +206,14 @@ def _axis_coordinates(
 def _projected_circle(
     centred_points: Floats, axis_direction: Floats, *, raises_if_undetermined: bool = True
 ) -> tuple[Floats, Floats]:
-    """Centre (..., 3) and radius (...) of the algebraic circle through points projected along an axis."""
+    """Centre (..., 3) and radius of the algebraic circle through points that are projected along an axis."""
     (first, second), _, x, y = _axis_coordinates(centred_points, np.zeros_like(axis_direction), axis_direction)
     middle, radius = _algebraic_fit(np.stack([x, y], axis=-1), raises_if_undetermined=raises_if_undetermined)
     return middle[..., :1] * first + middle[..., 1:] * second, radius
 
 
 def _algebraic_fit(centred_points: Floats, *, raises_if_undetermined: bool = True) -> tuple[Floats, Floats]:
-    """Centre (..., d) and radius (...) from least squares of |p|^2 - 2 c p - k, which needs no start values."""
+    """Centre (..., d) and radius (...) that minimise |p|^2 - 2 c p - k over points p, without start values."""
     design = np.concatenate([2.0 * centred_points, np.ones((*centred_points.shape[:-1], 1))], axis=-1)
     right = np.sum(centred_points**2, axis=-1)
     solution = -_least_squares_step(
@@ -229,9 +230,9 @@ def _algebraic_fit(centred_points: Floats, *, raises_if_undetermined: bool = Tru
 def _least_squares_step(
     design: Floats, misclosure: Floats, feature_kind: str, *, raises_if_undetermined: bool = True
 ) -> Floats:
-    """Least-squares step (..., k) for `misclosure` (..., m) and `design` (..., m, k).
+    """Least-squares step (..., k) for a design matrix (..., m, k) and a misclosure (..., m).
 
-    NaN, or an error if `raises_if_undetermined`, for a singular design.
+    If the design is singular, the step is NaN, or ModelError is raised with `raises_if_undetermined`.
     """
     q, r = np.linalg.qr(design)
     pivots = np.abs(np.diagonal(r, axis1=-2, axis2=-1))
@@ -254,7 +255,7 @@ def _unit_vectors(vectors: Floats) -> Floats:
 
 
 def _perpendicular_vectors(unit_normal: Floats) -> tuple[Floats, Floats]:
-    """Two unit vectors (..., 3) that form a right-handed frame with `direction` and depend on it smoothly."""
+    """Two unit vectors (..., 3) that form a right-handed frame with the normal and depend on it smoothly."""
     least = (
         np.argmin(np.abs(unit_normal.reshape(-1, 3)).mean(axis=0))
         if unit_normal.ndim > 1
@@ -268,7 +269,7 @@ def _perpendicular_vectors(unit_normal: Floats) -> tuple[Floats, Floats]:
 
 
 def _half_sphere_directions(n_directions: int) -> Floats:
-    """Directions (count, 3) distributed evenly over a half sphere (Fibonacci spiral)."""
+    """Unit vectors (n_directions, 3), distributed evenly over a half sphere (Fibonacci spiral)."""
     i = np.arange(n_directions) + 0.5
     z = i / n_directions
     turn = i * np.pi * (3.0 - np.sqrt(5.0))

@@ -1,8 +1,8 @@
-"""Inputs of the results: adjusted points, and all sources of their uncertainty with their influence on the points.
+"""Input quantities of the results: adjusted points, and all sources of their uncertainty.
 
-To first order an adjusted point moves with the readings by P = N^-1 A' (N the normal matrix, A the whitened design):
-the errors of all groups of observations, and effects that change readings, influence the points through the same P. The
-covariance of the points is thus the sum of the contributions of its sources.
+To first order the adjusted points change with the whitened readings by P = N^-1 A', with the normal matrix N and the
+design matrix A. Errors of observations, and effects that change readings, act on the points through this matrix P. The
+covariance of the points is therefore the sum of the contributions of the sources.
 """
 
 from dataclasses import dataclass, field, replace
@@ -40,58 +40,59 @@ SIGMA_OF_UNIT_SIZE = {
     "triangular": 1 / np.sqrt(6),
     "arcsine": 1 / np.sqrt(2),
 }
-"""Standard deviation of each distribution of unit size; the size of a normal distribution is its standard deviation."""
+"""Standard deviation of each distribution of size 1; the size is the half-width, for a normal distribution sigma."""
 
 
 LENGTHS_SOURCE = "known lengths"
-"""Name of the uncertainty source of the declared reference lengths."""
+"""Name of the source of uncertainty: declared reference lengths."""
 CONTROL_SOURCE = "control points"
-"""Name of the source: control points."""
+"""Name of the source of uncertainty: coordinates of control points."""
 PRIOR_SOURCE = "specification"
-"""Name of the source: prior of the instrument's constants."""
+"""Name of the source of uncertainty: prior of the instrument's constants."""
 STREAM_KEYS = {PRIOR_SOURCE: "what the maker guarantees"}
-"""Keys of random streams that differ from the name of their source; the draws of a seed depend on them."""
+"""Key of the random stream of a source, where it is not the name of the source; the draws depend on it."""
 
 
 @dataclass(frozen=True)
 class UncertaintySource(ValueEquality):
-    """Source of uncertainty of the points."""
+    """Source of uncertainty of the points, with one or several independent random variables."""
 
     name: str
+    """Name of the source in the budget."""
     evaluation_type: Literal["A", "B"]
     """Type of evaluation: ``A`` for repeated observations and for values declared with observations, ``B`` for all
     others.
     """
     point_response: Floats
-    """Displacement of the points for one standard deviation of each independent variate, (3 T, q) [m]."""
+    """Displacement of all T points by one standard deviation of each of q random variables, shape (3 T, q) [m]."""
     distribution: str = "normal"
-    """Distribution of the variates."""
+    """Distribution of the random variables."""
 
     @property
     def covariance(self) -> Floats:
-        """Covariance of the points from this source, (3 T, 3 T) [m^2]."""
+        """Covariance of the coordinates of all T points from this source, shape (3 T, 3 T) [m^2]."""
         return self.point_response @ self.point_response.T
 
 
 @dataclass(frozen=True)
 class TaskInputs(ValueEquality):
-    """Estimated points and the sources of their uncertainty."""
+    """Points that tasks use, and the sources of their uncertainty."""
 
     origin: Adjustment | EpochCoordinates
     """Adjusted network, or list of coordinates with its covariance."""
     target_names: tuple[str, ...]
     """Names of the points that the tasks use."""
     points: Floats
-    """Coordinates of the points, (T, 3) [m]."""
+    """Coordinates of the T points, shape (T, 3) [m]."""
     point_response: Floats
-    """Displacement of the points per unit of each whitened row of the adjustment, (m, 3 T) [m]."""
+    """Displacement of all T points per unit of each of m whitened observations, shape (m, 3 T) [m]."""
     sources: tuple[UncertaintySource, ...]
+    """Sources of uncertainty of the points."""
     air_text: str = ""
-    """Text of the air in the sources; empty for short ranges."""
+    """Text on the errors of the air among the sources; empty for short ranges."""
     hidden_displacements: dict[str, Floats] = field(default_factory=dict)
-    """Displacements (3 T,) [m] by one standard deviation of each error without effect on the readings; not in the
-    sources.
-    """
+    """Displacement of all T points by one standard deviation of each error without effect on the readings, shape (3 T,)
+    [m]. The sources do not include these errors."""
 
     @classmethod
     def from_recording(cls, recording: Recording, tasks: Tasks) -> Self:
@@ -127,9 +128,9 @@ class TaskInputs(ValueEquality):
 
     @classmethod
     def from_coordinates(cls, coordinates: EpochCoordinates, tasks: Tasks) -> Self:
-        """Points of the tasks from a list of coordinates, whose only source of uncertainty is its joint covariance.
+        """Points of the tasks from a list of coordinates; the only source of uncertainty is its joint covariance.
 
-        Raises ModelError for points or axes that the list lacks, and for sources that act on readings.
+        ModelError is raised for points or axes that the list lacks, and for sources that act on readings.
         """
         if tasks.type_b:
             raise ModelError("a list of coordinates has no readings: type_b acts on readings; give their recording")
@@ -148,7 +149,7 @@ class TaskInputs(ValueEquality):
 
     @property
     def covariance(self) -> Floats:
-        """Covariance (3 T, 3 T) [m^2] of the points from all sources."""
+        """Covariance of the coordinates of all T points from all sources, shape (3 T, 3 T) [m^2]."""
         return np.sum([source.covariance for source in self.sources], axis=0)
 
 
@@ -158,10 +159,10 @@ def _target_names(tasks: Tasks) -> tuple[str, ...]:
 
 
 def observed_sources(adjustment: Adjustment, point_response: Floats) -> list[UncertaintySource]:
-    """Sources of the groups of observations, with one variate per row; rows that only define the frame have none.
+    """Sources of uncertainty from the groups of observations; observations that only define the frame are not included.
 
-    Shared errors of reference lengths (expansion coefficient, thermometer) are separate sources, as are the nuisance
-    errors with a prior that the adjustment estimates (heads, reflectors, groups of readings).
+    Errors that reference lengths share (expansion coefficient, thermometer) are separate sources. So are the errors
+    with a prior that the adjustment estimates for heads, reflectors and groups of readings.
     """
     problem = adjustment.problem
     observable = np.nonzero(problem.used_readings)[1]
@@ -191,7 +192,7 @@ def observed_sources(adjustment: Adjustment, point_response: Floats) -> list[Unc
 
 
 def _nuisance_sources(adjustment: Adjustment, point_response: Floats) -> list[UncertaintySource]:
-    """Sources of nuisance errors with a prior, by kind.
+    """Sources of uncertainty from errors with a prior that the adjustment estimates, by kind.
 
     `point_response` begins with the rows of the additional effects.
     """
@@ -206,9 +207,9 @@ def _nuisance_sources(adjustment: Adjustment, point_response: Floats) -> list[Un
 
 
 def smr_sources(adjustment: Adjustment, point_response: Floats) -> list[UncertaintySource]:
-    """Sources of the radii of SMRs with a declared standard deviation.
+    """Sources of uncertainty from the radii of SMRs with a declared standard deviation.
 
-    All pointings of an SMR share one error, along the normals.
+    All pointings with an SMR share one error, along the normals of the nests.
     """
     problem, sightings, names = adjustment.problem, adjustment.sightings, np.array(smr_names(adjustment.recording))
     rows, columns = np.nonzero(problem.used_readings)
@@ -227,7 +228,7 @@ def smr_sources(adjustment: Adjustment, point_response: Floats) -> list[Uncertai
 
 
 def _air_of_budget(tasks: Tasks, adjustment: Adjustment) -> AirUncertainty:
-    """Air of a budget, without the properties that tasks declare themselves."""
+    """Uncertainty of the air for a budget, without the properties for which a task declares an effect."""
     declared_effects = {entry.effect for entry in tasks.type_b}
     effects = {"temperature_k": StationWeather.name, "gradient_k_per_m": AirGradient.name}
     air = tasks.air or adjustment.recording.setup.air or AirUncertainty()
@@ -237,13 +238,13 @@ def _air_of_budget(tasks: Tasks, adjustment: Adjustment) -> AirUncertainty:
 def air_sources(
     adjustment: Adjustment, point_response: Floats, air_uncertainty: AirUncertainty
 ) -> list[UncertaintySource]:
-    """Sources of the unmeasured air along the beams: temperature and gradient of each station, and turbulence."""
+    """Sources of uncertainty from the unmeasured air: temperature and gradient at each station, and turbulence."""
     responses = displacements_by_air(adjustment, point_response, air_uncertainty)
     return [UncertaintySource(name, "B", _reduce_variates(response)) for name, response in responses.items()]
 
 
 def _reduce_variates(variate_response: Floats) -> Floats:
-    """Response with the same covariance, and with at most as many variates as coordinates."""
+    """Response with the same covariance of the points, and with at most as many random variables as coordinates."""
     if variate_response.shape[1] <= variate_response.shape[0]:
         return variate_response
     return np.asarray(np.linalg.qr(variate_response.T, mode="r")).T
@@ -279,7 +280,7 @@ def _type_b_source(
 
 
 def _effect_and_sizes(recording: Recording, type_b_entry: TypeB, entry_number: int) -> tuple[Effect, Floats]:
-    """Effect of an entry, and the sizes (p,) [SI] of its parameters."""
+    """Effect of an entry in the task file, and the sizes of its parameters, shape (parameters,) [SI]."""
     try:
         effect = make_effect(
             type_b_entry.effect,
@@ -309,7 +310,7 @@ def _effect_and_sizes(recording: Recording, type_b_entry: TypeB, entry_number: i
 
 
 def _draw_groups(recording: Recording, draw_scope: str) -> Ints:
-    """Group numbers (n,) of the pointings; those with equal numbers share one draw."""
+    """Group number of each pointing, shape (pointings,); pointings with the same number share one random draw."""
     return {
         "all": np.zeros(len(recording), dtype=np.int64),
         "station": recording.station,

@@ -1,4 +1,4 @@
-"""Measurands: results of each kind of task from points, in units of display, for one or many sets of points."""
+"""Measurands: results of each kind of task in SI units, for one or many sets of points."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,16 +15,19 @@ from ltsim.measurands.features import FittedFeature, fit_feature
 from ltsim.measurands.spec import Task
 
 DIFFERENCE_STEP = 1e-5
-"""Half the step [m] of central differences; errors by rounding and curvature are far below a nanometre."""
+"""Half-width [m] of central differences; errors by rounding and curvature are far below a nanometre."""
 
 
 @dataclass(frozen=True)
 class TaskOutput:
-    """Result of a task: name, unit, and the unit in SI."""
+    """Definition of one result of a task: its name and its unit."""
 
     name: str
+    """Name of the result."""
     unit: str
+    """Display unit of the result."""
     si_per_unit: float
+    """Value of the display unit in SI units."""
 
 
 def _outputs_in_mm(*names: str) -> list[TaskOutput]:
@@ -37,20 +40,18 @@ def _outputs_in_degrees(*names: str) -> list[TaskOutput]:
 
 @dataclass(frozen=True)
 class Measurand(ValueEquality):
-    """Measurand: a task applied to points of a network."""
+    """Task that is applied to the points of a network."""
 
     task: Task
+    """Task with its targets and options."""
     target_indices: Ints
-    """Indices of its targets among the network's points, (k,)."""
+    """Indices of the task's targets among the points of the network."""
     reference_feature: FittedFeature | None = field(default=None, repr=False)
-    """Feature fitted to the estimated points, the start of all further fits and the reference for signs."""
+    """Feature fitted to the estimated points: start of all further fits, and reference for signs of directions."""
 
     @classmethod
     def from_task(cls, task: Task, targets: Sequence[str], points: Floats) -> Self:
-        """Measurand of a task on targets at points (T, 3) [m].
-
-        Raises ModelError for an unknown or undetermined target, and if the points do not determine the feature.
-        """
+        """Measurand of a task on targets at points (targets, 3) [m]."""
         for name in task.targets:
             if name not in targets:
                 raise unknown_name("target", name, targets)
@@ -73,7 +74,7 @@ class Measurand(ValueEquality):
 
     @property
     def outputs(self) -> list[TaskOutput]:
-        """Results of the task in order: name and unit."""
+        """Definitions of the results of the task, in their order."""
         kind = self.task.kind
         if kind in _OUTPUTS_BY_KIND:
             return _OUTPUTS_BY_KIND[kind]
@@ -85,7 +86,7 @@ class Measurand(ValueEquality):
         return [*_outputs_in_mm("x", "y", "z"), *_outputs_in_degrees("turn-x", "turn-y", "turn-z"), *scale]
 
     def values(self, points: Floats, scale_change: Floats | float = 1.0) -> Floats:
-        """Results (..., k) [SI] for points (..., T, 3) [m], each set scaled about its centre by a factor (...)."""
+        """Results (..., results) [SI] for points (..., points, 3) [m], each set scaled by `scale_change`."""
         scaled_points = points[..., self.target_indices, :]
         centre = scaled_points.mean(axis=-2, keepdims=True)
         scaled_points = centre + (scaled_points - centre) / np.asarray(scale_change)[..., None, None]
@@ -105,7 +106,7 @@ class Measurand(ValueEquality):
         return self._fit(scaled_points)
 
     def point_derivatives(self, points: Floats, scale_change: float = 1.0) -> Floats:
-        """Derivative (k, 3 T) of the results with respect to points (T, 3), by central differences."""
+        """Derivative of the results with respect to all T points, by central differences, shape (results, 3 T)."""
         count = 3 * len(self.target_indices)
         columns = (3 * self.target_indices[:, None] + np.arange(3)).ravel()
         steps = np.zeros((2 * count, points.size))
@@ -117,7 +118,7 @@ class Measurand(ValueEquality):
         return change
 
     def stretch_derivatives(self, points: Floats, scale_change: float = 1.0) -> Floats:
-        """Derivative (k,) of the results with respect to the stretch."""
+        """Derivative of the results with respect to the scale of the points, shape (results,)."""
         scales = np.array([scale_change + DIFFERENCE_STEP, scale_change - DIFFERENCE_STEP])
         values = self.values(np.broadcast_to(points, (2, *points.shape)), scales)
         return (values[0] - values[1]) / (2 * DIFFERENCE_STEP)

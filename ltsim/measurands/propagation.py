@@ -1,11 +1,13 @@
-"""Propagation of uncertainty: first order (JCGM 100, 102), and Monte Carlo (JCGM 101, clauses 7 and 8).
+"""Propagation of uncertainty to first order (JCGM 100, 102), and by Monte Carlo (JCGM 101, clauses 7 and 8).
 
-For Monte Carlo every source is drawn from its distribution with a separate stream, points are displaced by its
-response, and the tasks are evaluated exactly. The linear model is evaluated with the same draws; its distribution, that
-of a sum of independent variates, is known exactly. Monte Carlo therefore only estimates the difference of the two (a
-control variate), which needs few trials for a nearly linear task and none for a linear one. Batches of trials are added
-until averages over batches are known to a fifth of the tolerance, as a comparison with the linear interval requires
-(clause 8.2).
+In the Monte Carlo simulation each source is drawn from its distribution with a separate random stream, the points are
+displaced accordingly, and the tasks are evaluated exactly. The linear model is evaluated with the same draws; its
+distribution is known exactly, because it is that of a sum of independent variables. The simulation therefore only
+estimates the difference of the two (control variate). This needs few trials for a nearly linear task and none for a
+linear one.
+
+Batches of trials are added until the results are known to a fifth of the tolerance, as the comparison with the interval
+by propagation requires (clause 8.2).
 """
 
 from collections.abc import Callable, Sequence
@@ -26,13 +28,14 @@ from ltsim.measurands.spec import MonteCarlo, PartExpansion
 from ltsim.recordings.coordinates import EpochCoordinates
 
 N_CURVATURE_CHECKS = 8
-"""Number of random errors with which the curvature is examined."""
+"""Number of random draws of errors with which the nonlinearity of the adjustment is examined."""
 MAX_CURVATURE_RATIO = 0.05
-"""Difference between the exact and the linear adjustment, in standard uncertainties, from which a warning is given."""
+"""Difference between the exact and the linearised adjustment, in standard uncertainties, above which a warning is
+given."""
 
 
 def part_expansion(declared_expansion: PartExpansion | None) -> ThermalExpansion:
-    """Expansion of the part from calibration to measurement, as an input quantity."""
+    """Thermal expansion of the part from the reference temperature to the measurement, as an input quantity."""
     if declared_expansion is None:
         return ThermalExpansion()
     kelvin = declared_expansion.measured_c - declared_expansion.reference_c
@@ -45,7 +48,7 @@ def part_expansion(declared_expansion: PartExpansion | None) -> ThermalExpansion
 
 
 def expansion_errors(thermal_expansion: ThermalExpansion) -> list[tuple[str, float]]:
-    """Names and sizes of the errors of the part's expansion."""
+    """Names of the errors of the part's expansion, and the change of scale by one standard deviation of each."""
     error_sizes = [
         ("expansion of the part", thermal_expansion.change_by_coefficient),
         ("temperature of the part", thermal_expansion.change_by_temperature),
@@ -55,20 +58,21 @@ def expansion_errors(thermal_expansion: ThermalExpansion) -> list[tuple[str, flo
 
 @dataclass(frozen=True)
 class LinearUncertainty(ValueEquality):
-    """Results of all tasks together by the law of propagation."""
+    """Results of all tasks, with their uncertainty by the law of propagation."""
 
     values: Floats
-    """Results of all tasks, in sequence, (k,) [SI]."""
+    """Results of all tasks in their order, shape (results,) [SI]."""
     covariance: Floats
-    """Covariance of the results, (k, k)."""
+    """Covariance of the results, shape (results, results)."""
     variance_by_source: dict[str, Floats]
-    """Variance of each result by source, (k,); the values add up to the diagonal of the covariance."""
+    """Variance of each result from each source, by the name of the source; the sum over the sources is the total
+    variance."""
     evaluation_types: dict[str, Literal["A", "B"]]
     """Type of evaluation of each source, ``A`` or ``B``."""
     point_derivatives: Floats
-    """Derivative of the results with respect to the points, (k, 3 T)."""
+    """Derivative of the results with respect to the coordinates of all T points, shape (results, 3 T)."""
     stretch_derivatives: Floats
-    """Derivative of the results with respect to the part's expansion, (k,)."""
+    """Derivative of each result with respect to the scale of the part."""
 
     @property
     def sigma(self) -> Floats:
@@ -76,12 +80,12 @@ class LinearUncertainty(ValueEquality):
         return np.sqrt(np.diag(self.covariance))
 
     def expanded_uncertainty(self, coverage_probability: float) -> Floats:
-        """Expanded uncertainty (k,) for a coverage probability, of each result separately (normal distribution)."""
+        """Expanded uncertainty of each result for a coverage probability, for a normal distribution."""
         return float(special.ndtri(0.5 + coverage_probability / 2)) * self.sigma
 
     @property
     def correlation(self) -> Floats:
-        """Correlation (k, k) of the results; NaN for a result without uncertainty."""
+        """Correlation matrix of the results; NaN for a result without uncertainty."""
         with np.errstate(invalid="ignore", divide="ignore"):
             correlation: Floats = self.covariance / np.outer(self.sigma, self.sigma)
         return correlation
@@ -90,7 +94,7 @@ class LinearUncertainty(ValueEquality):
 def propagate(
     task_inputs: TaskInputs, measurands: Sequence[Measurand], thermal_expansion: ThermalExpansion
 ) -> LinearUncertainty:
-    """First-order propagation of all sources through adjustment and tasks."""
+    """Results of all tasks with their uncertainty, to first order through adjustment and tasks."""
     points = task_inputs.points
     values = np.concatenate([m.values(points, thermal_expansion.length_ratio) for m in measurands])
     by_points = np.concatenate([m.point_derivatives(points, thermal_expansion.length_ratio) for m in measurands])
@@ -112,10 +116,10 @@ def propagate(
 
 
 def curvature_differences(task_inputs: TaskInputs, measurands: Sequence[Measurand], seed: int) -> Floats:
-    """Largest difference (k,) [SI] between the exact and the linear change of each result.
+    """Largest difference of each result [SI] between the exact and the linearised adjustment.
 
-    The adjustment is repeated with a few noise draws. The difference is zero for a list of coordinates, whose readings
-    are not available.
+    The adjustment is repeated with a few draws of noise. The difference is zero for a list of coordinates, whose
+    readings are not available.
     """
     origin = task_inputs.origin
     if isinstance(origin, EpochCoordinates):
@@ -148,9 +152,9 @@ TRIALS_PER_BATCH = 10_000
 TRIALS_PER_CALL = 1_000
 """Number of trials that are evaluated together, for speed at moderate memory."""
 MIN_TOLERANCE_RATIO = 5.0
-"""Ratio of the tolerance to the numerical error of results that are compared with it (clause 8.2)."""
+"""Ratio of the tolerance to the numerical error from which results are compared with the tolerance (clause 8.2)."""
 MAX_NON_NORMAL_FRACTION = 1e-9
-"""Fraction of a variance below which non-normal variates are neglected in a sum."""
+"""Fraction of a variance from variables that are not normal, below which their distribution is neglected in a sum."""
 INTEGRATION_STEP = 0.05
 """Step, in inverse standard deviations, of the integral over the characteristic function."""
 N_INTEGRATION_STEPS = 40_000
@@ -165,24 +169,24 @@ CHARACTERISTIC_FUNCTIONS: dict[str, Callable[[Floats], Floats]] = {
 
 @dataclass(frozen=True)
 class MonteCarloUncertainty(ValueEquality):
-    """Distribution of the results by Monte Carlo."""
+    """Distribution of each result by Monte Carlo simulation."""
 
     values: Floats
-    """Results of all trials, (trials, k)."""
+    """Results of all trials, shape (trials, results)."""
     means: Floats
-    """Mean of each result, (k,)."""
+    """Mean of each result."""
     sigmas: Floats
-    """Standard deviation of each result, (k,)."""
+    """Standard deviation of each result."""
     symmetric_intervals: Floats
-    """Probabilistically symmetric coverage interval of each result, (k, 2)."""
+    """Limits of the probabilistically symmetric coverage interval of each result, shape (results, 2)."""
     shortest_intervals: Floats
-    """Shortest coverage interval of each result, (k, 2)."""
+    """Limits of the shortest coverage interval of each result, shape (results, 2)."""
     numerical_errors: Floats
-    """Numerical error (two standard deviations) of the limits of the symmetric interval, (k,)."""
+    """Numerical error of the limits of each symmetric interval: two standard deviations."""
     is_stable: Bools
-    """Flags (k,) of the results that are stable to the requested digits."""
+    """Mask of the results that are stable to the requested number of digits."""
     tolerances: Floats
-    """Numerical tolerance (k,): half a unit in the last requested digit of the standard uncertainty (clause 7.9.2)."""
+    """Numerical tolerance of each result: half a unit in the last requested digit of its uncertainty (clause 7.9.2)."""
 
     @property
     def n_trials(self) -> int:
@@ -190,9 +194,9 @@ class MonteCarloUncertainty(ValueEquality):
         return len(self.values)
 
     def interval_agrees(self, linear_uncertainty: LinearUncertainty, coverage_probability: float) -> Bools:
-        """Flags (k,) that the limits of the linear interval agree with those of the distribution (clause 8).
+        """Mask of the results whose interval by propagation agrees with that by Monte Carlo (clause 8).
 
-        The numerical error is allowed for in favour of agreement; for stable results it is a fifth of the tolerance.
+        The numerical error is added to the tolerance; for stable results it is a fifth of the tolerance.
         """
         expanded = linear_uncertainty.expanded_uncertainty(coverage_probability)
         limits = np.stack([linear_uncertainty.values - expanded, linear_uncertainty.values + expanded], axis=1)
@@ -207,7 +211,7 @@ def run_monte_carlo(
     monte_carlo_settings: MonteCarlo,
     linear_uncertainty: LinearUncertainty,
 ) -> MonteCarloUncertainty:
-    """Distribution from trials until all results are known to a fifth of their tolerance, or up to a number."""
+    """Distribution of the results from trials, until all are known to a fifth of their tolerance, or to a limit."""
     exact = _linear_statistics(task_inputs, linear_uncertainty, monte_carlo_settings.coverage)
     samples: list[Floats] = []
     figures: list[Floats] = []
@@ -250,7 +254,7 @@ def run_monte_carlo(
 def _draw_errors(
     task_inputs: TaskInputs, thermal_expansion: ThermalExpansion, seed: int, batch_number: int
 ) -> tuple[Floats, Floats]:
-    """Draws of one batch: errors of all points (BATCH, 3 T) [m], and of the part's expansion (BATCH,)."""
+    """Random draws of one batch of B trials: errors of all T points (B, 3 T) [m], and of the part's scale (B,)."""
     shift = np.zeros((TRIALS_PER_BATCH, task_inputs.points.size))
     for i, source in enumerate(task_inputs.sources):
         shape = TRIALS_PER_BATCH, source.point_response.shape[1]
@@ -264,7 +268,7 @@ def _draw_errors(
 
 
 def _evaluate_results(measurands: Sequence[Measurand], points: Floats, factor: Floats) -> Floats:
-    """Results (BATCH, k) for points (BATCH, T, 3) [m] of a part that has grown by factors (BATCH,)."""
+    """Results (trials, results) for points (trials, T, 3) [m] of a part that is scaled by `factor` (trials,)."""
     pieces = [slice(at, at + TRIALS_PER_CALL) for at in range(0, TRIALS_PER_BATCH, TRIALS_PER_CALL)]
     rows = [np.concatenate([m.values(points[p], factor[p]) for m in measurands], axis=1) for p in pieces]
     return np.concatenate(rows)
@@ -273,7 +277,10 @@ def _evaluate_results(measurands: Sequence[Measurand], points: Floats, factor: F
 def _linear_statistics(
     task_inputs: TaskInputs, linear_uncertainty: LinearUncertainty, coverage_probability: float
 ) -> Floats:
-    """Mean, standard deviation and interval limits of the linear model without random draws, (4, k)."""
+    """Mean, standard deviation and interval limits of each result in the linear model, shape (4, results).
+
+    They are computed without random draws.
+    """
     others = [
         (s.distribution, linear_uncertainty.point_derivatives @ s.point_response)
         for s in task_inputs.sources
@@ -298,10 +305,9 @@ def _linear_statistics(
 def _coverage_half_width(
     normal_sigma: float, other_distributions: Sequence[tuple[str, Floats]], coverage_probability: float
 ) -> float:
-    """Half-width of the coverage interval of a sum of independent symmetric variates with total variance sigma^2.
+    """Half-width of the coverage interval of a sum of independent symmetric variables, one of them normal.
 
-    It is computed by inversion of the characteristic function, which is a product (Gil-Pelaez, Biometrika 38 (1951)
-    481).
+    The characteristic function of the sum, a product, is inverted (Gil-Pelaez, Biometrika 38 (1951) 481).
     """
     independent = sum(float(np.sum(sizes**2)) for _, sizes in other_distributions)
     if normal_sigma == 0 or independent <= MAX_NON_NORMAL_FRACTION * normal_sigma**2:
@@ -335,14 +341,14 @@ def draw_variates(
 
 
 def _batch_statistics(trial_results: Floats, coverage_probability: float) -> Floats:
-    """Mean, standard deviation and limits of the symmetric interval of one batch, (4, k)."""
+    """Mean, standard deviation and limits of the symmetric interval of each result in one batch, shape (4, results)."""
     tail = 50.0 * (1.0 - coverage_probability)
     limits = np.percentile(trial_results, [tail, 100.0 - tail], axis=0)
     return np.stack([trial_results.mean(axis=0), trial_results.std(axis=0, ddof=1), *limits])
 
 
 def shortest_intervals(trial_results: Floats, coverage_probability: float) -> Floats:
-    """Shortest coverage intervals (k, 2) of trials (n, k) (JCGM 101, 7.7)."""
+    """Shortest coverage interval of each result, shape (results, 2), from trials (trials, results) (JCGM 101, 7.7)."""
     ordered = np.sort(trial_results, axis=0)
     count = len(ordered)
     inside = int(np.clip(round(coverage_probability * count), 1, count - 1))

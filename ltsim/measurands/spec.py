@@ -1,4 +1,4 @@
-"""Task file (ltsim-tasks/1): measurands, tolerances, and errors that the readings do not contain."""
+"""Task file (ltsim-tasks/1): measurands, tolerances, and errors that the readings do not show."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -31,7 +31,7 @@ TaskKind = Literal[
 NonEmptyNames = Annotated[tuple[str, ...], Field(min_length=1)]
 CoverageLevel = Annotated[float, Field(gt=0.5, lt=1.0)]
 N_TARGETS_BY_KIND = {"point": 1, "rod": 2, "distance": 2, "angle": 3}
-"""Number of targets, for kinds of tasks with a fixed number."""
+"""Number of targets that a task needs, for kinds of tasks with a fixed number."""
 
 
 class ToleranceLimits(TomlSection):
@@ -109,22 +109,21 @@ class TypeB(TomlSection):
     distribution: Literal["normal", "rectangular", "triangular", "arcsine"] = "normal"
     """Distribution of the sizes."""
     sizes: dict[str, Positive] = Field(default_factory=dict)
-    """Standard deviation or half-width by parameter, in units of display."""
+    """Standard deviation (or half-width, if the distribution is not normal) of each parameter, in display units."""
     shared: Literal["all", "station", "instrument", "target", "pointing"] = "all"
-    """Scope of one random draw: all pointings, the pointings of a station, an instrument or a target, or a single
-    pointing."""
+    """Pointings that share one random draw: all, those of one station, instrument or target, or each pointing alone."""
     stations: tuple[str, ...] = ()
-    """Names of the stations where it acts; empty for all."""
+    """Names of the stations where the effect acts; empty for all."""
     targets: tuple[str, ...] = ()
-    """Names of the targets where it acts; empty for all."""
+    """Names of the targets where the effect acts; empty for all."""
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
-    """Constants by name, as in a scenario."""
+    """Constants of the effect by name, as in a scenario."""
     name: str = ""
     """Name in the budget; default the name of the effect."""
 
 
 class PartExpansion(TomlSection):
-    """Thermal expansion of the part: results refer to `reference_c`, the points were measured at `measured_c`."""
+    """Thermal expansion of the part from the reference temperature `reference_c` to its temperature `measured_c`."""
 
     expansion_per_k: Finite
     """Coefficient of thermal expansion."""
@@ -133,13 +132,13 @@ class PartExpansion(TomlSection):
     measured_c: Finite = 20.0
     """Temperature of the part during the measurement."""
     sigma_temperature_k: NonNegative = 0.0
-    """Standard deviation of the temperature."""
+    """Standard deviation of the temperature of the part."""
     reference_c: Finite = 20.0
     """Temperature to which results refer."""
 
 
 class MonteCarlo(TomlSection):
-    """Propagation of distributions (JCGM 101) until all results are stable to `digits` of their uncertainty."""
+    """Settings of the Monte Carlo simulation (JCGM 101), which ends when all results are stable to `digits` digits."""
 
     coverage: CoverageLevel = 0.95
     """Coverage probability of the intervals."""
@@ -148,11 +147,11 @@ class MonteCarlo(TomlSection):
     most_trials: Annotated[int, Field(ge=10_000, le=5_000_000)] = 100_000
     """Largest number of trials."""
     seed: Annotated[int, Field(ge=0)] = 0
-    """Root of the random draws."""
+    """Seed of the random draws."""
 
 
 class Decision(TomlSection):
-    """Decision on conformity (JCGM 106); `risk` is the permitted probability of a wrong acceptance."""
+    """Rule for the decision on conformity with a tolerance (JCGM 106)."""
 
     rule: Literal["guarded", "simple"] = "guarded"
     """Decision rule: limits reduced by a guard band for the risk, or the limits themselves."""
@@ -161,12 +160,12 @@ class Decision(TomlSection):
 
 
 class Tasks(TomlSection):
-    """Contents of a task file."""
+    """Tasks and settings of an evaluation of uncertainty, with the content of a task file."""
 
     format: Literal["ltsim-tasks/1"] = "ltsim-tasks/1"
     """Format and version of this file."""
     title: str = ""
-    """Free text."""
+    """Title, free text."""
     source: str
     """Recording or scenario, relative to this file."""
     calibrate: bool = True
@@ -198,11 +197,11 @@ class Tasks(TomlSection):
 
 
 def load_tasks(path: Path) -> Tasks:
-    """Tasks of a file; raises SetupError."""
+    """Tasks read from a file; raises SetupError."""
     return load_settings(path, Tasks, "task file")
 
 
 def validate_tasks(tables: Mapping[str, Any], file: object) -> Tasks:
-    """Validated tables of a task file; `file` is named in errors. Raises SetupError."""
+    """Tasks from the tables of a task file after validation; raises SetupError, which names `file`."""
     with as_setup_error():
         return validate_settings(tables, Tasks, "task file", file)

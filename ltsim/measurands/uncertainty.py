@@ -1,4 +1,4 @@
-"""Result of `uncertainty`: Python object, uncertainty.json, tables."""
+"""Result of `uncertainty`, with the content of `uncertainty.json`, and its tables."""
 
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, ClassVar, Literal
@@ -63,14 +63,14 @@ HIDDEN_ERRORS_TABLE = Table(
     ),
 )
 NOT_INCLUDED = "not included"
-"""Type, in the budget table, of an error that is not part of the uncertainty."""
+"""Text in the budget table for an error that is not part of the uncertainty."""
 NonNegativeFloat = Annotated[float, Field(ge=0)]
 MAX_SUMMARY_RESULTS = 8
-"""Largest number of results in the summary lines."""
+"""Largest number of results in the summary."""
 
 
 class Distribution(Entry):
-    """Distribution of a result: mean, standard uncertainty and coverage intervals in its unit (JCGM 101)."""
+    """Distribution of a result by Monte Carlo (JCGM 101), in the unit of the result."""
 
     mean: float
     """Mean of the draws."""
@@ -83,11 +83,11 @@ class Distribution(Entry):
     stable: bool
     """True if the results are stable to the requested digits."""
     agrees: bool
-    """True if the linear interval agrees with that of the distribution (JCGM 101, clause 8)."""
+    """True if the interval by propagation agrees with that by Monte Carlo (JCGM 101, clause 8)."""
 
 
 class BudgetPart(Entry):
-    """Source in an uncertainty budget: type, fraction of the variance, standard uncertainty."""
+    """Contribution of one source to the uncertainty of a result."""
 
     source: str
     """Name of the source."""
@@ -100,12 +100,12 @@ class BudgetPart(Entry):
 
 
 class HiddenPart(Entry):
-    """Error without effect on the readings, which is not part of the uncertainty."""
+    """Error that does not change the readings, so that the uncertainty does not include it."""
 
     source: str
-    """Text of the error, with its size."""
+    """Text that names the error and its size."""
     change: NonNegativeFloat
-    """Change of the result, in its unit."""
+    """Change of the result by this error, in the result's unit."""
 
 
 class Conformity(Entry):
@@ -130,16 +130,16 @@ class Conformity(Entry):
 
 
 class TaskResult(Entry):
-    """Result of a task with its uncertainty, in its unit."""
+    """Result of a task with its uncertainty; all values are in `unit`."""
 
     task: str
     """Name of the task."""
     kind: str
     """Kind of task."""
     name: str
-    """Name of the result among those of the task."""
+    """Name of the result, because a task can have several."""
     unit: str
-    """Unit of all values."""
+    """Unit of all values of this entry."""
     value: float
     """Estimate of the result."""
     standard_uncertainty: NonNegativeFloat
@@ -147,15 +147,15 @@ class TaskResult(Entry):
     coverage_factor: float
     """Coverage factor of the expanded uncertainty."""
     expanded_uncertainty: NonNegativeFloat
-    """Expanded uncertainty for the coverage."""
+    """Expanded uncertainty for the coverage probability."""
     monte_carlo: Distribution
     """Distribution by Monte Carlo."""
     curvature: float
-    """Difference between the exact adjustment and its linear form, in standard uncertainties."""
+    """Difference between the exact and the linearised adjustment, in standard uncertainties."""
     budget: tuple[BudgetPart, ...] = Field(min_length=1)
-    """Sources of uncertainty, the largest first."""
+    """Contributions of the sources to the uncertainty, the largest first."""
     hidden: tuple[HiddenPart, ...] = ()
-    """Errors without effect on the readings that matter, the largest first; the uncertainty does not include them."""
+    """Noticeable errors that do not change the readings, the largest first; the uncertainty does not include them."""
     conformity: Conformity | None = None
     """Conformity with the tolerance; null without one."""
 
@@ -183,27 +183,27 @@ class TaskResult(Entry):
 
 
 class Uncertainty(ResultFile):
-    """`uncertainty.json`: the result of `uncertainty`: results of tasks with their uncertainty."""
+    """Result of `uncertainty` with the content of `uncertainty.json`: results of tasks with their uncertainty."""
 
     FILE: ClassVar[str] = "uncertainty.json"
     format: Literal["ltsim-uncertainty/1"] = "ltsim-uncertainty/1"
     """Format and version of this file."""
     title: str
-    """Free text."""
+    """Title of the tasks, free text."""
     source: str
     """Name of the recording or scenario."""
     coverage: float
     """Coverage probability of all intervals."""
     trials: int
-    """Number of Monte Carlo trials in the propagation of distributions."""
+    """Number of Monte Carlo trials."""
     frame: str
-    """Reference frame of all coordinates."""
+    """Description of the frame of all coordinates."""
     sigma0: OptionalFloat
     """Square root of chi-square divided by the degrees of freedom of the adjustment; null for a list of coordinates."""
     results: tuple[TaskResult, ...] = Field(min_length=1)
-    """Results, one per number."""
+    """Results of all tasks, one entry per number."""
     correlation: tuple[tuple[OptionalFloat, ...], ...]
-    """Correlation of the results, in their order."""
+    """Correlation matrix of the results, in their order."""
     warnings: tuple[str, ...] = ()
     """Warnings about the validity of the results."""
 
@@ -245,7 +245,9 @@ def evaluate_conformity(
     decision_rule: Decision,
     trial_results: Floats | None = None,
 ) -> Conformity:
-    """Conformity of a result (in the unit of the tolerance), from its trials, or from a normal distribution.
+    """Decision on the conformity of a result with its tolerance, from its trials or from a normal distribution.
+
+    All values are in the unit of the tolerance.
 
     References
     ----------
@@ -278,9 +280,9 @@ def evaluate_conformity(
 
 
 def normalised_errors_of_files(first_result: Uncertainty, second_result: Uncertainty) -> list[tuple[str, float]]:
-    """Pairs of ``task, result`` and E_n for every result that both files contain in the same unit.
+    """Normalised errors E_n of the results that both files contain in the same unit, each with ``task, result``.
 
-    E_n applies to independent results, such as of two recordings or two instruments.
+    E_n applies to independent results, for example from two recordings or two instruments.
     """
     others = {(r.task, r.name, r.unit): r for r in second_result.results}
     pairs = [(r, others[key]) for r in first_result.results if (key := (r.task, r.name, r.unit)) in others]
@@ -293,9 +295,9 @@ def normalised_errors_of_files(first_result: Uncertainty, second_result: Uncerta
 def normalised_error(
     value: float, expanded_uncertainty: float, other_value: float, other_expanded_uncertainty: float
 ) -> float:
-    """Normalised error E_n: difference divided by the root sum of squares of the expanded uncertainties.
+    """Normalised error E_n: difference divided by the root sum of squares of the two expanded uncertainties.
 
-    |E_n| <= 1 agrees (ISO 13528).
+    The results agree if |E_n| <= 1 (ISO 13528).
     """
     together = float(np.hypot(expanded_uncertainty, other_expanded_uncertainty))
     gap = value - other_value

@@ -1,4 +1,4 @@
-"""Public functions on the uncertainty of measured points: tasks, and the comparison of two epochs."""
+"""Public functions `uncertainty` (of tasks on measured points) and `compare` (of two epochs)."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -24,7 +24,7 @@ def uncertainty(
     *,
     seed: int | None = None,
 ) -> Uncertainty:
-    """Uncertainty of tasks (lengths, angles, features, ...) by propagation and Monte Carlo, with budgets.
+    """Uncertainty of tasks (lengths, angles, features and others) by propagation and Monte Carlo, with budgets.
 
     Parameters
     ----------

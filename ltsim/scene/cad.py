@@ -1,8 +1,8 @@
 """Reader of CAD files: triangles in metres with z up, by the convention of each format.
 
-glTF states metres and y up; STEP and IGES state their unit; STL, OBJ and PLY state nothing and are read in millimetres
-with z up. The assumed unit and vertical axis are reported; a body of an implausible size or position is an error that
-asks the user to state them.
+glTF defines metres and y up. STEP and IGES files declare their unit. STL, OBJ and PLY declare nothing and are read in
+millimetres with z up. The assumed unit and vertical axis are reported. If a body has an implausible size or position,
+an error asks the user to declare them.
 """
 
 import re
@@ -32,15 +32,16 @@ to the millimetre, and lines of sight pass bodies at a few centimetres.
 SINGLE_PRECISION_SUFFIXES = (".stl", *GLTF_SUFFIXES)
 """Suffixes of files whose coordinates may be in single precision."""
 MIN_RELATIVE_LENGTH = SI_PER_UNIT["mm"] / SI_PER_UNIT["in"]
-"""Length of a body as a fraction of the room's length below which its numbers may be inches."""
+"""Ratio of a body's length to the room's length below which the unit of the file is questioned. A room-sized body whose
+inches were read as millimetres has this ratio."""
 MAX_OVERHANG = 0.05
-"""Distance [m] by which a body may extend beyond the room or below its floor."""
+"""Largest distance [m] by which a body may extend beyond the room or below its floor."""
 GRID_POINTS_PER_METRE = 1e5
-"""Grid points per metre for the corners of triangles (10 um); single precision, as in STL and glTF, resolves no more
-over 40 m.
+"""Grid points per metre to which corners of triangles are rounded (10 um). Single precision, as in STL and glTF,
+resolves no more over 40 m.
 """
 TRIANGLES_PER_BATCH = 1 << 16
-"""Number of triangles that are rounded to the grid together, which bounds the memory of intermediate results."""
+"""Number of triangles that are rounded to the grid at a time, to limit the memory for intermediate results."""
 Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Rotation matrix from y up to z up: x stays, y becomes z, z becomes -y."""
 
@@ -53,45 +54,46 @@ class CadFile:
     triangles: Floats
     """Triangles of the body, (m, 3, 3) [m], z up."""
     unit: str
-    """Unit used for reading, `mm`, `m` or `in`; empty for a format that states its unit."""
+    """Unit in which the numbers were read, `mm`, `m` or `in`; empty for a format that declares its unit."""
     vertical_axis: str
     """Vertical axis of the file, `y` or `z`."""
     has_declared_unit: bool
-    """True if the file or the user states the unit."""
+    """True if the file or the user declares the unit."""
 
     @property
     def interpretation_text(self) -> str:
-        """Description of the unit and the vertical axis that the file was read with."""
+        """Description of the unit and the vertical axis in which the file was read, for users."""
         kind = self.file.suffix[1:].upper()
         unit = f"numbers taken for {UNIT_WORDS[self.unit]}" if self.unit else f"in the unit that {kind} declares"
         return f"{unit}, {self.vertical_axis} up"
 
     @property
     def with_other_vertical(self) -> Floats:
-        """Triangles (m, 3, 3) for the other vertical axis (y and z exchanged)."""
+        """Triangles (m, 3, 3) [m] of the file if it is read with the other vertical axis (y instead of z, or z)."""
         return self.triangles @ (Y_UP_TO_Z_UP if self.vertical_axis == "y" else Y_UP_TO_Z_UP.T)
 
 
 def read_mesh(path: Path, unit: str | None = None, vertical_axis: str | None = None) -> CadFile:
-    """A CAD file; `unit` (`mm`, `m`, `in`) and `vertical_axis` (`y`, `z`) replace the convention of its format.
+    """Contents of a CAD file, converted to metres with z up.
 
-    Raises SetupError.
+    `unit` (`mm`, `m`, `in`) and `vertical_axis` (`y`, `z`) replace the convention of the format. Raises SetupError for
+    a file that cannot be read.
     """
     suffix = path.suffix.lower()
     if suffix not in CAD_SUFFIXES:
         raise SetupError(f"{path}: the suffix is '{path.suffix}', expected one of {', '.join(CAD_SUFFIXES)}")
     if suffix in EXACT_SUFFIXES and unit is not None:
         raise SetupError(f"{path}: {suffix[1:].upper()} declares its own unit; leave out unit")
-    turned = vertical_axis or ("y" if suffix in GLTF_SUFFIXES else "z")
+    file_axis = vertical_axis or ("y" if suffix in GLTF_SUFFIXES else "z")
     file_unit = "" if suffix in EXACT_SUFFIXES else unit or ("m" if suffix in GLTF_SUFFIXES else "mm")
     try:
         status = path.stat()
         if status.st_size > MAX_CAD_BYTES:
             raise SetupError(f"{path}: is larger than {MAX_CAD_BYTES // MIB} MiB, the limit for reading")
-        triangles = _read_triangles(path, status.st_mtime_ns, SI_PER_UNIT[file_unit or "m"], turned)
+        triangles = _read_triangles(path, status.st_mtime_ns, SI_PER_UNIT[file_unit or "m"], file_axis)
     except OSError as problem:
         raise SetupError(f"{path}: cannot be read ({problem.strerror or 'not a usable file'})") from None
-    return CadFile(path, triangles, file_unit, turned, suffix in EXACT_SUFFIXES or unit is not None)
+    return CadFile(path, triangles, file_unit, file_axis, suffix in EXACT_SUFFIXES or unit is not None)
 
 
 @lru_cache(maxsize=8)
@@ -108,18 +110,19 @@ def _read_triangles(path: Path, _modification_time: int, metres_per_unit: float,
     del triangles  # each array of a large file takes a tenth of the memory
     if not len(corners):
         raise SetupError(
-            f"{path}: has no triangle larger than {1e6 / GRID_POINTS_PER_METRE:g} um if a unit of it is "
+            f"{path}: has no triangle larger than {1e6 / GRID_POINTS_PER_METRE:g} um if its unit of length is "
             f"{metres_per_unit:g} m; set its unit, or export it again"
         )
-    settled: Floats = np.unique(corners, axis=0).reshape(-1, 3, 3) / GRID_POINTS_PER_METRE
-    settled.flags.writeable = False
-    return settled
+    rounded_triangles: Floats = np.unique(corners, axis=0).reshape(-1, 3, 3) / GRID_POINTS_PER_METRE
+    rounded_triangles.flags.writeable = False
+    return rounded_triangles
 
 
 def _rounded_to_grid(triangles: Floats, vertical_axis: str) -> Ints:
-    """Corners (k, 9) on the grid of the non-degenerate triangles among (m, 3, 3) [m].
+    """Integer grid coordinates (k, 9) of the corners of the k non-degenerate triangles among m triangles (m, 3, 3) [m].
 
-    Each triangle starts with its first corner.
+    A triangle is degenerate if two of its rounded corners coincide. Each triangle starts with its lexicographically
+    first corner, so that equal triangles have equal rows.
     """
     corners = np.round(
         GRID_POINTS_PER_METRE * (triangles @ Y_UP_TO_Z_UP.T if vertical_axis == "y" else triangles)
@@ -130,10 +133,10 @@ def _rounded_to_grid(triangles: Floats, vertical_axis: str) -> Ints:
     return corners[is_complete].reshape(-1, 9)
 
 
-def _triangles_in_file_units(path: Path, factor: float) -> Floats:
-    """Triangles (m, 3, 3) in the unit (`metres_per_unit` metres) and axes of the file.
+def _triangles_in_file_units(path: Path, metres_per_unit: float) -> Floats:
+    """Triangles (m, 3, 3) in the axes and the unit of the file, or in metres for a format with exact surfaces.
 
-    Those of a CAD model with exact surfaces in metres.
+    `factor` is the length of the file's unit [m]. Raises SetupError for a file that cannot be read.
     """
     suffix = path.suffix.lower()
     if suffix in EXACT_SUFFIXES and not is_installed("cascadio"):
@@ -148,16 +151,19 @@ def _triangles_in_file_units(path: Path, factor: float) -> Floats:
             ".glb, or as .gltf with everything in it"
         )
     triangles = read_triangles(path)
-    _require_precision(path, triangles, factor)
+    _require_precision(path, triangles, metres_per_unit)
     return triangles
 
 
-def _require_precision(path: Path, triangles: Floats, factor: float) -> None:
-    """Check that rounding of coordinates in units of `factor` metres is below `MAX_SPACING_MM`; raises SetupError."""
+def _require_precision(path: Path, triangles: Floats, metres_per_unit: float) -> None:
+    """Check that single-precision coordinates, in units of `factor` metres, are spaced by at most `MAX_SPACING_MM`.
+
+    Raises SetupError otherwise.
+    """
     single = triangles.astype(np.float32)
     if path.suffix.lower() not in SINGLE_PRECISION_SUFFIXES or not np.array_equal(single, triangles):
         return
-    step = float(np.spacing(np.abs(single).max())) * factor / SI_PER_UNIT["mm"]
+    step = float(np.spacing(np.abs(single).max())) * metres_per_unit / SI_PER_UNIT["mm"]
     if step > MAX_SPACING_MM:
         raise SetupError(
             f"{path}: its coordinates are in single precision and reach {np.abs(triangles).max():.4g}, where they have "
@@ -166,14 +172,17 @@ def _require_precision(path: Path, triangles: Floats, factor: float) -> None:
 
 
 def extent_text(triangles: Floats) -> str:
-    """Size and position of triangles (m, 3, 3) [m] as text."""
+    """Size and limits of the coordinates of triangles (m, 3, 3) [m], as text for users."""
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     size = " x ".join(f"{v:.3g}" for v in high - low)
     return f"{size} m, " + ", ".join(f"{k} {a:.2f} to {b:.2f}" for k, a, b in zip("xyz", low, high, strict=True)) + " m"
 
 
 def implausible_size_question(cad_file: CadFile, room_size: Floats) -> str:
-    """Question to the user about the size of a body in a room (3,) [m]; empty for a plausible size."""
+    """Message that asks for the unit of a CAD file whose body has an implausible size in a room (3,) [m].
+
+    It is empty for a plausible size or a declared unit.
+    """
     length, least, most = (
         np.ptp(cad_file.triangles, axis=(0, 1)),
         MIN_RELATIVE_LENGTH * room_size.max(),

@@ -1,7 +1,7 @@
 """Reading of CAD files in a separate process with bounded memory and time.
 
-A few bytes of such a file may expand to any number of triangles (instances of a body, polygons with many corners, exact
-surfaces), and a damaged file may crash the libraries. Only the triangles are returned from the process.
+A small file may expand to a very large number of triangles (repeated bodies, polygons with many corners, exact
+surfaces), and a damaged file may crash the libraries. The process returns only the triangles.
 """
 
 import os
@@ -33,16 +33,17 @@ EXACT_SUFFIXES = (".step", ".stp", ".iges", ".igs")
 FACET_SUFFIXES = (".stl", ".obj", ".ply")
 """Suffixes of files with triangles or polygons."""
 MAX_DEVIATION_MM = 1.0
-"""Largest distance [mm] of a triangle from the exact surface, sufficient for lines of sight."""
+"""Largest distance [mm] of a triangle from the exact surface when a curved surface is converted to triangles. Lines of
+sight need no smaller distance."""
 _START_CODE = "from ltsim.scene.cad_process import run_process; run_process()"
 _REFUSED_STATUS = 3
 """Exit status of a process whose library raised an error; the error is on standard error."""
 
 
 def read_triangles(path: Path) -> Floats:
-    """Triangles (m, 3, 3) in the unit and axes of a file; those of a model with exact surfaces in metres.
+    """Triangles (m, 3, 3) of a CAD file in its own axes and unit, or in metres for a format with exact surfaces.
 
-    Raises SetupError.
+    Raises SetupError for a damaged file, for one with too many triangles, and for one without triangles.
     """
     content = path.read_bytes()
     suffix = path.suffix.lower()
@@ -62,7 +63,7 @@ def read_triangles(path: Path) -> Floats:
 
 
 def max_stl_facets(file_content: bytes) -> int:
-    """Upper bound of the number of facets of an STL file: from its length (binary) or its keywords (text)."""
+    """Upper bound of the number of triangles of an STL file: from its length (binary) or from its keywords (text)."""
     count = (len(file_content) - 84) // 50
     if len(file_content) >= 84 and int.from_bytes(file_content[80:84], "little") == count:
         return count
@@ -72,37 +73,37 @@ def max_stl_facets(file_content: bytes) -> int:
 def _require_few_triangles(path: Path, n_triangles: int) -> None:
     if n_triangles > MAX_OBSTACLE_TRIANGLES:
         raise SetupError(
-            f"{path}: holds {n_triangles} triangles, at most {MAX_OBSTACLE_TRIANGLES} are read; "
+            f"{path}: has {n_triangles} triangles, but at most {MAX_OBSTACLE_TRIANGLES} are read; "
             "export it with a coarser mesh"
         )
 
 
 def _incomplete_file_error(path: Path, reason: str) -> SetupError:
-    return SetupError(f"{path}: is not a whole {path.suffix[1:]} file ({quoted_text(reason)})")
+    return SetupError(f"{path}: is not a complete {path.suffix[1:]} file ({quoted_text(reason)}); export it again")
 
 
 def _read_in_process(path: Path, file_size: int) -> Floats:
     """Triangles read in a separate process; raises SetupError if it refuses the file, crashes or exceeds its limits."""
-    share = max(1.0, file_size / MAX_FILE_BYTES)
-    limits = [str(int(share * MAX_CAD_MEMORY)), str(int(share * MAX_CAD_SECONDS))]
-    words = [sys.executable, "-P", "-c", _START_CODE, str(path.resolve()), *limits]
-    single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    done = subprocess.run(words, capture_output=True, check=False, env={**os.environ, **single})
+    limit_factor = max(1.0, file_size / MAX_FILE_BYTES)
+    limits = [str(int(limit_factor * MAX_CAD_MEMORY)), str(int(limit_factor * MAX_CAD_SECONDS))]
+    process_arguments = [sys.executable, "-P", "-c", _START_CODE, str(path.resolve()), *limits]
+    thread_limits = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    done = subprocess.run(process_arguments, capture_output=True, check=False, env={**os.environ, **thread_limits})
     if done.returncode == _REFUSED_STATUS:
         reason = done.stderr.decode(errors="replace").strip()
         if reason != MemoryError.__name__:
             raise _incomplete_file_error(path, reason)
     if done.returncode:
-        most = f"{share * MAX_CAD_MEMORY / MIB:.0f} MiB and {share * MAX_CAD_SECONDS:.0f} s"
-        what = f"cannot be read within {most} of memory and time, or is damaged"
+        most = f"{limit_factor * MAX_CAD_MEMORY / MIB:.0f} MiB and {limit_factor * MAX_CAD_SECONDS:.0f} s"
+        what = f"is damaged, or needs more than {most} of memory and time"
         raise SetupError(f"{path}: {what}; export it as STL with a coarser mesh")
     return np.frombuffer(done.stdout, dtype=np.float64).reshape(-1, 3, 3)
 
 
 def run_process() -> None:
-    """Entry point of the process: it writes the triangles of a file to standard output.
+    """Main function of the separate process: it writes the triangles of a file to standard output.
 
-    The arguments are the file, the memory [bytes] and the processor time [s].
+    The command-line arguments are the file, the limit of memory [bytes] and the limit of processor time [s].
     """
     path, memory, seconds = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     limit_process(memory, seconds)
@@ -118,7 +119,10 @@ def run_process() -> None:
 
 
 def limit_process(memory_bytes: int, seconds: int) -> None:
-    """Limits of this process on memory beyond its libraries [bytes] and on processor time [s], where supported."""
+    """Limits of this process, set where the operating system supports them.
+
+    They apply to memory in addition to that of the libraries [bytes], and to processor time [s].
+    """
     with suppress(ImportError, ValueError, OSError):
         import resource
 
@@ -132,7 +136,10 @@ def limit_process(memory_bytes: int, seconds: int) -> None:
 
 
 def parse_triangles(file_content: bytes, suffix: str) -> Floats:
-    """Triangles (m, 3, 3) of a file's content, by its suffix; errors of the libraries are passed on."""
+    """Triangles (m, 3, 3) from the bytes of a CAD file, whose suffix defines the format.
+
+    Errors of the libraries are not caught.
+    """
     import trimesh  # a third of a second that few need
 
     if suffix in EXACT_SUFFIXES:
@@ -152,7 +159,7 @@ def parse_triangles(file_content: bytes, suffix: str) -> Floats:
 
 @contextmanager
 def without_library_output() -> Iterator[None]:
-    """Context in which the output of libraries below Python is discarded."""
+    """Context in which output of compiled libraries to standard output and standard error is discarded."""
     before = [os.dup(1), os.dup(2)]
     with tempfile.TemporaryFile() as nowhere:
         try:

@@ -1,4 +1,4 @@
-"""Floor areas for tripods: the table [floor] of a plan file, and outlines seen from above."""
+"""Areas of the floor for tripods, as in the table [floor] of a plan file; outlines are polygons seen from above."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ HeightRange = tuple[Positive, Positive]
 MIN_HEAD_ROOM = 0.3
 """Free height [m] above the centre of an instrument's head."""
 N_DEFAULT_PLACES = 250
-"""Number of grid positions that cover the floor if no step is given; stations are refined off the grid afterwards."""
+"""Number of grid positions for tripods on the floor if no grid spacing is given. The positions of stations are refined
+without the grid afterwards."""
 EDGE_TOLERANCE = 1e-9
-"""Distance [m] within which a position counts as on an edge."""
+"""Distance [m] from an edge up to which a position counts as on the edge."""
 
 
 class FloorArea(TomlSection):
@@ -37,7 +38,7 @@ class FloorArea(TomlSection):
     holes_mm: tuple[PlanOutline, ...] = ()
     """Outlines of openings in the area, such as a pit."""
     height_mm: HeightRange | None = None
-    """Lowest and highest centre of the instrument's head in this area; default those of the whole floor."""
+    """Lowest and highest height of the centre of the instrument's head in this area; default as for the whole floor."""
     ceiling_mm: Positive | None = None
     """Height of an overhead structure above this area, such as a gallery: the tracker heads stay 300 mm below it. An
     obstacle is needed too if the structure hides targets."""
@@ -51,7 +52,7 @@ class FreePlace(TomlSection):
     corners_mm: PlanOutline
     """Coordinates x and y of the corners of the area, in order around it."""
     clear_mm: NonNegative = 0.0
-    """Distance to be kept free around the area."""
+    """Distance around the area that must also be free of tripods."""
 
 
 class Door(TomlSection):
@@ -62,7 +63,7 @@ class Door(TomlSection):
     from_mm: PlanPoint
     """Coordinates x and y of one side of the opening."""
     to_mm: PlanPoint
-    """Coordinates x and y of the other side."""
+    """Coordinates x and y of the other side of the opening."""
     clear_mm: NonNegative = 1500.0
     """Distance to be kept free in front of the door."""
 
@@ -71,11 +72,12 @@ class Floor(TomlSection):
     """Floor on which tripods may stand; by default the whole room except a margin along the walls."""
 
     corners_mm: PlanOutline | None = None
-    """Corners of the floor, x and y, in order around it; default those of the room."""
+    """Coordinates x and y of the corners of the floor, in order around it; default the corners of the room."""
     margin_mm: NonNegative = 600.0
     """Distance to be kept from the walls if neither corners nor areas are given."""
     height_mm: HeightRange | None = None
-    """Lowest and highest centre of the instrument's head; default those of the scenario's stations."""
+    """Lowest and highest height of the centre of the instrument's head; default the range of the scenario's
+    stations."""
     areas: tuple[FloorArea, ...] = ()
     """Tables `[[floor.areas]]` that replace `corners_mm`: a tripod must stand in one of them."""
     keep_outs: tuple[FreePlace, ...] = ()
@@ -96,28 +98,29 @@ class Floor(TomlSection):
 def areas_and_keep_outs(
     floor_spec: Floor, room_size_mm: tuple[float, float, float], heights: tuple[float, float]
 ) -> tuple[tuple[StandingArea, ...], tuple[KeepOutArea, ...]]:
-    """Areas where tripods may stand, and the keep-out areas in them [m].
+    """Areas where tripods may stand, and keep-out areas, both in metres.
 
-    `room_size_mm` is the size of the room; `heights` [m] are the heights of heads where neither floor nor area states
-    them.
-    Raises SetupError for an outline that crosses itself or leaves the room, and for a ceiling that is too low for any
-    head.
+    `heights` are the lowest and highest height [m] of the instrument's head, for areas whose heights neither the floor
+    nor the area declares. Raises SetupError for an outline that crosses itself or leaves the room, and for a ceiling
+    that is too low for every height of the head.
     """
     mm = MILLIMETRE
-    usual = heights if floor_spec.height_mm is None else (floor_spec.height_mm[0] * mm, floor_spec.height_mm[1] * mm)
+    default_heights = (
+        heights if floor_spec.height_mm is None else (floor_spec.height_mm[0] * mm, floor_spec.height_mm[1] * mm)
+    )
     parts = floor_spec.areas or (
         FloorArea(corners_mm=floor_spec.corners_mm or _room_outline(floor_spec, room_size_mm)),
     )
     areas = []
     for i, part in enumerate(parts, 1):
         key = f"floor.areas.{i}.corners_mm" if floor_spec.areas else "floor.corners_mm"
-        low, high = usual if part.height_mm is None else (part.height_mm[0] * mm, part.height_mm[1] * mm)
+        low, high = default_heights if part.height_mm is None else (part.height_mm[0] * mm, part.height_mm[1] * mm)
         if part.ceiling_mm is not None:
             high = min(high, part.ceiling_mm * mm - MIN_HEAD_ROOM)
         if low > high:
             raise SetupError(
-                f"floor.areas.{i}.ceiling_mm is {part.ceiling_mm:g}, but heads are at {low / mm:g} mm and more; "
-                "give the area a lower height_mm"
+                f"floor.areas.{i}.ceiling_mm is {part.ceiling_mm:g}, but tracker heads are at {low / mm:g} mm or more; "
+                "set a lower height_mm for the area"
             )
         outline = _outline_in_metres(key, part.corners_mm, room_size_mm)
         holes = tuple(
@@ -133,7 +136,10 @@ def areas_and_keep_outs(
 
 
 def _room_outline(floor_spec: Floor, room_size_mm: tuple[float, float, float]) -> tuple[PlanPoint, ...]:
-    """Corners of the room, moved inwards by the margin."""
+    """Corners [mm] of the floor of the room without its margin along the walls.
+
+    Raises SetupError for a margin that leaves no floor.
+    """
     (wide, deep, _), margin = room_size_mm, floor_spec.margin_mm
     if 2 * margin >= min(wide, deep):
         raise SetupError(f"floor.margin_mm of {margin:g} leaves no floor in a workshop of {wide:g} x {deep:g} mm")
@@ -143,9 +149,9 @@ def _room_outline(floor_spec: Floor, room_size_mm: tuple[float, float, float]) -
 def _outline_in_metres(
     outline_key: str, corners_mm: tuple[PlanPoint, ...], room_size_mm: tuple[float, float, float] | None = None
 ) -> np.ndarray:
-    """Corners (k, 2) [m] of an outline.
+    """Corners (k, 2) [m] of an outline, whose key in the plan file is `outline_key`.
 
-    Raises SetupError if it crosses itself or leaves the room (if a size is given).
+    Raises SetupError if the outline crosses itself, or leaves the room if `room_size_mm` is given.
     """
     outline = np.array(corners_mm, dtype=np.float64) * MILLIMETRE
     problem = outline_error(outline)
@@ -184,7 +190,7 @@ class StandingArea:
         )
 
     def covers_places(self, places: Floats) -> Bools:
-        """Flags (N,) of the places (N, 2) [m] that lie in the area and outside its openings."""
+        """Flags (N,) of the positions (N, 2) [m] on the floor that lie in the area and outside its openings."""
         good = is_inside_outline(self.outline, places)
         for hole in self.holes:
             good &= ~is_inside_outline(hole, places)
@@ -193,7 +199,7 @@ class StandingArea:
 
 @dataclass(frozen=True)
 class KeepOutArea:
-    """Keep-out area: places within a distance [m] of an outline (k, 2), or of a segment (2, 2)."""
+    """Keep-out area for tripods: an outline seen from above, or a line segment, and a clearance around it."""
 
     outline: Floats
     """Corners of the outline (k, 2), or ends of a segment (2, 2) [m]."""
@@ -201,31 +207,34 @@ class KeepOutArea:
     """Distance [m] to be kept free around the outline."""
 
     def contains_places(self, places: Floats) -> Bools:
-        """Flags (N,) of the places (N, 2) that lie in this keep-out area."""
+        """Flags (N,) of the positions (N, 2) [m] on the floor that lie in this keep-out area."""
         near = distance_to_outline(self.outline, places) < self.clearance + EDGE_TOLERANCE
         return near | is_inside_outline(self.outline, places) if len(self.outline) > 2 else near
 
     def is_crossed(self, path: Floats) -> bool:
-        """True if the path between two places (2, 2) [m] crosses the outline or the segment, without its clearance."""
+        """True if the straight path between two positions (2, 2) [m] crosses the outline or the segment.
+
+        The clearance is not considered.
+        """
         shape = shapely.polygons(self.outline) if len(self.outline) > 2 else shapely.linestrings(self.outline)
         return bool(shapely.intersects(shape, shapely.linestrings(path)))
 
 
 def distance_to_outline(outline: Floats, places: Floats) -> Floats:
-    """Distance (N,) [m] from places (N, 2) to an outline (k, 2), or to the segment between two points (2, 2)."""
+    """Distance (N,) [m] from N positions (N, 2) to the edges of an outline (k, 2), or to a line segment (2, 2)."""
     edges = shapely.linearrings(outline) if len(outline) > 2 else shapely.linestrings(outline)
     return np.asarray(shapely.distance(edges, shapely.points(places)))
 
 
 def is_inside_outline(outline: Floats, places: Floats) -> Bools:
-    """Flags (N,) of the places (N, 2) inside an outline (k, 2) or within a nanometre of its edge."""
+    """Flags (N,) of the positions (N, 2) [m] inside an outline (k, 2) or within a nanometre of its edge."""
     return np.asarray(shapely.distance(shapely.polygons(outline), shapely.points(places)) < EDGE_TOLERANCE)
 
 
 def outline_error(outline: Floats) -> str:
-    """Reason why corners (k, 2) do not form an outline, as text.
+    """Reason why corners (k, 2) [m] do not form a valid outline, as text.
 
-    It is empty for an outline that does not cross itself and has an area.
+    It is empty for an outline that does not cross itself and whose area is not zero.
     """
     count, then = len(outline), np.roll(outline, -1, axis=0)
     same_rows = np.flatnonzero(np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1) < EDGE_TOLERANCE)
@@ -234,17 +243,17 @@ def outline_error(outline: Floats) -> str:
     sides = shapely.linestrings(np.stack([outline, then], axis=1))
     first, second = np.nonzero(np.triu(shapely.dwithin(sides[:, None], sides, EDGE_TOLERANCE), 2))
     for i, j in zip(first.tolist(), second.tolist(), strict=True):
-        if (i, j) != (0, count - 1):  # which have a corner in common
+        if (i, j) != (0, count - 1):  # first and last side have a corner in common
             return (
-                f"its side from corner {i + 1} crosses the one from corner {j + 1}; give the corners in order around it"
+                f"its sides after corners {i + 1} and {j + 1} cross or touch; give the corners in order around the area"
             )
     return "" if shapely.area(shapely.polygons(outline)) > EDGE_TOLERANCE else "its corners lie on one line"
 
 
 def grid_step(standing_areas: Sequence[StandingArea], requested_step_mm: float | None) -> float:
-    """Step [m] of a grid of places.
+    """Spacing [m] of a grid of positions for tripods: the requested one, if there is one.
 
-    By default `N_DEFAULT_PLACES` places cover the areas, at least half a metre from each other.
+    By default about `N_DEFAULT_PLACES` positions cover the areas, at least half a metre from each other.
     """
     if requested_step_mm is not None:
         return requested_step_mm * MILLIMETRE
@@ -275,17 +284,20 @@ def refusal_reason(
     obstacles: Obstacles | None,
     position: Floats,
 ) -> str:
-    """Reason why no tripod may stand under an instrument position (3,) [m], with the key of the plan file.
+    """Reason why no tripod may stand under an instrument position (3,) [m], as text for users.
 
-    It is empty if one may.
+    It names the key of the plan file that forbids the position. The text is empty if a tripod may stand there.
     """
     if is_allowed_position(standing_areas, keep_out_areas, obstacles, position[None])[0]:
         return ""
-    place, under = position[None, :2], [area for area in standing_areas if area.covers_places(position[None, :2])[0]]
-    if not under:
+    place, areas_below = (
+        position[None, :2],
+        [area for area in standing_areas if area.covers_places(position[None, :2])[0]],
+    )
+    if not areas_below:
         return "outside the permitted floor (floor.corners_mm, floor.areas, floor.margin_mm)"
-    if not any(area.contains_instrument(position[None])[0] for area in under):
-        low, high = min(area.heights[0] for area in under), max(area.heights[1] for area in under)
+    if not any(area.contains_instrument(position[None])[0] for area in areas_below):
+        low, high = min(area.heights[0] for area in areas_below), max(area.heights[1] for area in areas_below)
         span = f"{low / MILLIMETRE:g} to {high / MILLIMETRE:g} mm (floor.height_mm)"
         return f"with its head at {position[2] / MILLIMETRE:.0f} mm, expected {span}"
     if any(free.contains_places(place)[0] for free in keep_out_areas):
@@ -294,7 +306,10 @@ def refusal_reason(
 
 
 def grid_over_area(standing_area: StandingArea, grid_spacing: float, heights: int) -> Floats:
-    """Grid (N, 3) [m] over the bounding rectangle of an area, at each of its heights."""
+    """Grid (N, 3) [m] of instrument positions over the bounding rectangle of an area.
+
+    `heights` is the number of heights between the lowest and the highest of the area; the lowest alone if both agree.
+    """
     low, high = standing_area.outline.min(axis=0), standing_area.outline.max(axis=0)
     count = np.maximum(np.ceil((high - low) / grid_spacing).astype(int), 1)
     axes = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, count, strict=True)]

@@ -1,7 +1,8 @@
 """Obstacles as triangle meshes: blocked lines of sight, positions inside bodies, surfaces for nests.
 
-Embree (the extra `cad`) casts the rays in single precision; rays that pass close to an edge, where it may err either
-way, are cast again here in double precision. Without it all are, which takes long only for large CAD files.
+The library Embree (the extra `cad`) casts rays in single precision. Rays that pass close to an edge, where its result
+may be wrong, are cast again in double precision by this module. Without Embree this module casts all rays, which is
+slow for large CAD files only.
 """
 
 from collections.abc import Iterable
@@ -18,37 +19,39 @@ from ltsim.core.randomness import stream
 from ltsim.geometry.rotations import perpendicular_vectors, rotation_about_z
 
 RAY_BUNDLE_RADIUS = 1e-4
-"""Half-width [m] of the bundle of rays around a line of sight whose results must agree; single precision errs by 1e-6 m
-at 10 m.
+"""Half-width [m] of a bundle of rays around a line of sight. If the results of its rays differ, the line passes close
+to an edge and is tested again in double precision. Single precision has errors of 1e-6 m at 10 m.
 """
 RAY_END_MARGIN = 1e-6
-"""Fraction at the end of a ray that is not tested, so that a surface does not hide a point that is on it."""
+"""Length [m] at both ends of a ray that is not tested, so that a surface does not hide a point on it."""
 MAX_RAY_TRIANGLE_PAIRS = 2_000_000
 """Largest number of pairs of ray and triangle that are tested together."""
 TEST_RAY_DIRECTION = np.array([0.01234567, 0.02345678, 1.0]) / np.linalg.norm([0.01234567, 0.02345678, 1.0])
 """Direction of vertical test rays, tilted slightly so that they do not run along the edges of upright boxes."""
 MAX_SMOOTH_ANGLE = np.radians(35.0)
-"""Angle [rad] between neighbouring triangles below which they count as one curved surface."""
+"""Angle [rad] between the normals of neighbouring triangles below which they count as parts of one curved surface."""
 N_CYLINDER_SIDES = 64
-"""Number of sides of a cylinder; its corners are 0.1 % outside the diameter."""
+"""Number of flat sides that represent a cylinder. Their edges are 0.1 % of the radius outside the cylinder."""
 NEST_FOOT_RADIUS = 0.025
 """Radius [m] of the foot of a nest."""
 MAX_NEST_UNEVENNESS = 0.002
 """Largest deviation [m] of the surface from a plane under the foot of a nest."""
 MIN_NORMAL_Z = -0.5
-"""Smallest vertical component of a face's normal: steeper overhanging faces carry no nest."""
+"""Vertical component of the unit normal of a surface at or below which it carries no nest, because it faces downwards
+too much (60 deg from straight down)."""
 N_DRAWS_PER_PLACE = 12.0
-"""Number of random places drawn per square of the requested spacing, before places too near to each other are dropped.
+"""Number of random points on a surface per squared spacing of nests. Points that are too near to each other are dropped
+afterwards.
 """
 MAX_DRAWN_PLACES = 20_000
-"""Largest number of random places that are drawn on a body."""
+"""Largest number of random points on a body."""
 MERGE_DECIMALS = 8
 """Number of decimals [m] to which corners are rounded when equal corners are merged."""
 UNIT_CUBE = np.array(list(product((-0.5, 0.5), repeat=3)))[
     [1, 3, 0, 4, 1, 0, 0, 3, 2, 2, 4, 0, 1, 7, 3, 5, 1, 4, 5, 7, 1, 3, 7, 2, 6, 4, 2, 2, 7, 6, 6, 5, 4, 7, 5, 6]
 ].reshape(12, 3, 3)
-"""Triangles (12, 3, 3) of a cube of edge 1 m about the origin, normals outward; random places on it depend on their
-order.
+"""Triangles (12, 3, 3) of a cube of edge 1 m about the origin, with normals outward. Random points on a box depend on
+the order of its triangles.
 """
 
 
@@ -76,7 +79,10 @@ class Obstacles:
         return RayMeshIntersector(trimesh.Trimesh(self.triangles.reshape(-1, 3), faces, process=False))
 
     def is_blocked(self, origins: Floats, end_points: Floats) -> Bools:
-        """Flags (n,): a triangle lies between an origin and an end (n, 3) [m]; touching an edge counts."""
+        """Flags (n,) of lines from origins (n, 3) to end points (n, 3) [m] that a triangle blocks.
+
+        A line that touches an edge is blocked.
+        """
         hit = self._is_met(origins, end_points)
         if self._ray_caster is None or not hit.size:
             return hit
@@ -89,10 +95,11 @@ class Obstacles:
         return hit
 
     def is_blocked_near(self, origins: Floats, end_points: Floats, position_tolerance: float) -> Bools:
-        """Flags (n,): a body hides `end_points` (n, 3) [m] from an instrument near its place `origins` (n, 3) [m].
+        """Flags (n,) of end points (n, 3) [m] that a body may hide from an instrument near its origin (n, 3) [m].
 
-        Rays start at the corners of a square around the circle of that radius, perpendicular to the line of sight, so
-        that an edge of a body is not missed.
+        The instrument may be up to `position_tolerance` [m] from its origin. Rays therefore start at the four corners
+        of a square around the circle with this radius, perpendicular to the line of sight. The end point is flagged if
+        any of the four is blocked.
         """
         sight = end_points - origins
         side, other = perpendicular_vectors(sight / np.linalg.norm(sight, axis=1, keepdims=True))
@@ -104,7 +111,10 @@ class Obstacles:
         return hit
 
     def _is_met(self, origins: Floats, end_points: Floats) -> Bools:
-        """Flags (n,): a triangle lies between origin and end, to the precision of the ray caster in use."""
+        """Flags (n,) of lines from origins to end points (n, 3) [m] that a triangle blocks.
+
+        The precision is single with Embree, double without it.
+        """
         if not len(origins):
             return np.zeros(len(origins), dtype=bool)
         length = np.linalg.norm(end_points - origins, axis=1)
@@ -118,7 +128,7 @@ class Obstacles:
         return hit
 
     def is_inside_body(self, points: Floats) -> Bools:
-        """Flags (n,) of points (n, 3) [m] inside a closed body: a ray upwards crosses an odd number of surfaces."""
+        """Flags (n,) of points (n, 3) [m] inside a closed body: a ray upwards crosses an odd number of triangles."""
         (west, south), (east, north) = self._bounding_rectangles
         flat = _projected_along_upwards(points)
         count = np.zeros(len(points), dtype=np.int64)
@@ -132,18 +142,17 @@ class Obstacles:
 
     @cached_property
     def _bounding_rectangles(self) -> tuple[Floats, Floats]:
-        """Corners (2, m) of the bounding rectangles of the triangles, seen from above."""
+        """Lowest and highest x and y of each triangle, two arrays (2, m) [m], seen along `TEST_RAY_DIRECTION`."""
         flat = _projected_along_upwards(self.triangles)
         return flat.min(axis=1).T - RAY_END_MARGIN, flat.max(axis=1).T + RAY_END_MARGIN
 
     @cached_property
     def _mesh_tolerances(self) -> Floats:
-        """Distance (m,) [m] from each triangle within which the curved surface that it approximates may lie.
+        """Largest distance (m,) [m] between each triangle and the curved surface that it approximates.
 
-        Zero at sharp edges.
-
-        It is a third of the triangle's height over an edge times the angle there: the depth at the middle of regular
-        triangles on a sphere, and more than that of strips on a cylinder.
+        The distance is a third of the triangle's height over an edge times the angle to its neighbour at this edge,
+        the largest of its edges. This is exact for regular triangles on a sphere, and too large for strips on a
+        cylinder. Sharp edges do not contribute.
         """
         points, place = np.unique(np.round(self.triangles.reshape(-1, 3), MERGE_DECIMALS), axis=0, return_inverse=True)
         faces = place.reshape(-1, 3)
@@ -162,11 +171,15 @@ class Obstacles:
 
     @cached_property
     def _moved_points_cache(self) -> dict[bytes, Floats]:
-        """Cache of `moved_to_surface` by the bytes of its points: the same points are tested many times."""
+        """Cache of the results of `moved_to_surface`, by the bytes of its points."""
         return {}
 
     def moved_to_surface(self, points: Floats) -> Floats:
-        """Points (n, 3) [m]; those inside a body by less than its mesh tolerance are moved just above its surface."""
+        """Points (n, 3) [m], moved just above the surface of a body if they are inside it only slightly.
+
+        A point is moved if its depth is below the distance between the triangle and the curved surface that the
+        triangle approximates.
+        """
         if (key := points.tobytes()) not in self._moved_points_cache:
             projected = points.copy()
             for i in np.flatnonzero(self.is_inside_body(points)):
@@ -188,10 +201,10 @@ class Obstacles:
 
 
 def count_native_hits(triangles: Floats, origins: Floats, beam: Floats, length: Floats) -> np.ndarray:
-    """Number (n,) of triangles that rays meet before `length`, in double precision.
+    """Number (n,) of triangles (m, 3, 3) that each ray meets within its length (n,) [m], in double precision.
 
-    Moeller and Trumbore, Journal of Graphics Tools 2 (1997) 21-28. Edges belong to the triangle; a ray in its
-    plane does not meet it.
+    Rays have origins (n, 3) and unit vectors `beam` (n, 3). Edges belong to a triangle. A ray in the plane of a
+    triangle does not meet it. Source: Moeller and Trumbore, Journal of Graphics Tools 2 (1997) 21-28.
     """
     count = np.zeros(len(origins), dtype=np.int64)
     step = max(1, MAX_RAY_TRIANGLE_PAIRS // max(len(triangles), 1))
@@ -203,7 +216,7 @@ def count_native_hits(triangles: Floats, origins: Floats, beam: Floats, length: 
 
 
 def _ray_hits_triangle(triangles: Floats, origins: Floats, beam: Floats, length: Floats | float) -> Bools:
-    """Flags (...): a ray meets its triangle (..., 3, 3) before `length`."""
+    """Flags (...) of rays that meet their triangle (..., 3, 3) within `length` (...) [m]."""
     first, second, third = np.moveaxis(triangles, -2, 0)
     along, across = second - first, third - first
     size = np.linalg.norm(along, axis=-1) * np.linalg.norm(across, axis=-1)
@@ -223,14 +236,14 @@ def _ray_hits_triangle(triangles: Floats, origins: Floats, beam: Floats, length:
 
 
 def _normals_and_areas(triangles: Floats) -> tuple[Floats, Floats]:
-    """Unit normals (m, 3) of triangles, zero for a triangle without area, and areas (m,)."""
+    """Unit normals (m, 3) and areas (m,) [m2] of triangles (m, 3, 3) [m]; the normal is zero if the area is zero."""
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     size = np.linalg.norm(cross, axis=1)
     return cross / np.where(size > 0.0, size, 1.0)[:, None], 0.5 * size
 
 
 def nearest_points(triangles: Floats, point: Floats) -> Floats:
-    """Point (m, 3) of each triangle that is nearest to a point (3,): its foot on the plane, or a point on an edge."""
+    """Point (m, 3) [m] of each triangle (m, 3, 3) that is nearest to a given point (3,): inside it or on an edge."""
     edge, gap = np.roll(triangles, -1, axis=1) - triangles, point - triangles
     along = np.clip(_row_dot_products(gap, edge) / np.maximum(_row_dot_products(edge, edge), 1e-300), 0.0, 1.0)
     on_edge = triangles + along[..., None] * edge
@@ -242,11 +255,12 @@ def nearest_points(triangles: Floats, point: Floats) -> Floats:
 
 
 def _projected_along_upwards(points: Floats) -> Floats:
-    """Horizontal projection (..., 2) of points (..., 3) along `TEST_RAY_DIRECTION`."""
+    """Coordinates x and y (..., 2) [m] of points (..., 3) projected to z = 0 along `TEST_RAY_DIRECTION`."""
     return points[..., :2] - points[..., 2:] * TEST_RAY_DIRECTION[:2] / TEST_RAY_DIRECTION[2]
 
 
 def _row_dot_products(first_rows: Floats, second_rows: Floats) -> Floats:
+    """Inner products (...) of vectors (..., k)."""
     return np.asarray(np.einsum("...k,...k->...", first_rows, second_rows))
 
 
@@ -261,7 +275,10 @@ def box_triangles(edge_lengths: Floats) -> Floats:
 
 
 def cylinder_triangles(diameter: float, height: float) -> Floats:
-    """Triangles (m, 3, 3) of an upright cylinder [m] that stands on z = 0 over the origin; its flat sides touch it."""
+    """Triangles (m, 3, 3) [m] of an upright cylinder that stands on z = 0 over the origin.
+
+    Its flat sides are tangent to the cylinder of the given diameter [m].
+    """
     radius, turn = (
         0.5 * diameter / np.cos(np.pi / N_CYLINDER_SIDES),
         np.linspace(0.0, 2.0 * np.pi, N_CYLINDER_SIDES + 1)[:-1],
@@ -280,9 +297,9 @@ def wall_triangles(room_size: Floats) -> Floats:
 
 
 def join_obstacles(triangle_sets: Iterable[Floats], floor_height: float = 0.0) -> Obstacles:
-    """Obstacles of several sets of triangles; those of the last call again where they are the same.
+    """Obstacles of several sets of triangles; the same object as in the last call if triangles and floor are equal.
 
-    The rays of a large hall take 600 bytes a triangle, and memory that only the garbage collection frees.
+    Reuse saves memory: the ray caster takes 600 bytes a triangle, which only the garbage collection frees.
     """
     triangles = np.concatenate([np.zeros((0, 3, 3)), *triangle_sets])
     key = blake2b(triangles.ravel().data).digest(), floor_height
@@ -307,12 +324,11 @@ def candidate_nest_places(
     *,
     is_closed: bool = True,
 ) -> Floats:
-    """Places (P, 3) [m] of reflectors on the surfaces of a body, triangles (m, 3, 3) [m].
+    """Possible positions (P, 3) [m] of reflector centres on the surfaces of a body with triangles (m, 3, 3) [m].
 
-    Their centres are `surface_offset` [m] over the surface, at least `min_spacing` [m] from each other, and outside all
-    bodies of `obstacles`. The outer side of a `is_closed` body is determined for any orientation of its triangles; that
-    of an
-    open surface is the side of the normals.
+    The centres are `surface_offset` [m] above the surface, at least `min_spacing` [m] from each other, and outside all
+    bodies of `obstacles`. If the body is closed, its outer side is determined for any orientation of its triangles.
+    Otherwise the outer side is that of the triangles' normals.
     """
     drawn, normal = _random_points(body_triangles, min_spacing)
     surface = Obstacles(body_triangles)
@@ -328,7 +344,10 @@ def candidate_nest_places(
 
 
 def _random_points(body_triangles: Floats, mean_spacing: float) -> tuple[Floats, Floats]:
-    """Random points, uniform over the area of triangles, and their normals, both (n, 3)."""
+    """Random points (n, 3) [m], uniform over the area of triangles (m, 3, 3), and the surface normals (n, 3) there.
+
+    The number n is `N_DRAWS_PER_PLACE` per squared `mean_spacing` [m], within limits.
+    """
     normal, area = _normals_and_areas(body_triangles)
     rng = stream(0, "nests")
     count = int(np.clip(N_DRAWS_PER_PLACE * area.sum() / mean_spacing**2, 200, MAX_DRAWN_PLACES))
@@ -339,7 +358,10 @@ def _random_points(body_triangles: Floats, mean_spacing: float) -> tuple[Floats,
 
 
 def _is_flat(body_surface: Obstacles, places: Floats, surface_normals: Floats, surface_offset: float) -> Bools:
-    """Flags (n,): the surface around the foot of a nest is flat enough for it."""
+    """Flags (n,) of positions (n, 3) [m] under which the surface is flat enough for the foot of a nest.
+
+    `surface_offset` [m] is the height of the positions above the surface.
+    """
     side, other = perpendicular_vectors(surface_normals)
     good = np.ones(len(places), dtype=bool)
     for shift in (side, -side, other, -other):
@@ -350,7 +372,7 @@ def _is_flat(body_surface: Obstacles, places: Floats, surface_normals: Floats, s
 
 
 def _thin_places(places: Floats, min_spacing: float) -> Floats:
-    """Places thinned in their order, so that each is at least `min_spacing` [m] from all retained ones."""
+    """Positions in their order, without those that are closer than `min_spacing` [m] to an earlier retained one."""
     chosen: list[int] = []
     for i, place in enumerate(places):
         if not chosen or np.linalg.norm(places[chosen] - place, axis=1).min() >= min_spacing:

@@ -1,8 +1,10 @@
 """Regions of the hall that lines of sight pass (ball, column, height band, slab), fixed in the network frame.
 
-A region is Gaussian in the axes that confine it, w(r) = exp(-|A (r - c)|^2 / (2 width^2)), so that the integral of w
-along a line of sight is closed: with a = |A b|^2 of the unit vector b, the nearest approach at s0 and its distance rho,
-integral = exp(-rho^2 / (2 width^2)) width sqrt(2 pi / a) [Phi((d - s0) sqrt(a) / width) - Phi(-s0 sqrt(a) / width)].
+A region has a Gaussian weight in the axes that bound it, w(r) = exp(-|A (r - c)|^2 / (2 width^2)). Here r is a
+position, c the centre, and A selects the bounded axes. The integral of w along a line of sight of length d and unit
+vector b has a closed form. With a = |A b|^2, the nearest approach to the centre at the distance s0 along the line, and
+the distance rho of the line from the centre there, it is exp(-rho^2 / (2 width^2)) width sqrt(2 pi / a) [Phi((d - s0)
+sqrt(a) / width) - Phi(-s0 sqrt(a) / width)].
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,14 +25,14 @@ REGION_SHAPES = {
     "x": "slab across x",
     "y": "slab across y",
 }
-"""Names of the shapes by the axes in which they are bounded."""
+"""Names of the shapes of regions, by the axes in which they are bounded."""
 MIN_CENTRE_STEP = 0.5
-"""Smallest distance [m] between the centres of the coarsest grid (limits the cost)."""
+"""Smallest distance [m] between neighbouring centres of regions on the coarsest grid (limits the cost)."""
 MAX_CENTRES_PER_AXIS = 10
-"""Largest number of centres along an axis of the coarsest grid (limits the cost)."""
+"""Largest number of centres of regions along an axis of the coarsest grid (limits the cost)."""
 GRID_SUBDIVISIONS = {1: (1, 4), 2: (1, 2), 3: (1,)}
-"""Divisors of that distance in the grids of regions that are bounded in one, two and three axes: a region several times
-as wide as the cause has a tenth of its evidence.
+"""Grids of regions by their number of bounded axes. Each grid is given by the divisor of the spacing of the coarsest
+grid. Finer grids are needed because a region several times as wide as the disturbance has a tenth of its evidence.
 """
 MIN_PASSING_LINES = 6
 """Smallest number of lines of sight through a candidate region: fewer lines indicate an error of single readings."""
@@ -38,16 +40,17 @@ MAX_PASSING_FRACTION = 0.8
 """Largest fraction of the lines of sight through a candidate region: if almost all lines pass it, the error belongs to
 the whole recording."""
 MIN_TARGETS_BEHIND = 2
-"""Smallest number of targets behind a region: an error on the lines to one target alone is an error of that target."""
+"""Smallest number of targets whose lines of sight pass a candidate region. An error on the lines to a single target is
+an error of this target."""
 REFINED_CENTRE_STEPS = (0.5, 0.15)
-"""Steps of a centre, in widths, in the refinement of a region."""
+"""Shifts of the centre, divided by the width, that a local search of a region tries."""
 REFINED_WIDTH_FACTORS = (0.5, 0.7, 1.4, 2.0)
-"""Factors of the width in the refinement of a region."""
+"""Factors on the width that a local search of a region tries."""
 MAX_REGION_LINE_PAIRS = 300_000
 """Largest number of pairs of region and line of sight in memory at a time, some tens of MB."""
 MAX_PARALLEL_SINE_SQUARED = 1e-9
-"""Squared sine of the angle between line and region axis below which the line counts as parallel and stays in the
-region.
+"""Squared sine of the angle between a line of sight and the unbounded axes of a region. Up to it the line counts as
+parallel to them, and its weight as constant.
 """
 
 
@@ -82,10 +85,11 @@ class HallRegion:
         return path
 
     def levers(self, sightings: Sightings) -> Floats:
-        """Integral (n,) [m] along the line of sight of w times the remaining fraction of the line.
+        """Integral (n,) [m] of w (d - s) / d over the distance s along each line of sight of length d.
 
-        Along the line w is a Gaussian about the nearest approach s0: the integral of (d - s) w is (d - s0) times the
-        path less the first moment about s0.
+        The weight w at s bends the line there; the factor (d - s) / d is the fraction of the line that follows. Along
+        the line w is a Gaussian about the nearest approach s0. The integral of (d - s) w is therefore (d - s0) times
+        the path length minus the first moment of w about s0.
         """
         key = self, "lever"
         if key not in sightings.derived_cache:
@@ -109,10 +113,10 @@ class HallRegion:
         return near
 
     def path_and_bending(self, sightings: Sightings) -> tuple[Floats, Floats]:
-        """Path (n,) [m] in a ball, and the integral (n, 3) [m] of (d - s) times the gradient of w across the line.
+        """Path length (n,) [m] of each line of sight in a ball, and the bending of the line (n, 3) [m].
 
-        The component of r - c perpendicular to a straight line is constant, rho, so that the second is -rho / width^2
-        times the integral of (d - s) w.
+        The bending is the integral over s of (d - s) times the gradient of w across the line. The component rho of
+        r - c across a straight line is constant. The integral is therefore -rho / width^2 times that of (d - s) w.
         """
         beam, length, width = sightings.beam_vectors[0], sightings.range_, self.width
         start = sightings.station_positions[sightings.station] - np.asarray(self.centre)
@@ -123,7 +127,7 @@ class HallRegion:
         return path, -rho * (lever / width**2)[:, None]
 
     def neighbours(self) -> Iterator["HallRegion"]:
-        """Regions in the neighbourhood of this one: centre moved along each axis, width changed."""
+        """Iterator over regions near this one for a local search: with a shifted centre or another width."""
         for i, move, sign in product(range(len(self.bounded_axes)), REFINED_CENTRE_STEPS, (1.0, -1.0)):
             centre = list(self.centre)
             centre[i] = round(centre[i] + sign * move * self.width, 6)
@@ -133,7 +137,10 @@ class HallRegion:
 
 
 def region_paths(sightings: Sightings, bounded_axes: str, region_centres: Floats, width: float) -> Floats:
-    """Lengths (r, n) [m] of the lines of sight in regions of one shape and width, with centres (r, k)."""
+    """Path lengths (r, n) [m] of n lines of sight in r regions of one shape and width [m].
+
+    `region_centres` (r, k) [m] are the coordinates of the centres in the k bounded axes.
+    """
     beam, length, start, a, crossing = _lines_relative_to_centres(sightings, bounded_axes, region_centres)
     path = length * np.exp(-0.5 * np.einsum("rni,rni->rn", start, start) / width**2)
     nearest, rho = _nearest_approach(start[:, crossing], beam[crossing], a[crossing])
@@ -144,9 +151,12 @@ def region_paths(sightings: Sightings, bounded_axes: str, region_centres: Floats
 def region_levers(
     sightings: Sightings, bounded_axes: str, region_centres: Floats, width: float, path_lengths: Floats
 ) -> Floats:
-    """Integrals (r, n) [m] of w (d - s) / d along the lines of sight, whose paths (r, n) are known."""
+    """Integrals (r, n) [m] of w (d - s) / d along n lines of sight for r regions, as `HallRegion.levers`.
+
+    `path_lengths` (r, n) [m] are the results of `region_paths` for the same regions.
+    """
     beam, length, start, a, crossing = _lines_relative_to_centres(sightings, bounded_axes, region_centres)
-    lever = 0.5 * path_lengths  # a line along a region is in it all the way
+    lever = 0.5 * path_lengths  # w is constant along a parallel line
     nearest, rho = _nearest_approach(start[:, crossing], beam[crossing], a[crossing])
     d, variance = length[crossing], width**2 / a[crossing]
     ends = np.exp(-0.5 * nearest**2 / variance) - np.exp(-0.5 * (d - nearest) ** 2 / variance)
@@ -158,11 +168,11 @@ def region_levers(
 def _lines_relative_to_centres(
     sightings: Sightings, bounded_axes: str, region_centres: Floats
 ) -> tuple[Floats, Floats, Floats, Floats, Bools]:
-    """Lines of sight in the coordinates `bounded_axes`, relative to the centres of regions.
+    """Lines of sight in the k coordinates `bounded_axes`, relative to the centres (r, k) of r regions.
 
-    Unit vectors (n, k), lengths (n,), starts less centres (r, n, k), |A b|^2 (n,), and flags (n,).
-
-    The flags mark the lines that cross a region and do not run along it.
+    The results are the unit vectors of the n lines in these coordinates (n, k), the lengths of the lines (n,) [m], the
+    start points minus the centres (r, n, k) [m], the squared lengths |A b|^2 of the unit vectors in these coordinates
+    (n,), and flags (n,) of the lines that are not parallel to the unbounded axes.
     """
     indices = ["xyz".index(axis) for axis in bounded_axes]
     beam = sightings.beam_vectors[0][:, indices]
@@ -172,7 +182,10 @@ def _lines_relative_to_centres(
 
 
 def _nearest_approach(start_points: Floats, beam: Floats, squared_beam_length: Floats) -> tuple[Floats, Floats]:
-    """Distance (..., n) along each line to its nearest approach to the centre, and the vector (..., n, k) to it."""
+    """Distance (..., n) [m] along each line to its point nearest to the centre, and this point (..., n, k) [m].
+
+    Start points (..., n, k) and nearest points are relative to the centre.
+    """
     nearest = -np.sum(start_points * beam, axis=-1) / squared_beam_length
     return nearest, start_points + nearest[..., None] * beam
 
@@ -180,7 +193,11 @@ def _nearest_approach(start_points: Floats, beam: Floats, squared_beam_length: F
 def _line_integral(
     approach_distance: Floats, perpendicular_distance: Floats, length: Floats, sigma_along_line: Floats, width: float
 ) -> Floats:
-    """Integral (..., n) of w over lines of length (n,), with standard deviations (n,) of w along them."""
+    """Integral (..., n) [m] of w along lines of length (n,) [m].
+
+    `approach_distance` (..., n) [m] and `perpendicular_distance` (..., n, k) [m] are the results of
+    `_nearest_approach`, `sigma_along_line` (n,) [m] the standard deviation of w along each line.
+    """
     from scipy.special import ndtr
 
     share = ndtr((length - approach_distance) / sigma_along_line) - ndtr(-approach_distance / sigma_along_line)
@@ -200,7 +217,7 @@ def coordinate_extent(sightings: Sightings) -> tuple[Floats, Floats]:
 
 
 def candidate_regions(sightings: Sightings, region_shapes: Sequence[str] = tuple(REGION_SHAPES)) -> list[HallRegion]:
-    """Regions of the given shapes on a grid over the hall; some, but not almost all, lines of sight pass each."""
+    """Regions of the given shapes on a grid over the hall that enough, but not almost all, lines of sight pass."""
     regions: list[HallRegion] = []
     for axes in region_shapes if len(sightings) else ():
         key = "regions", axes
@@ -211,14 +228,16 @@ def candidate_regions(sightings: Sightings, region_shapes: Sequence[str] = tuple
 
 
 def _regions_of_shape(sightings: Sightings, axes: str) -> list[HallRegion]:
-    """Regions of one shape on its grids over the hall."""
+    """Candidate regions of one shape on all grids of `GRID_SUBDIVISIONS`."""
     low, high = coordinate_extent(sightings)
-    coarsest = max(MIN_CENTRE_STEP, float((high - low).max()) / MAX_CENTRES_PER_AXIS)
-    return [r for parts in GRID_SUBDIVISIONS[len(axes)] for r in _regions_on_grid(sightings, axes, coarsest / parts)]
+    coarsest_spacing = max(MIN_CENTRE_STEP, float((high - low).max()) / MAX_CENTRES_PER_AXIS)
+    return [
+        r for parts in GRID_SUBDIVISIONS[len(axes)] for r in _regions_on_grid(sightings, axes, coarsest_spacing / parts)
+    ]
 
 
 def _regions_on_grid(sightings: Sightings, bounded_axes: str, grid_spacing: float) -> list[HallRegion]:
-    """Regions of one shape on a grid with a distance `grid_spacing` [m] between the centres."""
+    """Candidate regions of one shape with centres on a grid with the spacing `grid_spacing` [m]."""
     low, high = coordinate_extent(sightings)
     width, regions = round(0.5 * grid_spacing, 6), list[HallRegion]()
     grids = [
@@ -227,17 +246,23 @@ def _regions_on_grid(sightings: Sightings, bounded_axes: str, grid_spacing: floa
     ]
     centres = np.array(list(product(*grids))).reshape(-1, len(bounded_axes))
     for part in np.array_split(centres, 1 + len(centres) * len(sightings) // MAX_REGION_LINE_PAIRS):
-        inside = region_paths(sightings, bounded_axes, part, width)
-        chosen = np.flatnonzero(is_distinctive(inside > width, sightings))
-        beyond = region_levers(sightings, bounded_axes, part[chosen], width, inside[chosen])
-        for i, lever in zip(chosen.tolist(), beyond, strict=True):
+        path_lengths = region_paths(sightings, bounded_axes, part, width)
+        chosen = np.flatnonzero(is_distinctive(path_lengths > width, sightings))
+        lever_integrals = region_levers(sightings, bounded_axes, part[chosen], width, path_lengths[chosen])
+        for i, lever in zip(chosen.tolist(), lever_integrals, strict=True):
             regions.append(region := HallRegion(bounded_axes, tuple(part[i].tolist()), width))
-            sightings.derived_cache[region], sightings.derived_cache[region, "lever"] = inside[i].copy(), lever.copy()
+            sightings.derived_cache[region], sightings.derived_cache[region, "lever"] = (
+                path_lengths[i].copy(),
+                lever.copy(),
+            )
     return regions
 
 
 def is_distinctive(is_crossed: Bools, sightings: Sightings) -> Bools:
-    """Flags (r,) of the regions that enough lines of sight (r, n) to several targets pass, but not almost all."""
+    """Flags (r,) of the regions that enough lines of sight to several targets pass, but not almost all lines.
+
+    `is_crossed` (r, n) flags the lines of sight that pass each region.
+    """
     count = is_crossed.sum(axis=1)
     is_sufficient = (count >= MIN_PASSING_LINES) & (count <= MAX_PASSING_FRACTION * len(sightings))
     of_target = (sightings.target[:, None] == np.arange(len(sightings.target_points))).astype(np.float32)

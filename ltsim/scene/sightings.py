@@ -13,7 +13,7 @@ from ltsim.geometry.kinematics.misalignment import MISALIGNMENT_CHAIN
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, unit_vectors, wrap_angle
 
 MIN_AXIS_ROTATION = 1e-4
-"""Smallest rotation [rad] of an axis that counts as a motion."""
+"""Rotation [rad] of an axis between two pointings below which the axis counts as not moved."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Sightings:
     face: Ints
     """Face (1 or 2) of each pointing, (n,)."""
     repeat: Ints
-    """Number of the round of each pointing, (n,)."""
+    """Number of the repeated round of measurements to which each pointing belongs, (n,)."""
     time: Floats
     """Time of each pointing, (n,) [s]."""
     station_positions: Floats
@@ -50,12 +50,11 @@ class Sightings:
     covariates: Mapping[str, Floats] = field(default_factory=dict)
     """Additional columns of the recording by name, each (n,)."""
     reflector_offsets: Floats | None = None
-    """Offset (n, 3) [m] of the reflector from the target's mark, less the height of the instrument above
-    `station_positions`;
-    None: no offsets.
+    """Offset (n, 3) [m] of the reflector from the target's mark, minus the offset of the instrument from its
+    `station_positions`; None if all offsets are zero.
     """
     encoder_readings: Floats | None = None
-    """Raw readings (n, 3) that include the instrument's errors, if known: fine periodic errors depend on them. None:
+    """Raw readings (n, 3) that include the instrument's errors. Errors with a short period depend on them. If None,
     ideal readings are used.
     """
 
@@ -63,27 +62,27 @@ class Sightings:
         return len(self.station)
 
     def with_geometry(self, position: Floats, rotation: Floats, points: Floats) -> Self:
-        """Copy of the sightings with other stations and targets."""
+        """Copy with other station positions (S, 3), station rotations (S, 3, 3) and target coordinates (T, 3)."""
         return replace(
             self, station_positions=position, station_rotations=rotation, target_points=points, encoder_readings=None
         )
 
     @cached_property
     def derived_cache(self) -> dict[Hashable, Any]:
-        """Cache of quantities of this geometry that several callers compute, by their keys."""
+        """Cache of quantities derived from this geometry, by keys that their callers choose."""
         return {}
 
     @cached_property
     def station_indices(self) -> dict[str, list[int]]:
-        """Indices of the stations with a name.
+        """Indices of the stations with each name.
 
-        Several if alternative positions of one station are evaluated together.
+        A name has several indices if alternative positions of one station are evaluated together.
         """
         return _index_by_name(self.station_names)
 
     @cached_property
     def target_indices(self) -> dict[str, list[int]]:
-        """Indices of the targets with a name."""
+        """Indices of the targets with each name."""
         return _index_by_name(self.target_names)
 
     @cached_property
@@ -109,7 +108,7 @@ class Sightings:
 
     @property
     def instrument_readings(self) -> Floats:
-        """Raw readings (n, 3) of the instrument, `encoder_readings` where given, ideal ones otherwise."""
+        """Raw readings (n, 3) of the instrument: `encoder_readings` if given, otherwise ideal readings."""
         return self.raw_readings if self.encoder_readings is None else self.encoder_readings
 
     @property
@@ -144,17 +143,19 @@ class Sightings:
 
     @cached_property
     def beam_vectors(self) -> tuple[Floats, Floats, Floats]:
-        """Unit vectors of the beam, to its left and upwards, each (n, 3), network frame."""
+        """Unit vectors along the beam, to its left, and upwards across it, each (n, 3), network frame."""
         turn = self.station_rotations[self.station]
-        beam, across, up = (np.einsum("nij,nj->ni", turn, v) for v in unit_vectors(self.azimuth, self.elevation))
-        return beam, across, up
+        beam, across, upward_part = (
+            np.einsum("nij,nj->ni", turn, v) for v in unit_vectors(self.azimuth, self.elevation)
+        )
+        return beam, across, upward_part
 
     @cached_property
     def slot_responses(self) -> dict[str, Floats]:
-        """Change (n, 3) of the raw readings per unit of correction, for each slot of the misalignment chain.
+        """Change (n, 3) of the raw readings per unit of each instrument error, by its slot in the misalignment chain.
 
-        A correction is added to a reading; for a fixed point the reading is therefore smaller by the correction, hence
-        the minus sign.
+        Instrument errors are corrections, which are added to a reading. For a fixed point a reading is therefore
+        smaller by its correction, hence the minus sign.
         """
         slots = {motion.slot for motion in MISALIGNMENT_CHAIN}
         _, by_slot = point_and_derivatives(MISALIGNMENT_CHAIN, self.raw_readings, {}, slots)
@@ -194,7 +195,7 @@ class Sightings:
         return before
 
     def _cumulative_sum(self, row_increments: Floats | Bools) -> Floats:
-        """Cumulative sum (n,) of the steps (n,) of a set-up, excluding the step of its first pointing."""
+        """Cumulative sum (n,) of increments (n,) since the first pointing of the set-up, whose own is excluded."""
         rows = self.order_by_setup
         first = np.maximum.accumulate(np.where(self.previous_rows[rows] < 0, np.arange(len(rows)), 0))
         sums = np.cumsum(row_increments[rows], dtype=np.float64)
@@ -221,9 +222,10 @@ class Sightings:
 
     @cached_property
     def approach_signs(self) -> Floats:
-        """Sign (n, 2) of the last motion of raw azimuth and elevation; 0 for the first pointing of a station.
+        """Sign (n, 2) of the last motion of the azimuth axis and of the elevation axis before each pointing.
 
-        For an axis that does not move it is the sign of its last motion; the sequence restarts at every station.
+        An axis that does not move retains the sign of its previous motion. The sign is 0 until the first motion after
+        the set-up of a station.
         """
         sign = np.where(
             np.abs(self.reading_changes[:, 1:]) < MIN_AXIS_ROTATION, 0.0, np.sign(self.reading_changes[:, 1:])
@@ -236,18 +238,18 @@ class Sightings:
 
     @cached_property
     def seating_numbers(self) -> Ints:
-        """Number (n,) of times that the reflector was moved to another nest since the set-up began."""
+        """Number (n,) of changes of the target since the set-up began, which is how often the reflector was moved."""
         return self._cumulative_sum(self.target != self.target[self.previous_rows]).astype(np.int64)
 
     @cached_property
     def quantities(self) -> dict[str, Floats]:
         """Covariates of the readings by name, each (n,) [SI, or the unit of the recording's column].
 
-        Unknown values, and values before the first pointing of a station, are zero.
+        Unknown values are zero, and so are changes since the previous pointing at the first pointing of a station.
         """
         place = self.target_points[self.target]
-        came = self.previous_rows >= 0
-        last = np.where(came[:, None], self.front_face_polar[self.previous_rows], 0.0)
+        has_previous = self.previous_rows >= 0
+        last = np.where(has_previous[:, None], self.front_face_polar[self.previous_rows], 0.0)
         quantities = {
             "azimuth": self.azimuth,
             "elevation": self.elevation,
@@ -271,15 +273,18 @@ class Sightings:
             "approach-azimuth": self.approach_signs[:, 0],
             "approach-elevation": self.approach_signs[:, 1],
             "wound-azimuth": self.cumulative_head_rotation,
-            "count": self._cumulative_sum(came),
-            "lapse": np.where(came, self.time - self.time[self.previous_rows], 0.0),
+            "count": self._cumulative_sum(has_previous),
+            "lapse": np.where(has_previous, self.time - self.time[self.previous_rows], 0.0),
         }
         changing = dict(
             zip(("distance", "azimuth", "elevation"), zip(last.T, self.reading_changes.T, strict=True), strict=True)
         )
         for name, column in self.covariates.items():
             x = np.nan_to_num(column)
-            changing[name] = np.where(came, x[self.previous_rows], x), np.where(came, x - x[self.previous_rows], 0.0)
+            changing[name] = (
+                np.where(has_previous, x[self.previous_rows], x),
+                np.where(has_previous, x - x[self.previous_rows], 0.0),
+            )
         for name, (before, move) in changing.items():
             quantities |= {
                 f"last-{name}": before,
@@ -290,7 +295,7 @@ class Sightings:
 
     @cached_property
     def _incidence_angles(self) -> tuple[Floats, Floats]:
-        """Incidence angle, and direction of incidence in the plane of the open face, each (n,) [rad]."""
+        """Incidence angle at the reflector, and direction of incidence around the nest's normal, each (n,) [rad]."""
         x, y, z = self.nest_normals.T
         level = np.hypot(x, y)
         across_x = np.divide(-y, level, out=np.ones_like(y), where=~(level < 1e-6))
@@ -298,9 +303,9 @@ class Sightings:
         side = across_x, across_y, 0.0 * z  # level, across the normal
         above = -z * across_y, z * across_x, x * across_y - y * across_x
         axes = np.stack([(x, y, z), side, above])[:, :, self.target]
-        along, aside, up = -np.einsum("ijn,nj->in", axes, self.sight_vectors)
+        along, horizontal_part, upward_part = -np.einsum("ijn,nj->in", axes, self.sight_vectors)
         length = np.sqrt(np.einsum("nj,nj->n", self.sight_vectors, self.sight_vectors))
-        return np.arccos(np.clip(along / length, -1.0, 1.0)), np.arctan2(up, aside)
+        return np.arccos(np.clip(along / length, -1.0, 1.0)), np.arctan2(upward_part, horizontal_part)
 
     @property
     def incidence(self) -> Floats:
@@ -309,11 +314,12 @@ class Sightings:
 
     @property
     def incidence_direction(self) -> Floats:
-        """Azimuth (n,) [rad] of the station around the nest's normal, 0 along the horizontal of the open face."""
+        """Direction (n,) [rad] of the station around the nest's normal, 0 along the horizontal in the open face."""
         return self._incidence_angles[1]
 
 
 def _index_by_name(names: Sequence[str]) -> dict[str, list[int]]:
+    """Indices of all occurrences of each name."""
     places: dict[str, list[int]] = {}
     for i, name in enumerate(names):
         places.setdefault(name, []).append(i)

@@ -1,6 +1,6 @@
 """Visibility between stations and targets: elevation limits and shadow cones, range, acceptance angles, obstacles.
 
-All tables are stations by targets, analytic and vectorised; only obstacles need rays (`scene.meshes`).
+Tables have a row for each station and a column for each target. Only obstacles need ray casting (`scene.meshes`).
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from ltsim.scene.meshes import Obstacles
 DOWNWARD = np.array([0.0, 0.0, -1.0])
 """Unit vector of the plumb line downwards."""
 ANGLE_TOLERANCE = 1e-9
-"""Tolerance of comparisons with the limits of angles [rad] and of distances [m]: rounding only."""
+"""Tolerance [rad or m] of comparisons with the limits of angles and of distances, for rounding errors."""
 
 
 class InvisibilityReason(IntEnum):
-    """Reason why a station does not see a target; the first one that applies."""
+    """Reason why a station does not see a target; if several apply, the first in the order of the members."""
 
     VISIBLE = 0
     STATION_INSIDE = 1
@@ -46,7 +46,7 @@ REASON_TEXTS = (
     "turned beyond the reflector's acceptance",
     "hidden by an obstacle",
 )
-"""Text of each reason; empty for a visible pair."""
+"""Text of each `InvisibilityReason` for users; empty for a visible pair."""
 
 
 @dataclass(frozen=True)
@@ -56,19 +56,19 @@ class SightLimits:
     elevation_min: float = -55.0 * DEGREE
     """Lowest elevation of the instrument [rad]."""
     elevation_max: float = 77.0 * DEGREE
-    """Highest elevation of the instrument."""
+    """Highest elevation of the instrument [rad]."""
     range_min: float = 0.5
     """Shortest range [m]."""
     range_max: float = 20.0
     """Longest range [m]."""
     max_incidence: float = 30.0 * DEGREE
-    """Largest incidence angle on a reflector."""
+    """Largest incidence angle on a reflector [rad]."""
     declared_cone_opening: float | None = None
-    """Full angle of the shadow cone below the instrument; None: the one that follows from `min_elevation`."""
+    """Full angle [rad] of the shadow cone below the instrument; if None, it follows from `elevation_min`."""
 
     @property
     def cone_opening(self) -> float:
-        """Full angle [rad] of the shadow cone in effect: the declared one, or that of `min_elevation`."""
+        """Full angle [rad] of the shadow cone: the declared angle, or the one that follows from `elevation_min`."""
         return (
             shadow_cone_opening(self.elevation_min)
             if self.declared_cone_opening is None
@@ -78,34 +78,35 @@ class SightLimits:
 
 @dataclass(frozen=True)
 class Visibility:
-    """Visibility of each target from each station of a layout."""
+    """Visibility of each of T targets from each of S stations."""
 
     reasons: NDArray[np.int8]
-    """Values of `InvisibilityReason` for each pair, (S, T); 0 for a visible pair."""
+    """Value of `InvisibilityReason` for each pair of station and target, (S, T); 0 for a visible pair."""
     ranges: Floats
     """Distance of each pair, (S, T) [m]."""
     elevations: Floats
     """Elevation of each target in the instrument frame, (S, T) [rad]."""
     incidence_angles: Floats
-    """Incidence angle on each reflector, (S, T) [rad]; 0 for a re-aimed reflector, NaN for an unknown nest."""
+    """Incidence angle on each reflector, (S, T) [rad]; 0 for a reflector that is turned to each station, NaN if the
+    normal of the nest is unknown."""
     limits: tuple[SightLimits, ...]
     """Limits of each station's instrument, S entries."""
 
     @property
     def is_visible(self) -> Bools:
-        """Flags (S, T) of the pairs that see each other."""
+        """Flags (S, T) of the pairs of station and target that see each other."""
         return np.asarray(self.reasons == InvisibilityReason.VISIBLE)
 
     def reason_texts(self) -> list[list[str]]:
-        """Text of the reason for each pair, '' for a visible pair."""
+        """Text of the reason why each pair is invisible, S lists of T texts; '' for a visible pair."""
         return [[self._reason_text(s, t) for t in range(self.reasons.shape[1])] for s in range(self.reasons.shape[0])]
 
     def reason_kinds(self) -> list[list[str]]:
-        """Texts of the reasons, as `reason_texts`, but without the numbers of the pair."""
+        """Texts as `reason_texts`, but without the values and limits of the pair."""
         return [[REASON_TEXTS[code] for code in line] for line in self.reasons.tolist()]
 
     def _reason_text(self, station: int, target: int) -> str:
-        """Text of the reason of a pair: its value, the limit, and the key that states the limit, if any."""
+        """Text of the reason why a pair is invisible, with its value, the limit and the key of the limit, if any."""
         code, limits = self.reasons[station, target], self.limits[station]
         range_, elevation = self.ranges[station, target], self.elevations[station, target] / DEGREE
         key, number = {
@@ -133,7 +134,7 @@ class Visibility:
 
 
 def shadow_cone_opening(min_elevation: float) -> float:
-    """Full angle [rad] of the shadow cone under an instrument by its lowest elevation [rad]: 70 deg for -55 deg."""
+    """Full angle [rad] of the shadow cone under an instrument with a lowest elevation [rad]: 70 deg for -55 deg."""
     return float(np.pi + 2.0 * min_elevation)
 
 
@@ -158,9 +159,9 @@ def compute_visibility(
 ) -> Visibility:
     """Visibility tables from instrument origins (S, 3) [m] to points (T, 3) [m].
 
-    Without `rotation` (S, 3, 3), instrument frame to network frame, the instruments are upright. `nest_normals` (T, 3)
-    are the normals of the open faces; a row of NaN is unknown and accepts every beam. Reflectors with `is_reaimed` (T,)
-    are turned to the station; by default all are.
+    `rotation` (S, 3, 3) transforms the instrument frames to the network frame; by default the instruments are upright.
+    `nest_normals` (T, 3) are the unit normals of the nests. A row of NaN is an unknown normal, for which every
+    incidence angle is accepted. `is_reaimed` (T,) flags the reflectors that are turned to the station, by default all.
     """
     position, points = as_floats(position, (-1, 3), "position"), as_floats(points, (-1, 3), "points")
     sight = points - position[:, None, :]
@@ -188,9 +189,9 @@ def compute_visibility(
 
 
 def join_visibility_tables(tables: Sequence[Visibility], station_order: Ints) -> Visibility:
-    """Joint table of several groups of stations.
+    """Visibility table of all stations of several tables.
 
-    `station_order` gives for each station its row in the joined groups.
+    `station_order` (S,) gives for each station of the result its row in the concatenated tables.
     """
     columns = [(t.reasons, t.ranges, t.elevations, t.incidence_angles) for t in tables]
     reason, range_, elevation, incidence = (
@@ -201,7 +202,10 @@ def join_visibility_tables(tables: Sequence[Visibility], station_order: Ints) ->
 
 
 def _incidence_on_reflectors(beam: Floats, nest_normals: Floats | None, is_reaimed: Bools | None) -> Floats:
-    """Incidence angle (S, T) [rad] between the beam towards the station and the normal of the open face."""
+    """Incidence angle (S, T) [rad] between the direction to the station and the normal of the nest.
+
+    `beam` (S, T, 3) are the unit vectors from stations to targets. The angle is zero for re-aimed reflectors.
+    """
     if nest_normals is None or is_reaimed is None:
         return np.zeros(beam.shape[:2])
     length = np.linalg.norm(nest_normals, axis=1, keepdims=True)
@@ -210,7 +214,10 @@ def _incidence_on_reflectors(beam: Floats, nest_normals: Floats | None, is_reaim
 
 
 def _add_obstacles(reason_table: NDArray[np.int8], position: Floats, points: Floats, obstacles: Obstacles) -> None:
-    """Marking of the pairs that an obstacle hides; rays are cast only for pairs that no other reason excludes."""
+    """Addition of the reasons due to obstacles to a table (S, T), in place.
+
+    Rays are cast only for pairs that no other reason excludes.
+    """
     inside = obstacles.is_enclosed(position)
     pairs = np.argwhere((reason_table == InvisibilityReason.VISIBLE) & ~inside[:, None])
     hidden = pairs[obstacles.is_blocked(position[pairs[:, 0]], obstacles.moved_to_surface(points)[pairs[:, 1]])]
@@ -219,29 +226,29 @@ def _add_obstacles(reason_table: NDArray[np.int8], position: Floats, points: Flo
 
 
 def aim_nest_normals(position: Floats, points: Floats) -> tuple[Floats, Floats]:
-    """Directions (T, 3) in which fixed reflectors serve all stations, and half-angles (T,) [rad] around them.
+    """Best normals (T, 3) of fixed nests for all stations, and the largest incidence angle (T,) [rad] of each.
 
-    The direction is the axis of the narrowest cone around the stations; a target can serve all of them when the
-    reflector's acceptance is larger.
+    The normal is the axis of the narrowest cone from the target that contains all stations. All stations see the
+    reflector if its acceptance angle is at least the half-angle of this cone.
     """
-    back = position - points[:, None, :]
-    back /= np.linalg.norm(back, axis=2, keepdims=True)
-    centre = narrowest_cone_axes(back)
-    cosine = np.clip(np.einsum("tsk,tk->ts", back, centre), -1.0, 1.0)
+    directions_to_stations = position - points[:, None, :]
+    directions_to_stations /= np.linalg.norm(directions_to_stations, axis=2, keepdims=True)
+    centre = narrowest_cone_axes(directions_to_stations)
+    cosine = np.clip(np.einsum("tsk,tk->ts", directions_to_stations, centre), -1.0, 1.0)
     half_angle: Floats = np.arccos(cosine.min(axis=1))
     return centre, half_angle
 
 
 def narrowest_cone_axes(directions: Floats, n_steps: int = 1000) -> Floats:
-    """Axes (..., 3) of the narrowest cones around unit vectors (..., S, 3) of a half space.
+    """Axes (..., 3) of the narrowest cones that contain S unit vectors (..., S, 3) within a half space.
 
-    It is the smallest ball around the vectors. Badoiu and Clarkson's iteration, step 1/(i+1) to the farthest, converges
-    as 1/i.
+    The axis points to the centre of the smallest ball around the vectors. In step i of the iteration of Badoiu and
+    Clarkson the centre moves by 1 / (i + 1) of the way to the farthest vector; its error decreases as 1 / i.
     """
     flattened = directions.reshape(-1, *directions.shape[-2:])
-    centre, every = flattened.mean(axis=-2), np.arange(len(flattened))
+    centre, row_indices = flattened.mean(axis=-2), np.arange(len(flattened))
     for i in range(1, n_steps + 1):
         farthest = np.argmin(np.einsum("tsk,tk->ts", flattened, centre), axis=-1)
-        centre += (flattened[every, farthest] - centre) / (i + 1)
+        centre += (flattened[row_indices, farthest] - centre) / (i + 1)
         centre /= np.sqrt(np.sum(centre**2, axis=1, keepdims=True))
     return centre.reshape(directions.shape[:-2] + directions.shape[-1:])

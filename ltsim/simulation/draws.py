@@ -1,7 +1,7 @@
-"""Random values of a trial and their distributions, for single recordings and campaigns alike.
+"""Random values of trials and their distributions, the same for single recordings and for campaigns.
 
-The key of a draw is the seed, its purpose and the number of the trial. An additional effect, method or worker therefore
-does not change other draws.
+A draw depends only on the seed, its purpose and the number of the trial. An additional effect, method or worker process
+therefore does not change the other draws.
 """
 
 from __future__ import annotations
@@ -26,30 +26,34 @@ from ltsim.simulation.physics import reflector_error_parameters
 from ltsim.simulation.scenario import Scenario
 
 CERTIFICATE_STEP = 1e-4 * MILLIMETRE
-"""Rounding step [m] of the lengths on a certificate."""
+"""Step [m] to which a certificate rounds its lengths."""
 
 
 @dataclass(frozen=True)
 class EffectDistribution:
-    """Effect whose parameters are drawn from N(mean, sigma^2), folded for a parameter that is never negative."""
+    """Effect whose parameters are drawn from normal distributions.
+
+    The modulus is drawn for a parameter that is never negative.
+    """
 
     effect: Effect
+    """Effect with its places and constants."""
     mean_values: Floats
-    """Mean of each parameter, (q,) [SI]."""
+    """Mean of each parameter of the effect, shape (parameters,) [SI]."""
     value_sigmas: Floats
-    """Standard deviation of each parameter, (q,) [SI]; 0 for a declared value."""
+    """Standard deviation of each parameter of the effect, shape (parameters,) [SI]; 0 for a declared value."""
     index_at_place: int = 1
-    """Index among identical effects at the same place, from 1."""
+    """Number of this effect among identical effects at the same place, from 1."""
 
     @property
     def is_nonnegative(self) -> Bools:
-        """Flags (q,) of the parameters that are never negative, such as added variances."""
+        """Mask of the parameters that are never negative, such as added variances."""
         kinds = [p.is_positive or isinstance(self.effect, NoiseEffect) for p in self.effect.parameters]
         return np.array(kinds, dtype=bool)
 
 
 def effect_distributions(scenario: Scenario, effects: tuple[Effect, ...]) -> tuple[EffectDistribution, ...]:
-    """Distributions of the effects of a scenario, in the order of its entries.
+    """Distributions of the parameters of the given effects, in the order of their entries in the scenario.
 
     The incidence error of the reflectors is last.
     """
@@ -69,27 +73,31 @@ def effect_distributions(scenario: Scenario, effects: tuple[Effect, ...]) -> tup
 
 @dataclass(frozen=True)
 class StandardNormalSource:
-    """Source of standard normal numbers (size, B) for trials (B,) of a seed, by stream key."""
+    """Source of standard normal numbers for the trials of a seed, one independent stream per purpose."""
 
     seed: int
+    """Seed of the campaign or recording."""
     trials: Ints
+    """Numbers of the trials."""
 
     def __call__(self, n_values: int, *stream_key: str | int) -> Floats:
-        """Standard normal numbers (size, B) of a stream key."""
+        """Standard normal numbers, shape (n_values, trials); `stream_key` names their purpose."""
         return standard_normal_trials(self.seed, self.trials, n_values, *stream_key)
 
     def single_trial_sources(self) -> list[StandardNormalSource]:
-        """Sources of the single trials; shared draws are cached."""
+        """Source of each single trial; the numbers of all trials are drawn once and cached."""
         together = lru_cache(maxsize=None)(self.__call__)
         return [_SingleTrialSource(self.seed, self.trials[[k]], together, k) for k in range(len(self.trials))]
 
 
 @dataclass(frozen=True)
 class _SingleTrialSource(StandardNormalSource):
-    """Source of standard normal numbers of one trial in a batch."""
+    """Source of the standard normal numbers of one trial among several."""
 
     batch_source: Callable[..., Floats] = standard_normal_trials
+    """Source of the numbers of all trials."""
     trial_index: int = 0
+    """Index of the trial among all trials of the source."""
 
     def __call__(self, n_values: int, *stream_key: str | int) -> Floats:
         return self.batch_source(n_values, *stream_key)[:, self.trial_index : self.trial_index + 1]
@@ -97,50 +105,52 @@ class _SingleTrialSource(StandardNormalSource):
 
 @dataclass(frozen=True)
 class TrialDraw:
-    """Random values of B trials; the last index of each array is the trial."""
+    """Random values of several trials; the last axis of each array has one entry per trial."""
 
     trials: Ints
-    """Numbers of the trials, (B,)."""
+    """Numbers of the trials."""
     instrument_values: Floats
-    """True instrument parameters, (I, p, B) [SI]."""
+    """True instrument parameters, shape (instruments, parameters, trials) [SI]."""
     effect_values: tuple[Floats, ...]
-    """True parameters of each effect, (q, B) [SI]."""
+    """True parameters of each effect, shape (parameters, trials) [SI]."""
     reading_errors: Floats
-    """Errors of the readings, (n, 3, B) [m, rad, rad]."""
+    """Random errors of the readings, shape (pointings, 3, trials) [m, rad, rad]."""
     certified_lengths: Floats
-    """Reference lengths on their certificates, at the temperature of calibration, (g, B) [m]."""
+    """Reference lengths on their certificates, at the temperature of their calibration, shape (lengths, trials) [m]."""
 
 
 @dataclass(frozen=True)
 class TrialDistributions:
-    """Distributions of all random values of a trial on a given geometry."""
+    """Distributions of all random values of a trial for given true positions."""
 
     sightings: Sightings
+    """Pointings at the true positions."""
     construction: Construction
+    """Instrument model that generates the readings."""
     instruments: tuple[str, ...]
-    """Names of the trackers; '' for one without a name."""
+    """Names of the trackers; '' for a tracker without a name."""
     instrument_means: Floats
-    """Means of the instrument errors, (I, p) [SI]."""
+    """Means of the instrument errors, shape (instruments, parameters) [SI]."""
     instrument_sigmas: Floats
-    """Standard deviations of the instrument errors, which are N(mean, sigma^2), (I, p) [SI]."""
+    """Standard deviations of the normally distributed instrument errors, shape (instruments, parameters) [SI]."""
     noise_sigmas: Floats
-    """Standard deviations of the readings without noise effects, (n, 3) [m, rad, rad]."""
+    """Standard deviations of the readings without effects on the noise, shape (pointings, 3) [m, rad, rad]."""
     reference_lengths: ReferenceLengths
-    """True reference lengths, with the sigmas of their certificates."""
+    """True reference lengths, with the standard deviations of their certificates."""
     length_end_names: tuple[str, ...]
     """Names of the targets at the ends of the reference lengths."""
     effects: tuple[EffectDistribution, ...] = ()
+    """Effects with the distributions of their parameters."""
     certificate_factor: float = 1.0
     """Ratio of the true standard deviation of a certificate's error to the declared one."""
 
     def draw(
         self, normal_source: StandardNormalSource, instrument_values: Floats | None = None, *, stream_key: str = ""
     ) -> TrialDraw:
-        """Random values of trials; `instrument_values` (I, p, B) [SI] replaces the instrument errors if given.
+        """Random values of the trials of a source; `instrument_values` replaces the drawn instrument errors.
 
-        `stream_key` distinguishes the noise of the same trials at another place.
-
-        Raises SetupError when an effect leaves a variance below zero.
+        `instrument_values` has the shape (instruments, parameters, trials) [SI]. `stream_key` separates the noise of
+        the same trials at another place. SetupError is raised if an effect makes a variance negative.
         """
         amounts = tuple(self._draw_effect_values(law, normal_source) for law in self.effects)
         noise_key = (stream_key, "noise") if stream_key else ("noise",)
@@ -154,6 +164,7 @@ class TrialDistributions:
         )
 
     def _draw_instrument_values(self, normal_source: StandardNormalSource) -> Floats:
+        """True instrument parameters, shape (instruments, parameters, trials) [SI]."""
         values = np.repeat(self.instrument_means[:, :, None], len(normal_source.trials), axis=2)
         for i, name in enumerate(self.instruments):
             key = ("instrument", name) if name else ("instrument",)
@@ -164,6 +175,7 @@ class TrialDistributions:
         return values
 
     def _draw_effect_values(self, distribution: EffectDistribution, normal_source: StandardNormalSource) -> Floats:
+        """True parameters of an effect, shape (parameters, trials) [SI]."""
         amounts = np.repeat(distribution.mean_values[:, None], len(normal_source.trials), axis=1)
         for k in np.flatnonzero(distribution.value_sigmas):
             key = (
@@ -177,7 +189,10 @@ class TrialDistributions:
         return amounts
 
     def noise_sigmas_with_effects(self, effect_values: tuple[Floats, ...]) -> Floats:
-        """True standard deviation of the noise, (n, 3, 1), or (n, 3, B) if noise effects differ by trial."""
+        """True standard deviations of the readings, shape (pointings, 3, trials).
+
+        The last axis has one entry if the effects on the noise are the same in all trials.
+        """
         on_noise = [
             (law.effect, amount)
             for law, amount in zip(self.effects, effect_values, strict=True)
@@ -197,7 +212,7 @@ class TrialDistributions:
         return sigma
 
     def _draw_certified_lengths(self, effect_values: tuple[Floats, ...], normal_source: StandardNormalSource) -> Floats:
-        """Lengths on the certificates, computed with the true coefficient and temperature and not the declared ones."""
+        """Lengths on the certificates, computed with the true and not the declared coefficient and temperature."""
         lengths = self.reference_lengths
         growth = np.repeat(lengths.growth_factors[:, None], len(normal_source.trials), axis=1)
         for name, change in lengths.shared_error_changes.items():
@@ -212,7 +227,7 @@ class TrialDistributions:
         return CERTIFICATE_STEP * np.round((length / growth + error) / CERTIFICATE_STEP)
 
     def length_change(self, effect_values: tuple[Floats, ...]) -> Floats:
-        """Change of the true lengths by effects, (g, B) or (g, 1) [m]."""
+        """Change of the true lengths by effects, (lengths, trials) [m], or (lengths, 1) without random effects."""
         lengths, total = self.reference_lengths, np.zeros((len(self.reference_lengths.lengths), 1))
         for law, amount in zip(self.effects, effect_values, strict=True):
             design = law.effect.gauge_design(

@@ -1,4 +1,4 @@
-"""True positions, and pointings in the order of measurement: the part of a trial that several trials can share."""
+"""True positions, and pointings in the order of measurement, which several trials can share."""
 
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -22,40 +22,43 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.workshop import WorkshopLayout, make_visibility, planned_layout
 
 MAX_LISTED_PAIRS = 20
-"""Largest number of hidden pairs that are listed one by one."""
+"""Number of pairs of station and target without a line of sight up to which each pair is listed."""
 MIN_LEVEL_SEPARATION = 0.5
-"""Smallest height difference [m] between two levels."""
+"""Height difference [m] from which two targets belong to different height levels."""
 
 
 @dataclass(frozen=True)
 class MeasurementGeometry:
-    """Scenario with its true geometry and the order of its pointings.
+    """Scenario with its true positions and the order of its pointings.
 
-    `simulator.measure_trial` draws errors and noise on it.
+    `simulator.measure_trial` draws errors and noise for it.
     """
 
     scenario: Scenario
+    """Scenario that is simulated."""
     layout: WorkshopLayout
-    """True poses and points of all targets, including hidden ones."""
+    """True poses of the stations and true positions of all targets, including targets that no station sees."""
     sightings: Sightings
-    """Pointings to the visible targets at the true geometry; covariates are the air readings."""
+    """Pointings to the visible targets at the true positions, with the readings of the air sensors as covariates."""
     effects: tuple[Effect, ...]
+    """Effects of the scenario."""
     hidden_pair_notes: tuple[str, ...]
-    """Pairs of station and target without a line of sight, each with its reason; for many pairs, counts by reason."""
+    """Sentences on pairs of station and target without a line of sight, with the reason; for many pairs the number by
+    reason."""
 
     @cached_property
     def construction(self) -> Construction:
-        """Construction of the scenario's instruments."""
+        """Instrument model of the scenario."""
         return make_scenario_construction(self.scenario)
 
 
 def make_geometry(
     scenario: Scenario, seed: int, *stream_key: str | int, plan: WorkshopLayout | None = None
 ) -> MeasurementGeometry:
-    """True geometry of a scenario with its visible pointings in the order of measurement; `plan` as in `place_layout`.
+    """True positions of a scenario and its visible pointings in the order of measurement; `plan` as in `place_layout`.
 
-    Raises SetupError if a station sees no target, an obstacle's file is damaged, an effect does not exist, or an SMR of
-    another radius is in a nest without a normal.
+    SetupError is raised if a station sees no target, the file of an obstacle is damaged, an effect does not exist, or
+    an SMR of another radius is in a nest without a normal.
     """
     layout = place_layout(scenario, seed, *stream_key, plan=plan)
     table = make_visibility(scenario, layout)
@@ -77,9 +80,9 @@ def make_geometry(
 def place_layout(
     scenario: Scenario, seed: int, *stream_key: str | int, plan: WorkshopLayout | None = None
 ) -> WorkshopLayout:
-    """True layout: the plan with the scatter of `placing`; the gauge moves as one rigid body.
+    """True poses and positions: the planned ones with random deviations by `placing`; the gauge moves as a rigid body.
 
-    `plan` is the result of `planned` for the scenario, to avoid computing it again.
+    `plan` is the planned layout, if it was computed before. `stream_key` distinguishes the draws of several layouts.
     """
     plan, placing = plan or planned_layout(scenario), scenario.placing
     position, rotation, points = plan.station_positions.copy(), plan.station_rotations.copy(), plan.target_points.copy()
@@ -104,6 +107,7 @@ def place_layout(
 
 
 def _hidden_pair_notes(workshop_layout: WorkshopLayout, visibility: Visibility) -> tuple[str, ...]:
+    """Sentences on the pairs of station and target without a line of sight."""
     lost = visibility.invisible_pair_sentences(workshop_layout.station_names, workshop_layout.target_names)
     if len(lost) <= MAX_LISTED_PAIRS:
         return tuple(lost)
@@ -115,7 +119,7 @@ def _hidden_pair_notes(workshop_layout: WorkshopLayout, visibility: Visibility) 
 def _sightings(
     scenario: Scenario, workshop_layout: WorkshopLayout, is_visible: Bools, seed: int, *stream_key: str | int
 ) -> Sightings:
-    """Pointings in the order of measurement, without targets that no station sees."""
+    """Pointings in the order of measurement; targets that no station sees are left out."""
     pointed = np.flatnonzero(is_visible.any(axis=0))
     renumbered = np.full(len(workshop_layout.target_names), -1)
     renumbered[pointed] = np.arange(len(pointed))
@@ -156,7 +160,7 @@ def _setup_pointings(
     seed: int,
     *stream_key: str | int,
 ) -> Ints:
-    """Target, face and repeat of each pointing of one station's visit, (k, 3), in the order of measurement."""
+    """Target, face and repeat of each pointing from one station, shape (pointings, 3), in the order of measurement."""
     work = scenario.work
     faces, pointings = np.arange(1, work.faces + 1), []
     for repeat in range(1, work.repeats + 1):
@@ -178,6 +182,7 @@ def _target_order(
     seed: int,
     *stream_key: str | int,
 ) -> Ints:
+    """Indices of the targets in the order in which a station measures them in one round."""
     count = len(workshop_layout.target_names)
     if scenario.work.order == "as-listed":
         return np.arange(count)
@@ -190,7 +195,7 @@ def _target_order(
 
 
 def _height_levels(heights: Floats) -> Floats:
-    """Number (T,) of the height level of each target, the highest level first."""
+    """Number of the height level of each target, counted from the highest level, shape (targets,)."""
     down = np.argsort(-heights, kind="stable")
     steps = np.concatenate([[0.0], -np.diff(heights[down]) > MIN_LEVEL_SEPARATION])
     levels = np.zeros(len(heights))
@@ -199,7 +204,7 @@ def _height_levels(heights: Floats) -> Floats:
 
 
 def _air_sensor_readings(scenario: Scenario, time: Floats) -> dict[str, Floats]:
-    """Readings of the instrument's air sensors by covariate, rounded to 0.1 of their units."""
+    """Readings of the air sensors of the instrument by column name, rounded to 0.1 of their units."""
     room = scenario.workshop
     temperature = room.temperature_c + room.temperature_rise_c_per_h * time / 3600.0
     return {
@@ -210,7 +215,7 @@ def _air_sensor_readings(scenario: Scenario, time: Floats) -> dict[str, Floats]:
 
 
 def smr_names_of_pointings(scenario: Scenario, sightings: Sightings) -> tuple[str, ...]:
-    """Name of the SMR of each pointing, from its station, its target or the default; '' for none."""
+    """Name of the SMR of each pointing: that of its station, its target, or the default; '' for no name."""
     stations = [scenario.stations[name].reflector for name in sightings.station_names]
     targets = [scenario.targets[n].reflector if n in scenario.targets else None for n in sightings.target_names]
     places = zip(sightings.station, sightings.target, strict=True)
@@ -218,10 +223,10 @@ def smr_names_of_pointings(scenario: Scenario, sightings: Sightings) -> tuple[st
 
 
 def true_smr_offsets(scenario: Scenario, sightings: Sightings, seed: int, *stream_key: str | int) -> Floats | None:
-    """Offset (n, 3) [m] of each SMR's centre from its target; None in a scenario with one SMR.
+    """Vector from each target to the centre of the SMR, shape (pointings, 3) [m]; None in a scenario with one SMR.
 
-    Raises SetupError for an SMR without a table, for one of another radius in a nest without a normal, and for a
-    missing reference radius.
+    SetupError is raised for an SMR without a table, an SMR of another radius in a nest without a normal, and a missing
+    reference radius.
     """
     reflectors = scenario.reflectors
     if not reflectors:

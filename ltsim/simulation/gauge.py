@@ -1,4 +1,4 @@
-"""Gauge: points of a rigid frame from the lengths between them, and errors of the measuring machine."""
+"""Gauge: points of a rigid frame from the lengths between them, and errors of the coordinate measuring machine."""
 
 from dataclasses import dataclass
 from itertools import combinations
@@ -20,36 +20,36 @@ PAPER_TABLE_2_LENGTHS = MappingProxyType(
         "rows": (357.6066, 590.1060, 355.9437, 388.0144, 386.7815, 454.4203),
     }
 )
-"""Six lengths [mm] of 25-26, 25-27, 25-28, 26-27, 26-28, 27-28 in the paper's Table 2, under both readings of the
-table.
-"""
+"""Lengths [mm] between the targets 25-26, 25-27, 25-28, 26-27, 26-28 and 27-28 in the paper's Table 2, if this table is
+read by columns or by rows."""
 MAX_RELATIVE_LENGTH_ERROR = 1e-7
-"""Relative difference up to which points realise the given lengths."""
+"""Relative difference between given lengths and those of the nearest frame above which the lengths contradict each
+other."""
 
 
 @dataclass(frozen=True)
 class GaugeFrame:
-    """Gauge frame at its calibration temperature."""
+    """Rigid frame of the gauge at its calibration temperature."""
 
     target_names: tuple[str, ...]
     """Names of the k targets of the gauge."""
     points: Floats
-    """Coordinates (k, 3) [m] in the axes of the frame, origin at its centre."""
+    """Coordinates of the targets in the axes of the frame, relative to its centre, shape (targets, 3) [m]."""
     first_targets: Ints
-    """Index of the target at the first end of each reference length, (g,)."""
+    """Index of the target at the first end of each reference length."""
     second_targets: Ints
-    """Index of the target at the second end of each reference length, (g,)."""
+    """Index of the target at the second end of each reference length."""
 
     @property
     def lengths(self) -> Floats:
-        """True lengths, (g,) [m]."""
+        """True reference lengths, shape (lengths,) [m]."""
         return np.linalg.norm(self.points[self.first_targets] - self.points[self.second_targets], axis=1)
 
 
 def make_gauge_frame(gauge: ScenarioGauge) -> GaugeFrame:
-    """Gauge frame with the lengths of a gauge.
+    """Frame with the declared lengths of a gauge.
 
-    Raises SetupError if a length is missing or repeated, or if the lengths contradict each other.
+    SetupError is raised if a length is missing or repeated, or if the lengths contradict each other.
     """
     names = gauge.targets
     pairs = list(combinations(range(len(names)), 2))
@@ -66,6 +66,7 @@ def make_gauge_frame(gauge: ScenarioGauge) -> GaugeFrame:
 
 
 def _declared_lengths(gauge: ScenarioGauge, pairs: list[tuple[int, int]]) -> list[float]:
+    """Declared length [mm] of each pair of targets; raises SetupError for missing or repeated lengths."""
     names = gauge.targets
     if not gauge.distance:
         if len(names) != 4:
@@ -86,10 +87,10 @@ def _declared_lengths(gauge: ScenarioGauge, pairs: list[tuple[int, int]]) -> lis
 
 
 def points_from_distances(n_points: int, first_points: Ints, second_points: Ints, lengths: Floats) -> Floats:
-    """Points (count, 3) [m] about their centre whose distances are, or are nearest to, the given ones.
+    """Points about their centre whose mutual distances are nearest to the given ones, shape (n_points, 3) [m].
 
-    Classical scaling (Torgerson, Psychometrika 17 (1952) 401-419): coordinates are eigenvectors of the doubly
-    centred squared distances. The axes follow the extents, longest first; signs are fixed by the first point.
+    Classical scaling (Torgerson, Psychometrika 17 (1952) 401-419): the coordinates are eigenvectors of the doubly
+    centred squared distances. The first axis is that of the largest extent; the first point determines the signs.
     """
     squared = np.zeros((n_points, n_points))
     squared[first_points, second_points] = squared[second_points, first_points] = lengths**2
@@ -103,25 +104,25 @@ def points_from_distances(n_points: int, first_points: Ints, second_points: Ints
 
 
 def expansion_factor(gauge: ScenarioGauge, workshop_temperature_c: float) -> float:
-    """Growth factor of all lengths from calibration to workshop."""
+    """Ratio of the lengths at the workshop's temperature to those at the calibration temperature."""
     measured = workshop_temperature_c if gauge.measured_at_c is None else gauge.measured_at_c
     return ThermalExpansion.from_temperature(gauge.expansion_per_k, measured - gauge.calibrated_at_c).length_ratio
 
 
 def gauge_rotation(gauge: ScenarioGauge) -> Floats:
-    """Rotation (3, 3) from the axes of the frame to the workshop."""
+    """Rotation matrix (3, 3) from the axes of the frame to those of the workshop."""
     angles = np.array([gauge.roll_deg, gauge.pitch_deg, gauge.yaw_deg]) * DEGREE
     return Rotation.from_euler("xyz", angles).as_matrix()
 
 
 def gauge_points_in_workshop(gauge: ScenarioGauge, gauge_frame: GaugeFrame, workshop_temperature_c: float) -> Floats:
-    """Points (k, 3) [m] of the frame at its position in the workshop and at the workshop's temperature."""
+    """Coordinates (targets, 3) [m] of the gauge at its planned pose and at the workshop's temperature."""
     points: Floats = expansion_factor(gauge, workshop_temperature_c) * gauge_frame.points @ gauge_rotation(gauge).T
     return points + np.array(gauge.position_mm) * MILLIMETRE
 
 
 def length_sigmas(measuring_machine: Cmm, lengths: Floats) -> Floats:
-    """Standard deviation (g,) [m] of lengths (g,) [m]: largest permitted error of the machine over `coverage`."""
+    """Standard deviation of each length [m]: largest permitted error of the machine divided by its coverage."""
     largest = measuring_machine.constant_um + lengths / MILLIMETRE / measuring_machine.length_divisor_mm
     return largest * MICROMETRE / measuring_machine.coverage
 
@@ -129,10 +130,10 @@ def length_sigmas(measuring_machine: Cmm, lengths: Floats) -> Floats:
 def measure_nominal_points(
     points: Floats, names: tuple[str, ...], measuring_machine: Cmm, seed: int, *stream_key: str | int
 ) -> Floats:
-    """Coordinates (T, 3) [m] of points (T, 3), with the errors of the measuring machine.
+    """Coordinates (targets, 3) [m] as measured by a coordinate measuring machine, from the true `points`.
 
-    Its largest permitted error A + L / K is divided into a random part A of each length, half of its variance at either
-    end, and a scale error of each axis.
+    The largest permitted error A + L / K of the machine has a random part A of each length, with half of its variance
+    at either end, and a scale error L / K of each axis.
     """
     random = measuring_machine.constant_um * MICROMETRE / measuring_machine.coverage / np.sqrt(2.0)
     scale = MICROMETRE / MILLIMETRE / measuring_machine.length_divisor_mm / measuring_machine.coverage

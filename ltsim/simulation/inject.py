@@ -1,7 +1,7 @@
-"""Injection of an effect into an existing recording: its predicted change is added to the readings.
+"""Injection of an effect into an existing recording: the predicted change is added to the readings.
 
-Noise, outliers and instrument errors remain. The change is computed at the adjusted pointings; their error has a
-relative influence of 1e-4 for 1 mm in 10 m.
+Noise, outliers and instrument errors of the recording remain. The change is computed at the adjusted positions; an
+error of 1 mm in these changes it by 1e-4 of its size at a range of 10 m.
 """
 
 from collections.abc import Mapping
@@ -27,29 +27,30 @@ from ltsim.simulation.simulator import with_certificates
 INJECTION_FORMAT = "ltsim-injection/1"
 """Format and version of a truth file of injections."""
 NONCENTRALITY_TOLERANCE = 1e-4
-"""Relative difference to the requested noncentrality at which the scaling ends."""
+"""Relative difference from the requested noncentrality below which the scaling of the effect ends."""
 MAX_SCALING_STEPS = 60
-"""Largest number of steps in the scaling to a noncentrality."""
+"""Largest number of steps in the scaling of an effect to a noncentrality."""
 MAX_CHANGE_SIGMAS = 30.0
-"""Largest change of a reading in standard deviations, divided by the square root of the fraction of the effect that
-remains after adjustment.
-"""
+"""Ratio of the largest change of a reading, in standard deviations, to the square root of the requested noncentrality,
+above which the unknowns of the network count as absorbing the effect."""
 
 
 @dataclass(frozen=True, repr=False)
 class InjectedEffect(Result):
-    """Effect with the values (q,) [SI] of its parameters, as injected into a recording."""
+    """Effect that was injected into a recording, with the values of its parameters."""
 
     effect: CandidateEffect
+    """Effect with its places and constants."""
     request_text: str
-    """Text of the user's request for the effect."""
+    """Text with which the user requested the effect."""
     parameter_values: Floats
+    """Values of the parameters of the effect, shape (parameters,) [SI]."""
     noncentrality: float
-    """Noncentrality of the effect after adjustment; for noise the expected decrease of minus twice
-    the log likelihood.
-    """
+    """Noncentrality of the effect in the residuals; for an effect on the noise, the expected decrease of minus twice
+    the log-likelihood."""
     largest_changes: dict[str, float]
-    """Largest change of a distance [um], azimuth and elevation [urad]; for noise the largest standard deviation."""
+    """Largest change of a distance [um], azimuth and elevation [urad]; for an effect on the noise, the largest added
+    standard deviation."""
 
     def _lines(self) -> list[str]:
         sizes = ", ".join(
@@ -73,7 +74,7 @@ class InjectedEffect(Result):
         }
 
     def to_json(self) -> dict[str, Any]:
-        """Entry of the effect in a truth file."""
+        """Entry of the effect for a truth file."""
         cause = self.effect
         shape = display_constants(cause) if isinstance(cause, Effect) else {}
         return {
@@ -86,16 +87,18 @@ class InjectedEffect(Result):
 
 @dataclass(frozen=True, repr=False)
 class InjectionTruth(Result):
-    """Effects that were injected into a recording, with their values."""
+    """Effects that were injected into a recording, with the seed of the random values."""
 
     seed: int
+    """Seed of the random values of the injection."""
     injected_effects: tuple[InjectedEffect, ...]
+    """Effects in the order of their injection."""
 
     def _lines(self) -> list[str]:
         return [repr(cause) for cause in self.injected_effects]
 
     def to_json(self) -> dict[str, Any]:
-        """Contents of a truth file."""
+        """Content of a truth file."""
         return {
             "format": INJECTION_FORMAT,
             "seed": self.seed,
@@ -104,10 +107,12 @@ class InjectionTruth(Result):
 
 
 class RecordingWithInjection(NamedTuple):
-    """Recording with an injected effect, and the injected effect separately."""
+    """Recording with injected effects, and the truth on these effects."""
 
     recording: Recording
+    """Recording with the changed readings."""
     truth: InjectionTruth
+    """Injected effects with their values."""
 
 
 DETECTION_CURVE_TABLE = Table(
@@ -132,12 +137,14 @@ DETECTION_CURVE_TABLE = Table(
 
 @dataclass(frozen=True, repr=False)
 class DetectionCurve(Result):
-    """Detection curve: strength of an effect, and probability that it is detected, located and named."""
+    """Detection curve: fraction of injections of an effect that are detected, located and named, at each strength."""
 
     effect_text: str
+    """Text of the effect."""
     background_effects: tuple[str, ...]
-    """Effects reported for the recording without an injection."""
+    """Names of the findings in the recording without an injection."""
     rows: tuple[Mapping[str, float], ...]
+    """Values of each strength, by column name."""
 
     def _lines(self) -> list[str]:
         reported = ", ".join(self.background_effects) or "nothing"
@@ -154,18 +161,23 @@ class DetectionCurve(Result):
 
 @dataclass(frozen=True, eq=False)
 class Injector:
-    """Recording with its adjustment, for the injection of effects."""
+    """Recording with its adjustment, into which effects are injected."""
 
     recording: Recording
+    """Recording before the injection."""
     residual_space: ResidualSpace
+    """Residuals of the adjusted recording, from which the noncentrality of an effect is computed."""
 
     @property
     def state(self) -> NetworkState:
-        """Adjusted state: poses of the stations, positions of the targets."""
+        """Adjusted poses of the stations and positions of the targets."""
         return self.residual_space.adjustment.state
 
     def reading_change(self, effect: CandidateEffect, effect_sizes: Floats) -> Floats:
-        """Change (n, 3) [m, rad, rad] of the readings by an effect, NaN for missing readings; 0 for noise."""
+        """Change of the readings by an effect, shape (pointings, 3) [m, rad, rad]; 0 for effects on the noise.
+
+        Missing readings have a change of NaN.
+        """
         sightings, readings = self.residual_space.sightings, self.recording.readings
         if not isinstance(effect, Blunder):
             return effect.reading_change(sightings, effect_sizes)
@@ -177,12 +189,12 @@ class Injector:
         return np.stack([change[:, 0], *wrap_angle(change[:, 1:]).T], axis=1)
 
     def length_change(self, effect: CandidateEffect, effect_sizes: Floats) -> Floats:
-        """Change (g,) [m] of the reference lengths by an effect."""
+        """Change of the reference lengths by an effect, shape (lengths,) [m]."""
         gauge = self.residual_space.adjustment.problem.gauge_rows
         return effect.gauge_design(gauge.first_targets, gauge.second_targets, self.state.target_points) @ effect_sizes
 
     def added_noise_sigma(self, effect: NoiseEffect, effect_sizes: Floats) -> Floats:
-        """Standard deviation (n, 3) of the added noise."""
+        """Standard deviation of the noise that an effect adds to the readings, shape (pointings, 3)."""
         sigma = self.recording.sigma()
         added = effect.variance(self.residual_space.sightings, sigma, effect_sizes) - sigma**2
         if np.nanmin(added) < -1e-9 * np.nanmax(sigma) ** 2:
@@ -190,7 +202,7 @@ class Injector:
         return np.sqrt(np.maximum(np.nan_to_num(added), 0.0))
 
     def noncentrality(self, effect: CandidateEffect, effect_sizes: Floats) -> float:
-        """Noncentrality of an effect after the adjustment; 0 if the network absorbs it."""
+        """Noncentrality of an effect in the residuals; 0 if the unknowns of the network absorb the effect."""
         space = self.residual_space
         if isinstance(effect, NoiseEffect):
             used = np.flatnonzero(space.used_readings)
@@ -205,7 +217,10 @@ class Injector:
     def scale_to_noncentrality(
         self, effect: CandidateEffect, effect_sizes: Floats, noncentrality_goal: float
     ) -> Floats:
-        """Values scaled to the requested noncentrality; raises ModelError if the network absorbs the effect."""
+        """Sizes of the effect at which it has the requested noncentrality.
+
+        ModelError is raised if the unknowns of the network absorb the effect.
+        """
         if isinstance(effect, Blunder):
             raise ModelError(f"{effect.name} has no size; leave out the noncentrality")
         factor, bound = 1.0, MAX_CHANGE_SIGMAS * np.sqrt(noncentrality_goal)
@@ -225,7 +240,7 @@ class Injector:
         )
 
     def _largest_relative_change(self, effect: CandidateEffect, effect_sizes: Floats) -> float:
-        """Largest change of a reading, or standard deviation of added noise, divided by the sigma of the reading."""
+        """Largest change of a reading, or added standard deviation, divided by the reading's standard deviation."""
         moved = (
             self.added_noise_sigma(effect, effect_sizes)
             if isinstance(effect, NoiseEffect)
@@ -236,7 +251,7 @@ class Injector:
     def inject(
         self, effect: CandidateEffect, effect_sizes: Floats, request_text: str, random_generator: np.random.Generator
     ) -> tuple[Recording, InjectedEffect]:
-        """Recording with an injected effect, and the entry of the effect."""
+        """Recording with an injected effect, and the entry of the effect for the truth file."""
         if isinstance(effect, NoiseEffect):
             change = self.added_noise_sigma(effect, effect_sizes) * random_generator.standard_normal(
                 self.recording.readings.shape
@@ -265,5 +280,5 @@ class Injector:
         )
 
     def with_recording(self, recording: Recording) -> Self:
-        """Injector for a recording that already contains an injected effect."""
+        """Injector for a recording with an injected effect, and with the adjustment of the original recording."""
         return replace(self, recording=recording)

@@ -1,4 +1,4 @@
-"""Dotted keys of a scenario: type and unit of their values, and values given with a unit."""
+"""Keys of a scenario in dotted form: types and units of their values, and conversion of values with a unit."""
 
 from typing import Any, Literal
 
@@ -13,17 +13,17 @@ from ltsim.simulation.scenario import Scenario
 ValueType = Literal["number", "integer", "boolean", "string", "table"]
 """Type of the value of a scenario key."""
 SCALAR_TYPES: tuple[ValueType, ...] = ("number", "integer", "boolean", "string")
-"""Types of the values that are no tables."""
+"""Types of the values that are not tables."""
 
 
 def value_type_of_key(dotted_key: str) -> ValueType:
-    """Type of the value at a dotted key; `table` for lists and tables, and for unknown keys."""
+    """Type of the value of a dotted key; `table` for lists, tables and unknown keys."""
     kinds = {_schema_type(choice) for _, choices in schemas_at(Scenario, dotted_key.split(".")) for choice in choices}
     return next((kind for kind in SCALAR_TYPES if kind in kinds), "table")
 
 
 def key_description(dotted_key: str) -> str:
-    """Meaning of a dotted key in the reference; empty for a user-defined name."""
+    """Description of a dotted key in the reference; empty for a key with a user-defined name."""
     nodes = (node for node, _ in schemas_at(Scenario, dotted_key.split(".")))
     return next((node["description"].replace("\n", " ") for node in nodes if "description" in node), "")
 
@@ -34,7 +34,7 @@ def _schema_type(schema_node: dict[str, Any]) -> str:
 
 
 def unit_of(scenario: Scenario, dotted_key: str) -> str:
-    """Unit of the value at a dotted key, from the key or from the parameter that it names."""
+    """Unit of the value of a dotted key, from the name of the key or of the parameter in it."""
     *parents, last = dotted_key.split(".")
     try:
         if parents[-1:] == ["errors"] or parents[-2:] == ["prior", "parameters"]:
@@ -50,9 +50,10 @@ def unit_of(scenario: Scenario, dotted_key: str) -> str:
 
 
 def convert_value(scenario: Scenario, dotted_key: str, value: Any, error_location: str) -> Any:
-    """Value in the unit of a key: a text such as ``2 urad`` becomes a number.
+    """Value in the unit of its key, if it is a text with a unit such as ``2 urad``; other values unchanged.
 
-    Raises SetupError, which names `error_location`, if the text is no quantity of the key's kind.
+    SetupError is raised if the text is not a quantity in a unit of the right kind; the message begins with
+    `error_location`.
     """
     if not isinstance(value, str) or not value or value[0] not in "+-.0123456789":
         return value
@@ -67,7 +68,7 @@ def convert_value(scenario: Scenario, dotted_key: str, value: Any, error_locatio
 
 
 def value_at_key(table: dict[str, Any], dotted_key: str) -> Any:
-    """Value at a dotted key in the tables of a scenario; None if there is none."""
+    """Value of a dotted key in the tables of a scenario; None for a missing key."""
     inner: Any = table
     for part in dotted_key.split("."):
         if isinstance(inner, list) and part.isdecimal() and 1 <= int(part) <= len(inner):

@@ -1,4 +1,4 @@
-"""Instrument errors and environment of a scenario: construction, effects, and their distributions."""
+"""Instrument errors and effects of a scenario, with their distributions."""
 
 import numpy as np
 
@@ -16,16 +16,16 @@ from ltsim.simulation.sections import EffectEntry, ScenarioInstrument
 
 
 def make_scenario_construction(scenario: Scenario) -> Construction:
-    """Construction of the scenario's trackers, which is the same for all."""
+    """Instrument model of all trackers of a scenario."""
     instrument = next(iter(scenario.trackers_in_use.values()))
     return construction_with_orders(instrument.construction, instrument.harmonics, instrument.degree)
 
 
 def planned_construction(scenario: Scenario) -> Construction:
-    """Construction whose parameters a plan for the scenario's tracker is to determine.
+    """Instrument model whose parameters a plan for the scenario is to determine.
 
-    Of the 78 parameters of a D-H chain only the misalignments are planned for; they represent all. A scenario that
-    records ranges alone has only the parameters that act on ranges.
+    Of the 78 parameters of a Denavit-Hartenberg chain only the misalignments are planned for; they represent all. A
+    scenario with ranges alone has only the parameters that change ranges.
     """
     built = make_scenario_construction(scenario)
     if built.name == "steering-mirror":
@@ -35,11 +35,10 @@ def planned_construction(scenario: Scenario) -> Construction:
 
 
 def instrument_error_distribution(scenario: Scenario, construction: Construction) -> tuple[Floats, Floats]:
-    """Mean and standard deviation (I, p) [SI] of each tracker's errors.
+    """Means and standard deviations of the errors of each tracker, both of shape (instruments, parameters) [SI].
 
-    The standard deviation is 0 for declared errors.
-
-    Raises SetupError for a declared error that the construction does not have.
+    The standard deviation of a declared error is 0. SetupError is raised for a declared error that the model does not
+    have.
     """
     laws = [_error_distribution(tracker, construction, name) for name, tracker in scenario.trackers_in_use.items()]
     return np.array([mean for mean, _ in laws]), np.array([sigma for _, sigma in laws])
@@ -48,6 +47,7 @@ def instrument_error_distribution(scenario: Scenario, construction: Construction
 def _error_distribution(
     instrument: ScenarioInstrument, construction: Construction, parameter_name: str
 ) -> tuple[Floats, Floats]:
+    """Means and standard deviations of the errors of one tracker, both of shape (parameters,) [SI]."""
     errors = {error: float(value) for error, value in instrument.errors.items() if error != "draw"}
     for error in errors:
         with as_setup_error(f"{tracker_table_name(parameter_name)}.errors.{error}"):
@@ -60,7 +60,7 @@ def _error_distribution(
 
 
 def nominal_noise(scenario: Scenario, sightings: Sightings) -> Floats:
-    """True standard deviation (n, 3) [m, rad, rad] of the white noise: the specification times the noise factor."""
+    """True standard deviations of the noise, shape (pointings, 3) [m, rad, rad]: specification times noise factor."""
     trackers = scenario.trackers_in_use.values()
     factor = np.array([tracker.noise_factor for tracker in trackers])[sightings.instrument]
     noise = [tracker.noise for tracker in trackers]
@@ -68,14 +68,17 @@ def nominal_noise(scenario: Scenario, sightings: Sightings) -> Floats:
 
 
 def instrument_resolutions(scenario: Scenario) -> Floats:
-    """Resolution (I, 3) [m, rad, rad] of each tracker's readings; 0 for none."""
+    """Resolution of the readings of each tracker, shape (instruments, 3) [m, rad, rad]; 0 means no rounding."""
     steps = [tracker.resolution for tracker in scenario.trackers_in_use.values()]
     units = np.array([MICROMETRE, ARCSECOND, ARCSECOND])
     return np.array([[step.distance_um, step.angle_arcsec, step.angle_arcsec] for step in steps]) * units
 
 
 def round_to_resolution(readings: Floats, resolution: Floats) -> Floats:
-    """Readings (n, 3) rounded to multiples of `resolution` (3,) or (n, 3) [m, rad, rad]; a step of 0 does not round."""
+    """Readings (pointings, 3) rounded to multiples of `resolution`, which is (3,) or (pointings, 3) [m, rad, rad].
+
+    A resolution of 0 means no rounding.
+    """
     resolution = np.broadcast_to(resolution, readings.shape)
     return np.where(
         resolution > 0.0, resolution * np.round(readings / np.where(resolution > 0.0, resolution, 1.0)), readings
@@ -83,23 +86,22 @@ def round_to_resolution(readings: Floats, resolution: Floats) -> Floats:
 
 
 def scenario_effects(scenario: Scenario) -> tuple[Effect, ...]:
-    """Effects of the scenario in the order of its file; the incidence error of the reflectors, if enabled, is last.
+    """Effects of a scenario in the order of its file; the incidence error of the reflectors, if enabled, is last.
 
-    The parameters of the incidence error are those of the table (`reflector_error_parameters`).
-
-    Raises SetupError with the entry and the permitted values.
+    `reflector_error_parameters` gives the parameters of the incidence error. SetupError is raised for an invalid entry.
     """
     effects = [_effect_from_entry(entry, i + 1) for i, entry in enumerate(scenario.effects)]
     return (*effects, SmrIncidence()) if scenario.smr.incidence_error else tuple(effects)
 
 
 def reflector_error_parameters(scenario: Scenario) -> Floats:
-    """Parameters (p,) [SI] of the effect `smr-incidence` that correspond to the scenario's table."""
+    """Parameters [SI] of the effect `smr-incidence` for the table of range errors in the scenario."""
     table = tuple(x * MICROMETRE for x in scenario.smr.table_um)
     return SmrIncidence(table=table, direction=scenario.smr.direction_deg * DEGREE).parameters_from_table
 
 
 def _effect_from_entry(effect_entry: EffectEntry, entry_number: int) -> Effect:
+    """Effect of the catalogue for an entry of the scenario; raises SetupError for an invalid entry."""
     effect = effect_entry.effect(f"effects.{entry_number}")
     names = [p.name for p in effect.parameters]
     for name in effect_entry.values:

@@ -1,4 +1,4 @@
-"""Scenario: everything a simulation needs except the seed, as a readable and editable file."""
+"""Scenario: all inputs of a simulation except the seed, in an editable file."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import chain
@@ -38,7 +38,7 @@ from ltsim.simulation.sections import (
 SCENARIO_FORMAT = "ltsim-scenario/1"
 """Format and version of a scenario file."""
 AIR_TEMPERATURE_COLUMN = "air_temperature_c"
-"""Name of the temperature column of a simulated recording."""
+"""Column of a simulated recording with the temperature of the air."""
 MIN_TARGETS = 3
 """Smallest number of targets, including those of the gauge."""
 MAX_NAMES_IN_ERROR = 12
@@ -47,30 +47,30 @@ ALWAYS_WRITTEN_KEYS = (
     "format", "title", "reference_radius_mm", "workshop", "placing", "instrument", "smr", "cmm", "work", "instruments",
     "gauge", "air",
 )  # fmt: skip
-"""Keys whose defaults are always written to a scenario's file."""
+"""Keys that are written to the file of a scenario even with their default values."""
 REMOVAL_VALUE = "none"
-"""Value that removes a key of the scenario: ``gauge = "none"``."""
+"""Value that removes a key from the scenario, as in ``gauge = "none"``."""
 
 
 class Scenario(TomlSection, Result):
-    """Contents of a scenario file."""
+    """Scenario of a simulation, with the content of its file."""
 
     format: Literal["ltsim-scenario/1"] = "ltsim-scenario/1"
     """Format and version of this file."""
     title: str = ""
-    """Free text."""
+    """Title of the scenario, free text."""
     base: str | None = None
     """Built-in scenario whose tables are the defaults for tables of this file; the value "none" removes a table."""
     workshop: Workshop = Workshop()
     """Room, air and obstacles."""
     placing: Placing = Placing()
-    """Standard deviations of the true places about the plan."""
+    """Standard deviations of the true positions about the planned ones."""
     instrument: ScenarioInstrument = ScenarioInstrument()
-    """Tracker of every station that names no other one."""
+    """Tracker of all stations that name no other tracker."""
     instruments: dict[str, ScenarioInstrument] = Field(default_factory=dict)
     """Several trackers by name, tables `[instruments.NAME]`, all of one construction."""
     smr: Smr = Smr()
-    """The reflectors."""
+    """Properties of the reflectors."""
     reflectors: dict[str, Reflector] = Field(default_factory=dict)
     """SMRs with individual radii, tables `[reflectors.NAME]`, one per target or station; the offset is along the nest's
     normal, and true radii are drawn with the positions.
@@ -103,12 +103,12 @@ class Scenario(TomlSection, Result):
 
     @property
     def trackers_in_use(self) -> dict[str, ScenarioInstrument]:
-        """Instruments in use by name, in the order of `Recording.instruments`; '' for one without a name."""
+        """Trackers in use by name, in the order of `Recording.instruments`; '' for a tracker without a name."""
         names = sorted({station.instrument or "" for station in self.stations.values()})
         return {name: self.instruments[name] if name else self.instrument for name in names}
 
     def stations_of(self, tracker: str) -> tuple[str, ...]:
-        """Stations of the tracker of this name."""
+        """Names of the stations of a tracker."""
         return tuple(name for name, station in self.stations.items() if (station.instrument or "") == tracker)
 
     def _lines(self) -> list[str]:
@@ -123,7 +123,7 @@ class Scenario(TomlSection, Result):
 
 
 def load_scenario(name_or_path: str | Path) -> Scenario:
-    """Built-in scenario by its name, or scenario of a file or of a plan's folder; raises SetupError."""
+    """Built-in scenario of a name, or scenario from a file or from the folder of a plan; raises SetupError."""
     path, name = Path(name_or_path), str(name_or_path)
     if (path / "plan.json").is_file():
         path = path / "scenario.toml"
@@ -135,7 +135,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 
 
 def validate_scenario(tables: Mapping[str, Any], file: Path) -> Scenario:
-    """Validated scenario from its tables; `file` is named in errors, and its folder contains CAD files."""
+    """Scenario from its tables after validation; `file` is named in errors, and its folder contains the CAD files."""
     with as_setup_error():
         whole = with_completed_instruments(_with_base(tables), lambda table, _: _with_preset(table, file))
         scenario = validate_settings(whole, Scenario, "scenario", file)
@@ -144,10 +144,10 @@ def validate_scenario(tables: Mapping[str, Any], file: Path) -> Scenario:
 
 
 def change_scenario(scenario: Scenario, changes: Mapping[str, Any], file: Path, error_location: str = "") -> Scenario:
-    """Scenario with some values changed by dotted key, validated again; errors name `file` and `error_location`.
+    """Scenario with new values at dotted keys, after validation; errors name `file` and `error_location`.
 
-    The `preset` of a tracker also sets its noise, its prior and its limits (or asks for them). Raises SetupError for an
-    invalid key or value.
+    A new `preset` of a tracker also sets its noise, its prior and its limits. SetupError is raised for an invalid key
+    or value.
     """
     # Checked twice: as tables with the changes, and as what a file of it would say.
     table = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
@@ -161,7 +161,7 @@ def change_scenario(scenario: Scenario, changes: Mapping[str, Any], file: Path, 
 
 
 def _file_value(value: Any, *, effects: bool) -> Any:
-    """Value of a key as in a file: effects (`lt.Effect` objects or names, alone or in a list) become tables."""
+    """Value of a key in the form of the file; effects (objects or names, single or in a list) become tables."""
     if isinstance(value, Effect | SizedEffect) or (effects and isinstance(value, str)):
         value = [value]
     if not isinstance(value, (list, tuple)):
@@ -172,9 +172,9 @@ def _file_value(value: Any, *, effects: bool) -> Any:
 
 
 def _set_key(table: dict[str, Any], key: str, value: Any, error_location: str) -> None:
-    """Assignment to one dotted key of nested tables.
+    """Assignment of a value to one dotted key in nested tables.
 
-    Entries of lists are numbered from 1, and the value `REMOVAL_VALUE` removes the key.
+    Entries of lists are numbered from 1. The value `REMOVAL_VALUE` removes the key.
     """
     *parents, last = key.split(".")
     inner: Any = table
@@ -196,7 +196,7 @@ def _set_key(table: dict[str, Any], key: str, value: Any, error_location: str) -
 
 
 def _with_base(tables: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Tables of a scenario, with those of its base as defaults."""
+    """Tables of a scenario, completed by the tables of its base."""
     if tables.get("base") is None:
         return tables
     below = _with_base(read_toml(builtin_path(str(tables["base"])), "scenario"))
@@ -205,7 +205,7 @@ def _with_base(tables: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _with_preset(instrument: Any, file: Path) -> Any:
-    """Tables of an instrument, with its preset as defaults."""
+    """Table of an instrument, completed by the values of its preset."""
     if not isinstance(instrument, dict):
         return instrument
     name = instrument.get("preset")
@@ -217,10 +217,10 @@ def _with_preset(instrument: Any, file: Path) -> Any:
 
 
 def _with_exclusions(scenario: Scenario, file: Path) -> Scenario:
-    """Scenario without the stations and reflectors that ``work.stations`` and ``work.targets`` exclude.
+    """Scenario with only the numbers of stations and reflectors in ``work.stations`` and ``work.targets``.
 
-    Excluded places are removed from effects, and trackers without a station are removed. Raises SetupError if more are
-    requested than exist, or if fewer than three targets remain.
+    Excluded stations and targets are removed from effects, and trackers without a station are removed. SetupError is
+    raised if more are requested than exist, or if fewer than three targets remain.
     """
     work = scenario.work
     for key in ("stations", "targets"):
@@ -260,14 +260,14 @@ def _check_effects(entries: Sequence[EffectEntry], stations: set[str], targets: 
 
 
 def _select_spread_targets(targets: Mapping[str, PlannedTarget], n_targets: int) -> dict[str, PlannedTarget]:
-    """Selection of targets in file order, each as far as possible from the previous ones (Gonzalez 1985)."""
+    """Targets that are distributed as widely as possible, in file order (Gonzalez 1985: farthest-point selection)."""
     places = np.array([t.position_mm for t in targets.values()], dtype=np.float64).reshape(-1, 3)
     taken = set(even_filling_order(places)[:n_targets])
     return {name: target for i, (name, target) in enumerate(targets.items()) if i in taken}
 
 
 def even_filling_order(points: Floats) -> list[int]:
-    """Order (n,) in which places (n, 3) fill the room evenly, beginning with the place farthest from their centre."""
+    """Indices of points (points, 3) in an order that fills the room evenly: each is farthest from the previous ones."""
     order: list[int] = []
     gap = np.linalg.norm(points - points.mean(axis=0), axis=1) if len(points) else np.zeros(0)
     for _ in range(len(points)):
@@ -279,7 +279,7 @@ def even_filling_order(points: Floats) -> list[int]:
 
 
 def _resolve_paths(scenario: Scenario, file: Path) -> Scenario:
-    """Scenario whose CAD files are relative to its folder."""
+    """Scenario with the paths of its CAD files relative to the folder of its file."""
     obstacles = tuple(
         o if o.file is None else o.model_copy(update={"file": str(_local_path(o.file, file.parent))})
         for o in scenario.workshop.obstacles
@@ -306,7 +306,7 @@ def _check_scenario(scenario: Scenario, file: Path) -> None:
 
 
 def unknown_name_sentence(key: str, name: str, names: Collection[str], if_empty: str = "") -> Iterator[str]:
-    """Sentence for a name that is not in a list; `if_empty` is the text for an empty list."""
+    """Sentence for a name that is not in a list; `if_empty` replaces the list in the sentence if it is empty."""
     if name not in names:
         listed = ", ".join([*names][:MAX_NAMES_IN_ERROR]) + (" ..." if len(names) > MAX_NAMES_IN_ERROR else "")
         yield f"{key} names '{quoted_text(name)}', which is not one of {listed or if_empty}"
@@ -328,7 +328,7 @@ def _name_errors(scenario: Scenario, file: Path) -> Iterator[str]:
 
 
 def _instrument_errors(scenario: Scenario) -> Iterator[str]:
-    """Sentences on stations with unknown trackers, trackers without stations, and different constructions."""
+    """Sentences on stations with unknown trackers, trackers without stations, and trackers with different models."""
     used = {name: station.instrument for name, station in scenario.stations.items() if station.instrument is not None}
     for station, name in used.items():
         if not scenario.instruments:
@@ -386,12 +386,12 @@ def _effect_errors(scenario: Scenario) -> Iterator[str]:
 
 
 def tracker_table_name(tracker_name: str) -> str:
-    """Name of the scenario table of the tracker with this name; '' for the unnamed one."""
+    """Name of the table of a tracker in the scenario's file; the tracker without a name has the table `instrument`."""
     return f"instruments.{tracker_name}" if tracker_name else "instrument"
 
 
 def scenario_to_toml(scenario: Scenario) -> str:
-    """Text of a file that `load_scenario` reads as the same scenario, with all settings written out."""
+    """Text of the file of a scenario with all settings; `load_scenario` reads the same scenario from it."""
     whole = scenario.model_dump(by_alias=True, exclude_none=True)
     brief = scenario.model_dump(by_alias=True, exclude_defaults=True)
     table: dict[str, Any] = {name: whole[name] for name in ALWAYS_WRITTEN_KEYS if name in whole}

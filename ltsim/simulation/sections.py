@@ -1,4 +1,4 @@
-"""Tables of a scenario file (ltsim-scenario/1). Keys carry their units; callers convert to SI."""
+"""Tables of a scenario file (ltsim-scenario/1). The names of keys contain units; other modules convert to SI."""
 
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self
@@ -26,14 +26,13 @@ from ltsim.recordings.specification import data_sheet_names
 
 Angle = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
 LengthSigma = Annotated[float, Field(ge=1e3 * MIN_SIGMA, le=1e9, allow_inf_nan=False)]
-"""Standard deviation [um] of a length, with the lower bound of a set-up's."""
+"""Standard deviation of a reference length [um], with the same lower bound as in a set-up file."""
 Fraction = Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)]
 Celsius = Annotated[float, Field(ge=-60, le=80, allow_inf_nan=False)]
 
 PAPER_PRIOR = Prior(range_scale_ppm=1.4, range_offset_mm=0.007, angle_arcsec=2.0, offset_mm=0.014)
-"""Prior of the paper's instrument. Errors drawn from it reproduce approximately the values of the paper's Table 3
-before calibration: means of 48 and 24 um in experiment 01, of 46 and 29 um in the paper.
-"""
+"""Prior of the paper's instrument. Errors drawn from it reproduce the paper's Table 3 before calibration approximately:
+means of 48 and 24 um in experiment 01, and of 46 and 29 um in the paper."""
 
 PRESETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
     {
@@ -136,7 +135,7 @@ class Placing(TomlSection):
 
 
 class Resolution(TomlSection):
-    """Resolution of the readings; 0 for none, default that of the paper (section 2.1.1)."""
+    """Resolution of the readings; 0 means no rounding. The default is the resolution in section 2.1.1 of the paper."""
 
     distance_um: NonNegative = 0.1
     """Smallest step of a range."""
@@ -211,14 +210,14 @@ class ScenarioInstrument(TomlSection):
 
 
 class Smr(TomlSection):
-    """Reflectors: use of their nests, and range error over incidence."""
+    """Reflectors: orientation of their nests, and their range error as a function of the incidence angle."""
 
     nests: Literal["re-aimed", "fixed"] = "re-aimed"
     """Orientation of the nests: re-aimed at each station before its pointings, or fixed."""
     acceptance_deg: Annotated[float, Field(gt=0, le=90)] = 30.0
     """Largest incidence angle at which the beam is returned."""
     reflector: str | None = None
-    """Name of the SMR, if neither station nor target names one."""
+    """Name of the SMR where neither the station nor the target names one."""
     incidence_error: bool = False
     """True for reflectors with the incidence error of `table_um`."""
     table_um: Annotated[tuple[Finite, ...], Field(min_length=len(TABLE_ANGLES), max_length=len(TABLE_ANGLES))] = tuple(
@@ -226,7 +225,7 @@ class Smr(TomlSection):
     )
     """Range error at -30, -22.5, ... +30 deg of incidence."""
     direction_deg: Angle = 0.0
-    """Direction of the table's positive side about the nest's normal, 0 along the horizontal."""
+    """Direction of positive incidence angles of the table about the nest's normal; 0 is along the horizontal."""
 
 
 class Cmm(TomlSection):
@@ -287,13 +286,13 @@ class ScenarioGauge(TomlSection):
     """
 
     targets: tuple[str, ...] = ("T25", "T26", "T27", "T28")
-    """Names of its reflectors."""
+    """Names of the reflectors of the gauge."""
     reading: Literal["columns", "rows"] = "columns"
-    """Reading direction of the paper's Table 2, whose alignment was lost in print."""
+    """Direction in which the paper's Table 2 is read, because the printed table has lost its alignment."""
     distance: tuple[GaugeLength, ...] = ()
-    """Lengths of another gauge, tables `[[gauge.distance]]`; together they must determine its shape."""
+    """Lengths of a gauge other than the paper's, tables `[[gauge.distance]]`; together they determine its shape."""
     position_mm: Vector
-    """Position of its centre."""
+    """Planned position of the centre of the gauge."""
     yaw_deg: Angle = 0.0
     """Rotation about z."""
     pitch_deg: Angle = 0.0
@@ -301,17 +300,17 @@ class ScenarioGauge(TomlSection):
     roll_deg: Angle = 0.0
     """Rotation about x."""
     nest_normal: Vector | None = None
-    """Normal of its fixed nests."""
+    """Normal of the fixed nests of the gauge."""
     calibrated_at_c: Celsius = 20.0
-    """Temperature of its calibration."""
+    """Temperature at which the gauge was calibrated."""
     measured_at_c: Celsius | None = None
-    """Temperature that the recording declares; default that of the air."""
+    """Temperature of the gauge that the recording declares; default the temperature of the air."""
     expansion_per_k: Finite = 23.2e-6
     """Coefficient of thermal expansion that the recording declares."""
     sigma_expansion_per_k: NonNegative | None = None
-    """Standard deviation of the coefficient, from which the true one is drawn."""
+    """Standard deviation of the expansion coefficient, with which its true value is drawn."""
     sigma_temperature_k: NonNegative | None = None
-    """Standard deviation of the declared temperature, from which the true one is drawn."""
+    """Standard deviation of the declared temperature, with which the true temperature is drawn."""
     sigma_um: LengthSigma | None = None
     """Standard deviation of each length; default that of the measuring machine."""
 
@@ -341,20 +340,20 @@ class PlannedStation(TomlSection):
     levelled: bool = False
     """True for a standing axis that is levelled to the vertical."""
     levelling_sigma_arcsec: Positive = 1.0
-    """Standard deviation of the level."""
+    """Standard deviation of the levelling, about each horizontal axis."""
     instrument: str | None = None
     """Name of the tracker at this station, a table `[instruments.NAME]`; default `[instrument]`."""
     reflector: str | None = None
-    """Name of the SMR that is carried to all targets from here; default the SMR of each target."""
+    """Name of the SMR that measures all targets from this station; default the SMR of each target."""
 
 
 class PlannedTarget(TomlSection):
-    """Planned target."""
+    """Planned reflector position."""
 
     position_mm: Vector
     """Planned position."""
     nest_normal: Vector | None = None
-    """Normal of its fixed nest; default the direction to the centre of the stations."""
+    """Normal of the target's fixed nest; default the direction to the centre of the stations."""
     reaimed: bool | None = None
     """True for a reflector that is turned towards each station; default by `smr.nests`."""
     reflector: str | None = None
@@ -371,10 +370,10 @@ class PlacedEffect(TomlSection):
     targets: tuple[str, ...] = ()
     """Targets at which it acts; empty for all."""
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
-    """Constants by name, in units of display if the effect declares one, otherwise in SI."""
+    """Constants of the effect by name, in display units if the effect declares one, otherwise in SI units."""
 
     def effect(self, error_location: str) -> Effect:
-        """Effect object of the entry; raises SetupError that names `error_location` and the permitted values."""
+        """Effect object of the entry; SetupError with the permitted values, which begins with `error_location`."""
         try:
             return make_effect(self.name, {"stations": self.stations, "targets": self.targets}, self.shape)
         except (ModelError, ValueError, TypeError, KeyError) as problem:
@@ -382,16 +381,16 @@ class PlacedEffect(TomlSection):
 
 
 class EffectEntry(PlacedEffect):
-    """Effect in addition to the instrument's errors: name, places, constants and values."""
+    """Effect of a scenario in addition to the instrument's errors: name, places, constants and sizes."""
 
     draw: bool = False
     """True if values that are not given are drawn at their plausible size; otherwise they are 0."""
     values: dict[str, Finite] = Field(default_factory=dict)
-    """Values of the parameters by name, in units of display."""
+    """Values of the parameters by name, in display units."""
 
     @classmethod
     def from_effect(cls, source: Effect | SizedEffect) -> Self:
-        """Entry of an effect with its places, constants and sizes; sizes are drawn if none is given."""
+        """Entry of an effect with its places, constants and sizes; the sizes are drawn if none is given."""
         sized = source if isinstance(source, SizedEffect) else SizedEffect(source, {})
         effect, sizes = sized.effect, dict(sized.parameter_values)
         places = {"stations": effect.stations, "targets": effect.targets}

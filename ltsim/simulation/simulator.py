@@ -1,4 +1,4 @@
-"""Simulator: recording and truth of a scenario, a seed and a trial number."""
+"""Simulator: recording and truth of one trial of a scenario with a seed."""
 
 from collections.abc import Iterator, Sequence
 from itertools import combinations
@@ -38,21 +38,21 @@ from ltsim.simulation.sections import ScenarioInstrument
 from ltsim.simulation.truth import AppliedEffect, TrackerTruth, Truth, TruthArrays
 
 GeometrySharing = Literal["shared", "per-trial"]
-"""Sharing of geometry: one placing of stations and targets for all trials, or a separate one for each."""
+"""Choice between one layout of stations and targets for all trials, and a separate layout for each trial."""
 
 
 def simulate(
     scenario: Scenario, seed: int, trial: int = 0, geometry: GeometrySharing = "shared"
 ) -> tuple[Recording, Truth]:
-    """Recording and truth of one trial of a scenario, equal to that trial of a campaign with this seed.
+    """Recording and truth of one trial of a scenario, equal to the same trial of a campaign with this seed.
 
-    Raises SetupError for an impossible scenario.
+    SetupError is raised for an impossible scenario.
     """
     return measure_trial(make_geometry(scenario, seed, *placing_stream_key(trial, geometry)), seed, trial)
 
 
 def placing_stream_key(trial: int, geometry: GeometrySharing) -> tuple[str | int, ...]:
-    """Key of the draws of positions: common to all trials, or separate for each."""
+    """Key of the random draws of positions, which is common to all trials or separate for each trial."""
     return ("trial", trial) if trial and geometry == "per-trial" else ()
 
 
@@ -64,10 +64,10 @@ def measure_trial(
     true_instrument_errors: Floats | None = None,
     stream_key: str = "",
 ) -> tuple[Recording, Truth]:
-    """Recording and truth of a trial on a fixed geometry; instrument errors, gauge calibration and noise are drawn.
+    """Recording and truth of a trial at given true positions; instrument errors, certificates and noise are drawn.
 
-    `true_instrument_errors` (I, p) [SI] replaces the drawn instrument errors; `stream_key` as in
-    `TrialDistributions.draw`.
+    `true_instrument_errors` (instruments, parameters) [SI] replaces the drawn instrument errors. `stream_key` is
+    explained in `TrialDistributions.draw`.
     """
     blank = error_free_recording(geometry)
     given = None if true_instrument_errors is None else true_instrument_errors[:, :, None]
@@ -84,7 +84,7 @@ def measure_trial(
 
 
 def error_free_recording(geometry: MeasurementGeometry) -> Recording:
-    """Recording of an ideal tracker with exact certificates, and with all declarations."""
+    """Recording of an ideal tracker with exact certificates, and with all declarations of the set-up."""
     s, scenario = geometry.sightings, geometry.scenario
     has_reflectors = scenario.reflectors or any(station.reflector for station in scenario.stations.values())
     bare = Recording(
@@ -107,7 +107,7 @@ def error_free_recording(geometry: MeasurementGeometry) -> Recording:
 
 
 def trial_distributions(geometry: MeasurementGeometry, error_free_recording: Recording) -> TrialDistributions:
-    """Distributions of the trials on a geometry; `error_free_recording` is its error-free recording."""
+    """Distributions of the random values of trials at given true positions, with their error-free recording."""
     scenario = geometry.scenario
     mean, sigma = instrument_error_distribution(scenario, geometry.construction)
     return TrialDistributions(
@@ -127,10 +127,10 @@ def trial_distributions(geometry: MeasurementGeometry, error_free_recording: Rec
 def simulate_readings(
     geometry: MeasurementGeometry, instrument: Floats, effect_sizes: tuple[Floats, ...], noise: Floats
 ) -> Floats:
-    """Raw readings (n, 3) with noise and rounding; NaN for observables that are not recorded.
+    """Raw readings with noise and rounding, shape (pointings, 3); NaN for observables that are not recorded.
 
-    `instrument` (I, p) [SI] are the errors of the trackers, `true_instrument_errors` has parameters (q,) [SI] for each
-    effect of `work.effects`, and `noise` (n, 3) [m, rad, rad] is added.
+    `instrument` (instruments, parameters) [SI] are the errors of the trackers, `effect_sizes` has the parameters [SI]
+    of each effect, and `noise` (pointings, 3) [m, rad, rad] is added.
     """
     readings = exact_readings(geometry, instrument, effect_sizes) + noise
     readings[:, 1] = wrap_angle(readings[:, 1])
@@ -144,9 +144,9 @@ def simulate_readings(
 
 
 def exact_readings(geometry: MeasurementGeometry, instrument: Floats, effect_sizes: tuple[Floats, ...]) -> Floats:
-    """Raw readings (n, 3) without noise: the exact construction, then effects in the order of their stages.
+    """Raw readings without noise, shape (pointings, 3): those of the true instrument, then changed by each effect.
 
-    `instrument` and `true_instrument_errors` as of `simulate_readings`.
+    The arguments are those of `simulate_readings`.
     """
     sightings = geometry.sightings
     for mistake in occurring_blunders(geometry.effects, effect_sizes):
@@ -160,12 +160,12 @@ def exact_readings(geometry: MeasurementGeometry, instrument: Floats, effect_siz
 
 
 def occurring_blunders(effects: Sequence[Effect], effect_sizes: Sequence[Floats]) -> list[Blunder]:
-    """Blunders that occur in a trial: their parameter is not 0."""
+    """Blunders that occur in a trial, which are those whose parameter is not 0."""
     return [e for e, made in zip(effects, effect_sizes, strict=True) if isinstance(e, Blunder) and np.any(made[0])]
 
 
 def ineffective_effect_notes(geometry: MeasurementGeometry) -> Iterator[str]:
-    """Notes on effects without influence, because a column, a time or a nest is missing."""
+    """Notes on effects that change nothing, because a column, a time or a nest is missing."""
     yield from error_free_recording(geometry).notes[len(geometry.hidden_pair_notes) :]
 
 
@@ -268,7 +268,7 @@ def _truth_of_trial(
 def with_exact_lengths(recording: Recording, geometry: MeasurementGeometry) -> Recording:
     """Recording with the declared properties of its reference lengths, and with certificates without error.
 
-    The lengths are those between the true positions of the reflectors.
+    The lengths are the true distances between the reflectors.
     """
     scenario, points = geometry.scenario, geometry.sightings.target_points
     gauge, warm = scenario.gauge, scenario.workshop.temperature_c
@@ -296,7 +296,10 @@ def with_exact_lengths(recording: Recording, geometry: MeasurementGeometry) -> R
 
 
 def _declared_reference_lengths(scenario: Scenario) -> Iterator[tuple[GaugeDistance, float | None]]:
-    """Reference lengths of the gauge and of scale bars, each 1 mm long, with the declared sigma [um] if any."""
+    """Reference lengths of the gauge and of scale bars, all 1 mm long, each with its declared standard deviation [um].
+
+    The standard deviation is None if none is declared.
+    """
     blank = {"length_mm": 1.0, "sigma_mm": 1.0}
     if scenario.gauge:
         for a, b in combinations(scenario.gauge.targets, 2):
@@ -308,7 +311,7 @@ def _declared_reference_lengths(scenario: Scenario) -> Iterator[tuple[GaugeDista
 
 
 def with_certificates(recording: Recording, length: Floats, sigma: Sequence[float] | None = None) -> Recording:
-    """Recording with other certificates: lengths (g,) [m] at calibration, and (if given) their sigmas [m]."""
+    """Recording with other reference lengths [m] at calibration, and other standard deviations [m] if given."""
     if recording.setup.gauge is None:
         return recording
     lines = []

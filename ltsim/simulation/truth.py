@@ -1,4 +1,4 @@
-"""Truth of a simulated recording, in a separate file (ltsim-truth/1) that calibration and diagnosis never read."""
+"""Truth of a simulated recording in a separate file (ltsim-truth/1), which calibration and diagnosis never read."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -35,46 +35,49 @@ POINTS_TABLE = Table(
 
 @dataclass(frozen=True)
 class AppliedEffect(ValueEquality):
-    """Applied effect with the true values (q,) [SI] of its parameters."""
+    """Effect that a simulation applied, with the true values of its parameters."""
 
     effect: Effect
+    """Effect with its places and constants."""
     parameter_values: Floats
+    """True values of the parameters of the effect, shape (parameters,) [SI]."""
 
 
 @dataclass(frozen=True)
 class TruthArrays(ValueEquality):
-    """True values in SI units, workshop frame."""
+    """True values of a simulation as arrays in SI units, in the frame of the workshop."""
 
     station_positions: Floats
-    """Positions of the stations, (S, 3) [m]."""
+    """Positions of the stations, shape (stations, 3) [m]."""
     station_rotations: Floats
-    """Instrument frame to workshop, (S, 3, 3)."""
+    """Rotation matrices from instrument to workshop, shape (stations, 3, 3)."""
     target_points: Floats
-    """Positions of the targets, without the displacements of effects, (T, 3) [m]."""
+    """Positions of the targets without displacements by effects, shape (targets, 3) [m]."""
     instrument_values: Mapping[str, float]
-    """True values [SI] of the construction's parameters by name; ``beam-tilt@NAME`` for several instruments."""
+    """True parameters of the instruments by name [SI]; ``beam-tilt@NAME`` if there are several instruments."""
     effects: tuple[AppliedEffect, ...] = ()
-    """Applied effects, in addition to the instrument's parameters."""
+    """Effects that the simulation applied, in addition to the instrument's parameters."""
     nominal_points: Floats | None = None
-    """Coordinates of the targets from the measuring machine, (T, 3) [m]; None without one."""
+    """Coordinates of the targets from the measuring machine, shape (targets, 3) [m]; None without a measuring machine.
+    """
 
 
 def _checked_unit(unit: str) -> str:
-    """The unit, checked to be known; raises ValueError."""
+    """Unit unchanged, after a check that it is known; raises ValueError."""
     if unit not in SI_PER_UNIT:
         raise ValueError(f"'{quoted_text(unit)}' is not a unit, expected one of {', '.join(SI_PER_UNIT)}")
     return unit
 
 
 class TrackerTruth(Entry):
-    """Named instrument in a truth file."""
+    """Tracker with a name, in a truth file."""
 
     name: str
     """Name of the instrument in the set-up."""
     stations: tuple[str, ...] = ()
-    """Stations where it stood."""
+    """Names of the stations where the tracker stood."""
     noise_factor: Finite = 1.0
-    """Ratio of its true noise to the declared noise."""
+    """Ratio of the true noise of the tracker to its declared noise."""
 
 
 class TrueParameterValue(Entry):
@@ -101,19 +104,19 @@ class TrueInstrumentValue(TrueParameterValue):
 
     @classmethod
     def from_si(cls, parameter_name: str, value_si: float, unit: str) -> Self:
-        """Entry of a value [SI]; `parameter_name` has the form of `Construction.instrument_parameter_names`."""
+        """Entry of a value [SI]; `parameter_name` ends in ``@`` and the name of the instrument if there are several."""
         name, _, instrument = parameter_name.partition("@")
         whose = {"instrument": instrument} if instrument else {}
         return cls(name=name, value=value_si / SI_PER_UNIT[unit], unit=unit, **whose)
 
     @property
     def flat_name(self) -> str:
-        """Name of the parameter with its instrument, in the form of `Construction.instrument_parameter_names`."""
+        """Name of the parameter, with ``@`` and the name of the instrument if it has one."""
         return f"{self.name}@{self.instrument}" if self.instrument else self.name
 
 
 class TrueEffect(Entry):
-    """Applied effect of the catalogue in a truth file."""
+    """Effect of the catalogue that the simulation applied, in a truth file."""
 
     name: str = Field(alias="effect")
     """Name of the effect in the catalogue."""
@@ -122,13 +125,13 @@ class TrueEffect(Entry):
     targets: tuple[str, ...] = ()
     """Targets at which it acts; empty for all."""
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
-    """Constants by name, in units of display if the effect declares one, otherwise in SI."""
+    """Constants of the effect by name, in display units if the effect declares one, otherwise in SI units."""
     parameters: tuple[TrueParameterValue, ...] = ()
     """True values of the parameters of the effect."""
 
     @classmethod
     def from_applied(cls, applied_effect: AppliedEffect) -> Self:
-        """The entry of an effect."""
+        """Entry of the file for an applied effect."""
         effect, values = applied_effect.effect, applied_effect.parameter_values.tolist()
         return cls(
             effect=effect.name,
@@ -142,7 +145,7 @@ class TrueEffect(Entry):
         )
 
     def to_applied(self) -> AppliedEffect:
-        """The effect as an object, with its values [SI]; raises LtsimError."""
+        """Applied effect of the entry with its values [SI]; raises LtsimError."""
         effect = make_effect(self.name, {"stations": self.stations, "targets": self.targets}, self.shape)
         values = {p.name: p.value for p in self.parameters}
         return AppliedEffect(
@@ -167,27 +170,27 @@ class TruePose(TruePoint):
 
 
 class Truth(ResultFile):
-    """`truth.json`: the true values from which a recording was simulated."""
+    """True values from which a recording was simulated, with the content of `truth.json`."""
 
     FILE: ClassVar[str] = "truth.json"
     format: Literal["ltsim-truth/1"] = "ltsim-truth/1"
     """Format and version of this file."""
     title: str = ""
-    """Free text."""
+    """Title of the scenario, free text."""
     seed: int = 0
-    """Root of the random draws."""
+    """Seed of the random draws."""
     trial: int = 0
     """Number of the trial among the trials of its seed."""
     construction: str
-    """Construction that generated the readings."""
+    """Instrument model that generated the readings."""
     parameters: tuple[TrueInstrumentValue, ...] = ()
     """True errors of the instruments."""
     effects: tuple[TrueEffect, ...] = ()
-    """Effects beyond the errors of the instruments."""
+    """Effects that the simulation applied, in addition to the errors of the instruments."""
     noise_factor: Finite = 1.0
-    """Ratio of the true noise to the declared noise of an instrument without a name."""
+    """Ratio of the true noise to the declared noise, for a tracker without a name."""
     instruments: tuple[TrackerTruth, ...] = ()
-    """Instruments, if they have names."""
+    """Trackers that have names."""
     stations: tuple[TruePose, ...] = Field(min_length=1)
     """True poses of the stations."""
     targets: tuple[TruePoint, ...] = Field(min_length=1)
@@ -216,9 +219,9 @@ class Truth(ResultFile):
         parameter_units: Sequence[str],
         **other_fields: object,
     ) -> Self:
-        """Truth from arrays, with names of stations and targets and units of parameters.
+        """Truth from arrays, names of stations and targets, and display units of the parameters.
 
-        `other_fields` are other fields of the model.
+        `other_fields` are the other fields of the truth.
         """
         nominal = (
             {}
@@ -254,7 +257,7 @@ class Truth(ResultFile):
 
     @property
     def arrays(self) -> TruthArrays:
-        """The true values in SI units."""
+        """True values as arrays in SI units."""
         if self._arrays is None:
             self._arrays = TruthArrays(
                 station_positions=_entry_positions(self.stations),
@@ -268,32 +271,32 @@ class Truth(ResultFile):
 
     @property
     def station_positions(self) -> Floats:
-        """True positions of the stations, (S, 3) [m]."""
+        """True positions of the stations, shape (stations, 3) [m]."""
         return self.arrays.station_positions
 
     @property
     def station_rotations(self) -> Floats:
-        """Rotations from instrument frame to workshop, (S, 3, 3)."""
+        """Rotation matrices from instrument to workshop, shape (stations, 3, 3)."""
         return self.arrays.station_rotations
 
     @property
     def target_points(self) -> Floats:
-        """True positions of the targets without the displacements of effects, (T, 3) [m]."""
+        """True positions of the targets without displacements by effects, shape (targets, 3) [m]."""
         return self.arrays.target_points
 
     @property
     def instrument_values(self) -> Mapping[str, float]:
-        """True values of the construction's parameters [SI], ``beam-tilt@NAME`` where there are several instruments."""
+        """True parameters of the instruments by name [SI]; ``beam-tilt@NAME`` if there are several instruments."""
         return self.arrays.instrument_values
 
     @property
     def units(self) -> dict[str, str]:
-        """Display unit of each parameter."""
+        """Display unit of each parameter by its name."""
         return {p.flat_name: p.unit for p in self.parameters}
 
     @property
     def applied_effects(self) -> tuple[AppliedEffect, ...]:
-        """Applied effects, in addition to the instrument's parameters."""
+        """Effects that the simulation applied, in addition to the instrument's parameters."""
         return self.arrays.effects
 
     @property
@@ -319,30 +322,30 @@ class Truth(ResultFile):
 
 
 def _point_entries(names: Sequence[str], positions: Floats) -> tuple[TruePoint, ...]:
-    """Entries of positions (n, 3) [m]."""
+    """Entries of the file for points with coordinates (points, 3) [m]."""
     places = (positions / MILLIMETRE).tolist()
     return tuple(TruePoint(name=name, position_mm=place) for name, place in zip(names, places, strict=True))
 
 
 def _entry_positions(points: Sequence[TruePoint]) -> Floats:
-    """Positions (n, 3) [m] of entries."""
+    """Coordinates (points, 3) [m] of entries of the file."""
     return np.array([p.position_mm for p in points]).reshape(-1, 3) * MILLIMETRE
 
 
 def write_truth(truth: Truth, path: Path) -> None:
-    """Atomic writing of a truth file."""
+    """Writing of a truth file, completely or not at all."""
     write_text(path, truth.text())
 
 
 def read_truth(path: Path) -> Truth:
-    """Truth from a file; raises RecordError."""
+    """Truth read from a file; raises RecordError."""
     return read_result(path, Truth)
 
 
 def nominal_csv(truth: Truth) -> str:
-    """Table ``target,x_mm,y_mm,z_mm`` of the measuring machine's points, for verification.
+    """Text of the table ``target,x_mm,y_mm,z_mm`` with the points from the measuring machine, for `ltsim verify`.
 
-    Raises ModelError for a scenario without measuring machine.
+    ModelError is raised for a scenario without a measuring machine.
     """
     if truth.nominal is None:
         raise ModelError("the scenario measured no nominal points; set nominal = true in its table [cmm]")

@@ -1,4 +1,4 @@
-"""Public functions of the simulation: scenarios, and recordings of them."""
+"""Public functions of the simulation: `scenario` and `simulate`."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,11 +11,11 @@ from ltsim.simulation.simulator import GeometrySharing, simulate as measured
 from ltsim.simulation.truth import Truth
 
 ScenarioSource = Scenario | str | Path
-"""Scenario, its file, or the name of a built-in one."""
+"""Scenario, path of its file, or name of a built-in scenario."""
 
 
 class SimulatedRecording(NamedTuple):
-    """Recording and its truth."""
+    """Simulated recording and its truth."""
 
     recording: Recording
     truth: Truth

@@ -1,4 +1,4 @@
-"""Planned workshop: poses, points, nests, obstacles and visibility."""
+"""Planned workshop: poses of stations, positions of targets, nests, obstacles and visibility."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,26 +19,26 @@ from ltsim.simulation.sections import Obstacle, ScenarioInstrument
 
 @dataclass(frozen=True)
 class WorkshopLayout:
-    """Poses of stations and positions of targets; SI units, the workshop's frame."""
+    """Poses of the stations and positions of the targets in the frame of the workshop, in SI units."""
 
     station_names: tuple[str, ...]
     target_names: tuple[str, ...]
     station_positions: Floats
-    """Positions of the stations, (S, 3) [m]."""
+    """Positions of the stations, shape (stations, 3) [m]."""
     station_rotations: Floats
-    """Instrument frame to workshop, (S, 3, 3)."""
+    """Rotation matrices from instrument to workshop, shape (stations, 3, 3)."""
     target_points: Floats
-    """Positions of the targets, (T, 3) [m]."""
+    """Positions of the targets, shape (targets, 3) [m]."""
     nest_normals: Floats
-    """Unit normals of the nests, NaN if unknown, (T, 3)."""
+    """Unit normals of the nests, shape (targets, 3); NaN for an unknown normal."""
     is_reaimed: Bools
-    """Flags (T,) of re-aimed reflectors."""
+    """Mask of the reflectors that are turned towards each station, shape (targets,)."""
 
 
 def planned_layout(scenario: Scenario) -> WorkshopLayout:
-    """Planned layout of a scenario; reflectors of the mesh first, then those of the gauge.
+    """Planned layout of a scenario; the reflectors of the mesh come first, then those of the gauge.
 
-    Raises SetupError if no gauge has the declared lengths.
+    SetupError is raised if no rigid frame has the declared lengths of the gauge.
     """
     stations = scenario.stations.values()
     position = np.array([s.position_mm for s in stations], dtype=np.float64) * MILLIMETRE
@@ -62,9 +62,9 @@ def planned_layout(scenario: Scenario) -> WorkshopLayout:
 
 
 def _nest_normals_and_flags(scenario: Scenario, position: Floats, points: Floats) -> tuple[Floats, Bools]:
-    """Normals (T, 3) of the nests and flags (T,) of re-aimed reflectors.
+    """Normals of the nests (targets, 3), and mask (targets,) of the reflectors that are turned towards each station.
 
-    Fixed nests without a normal face the stations.
+    A fixed nest without a declared normal faces the centre of the stations.
     """
     missing = (np.nan, np.nan, np.nan)
     normals = [t.nest_normal or missing for t in scenario.targets.values()]
@@ -83,7 +83,7 @@ def _nest_normals_and_flags(scenario: Scenario, position: Floats, points: Floats
 
 
 def make_sight_limits(scenario: Scenario, tracker: ScenarioInstrument) -> SightLimits:
-    """Limits of a line of sight for a tracker of the scenario and its reflectors."""
+    """Limits of the lines of sight of a tracker to the reflectors of its scenario."""
     limits, cone = tracker.limits, scenario.workshop.shadow_cone_deg
     return SightLimits(
         elevation_min=limits.elevation_min_deg * DEGREE,
@@ -97,31 +97,31 @@ def make_sight_limits(scenario: Scenario, tracker: ScenarioInstrument) -> SightL
 
 @dataclass(frozen=True)
 class PlacedObstacle:
-    """Obstacle at its position."""
+    """Obstacle at its position in the workshop."""
 
     name: str
     triangles: Floats
-    """Triangles of the obstacle, (m, 3, 3) [m]."""
+    """Corners of the triangles of the obstacle's surface, shape (triangles, 3, 3) [m]."""
     cad_file: CadFile | None
     """CAD file of the obstacle; None for a box or cylinder."""
 
     @property
     def description(self) -> str:
-        """Text on a body: name, interpretation of its file, size and place."""
+        """Text on the obstacle: name, interpretation of its CAD file, size and position."""
         read = f" ({self.cad_file.file.name}, {self.cad_file.interpretation_text})" if self.cad_file else ""
         return f"{self.name or 'obstacle'}{read}: {extent_text(self.triangles)}"
 
 
 def make_obstacles(scenario: Scenario) -> Obstacles | None:
-    """Obstacles of the lines of sight, or None in an empty workshop; raises SetupError."""
+    """Obstacles that can block lines of sight; None in a workshop without obstacles; raises SetupError."""
     parts = placed_obstacles(scenario)
     return join_obstacles(body.triangles for body in parts) if parts else None
 
 
 def placed_obstacles(scenario: Scenario) -> list[PlacedObstacle]:
-    """Obstacles at their positions.
+    """Obstacles at their positions in the workshop.
 
-    Raises SetupError for a CAD file that cannot be read, or whose size or position is implausible.
+    SetupError is raised for a CAD file that cannot be read, or whose size or position is implausible.
     """
     room = np.array(scenario.workshop.size_mm) * MILLIMETRE
     parts = []
@@ -147,6 +147,7 @@ def placed_obstacles(scenario: Scenario) -> list[PlacedObstacle]:
 
 
 def _placed_triangles(obstacle_entry: Obstacle, triangles: Floats) -> Floats:
+    """Triangles of an obstacle after its rotation and translation to its position in the workshop."""
     return place_triangles(
         triangles, np.array(obstacle_entry.position_mm) * MILLIMETRE, obstacle_entry.yaw_deg * DEGREE
     )
@@ -155,7 +156,7 @@ def _placed_triangles(obstacle_entry: Obstacle, triangles: Floats) -> Floats:
 def _implausible_place_question(
     obstacle_entry: Obstacle, placed_body: PlacedObstacle, cad_file: CadFile, room_size: Floats
 ) -> str:
-    """Question to the user about an obstacle that extends beyond the room; empty for none."""
+    """Question to the user about an obstacle that extends beyond the room; empty if it does not."""
     if obstacle_entry.beyond_room or is_inside_room(placed_body.triangles, room_size):
         return ""
     other = "z" if cad_file.vertical_axis == "y" else "y"
@@ -172,7 +173,7 @@ def _implausible_place_question(
 
 
 def make_visibility(scenario: Scenario, workshop_layout: WorkshopLayout | None = None) -> Visibility:
-    """Visibility in a scenario as planned or with another layout, with the limits of each tracker."""
+    """Visibility of the targets, as planned or for another layout, with the limits of each tracker."""
     there = planned_layout(scenario) if workshop_layout is None else workshop_layout
     obstacles = make_obstacles(scenario)
     stations_of_tracker = [

@@ -1,8 +1,8 @@
-"""Exact solver for least absolute deviations: it moves between vertices until no neighbouring vertex is better.
+"""Exact solver for least absolute deviations: a linear program, solved by a descent from vertex to vertex.
 
 At a vertex as many residuals are zero as there are unknowns. Reweighted least squares approaches the optimum in a few
-passes; the descent along edges (Barrodale and Roberts 1973) ends at it. The result is the exact solution of the linear
-program, without a lower bound on residuals in the weights.
+passes. From there the solver moves along edges to neighbouring vertices until none is better (Barrodale and Roberts
+1973). The result is exact, unlike that of reweighted least squares, whose weights need a lower bound on the residuals.
 """
 
 import numpy as np
@@ -11,23 +11,23 @@ import scipy.linalg
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError
 
-MAX_VERTEX_SEARCHES = 12
-"""Largest number of searches of an optimal vertex with new perturbations."""
+N_REWEIGHTING_PASSES = 12
+"""Number of passes of reweighted least squares that compute the start point. Their lower bound on residuals decreases
+from the median residual to a hundredth of it."""
 CANDIDATE_ROWS_RATIO = 8
-"""Number of rows with the smallest residuals among which the first vertex is searched, in multiples of the number of
-unknowns."""
+"""Number of rows from which the first vertex is selected, divided by the number of unknowns. These are the rows with
+the smallest residuals."""
 DATA_PERTURBATION = 1e-6
-"""Size of the perturbation of rows, relative to the usual residual, that prevents more rows than unknowns from having
-zero residuals at one vertex.
-"""
+"""Size of the perturbation of the observations, divided by the median absolute residual. The perturbation ensures that
+at no vertex more residuals are zero than there are unknowns, where the descent could cycle."""
 MAX_DESCENT_EDGES = 2000
-"""Largest number of edges along which one search descends."""
+"""Largest number of edges of one descent; after it the solver raises NetworkError."""
 ROUNDING_TOLERANCE = 1e-9
-"""Relative size below which a slope counts as zero (rounding)."""
+"""Relative slope of the objective along an edge up to which the vertex counts as optimal (rounding)."""
 
 
 def solve_least_absolute(design: Floats, observations: Floats, *, start_solution: Floats | None = None) -> Floats:
-    """Solution (k,) of ``min sum |goal - design @ x|``.
+    """Solution x (k,) of ``min sum |observations - design @ x|``.
 
     Raises NetworkError if the descent does not end, which only rounding can cause.
 
@@ -37,46 +37,46 @@ def solve_least_absolute(design: Floats, observations: Floats, *, start_solution
         Design matrix of full rank.
     observations : (m,) float
     start_solution : (k,) float, optional
-        Start point; the solution does not depend on it.
+        Start point of the descent. The solution does not depend on it.
     """
     x = (
         np.asarray(np.linalg.lstsq(design, observations, rcond=None)[0], dtype=np.float64)
         if start_solution is None
         else start_solution
     )
-    usual = float(np.median(np.abs(observations - design @ x)))
-    if not usual > 0.0 or not design.shape[1]:
+    median_residual = float(np.median(np.abs(observations - design @ x)))
+    if not median_residual > 0.0 or not design.shape[1]:
         return x
     if start_solution is None:
-        for floor in usual * np.geomspace(1.0, 0.01, MAX_VERTEX_SEARCHES):
+        for floor in median_residual * np.geomspace(1.0, 0.01, N_REWEIGHTING_PASSES):
             weighted = design / np.maximum(np.abs(observations - design @ x), floor)[:, None]
             x = np.asarray(np.linalg.solve(weighted.T @ design, weighted.T @ observations), dtype=np.float64)
     # By the square of the row's number: multiples of the number itself add up, as differences of the same lengths do.
-    split = (0.6180339887498949 * np.arange(len(observations), dtype=np.float64) ** 2) % 1.0 - 0.5
-    met = _optimal_vertex(design, observations + DATA_PERTURBATION * usual * split, x)
-    return np.asarray(np.linalg.solve(design[met], observations[met]), dtype=np.float64)
+    perturbation = (0.6180339887498949 * np.arange(len(observations), dtype=np.float64) ** 2) % 1.0 - 0.5
+    vertex_rows = _optimal_vertex(design, observations + DATA_PERTURBATION * median_residual * perturbation, x)
+    return np.asarray(np.linalg.solve(design[vertex_rows], observations[vertex_rows]), dtype=np.float64)
 
 
 def _optimal_vertex(design: Floats, observations: Floats, start_solution: Floats) -> Ints:
-    """Rows (k,) with zero residual at the optimal vertex, found by steepest-edge descent."""
-    met = _first_vertex(design, observations, start_solution)
+    """Indices (k,) of the rows with zero residual at the optimal vertex, by descent along the steepest edge."""
+    vertex_rows = _first_vertex(design, observations, start_solution)
     for _ in range(MAX_DESCENT_EDGES):
-        inverse = np.linalg.inv(design[met])
-        residual = observations - design @ (inverse @ observations[met])
-        residual[met] = 0.0
-        pull = (np.sign(residual) @ design) @ inverse
-        leaving = int(np.argmax(np.abs(pull)))
-        slope = abs(float(pull[leaving])) - 1.0
+        inverse = np.linalg.inv(design[vertex_rows])
+        residual = observations - design @ (inverse @ observations[vertex_rows])
+        residual[vertex_rows] = 0.0
+        multipliers = (np.sign(residual) @ design) @ inverse
+        leaving_index = int(np.argmax(np.abs(multipliers)))
+        slope = abs(float(multipliers[leaving_index])) - 1.0
         if slope <= ROUNDING_TOLERANCE:
-            return met
-        along = design @ (np.sign(pull[leaving]) * inverse[:, leaving])
-        along[met] = 0.0
-        met[leaving] = _entering_row(residual, along, slope)
+            return vertex_rows
+        edge_rates = design @ (np.sign(multipliers[leaving_index]) * inverse[:, leaving_index])
+        edge_rates[vertex_rows] = 0.0
+        vertex_rows[leaving_index] = _entering_row(residual, edge_rates, slope)
     raise NetworkError(f"least absolute deviations: no solution after {MAX_DESCENT_EDGES} steps; check the readings")
 
 
 def _first_vertex(design: Floats, observations: Floats, start_solution: Floats) -> Ints:
-    """Independent rows (k,) with nearly zero residuals at a point near the optimum."""
+    """Indices (k,) of linearly independent rows with the smallest residuals at a point near the optimum."""
     residual, count = np.abs(observations - design @ start_solution), design.shape[1]
     order = np.argsort(residual)[: CANDIDATE_ROWS_RATIO * count]
     scaled_design = design[order] / np.maximum(residual[order], residual[order].max() * 1e-6)[:, None]
@@ -85,8 +85,12 @@ def _first_vertex(design: Floats, observations: Floats, start_solution: Floats) 
 
 
 def _entering_row(residual: Floats, edge_residual_rate: Floats, edge_derivative: float) -> int:
-    """Row at which the sum of absolute residuals stops decreasing along an edge: a weighted median."""
+    """Index of the row at which the sum of absolute residuals stops decreasing along an edge (a weighted median).
+
+    `edge_residual_rate` (m,) is the decrease of each residual per unit of length along the edge, and `edge_derivative`
+    the initial decrease of the sum of absolute residuals per unit of length.
+    """
     ahead = np.flatnonzero(residual * edge_residual_rate > 0.0)
     order = ahead[np.argsort(residual[ahead] / edge_residual_rate[ahead])]
-    risen = np.cumsum(2.0 * np.abs(edge_residual_rate[order]))
-    return int(order[min(int(np.searchsorted(risen, edge_derivative)), len(order) - 1)])
+    slope_increase = np.cumsum(2.0 * np.abs(edge_residual_rate[order]))
+    return int(order[min(int(np.searchsorted(slope_increase, edge_derivative)), len(order) - 1)])

@@ -1,4 +1,4 @@
-"""Sparse Cholesky factor for matrices with the structure of a chain of blocks, and the required parts of the inverse.
+"""Sparse Cholesky factor for block tridiagonal matrices with a dense border, and the required parts of the inverse.
 
 Stations along a tunnel or round a ring are coupled to their neighbours only. Ordered by reverse Cuthill-McKee their
 normal matrix is block tridiagonal, with a dense border of the unknowns that everything shares (instrument parameters).
@@ -17,15 +17,18 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from ltsim.core.arrays import Floats, Ints
 
 MAX_SINGLE_BLOCK = 240
-"""Size up to which a matrix is treated as one block, because an ordering would cost more than it saves."""
+"""Number of columns up to which a matrix is treated as one block, because an ordering would cost more than it saves."""
 MIN_BORDER_COUPLING = 0.6
-"""Fraction of all other columns to which a column of the border is coupled at least."""
+"""Fraction of non-zero entries above which a column of the matrix belongs to the border."""
 MIN_BLOCK_SIZE = 48
-"""Smallest number of columns of a block."""
+"""Smallest number of columns of a block. Smaller blocks would cost more in calls than they save in arithmetic."""
 
 
 def arrange_as_chain(matrix: sp.csr_array) -> tuple[Ints, Ints]:
-    """Order (K,) of the columns, and the limits (b + 2,) of b blocks and of the border, which is last."""
+    """Order (K,) of the columns as a chain of b blocks and a border, and the limits (b + 2,) of blocks and border.
+
+    Block i has the positions from limit i to limit i + 1. The border is last.
+    """
     size = matrix.shape[0]
     whole = np.arange(size), np.array([0, size, size])
     if size <= MAX_SINGLE_BLOCK:
@@ -47,15 +50,12 @@ def arrange_as_chain(matrix: sp.csr_array) -> tuple[Ints, Ints]:
 
 @dataclass(frozen=True)
 class BlockWindow:
-    """Inverse (w, w) over two neighbouring blocks and the border.
-
-    `columns` (K,) is the position of each column in it, -1 for none.
-    """
+    """Part (w, w) of the inverse matrix on the columns of two neighbouring blocks and the border."""
 
     columns: Ints
-    """Columns (w,) of the matrix to which the inverse belongs."""
+    """Position of each of the K columns of the whole matrix in this part, (K,); -1 for columns that are not in it."""
     inverse: Floats
-    """Part (w, w) of the inverse."""
+    """Part (w, w) of the inverse matrix."""
 
 
 class BlockChain:
@@ -71,7 +71,7 @@ class BlockChain:
     Attributes
     ----------
     block_of_column : (K,) int
-        Block of each column; the number of blocks for the border.
+        Index of the block of each column. Columns of the border have the number of blocks as index.
     """
 
     def __init__(self, matrix: sp.csr_array) -> None:
@@ -104,7 +104,7 @@ class BlockChain:
 
     @property
     def smallest_pivot(self) -> float:
-        """The smallest pivot."""
+        """Smallest pivot of the Cholesky factorisation: the smallest squared diagonal entry of the factor."""
         return float(
             min(np.diag(root).min(initial=1.0) ** 2 for root in (*self._diagonal_factors, self._border_factor))
         )
@@ -141,7 +141,7 @@ class BlockChain:
 
     @cached_property
     def inverse_windows(self) -> list[BlockWindow]:
-        """Parts of the inverse, each on a block, the next block and the border.
+        """Parts of the inverse matrix, one per block: on this block, the next block and the border.
 
         References
         ----------
@@ -170,7 +170,7 @@ class BlockChain:
         return windows[::-1]
 
     def _block_span(self, block_index: int) -> tuple[int, int, int]:
-        """Begin and end of a block, and the end of the next one."""
+        """First position of a block, end of the block, and end of the next block, in the order of the columns."""
         last = len(self._block_limits) - 2
         return (
             int(self._block_limits[block_index]),
@@ -180,7 +180,7 @@ class BlockChain:
 
 
 def inverse_from_cholesky(lower_factor: Floats) -> Floats:
-    """Inverse of a matrix from its lower Cholesky factor."""
+    """Inverse (k, k) of a symmetric matrix from its lower Cholesky factor (k, k)."""
     if not len(lower_factor):
         return lower_factor
     lower, _ = scipy.linalg.lapack.dpotri(lower_factor, lower=1)

@@ -1,7 +1,8 @@
 """Design matrices of least squares (dense if small, otherwise sparse), and tests for undetermined unknowns.
 
-Fixed tolerances decide which unknowns are undetermined, and not the failure of a factorisation: the rounding errors of
-pivots grow with the length of the null vector, so that for a doubtful direction the length of its image is computed.
+Fixed tolerances decide which unknowns are undetermined, and not the failure of a factorisation, because rounding errors
+of pivots grow with the number of unknowns in the undetermined combination. If a pivot is small, the length of the image
+of the weakest direction under the design is computed instead.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -13,7 +14,7 @@ import scipy.sparse as sp
 from ltsim.core.arrays import Bools, Floats, Ints, median
 
 MAX_DENSE_ENTRIES = 600_000
-"""Number of entries below which a design is dense, because sparse bookkeeping would cost more."""
+"""Number of entries up to which a design is stored as a dense array, because sparse bookkeeping would cost more."""
 
 ROWS_PER_PIECE = 30_000
 """Number of rows of a sparse design that are processed, and copied, at a time."""
@@ -30,8 +31,8 @@ class SparsityPattern:
     Parameters
     ----------
     columns : sequence of (r, w) int
-        Column of each of the w entries of a row, for each kind of row in the order of the design; entries of the same
-        column are added.
+        Columns of the w entries in each of r rows, one array per block of rows, in the order of the design. Entries
+        of a row with the same column are added.
     n_columns : int
         Number of columns of the design.
     """
@@ -50,14 +51,14 @@ class SparsityPattern:
             self._column_indices, self._row_pointers = indices, pointers.astype(small)
 
     def fill(self, design_entries: Iterable[Floats]) -> DesignMatrix:
-        """Design (m, size) with these values, which have the shape of `columns`; each is copied in turn."""
+        """Design matrix (m, n_columns) with these entries: one array per block of rows, shaped as in `columns`."""
         entries, end = np.empty(self._n_entries), 0
         for kind in design_entries:
             begin, end = end, end + kind.size
             entries[begin:end] = kind.ravel()
         if self._is_dense:
             return np.bincount(self._flat_positions, entries, self._shape[0] * self._shape[1]).reshape(self._shape)
-        nonzero = entries != 0.0  # what acts on one station or target is zero in most rows
+        nonzero = entries != 0.0  # parameters of one station or target have zeros in most rows
         before = np.zeros(len(entries) + 1, dtype=self._row_pointers.dtype)
         np.cumsum(nonzero, out=before[1:])
         pointers = before[self._row_pointers]
@@ -65,12 +66,12 @@ class SparsityPattern:
 
 
 def to_dense(design: DesignMatrix) -> Floats:
-    """Design, or some of its rows, as a dense array."""
+    """Design matrix, or some of its rows, as a dense array."""
     return design if isinstance(design, np.ndarray) else design.toarray()
 
 
 def column_scale(design: DesignMatrix) -> Floats:
-    """Reciprocal norm of each column; 1 for an empty column."""
+    """Reciprocal norm (u,) of each column of a design (m, u); 1 for a column of zeros."""
     if isinstance(design, np.ndarray):
         squares = np.einsum("mu,mu->u", design, design)
     else:
@@ -82,18 +83,18 @@ def column_scale(design: DesignMatrix) -> Floats:
 
 
 def scale_columns(rows: sp.csr_array, column_factors: Floats) -> sp.csr_array:
-    """Rows with every column multiplied by its scale."""
+    """Rows (m, u) with each column multiplied by its factor (u,)."""
     return sp.csr_array((rows.data * column_factors[rows.indices], rows.indices, rows.indptr), rows.shape)
 
 
 def iterate_row_pieces(design: sp.csr_array, column_factors: Floats) -> Iterator[sp.csr_array]:
-    """Iterator over batches of rows of a sparse design, with every column multiplied by its scale."""
+    """Iterator over batches of `ROWS_PER_PIECE` rows of a sparse design (m, u), columns multiplied by factors (u,)."""
     for first in range(0, design.shape[0], ROWS_PER_PIECE):
         yield scale_columns(design[first : first + ROWS_PER_PIECE], column_factors)
 
 
 def gram_matrix(row_batches: Iterable[sp.csr_array], n_columns: int) -> sp.csr_array:
-    """Product A' A (size, size) of a sparse design of which `row_batches` are the rows."""
+    """Normal matrix A' A (n_columns, n_columns) of a sparse design A, given in batches of rows."""
     total = sp.csr_array((n_columns, n_columns))
     for part in row_batches:
         total = total + sp.csr_array(part.T @ part)
@@ -101,7 +102,7 @@ def gram_matrix(row_batches: Iterable[sp.csr_array], n_columns: int) -> sp.csr_a
 
 
 def weight_rows(design: DesignMatrix, weight: Floats) -> DesignMatrix:
-    """A design with its rows times weights (m,)."""
+    """Design matrix with each row multiplied by its weight (m,)."""
     if isinstance(design, np.ndarray):
         return np.asarray(design * weight[:, None])
     data = np.repeat(weight, np.diff(design.indptr))
@@ -110,16 +111,18 @@ def weight_rows(design: DesignMatrix, weight: Floats) -> DesignMatrix:
 
 
 MIN_RELIABLE_PIVOT = 1e-8
-"""Pivot of unit columns below which the pivot may be a rounding error, so that the weakest direction is tested
-separately."""
+"""Pivot of a normal matrix with unit diagonal below which the pivot may be a rounding error. The weakest direction is
+then tested separately (`RANK_TOLERANCE`)."""
 RANK_TOLERANCE = 1e-14
-"""Squared length of the image of a unit vector under unit columns at or below which the direction is undetermined.
+"""Squared length of the product of the design, scaled to unit columns, and a unit vector. At or below it the direction
+of this vector is undetermined.
 
-Fifty times the rounding of a Cholesky factorisation; a chain of 2,000 set-ups bends by 1e-13.
+It is fifty times the rounding error of a Cholesky factorisation. The weakest direction of a chain of 2,000 set-ups,
+which is determined, has 1e-13.
 """
 NORMAL_RANK_TOLERANCE = 1e-12
-"""Tolerance as `RANK_TOLERANCE` for a normal matrix after eliminations, whose design is not available: its eigenvalues
-have rounding errors of 1e-15.
+"""Eigenvalue of a reduced normal matrix with unit diagonal at or below which a direction is undetermined. Rounding
+errors of the eigenvalues are about 1e-15.
 """
 
 POINT_RANK_TOLERANCE = 1e-10
@@ -128,9 +131,9 @@ undetermined: its standard deviation is 100,000 times that of the other directio
 
 
 def scale_to_unit_diagonal(symmetric_matrices: Floats, diagonals: Floats) -> tuple[Floats, Floats]:
-    """Symmetric matrices (..., k, k) divided by the column norms, and these scales (..., k).
+    """Symmetric matrices (..., k, k) scaled to unit diagonal, and the scale factors (..., k).
 
-    `n_columns` (..., k) are squared norms.
+    `diagonals` (..., k) are the diagonals of the matrices. The factors are their reciprocal roots, 1 for a zero.
     """
     scale = 1.0 / np.sqrt(np.where(diagonals > 0.0, diagonals, 1.0))
     scaled: Floats = symmetric_matrices * scale[..., :, None] * scale[..., None, :]
@@ -138,9 +141,9 @@ def scale_to_unit_diagonal(symmetric_matrices: Floats, diagonals: Floats) -> tup
 
 
 def cholesky_where_determined(normal_matrices: Floats) -> tuple[Floats, Bools]:
-    """Lower Cholesky factors (b, k, k) of normal matrices of unit columns, and flags (b,) of the determined ones.
+    """Lower Cholesky factors (b, k, k) of b normal matrices with unit diagonal, and flags (b,) of the regular ones.
 
-    Other factors are NaN. Eigenvalues are computed only for matrices with a doubtful pivot.
+    Factors of singular matrices are NaN. Eigenvalues are computed only for matrices with a doubtful pivot.
     """
     try:
         roots: Floats = np.asarray(np.linalg.cholesky(normal_matrices), dtype=np.float64)

@@ -1,13 +1,14 @@
 """Linear least-squares step in which most unknowns are eliminated block by block.
 
-Unknowns come in two kinds: *reduced* ones (K columns) and *eliminated* ones, in blocks of three that no row shares with
-another such block. Normal equations then have a block-diagonal part that is inverted block by block, and what remains
-is the Schur complement of size K: cost is linear in the number of blocks.
+Unknowns are either *reduced* (K columns) or *eliminated* (E blocks of three columns, such as the coordinates of a
+target). No row of the design has entries in two blocks. The part of the normal equations for the eliminated unknowns is
+therefore block diagonal and inverted block by block. A system of size K remains, the Schur complement. The cost is
+linear in the number of blocks.
 
 Columns are scaled to unit norm before any factorisation, so that ranks do not depend on units.
 
-A dense implementation is for small systems and a sparse one for large systems. Both provide solution, leverage and the
-parts of the inverse that rows of the design need; tests compare them. Results are in units of the scaled columns.
+A dense implementation is for small systems and a sparse one for large systems. Both compute the solution, the leverage
+and the parts of the inverse that rows of the design need. Results are in units of the scaled columns.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from ltsim.solve.threads import single_threaded
 
 
 class DenseElimination:
-    """Elimination with dense matrices, for a design (m, K + 3 E)."""
+    """Elimination with dense matrices, for a design (m, K + 3 E) with K reduced columns and E eliminated blocks."""
 
     def __init__(self, design: Floats, n_reduced: int, damping: float) -> None:
         self._design, self._n_reduced = design, n_reduced
@@ -55,7 +56,7 @@ class DenseElimination:
         return float(np.diag(self._cholesky_factor).min(initial=1.0) ** 2)
 
     def solve(self, right_hand_sides: Floats) -> Floats:
-        """Solution for right-hand sides (K + 3 E, c)."""
+        """Solutions (K + 3 E, c) of the normal equations for c right-hand sides (K + 3 E, c)."""
         return scipy.linalg.lapack.dpotrs(self._cholesky_factor, right_hand_sides, lower=1)[0]
 
     @cached_property
@@ -80,7 +81,10 @@ class DenseElimination:
         return self.inverse_of_sets(at), np.einsum("um,um->m", whitened, whitened)
 
     def covariances_of_functions(self, rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
-        """Matrices R N^-1 R' for groups R of neighbouring rows."""
+        """Matrices R N^-1 R', with R a group of neighbouring rows and N the normal matrix.
+
+        Group i has the rows from boundary i to boundary i + 1.
+        """
         for low, high in pairwise(group_boundaries.tolist()):
             group = rows[low:high].toarray() * self.column_scales
             yield group @ self.solve(group.T)
@@ -105,11 +109,11 @@ class SparseElimination:
 
     @property
     def smallest_pivot(self) -> float:
-        """The smallest pivot of the blocks and of the Schur complement."""
+        """Smallest pivot of the blocks and of the Schur complement."""
         return min(self._smallest_block_pivot, self._schur_factor.smallest_pivot)
 
     def solve(self, right_hand_sides: Floats) -> Floats:
-        """Solution for right-hand sides (K + 3 E, c)."""
+        """Solutions (K + 3 E, c) of the normal equations for c right-hand sides (K + 3 E, c)."""
         front, back = right_hand_sides[: self._n_reduced], right_hand_sides[self._n_reduced :]
         reduced = self._schur_factor.solve(front - self._elimination_coefficients @ back)
         blocks = back.reshape(len(back) // 3, 3, right_hand_sides.shape[1])  # of no columns too
@@ -136,7 +140,7 @@ class SparseElimination:
         return inverses
 
     def _first_chain_block(self, columns: Ints, axis: int) -> Ints:
-        """First block of the chain that each set of columns touches."""
+        """Index of the first block of the chain to which any column of each set belongs."""
         return np.asarray(
             self._schur_factor.block_of_column[columns].min(axis=axis, initial=self._schur_factor.n_blocks - 1)
         )
@@ -145,8 +149,8 @@ class SparseElimination:
     def blocks_and_leverage(self) -> tuple[Floats, Floats]:
         """Inverse (E, 3, 3) for every block, and leverage (m,) of every row.
 
-        Rows are grouped by the block that they touch, and rows without a block are processed singly, because all
-        columns coupled by a block are in one window.
+        Rows with entries in the same eliminated block are processed together, because all columns that this block
+        couples are in one `BlockWindow`. Rows without entries in eliminated blocks are processed singly.
         """
         blocks, leverage = self._block_inverses.copy(), np.zeros(self._design.shape[0])
         order, edges, back = _rows_sorted_by_block(self._design, self._n_reduced, len(blocks))
@@ -173,7 +177,7 @@ class SparseElimination:
         return blocks, leverage
 
     def covariances_of_functions(self, rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
-        """Matrices R N^-1 R' for groups R of neighbouring rows; only the needed parts of the inverse are used."""
+        """Matrices R N^-1 R' for groups R of neighbouring rows, as `DenseElimination.covariances_of_functions`."""
         rows = scale_columns(rows, self.column_scales)
         back = sp.csr_array(rows[:, self._n_reduced :])
         reduced = sp.csr_array(rows[:, : self._n_reduced] - back @ self._elimination_coefficients.T)
@@ -190,7 +194,11 @@ class SparseElimination:
 
 
 def _rows_sorted_by_block(design: sp.csr_array, n_reduced: int, n_blocks: int) -> tuple[Ints, Ints, Floats]:
-    """Rows (m,) sorted by block, limits of the groups, and their entries (m, 3); rows without a block are last."""
+    """Row indices (m,) sorted by eliminated block, limits of the groups of rows, and entries (m, 3) of each row.
+
+    The entries are those in the columns of the row's block. Rows without entries in a block are last, each as one
+    group.
+    """
     rows, behind = np.repeat(np.arange(design.shape[0]), np.diff(design.indptr)), design.indices >= n_reduced
     block, back = np.full(design.shape[0], -1), np.zeros((design.shape[0], 3))
     block[rows[behind]] = (design.indices[behind] - n_reduced) // 3
@@ -202,9 +210,10 @@ def _rows_sorted_by_block(design: sp.csr_array, n_reduced: int, n_blocks: int) -
 
 
 def dense_rows(matrix: sp.csr_array, first_row: int, end_row: int, columns: Ints | None = None) -> tuple[Floats, Ints]:
-    """Rows low to high as a dense array on the columns (k,) with entries, or on given sorted ones; these columns.
+    """Dense array (r, k) of the rows from `first_row` to before `end_row`, and the indices (k,) of its columns.
 
-    Entries in other columns are ignored.
+    By default it has the columns with entries in these rows. If sorted `columns` are given, it has these columns, and
+    entries in other columns are ignored.
     """
     begin, end = matrix.indptr[first_row], matrix.indptr[end_row]
     indices = matrix.indices[begin:end]
@@ -214,14 +223,17 @@ def dense_rows(matrix: sp.csr_array, first_row: int, end_row: int, columns: Ints
     )
     if columns is None:
         columns = np.unique(indices)
-    at, width = np.searchsorted(columns, indices), len(columns) + 1  # the last column takes what stands in none
+    at, width = np.searchsorted(columns, indices), len(columns) + 1  # the last column collects ignored entries
     at[np.append(columns, -1)[at] != indices] = width - 1
     dense: Floats = np.asarray(np.bincount(row * width + at, data, (end_row - first_row) * width), dtype=np.float64)
     return dense.reshape(end_row - first_row, width)[:, :-1], columns
 
 
 def block_inverse(blocks: Floats) -> tuple[Floats, float]:
-    """Inverse of positive definite blocks (E, 3, 3) and their smallest pivot; raises LinAlgError for another block."""
+    """Inverses (E, 3, 3) of blocks (E, 3, 3), and their smallest pivot.
+
+    Raises LinAlgError if a block is not positive definite.
+    """
     if not len(blocks):
         return blocks, 1.0
     root = np.linalg.cholesky(blocks)
@@ -231,7 +243,7 @@ def block_inverse(blocks: Floats) -> tuple[Floats, float]:
 
 
 def _diagonal_blocks(matrix: sp.csr_array, n_blocks: int) -> Floats:
-    """Diagonal 3 x 3 blocks (E, 3, 3); the matrix must not have other entries."""
+    """Dense diagonal blocks (E, 3, 3) of a sparse matrix without other entries."""
     entries = matrix.tocoo()
     blocks = np.zeros((n_blocks, 3, 3))
     np.add.at(blocks, (entries.row // 3, entries.row % 3, entries.col % 3), entries.data)
@@ -239,6 +251,7 @@ def _diagonal_blocks(matrix: sp.csr_array, n_blocks: int) -> Floats:
 
 
 def _block_diagonal(blocks: Floats) -> sp.csr_array:
+    """Sparse matrix (3 E, 3 E) with the blocks (E, 3, 3) on its diagonal."""
     count = len(blocks)
     if not count:
         return sp.csr_array((0, 0))
@@ -261,7 +274,7 @@ class BlockSystem:
     whitened_residuals: Floats
     """Observed minus predicted values divided by sigma, (m,)."""
     n_reduced: int
-    """Number K of unknowns that are not eliminated, the size of the Schur complement."""
+    """Number K of unknowns that are not eliminated; it is the size of the Schur complement."""
 
     @property
     def sum_of_squares(self) -> float:
@@ -270,13 +283,13 @@ class BlockSystem:
 
 
 class SingularSystemError(NetworkError):
-    """Error for a system that leaves a direction of the unknowns undetermined (`ltsim.solve.design`)."""
+    """Error for a system that does not determine all unknowns or combinations of unknowns (`ltsim.solve.design`)."""
 
 
 class BlockFactor:
     """Factorised normal equations of a `BlockSystem`, with Levenberg-Marquardt damping.
 
-    Raises SingularSystemError if rows and damping leave a direction undetermined.
+    Raises SingularSystemError if rows and damping leave a combination of unknowns undetermined.
 
     Parameters
     ----------
@@ -308,7 +321,10 @@ class BlockFactor:
         return BlockFactor, (self._system, self._damping)
 
     def _weakest_direction_length(self) -> float:
-        """Squared length of the image of the weakest direction by inverse iteration, accurate for any length."""
+        """Squared length of the product of the scaled design and the unit vector of the weakest direction.
+
+        The direction is computed by inverse iteration. The length is accurate even if it is near zero.
+        """
         vector = np.cos(np.arange(len(self._column_scales), dtype=np.float64))[:, None]
         for _ in range(3):
             vector = self._elimination.solve(vector / np.linalg.norm(vector))
@@ -316,7 +332,7 @@ class BlockFactor:
         return float(image @ image)
 
     def step(self, residual: Floats | None = None) -> Floats:
-        """Damped Gauss-Newton step (K + 3 E,) for the residual of the system, or for another one (m,)."""
+        """Damped Gauss-Newton step (K + 3 E,) for whitened residuals (m,), by default those of the system."""
         right = self._system.design.T @ (self._system.whitened_residuals if residual is None else residual)
         return self.covariance_columns(right[:, None])[:, 0]
 
@@ -328,9 +344,9 @@ class BlockFactor:
 
     @single_threaded
     def inverse_of_sets(self, columns: Ints) -> Floats:
-        """Covariances (c, k, k) of sets (c, k) of reduced unknowns.
+        """Covariances (c, k, k) of c sets of k reduced unknowns, given by their columns (c, k).
 
-        Efficient if each set is in one row of the design.
+        The computation is efficient if the unknowns of each set occur together in a row of the design.
         """
         scale = self._column_scales[columns]
         return self._elimination.inverse_of_sets(columns) * scale[:, :, None] * scale[:, None, :]
@@ -348,17 +364,20 @@ class BlockFactor:
 
     @property
     def smallest_pivot(self) -> float:
-        """Smallest pivot for unit columns."""
+        """Smallest pivot of the normal matrix scaled to unit diagonal."""
         return self._elimination.smallest_pivot
 
     def covariances_of_functions(self, rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
-        """Covariances R N^-1 R' of groups of functions (q, K + 3 E); group i has the rows edges[i] to edges[i + 1]."""
+        """Covariances R N^-1 R' of groups R of linear functions, rows (q, K + 3 E) of their coefficients.
+
+        Group i has the rows from boundary i to boundary i + 1.
+        """
         return self._elimination.covariances_of_functions(rows, group_boundaries)
 
     @single_threaded
     def leverage(self) -> Floats:
         """Leverage (m,) of each row: derivative of its fitted value with respect to its observation.
 
-        Redundancy is one minus it.
+        The redundancy of a row is one minus its leverage.
         """
         return self._elimination.blocks_and_leverage[1]

@@ -12,33 +12,34 @@ from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemErro
 
 Point = TypeVar("Point")
 SQUARED_STEP_TOLERANCE = 1e-8
-"""Squared length of a step, in the metric of the normal matrix (standard deviations), below which the iteration has
-converged.
+"""Squared length of a step, in squared standard deviations of the unknowns, below which the iteration has converged.
 """
 MAX_STEP_FOR_REUSE = 1.0
-"""Squared length [standard deviations] of a step below which the design is reused for one more step."""
+"""Squared length of a step, in squared standard deviations, below which the design is reused for one more step."""
 CERTAIN_CONVERGENCE_FRACTION = 1e-4
-"""Fraction of the tolerance below which no further step is computed: a millionth of a standard deviation."""
+"""Ratio of the predicted squared length of the next step to `SQUARED_STEP_TOLERANCE` below which this step is not
+computed. The length is then below a millionth of a standard deviation."""
 MAX_NEGLIGIBLE_DAMPING = 1e-5
-"""Damping up to which a short step counts as convergence; with more damping steps are short anyway."""
+"""Levenberg-Marquardt damping up to which a short step counts as convergence. More damping itself shortens steps."""
 MAX_ROUNDING_STEP = 1e-4
-"""Squared length below which steps that no longer decrease are rounding errors (large coordinates)."""
+"""Squared length of a step, in squared standard deviations. Steps below it that no longer decrease are rounding errors,
+as with large coordinates, and end the iteration."""
 
 
 class LeastSquaresProblem(Protocol[Point]):
-    """Interface of a problem to the Gauss-Newton iteration.
+    """Interface of a nonlinear least-squares problem to the Gauss-Newton iteration.
 
-    A point X may be any object, such as a state with rotations.
+    A point is one set of values of the unknowns. It may be any object, such as a network state with rotations.
     """
 
     def linearise(self, x: Point) -> BlockSystem:
-        """Whitened linear system at x."""
+        """Whitened linear system at the point x."""
 
     def whitened_residuals(self, x: Point) -> Floats:
-        """Whitened residual of that system alone."""
+        """Whitened residuals (m,) at the point x, without the design."""
 
     def retract(self, point: Point, step: Floats) -> Point:
-        """Point that a step from x leads to."""
+        """Point after a step of the unknowns (K + 3 E,) from `point`."""
 
 
 class TerminationStatus(Enum):
@@ -57,11 +58,11 @@ class Solution(Generic[Point]):
     """Result of the Gauss-Newton iteration: the last point and its linear system."""
 
     x: Point
-    """Last point of the iteration."""
+    """Last point of the iteration: the values of the unknowns."""
     sum_of_squares: float
-    """Sum of squared residuals at x."""
+    """Sum of squared whitened residuals at x."""
     n_iterations: int
-    """Number of steps."""
+    """Number of iterations."""
     status: TerminationStatus
     """Reason for which the iteration ended."""
     factor: BlockFactor | None
@@ -82,37 +83,37 @@ class Solution(Generic[Point]):
 
 
 def solution_for_plan(problem: LeastSquaresProblem[Point], point: Point) -> Solution[Point]:
-    """Solution of planned observations at x: it has precision, but no readings.
+    """Solution for planned observations: the linear system at `point`, for the precision of the unknowns.
 
-    Raises SingularSystemError if they leave a direction undetermined.
+    Raises SingularSystemError if the observations do not determine all unknowns.
     """
     system = problem.linearise(point)
     return Solution(point, system.sum_of_squares, 0, TerminationStatus.PLANNED, BlockFactor(system), system)
 
 
 def solve(problem: LeastSquaresProblem[Point], start_point: Point, *, max_iterations: int = 30) -> Solution[Point]:
-    """Minimum of a sum of squares from `start_point` in at most `max_iterations` iterations."""
-    x, damping, before, held = start_point, 0.0, float("inf"), False
+    """Minimum of a sum of squared residuals, by at most `max_iterations` iterations from `start_point`."""
+    x, damping, previous_length, had_regular_normals = start_point, 0.0, float("inf"), False
     system = problem.linearise(x)
     for iteration in range(1, max_iterations + 1):
         factor, damping = _damped_factor(system, damping)
-        held = held or (factor is not None and not damping)
+        had_regular_normals = had_regular_normals or (factor is not None and not damping)
         if factor is None:
             return Solution(
                 x,
                 system.sum_of_squares,
                 iteration,
-                TerminationStatus.CONTRADICTORY if held else TerminationStatus.SINGULAR,
+                TerminationStatus.CONTRADICTORY if had_regular_normals else TerminationStatus.SINGULAR,
                 None,
                 system,
             )
         step = factor.step()
         length = _squared_step_length(system, step)
-        if not damping and length < MAX_ROUNDING_STEP and length > before / 4:
+        if not damping and length < MAX_ROUNDING_STEP and length > previous_length / 4:
             return Solution(x, system.sum_of_squares, iteration, TerminationStatus.CONVERGED, factor, system)
         # The next step is as much shorter than this one as this one was than the one before.
-        sure = length * length < CERTAIN_CONVERGENCE_FRACTION * SQUARED_STEP_TOLERANCE * before < float("inf")
-        trial, before, near = problem.retract(x, step), length, length < MAX_STEP_FOR_REUSE and not damping
+        sure = length * length < CERTAIN_CONVERGENCE_FRACTION * SQUARED_STEP_TOLERANCE * previous_length < float("inf")
+        trial, previous_length, near = problem.retract(x, step), length, length < MAX_STEP_FOR_REUSE and not damping
         if near and sure:
             system = _system_after(system, system.whitened_residuals, step)
             return Solution(trial, system.sum_of_squares, iteration, TerminationStatus.CONVERGED, factor, system)
@@ -129,12 +130,16 @@ def solve(problem: LeastSquaresProblem[Point], start_point: Point, *, max_iterat
             x, system = trial, ahead
             damping = 0.0 if damping < 1e-9 else damping / 10
             if whole and length < SQUARED_STEP_TOLERANCE:
-                return _finish(x, system, iteration, TerminationStatus.CONVERGED, had_regular_normals=held)
+                return _finish(
+                    x, system, iteration, TerminationStatus.CONVERGED, had_regular_normals=had_regular_normals
+                )
         elif damping > 1e8:
-            return _finish(x, system, iteration, TerminationStatus.STALLED, had_regular_normals=held)
+            return _finish(x, system, iteration, TerminationStatus.STALLED, had_regular_normals=had_regular_normals)
         else:
             damping = max(10 * damping, 1e-6)
-    return _finish(x, system, max_iterations, TerminationStatus.MAX_ITERATIONS_REACHED, had_regular_normals=held)
+    return _finish(
+        x, system, max_iterations, TerminationStatus.MAX_ITERATIONS_REACHED, had_regular_normals=had_regular_normals
+    )
 
 
 def _squared_step_length(block_system: BlockSystem, step: Floats) -> float:
@@ -146,10 +151,10 @@ def _squared_step_length(block_system: BlockSystem, step: Floats) -> float:
 def _step_with_previous_design(
     problem: LeastSquaresProblem[Point], point: Point, block_system: BlockSystem, factor: BlockFactor
 ) -> tuple[Point, BlockSystem] | None:
-    """Final point and system by a step with the previous design; None if the iteration has not converged with it.
+    """Final point and system after one more step with the previous design; None if this step is not below tolerance.
 
-    After a step of a standard deviation the design is the same to five digits: one more step with it, for the residual
-    found there, ends below the tolerance.
+    After a step of one standard deviation the design is the same to five digits. The design is therefore used again
+    with the residuals at the new point.
     """
     residual = problem.whitened_residuals(point)
     step = factor.step(residual)
@@ -159,12 +164,15 @@ def _step_with_previous_design(
 
 
 def _system_after(block_system: BlockSystem, residual: Floats, step: Floats) -> BlockSystem:
-    """System after a step, with the same design and the residual of the new point."""
+    """Linear system after a step, with the same design and linearly updated residuals."""
     return BlockSystem(block_system.design, residual - block_system.design @ step, block_system.n_reduced)
 
 
 def _damped_factor(block_system: BlockSystem, damping: float) -> tuple[BlockFactor | None, float]:
-    """Factor with at least `damping`, more if the normal matrix is singular, and the damping used."""
+    """Factorised normal equations, and the damping used: `damping`, or more if the normal matrix is singular.
+
+    The factor is None if the matrix is singular even with a damping of 0.01.
+    """
     while True:
         try:
             return BlockFactor(block_system, damping), damping
@@ -182,6 +190,7 @@ def _finish(
     *,
     had_regular_normals: bool,
 ) -> Solution[Point]:
+    """Solution at a point with undamped normal equations; if they are singular, the status states the cause."""
     try:
         factor = BlockFactor(block_system)
     except SingularSystemError:

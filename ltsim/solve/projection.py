@@ -1,8 +1,8 @@
 """Projector onto the residual space of a least-squares adjustment, for arbitrary vectors of observations.
 
 With A the whitened design and N = A' A, the hat matrix is H = A N^-1 A' and the projector P = 1 - H. Small systems use
-an orthonormal basis of A, large ones the factor of the adjustment, so that cost and memory are proportional to the
-nonzeros of the design. Tests compare the two.
+an orthonormal basis of A. Large systems use the factorised normal equations of the adjustment, so that cost and memory
+are proportional to the number of non-zero entries of the design.
 """
 
 from __future__ import annotations
@@ -20,27 +20,28 @@ from ltsim.solve.design import DesignMatrix, column_scale, to_dense
 from ltsim.solve.elimination import BlockFactor, BlockSystem
 
 MAX_BASIS_ENTRIES = 4_000_000
-"""Number of entries below which a design gets an orthonormal basis, because dense products are much faster."""
+"""Number of entries of a design up to which an orthonormal basis is computed, because dense products are much
+faster."""
 MAX_UNPROJECTED_OVERLAP = 1e-10
-"""Largest inner product of projected unit vectors with unit columns of the design; above it they
-are projected again.
+"""Inner product of a projected unit vector with a unit column of the design above which the vector is projected again.
+It is zero without rounding errors.
 """
 MAX_LOCAL_ROWS = 150
-"""Number of rows up to which the block of the projector on these rows is computed at once, because many vectors on the
-same rows follow.
+"""Number of rows up to which the block of the projector on these rows is computed and stored, because many vectors on
+the same rows are projected.
 """
 MAX_LOCAL_ENTRIES = 3_000_000
-"""Number of entries of all such blocks in memory, 24 MB."""
+"""Largest number of entries of all stored blocks of the projector, 24 MB."""
 MAX_ZERO_EIGENVALUE = 1e-12
-"""Eigenvalue of a block of the hat matrix below which it counts as zero."""
+"""Eigenvalue of a block of the hat matrix up to which it counts as zero. The others are between 0 and 1."""
 
 
 @dataclass(frozen=True)
 class BasisProjection:
-    """Projector from an orthonormal basis (m, u) of the design."""
+    """Projector onto the residual space, from an orthonormal basis of the column space of the design."""
 
     basis: Floats
-    """Orthonormal basis (m, u) of the design."""
+    """Orthonormal basis (m, u) of the column space of the design with m rows and u columns."""
 
     @classmethod
     def from_design(cls, design: DesignMatrix) -> BasisProjection:
@@ -48,52 +49,53 @@ class BasisProjection:
         return cls(np.linalg.qr(to_dense(design) * column_scale(design))[0])
 
     def project(self, rows: Floats) -> Floats:
-        """Residual part of vectors (m, q)."""
+        """Component (m, q) of q vectors (m, q) in the residual space, which the design does not explain."""
         return rows - self.basis @ (self.basis.T @ rows)
 
     def gram_matrices(self, columns: Floats, group_boundaries: Ints, rows: Ints | slice) -> list[Floats]:
-        """Gram matrices (k, k) of projected vectors, which are `columns` (r, q) on some rows and zero on all others.
+        """Gram matrices (k, k) of groups of k projected vectors: their inner products in the residual space.
 
-        Group i are the columns edges[i] to edges[i + 1].
+        The q vectors have the entries `columns` (r, q) on r rows, and zeros on all other rows. Group i has the columns
+        from boundary i to boundary i + 1.
         """
-        whole_grams, inside = (
+        full_grams, explained_grams = (
             _group_gram_matrices(columns, group_boundaries),
             _group_gram_matrices(self.basis[rows].T @ columns, group_boundaries),
         )
-        return [whole - lost for whole, lost in zip(whole_grams, inside, strict=True)]
+        return [whole - lost for whole, lost in zip(full_grams, explained_grams, strict=True)]
 
     def leverage(self) -> Floats:
         """Diagonal (m,) of the hat matrix."""
         return np.einsum("mu,mu->m", self.basis, self.basis)
 
     def hat_matrix_spectra(self, row_groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
-        """Eigenvalues (k,) and eigenvectors (f, k) of the hat matrix on groups of f rows.
+        """Non-zero eigenvalues (k,) and their eigenvectors (f, k) of the block of the hat matrix on each group of rows.
 
-        Other eigenvalues are zero.
+        A group has f rows. Further eigenvalues are zero.
         """
         for rows in row_groups:
             part = self.basis[rows]
             yield _spectrum_of_thin_root(part) if len(rows) > part.shape[1] else np.linalg.eigh(part @ part.T)
 
     def with_removed_columns(self, columns: Floats) -> BasisProjection:
-        """Projector that also removes orthonormal columns (m, e) of the residual space."""
+        """Projector that also removes the components along e orthonormal vectors (m, e) of the residual space."""
         return BasisProjection(np.hstack([self.basis, columns]))
 
 
 @dataclass(frozen=True)
 class FactorProjection:
-    """Projector from the factorised normal equations of a sparse design."""
+    """Projector onto the residual space, from the factorised normal equations of a sparse design."""
 
     design: sp.csr_array
     """Sparse design matrix."""
     factor: BlockFactor
     """Factorised normal equations."""
     added_columns: Floats
-    """Further columns (m, e) that are projected out, besides those of the design."""
+    """Orthonormal vectors (m, e) of the residual space whose components are removed too."""
     _transposed: sp.csr_array = field(repr=False)
     _scale: Floats = field(repr=False)
     _local_blocks: dict[bytes, Floats] = field(default_factory=dict, repr=False)
-    """Blocks (r, r) of the projector by their rows."""
+    """Stored blocks (r, r) of the projector, by the bytes of their row indices."""
 
     @classmethod
     def from_design(cls, design: DesignMatrix, factor: BlockFactor) -> FactorProjection:
@@ -102,13 +104,13 @@ class FactorProjection:
         return cls(design, factor, np.zeros((design.shape[0], 0)), sp.csr_array(design.T), column_scale(design))
 
     def project(self, rows: Floats) -> Floats:
-        """Residual part of vectors (m, q); projected again if the rounding of the factor is visible."""
+        """Component (m, q) of q vectors (m, q) in the residual space, as `BasisProjection.project`."""
         return self._residual_part(rows, slice(None))
 
     def gram_matrices(self, columns: Floats, group_boundaries: Ints, rows: Ints | slice) -> list[Floats]:
         """Gram matrices (k, k) of projected vectors, as `BasisProjection.gram_matrices`.
 
-        On few rows they follow from the block of the projector on these rows.
+        On at most `MAX_LOCAL_ROWS` rows they are computed from the block of the projector on these rows.
         """
         block = self._local_block(rows)
         if block is None:
@@ -118,7 +120,7 @@ class FactorProjection:
         return [columns[:, low:high].T @ projected[:, low:high] for low, high in limits]
 
     def _local_block(self, rows: Ints | slice) -> Floats | None:
-        """Block (r, r) of the projector on few rows, computed once; None on many rows."""
+        """Block (r, r) of the projector on r rows, computed once; None on more than `MAX_LOCAL_ROWS` rows."""
         if isinstance(rows, slice) or not 0 < len(rows) <= MAX_LOCAL_ROWS:
             return None
         key = rows.tobytes()
@@ -131,9 +133,14 @@ class FactorProjection:
         return block
 
     def _residual_part(self, columns: Floats, rows: Ints | slice) -> Floats:
-        """Residual part (m, q) of vectors that are zero on all but some rows."""
-        inside = (self._transposed if len(columns) == len(self.added_columns) else self.design[rows].T) @ columns
-        residual: Floats = self.design @ -self.factor.covariance_columns(inside)
+        """Component (m, q) in the residual space of vectors with entries `columns` on `rows` and zeros elsewhere.
+
+        A second projection corrects the rounding errors of the first, if they are visible.
+        """
+        design_products = (
+            self._transposed if len(columns) == len(self.added_columns) else self.design[rows].T
+        ) @ columns
+        residual: Floats = self.design @ -self.factor.covariance_columns(design_products)
         residual[rows] += columns
         again = self._transposed @ residual
         if np.any(np.abs(again) * self._scale[:, None] > MAX_UNPROJECTED_OVERLAP * np.linalg.norm(columns, axis=0)):
@@ -147,7 +154,7 @@ class FactorProjection:
         return self.factor.leverage() + np.einsum("me,me->m", self.added_columns, self.added_columns)
 
     def hat_matrix_spectra(self, row_groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
-        """Eigenvalues and eigenvectors of the hat matrix on groups of rows, as `BasisProjection.hat_matrix_spectra`."""
+        """Eigenvalues and eigenvectors of blocks of the hat matrix, as `BasisProjection.hat_matrix_spectra`."""
         edges = np.cumsum([0, *(len(rows) for rows in row_groups)])
         thick = edges[-1] == 0 or max(len(rows) for rows in row_groups) > self.design.shape[1] // 2
         if thick:
@@ -158,7 +165,7 @@ class FactorProjection:
             yield np.linalg.eigh(hat + self.added_columns[rows] @ self.added_columns[rows].T)
 
     def _spectrum_from_covariance(self, rows: Ints) -> tuple[Floats, Floats]:
-        """Eigenvalues and eigenvectors on many rows, from the covariance of the unknowns in these rows."""
+        """Eigenvalues and eigenvectors of the hat matrix on many rows, from the covariance of the unknowns in them."""
         part = self.design[rows]
         touched = np.unique(part.indices)
         whole = np.array([0, len(touched)])
@@ -171,7 +178,7 @@ class FactorProjection:
         return _spectrum_of_thin_root(root) if len(rows) > root.shape[1] else np.linalg.eigh(root @ root.T)
 
     def with_removed_columns(self, columns: Floats) -> FactorProjection:
-        """Projector that also removes orthonormal columns (m, e), as `BasisProjection.with_removed_columns`."""
+        """Projector that also removes orthonormal vectors (m, e), as `BasisProjection.with_removed_columns`."""
         return replace(self, added_columns=np.hstack([self.added_columns, columns]), _local_blocks={})
 
 
@@ -179,7 +186,10 @@ Projection: TypeAlias = BasisProjection | FactorProjection
 
 
 def make_projection(block_system: BlockSystem, factor: BlockFactor | None) -> Projection:
-    """Projector onto the residual space of a system: by a basis for a small system or without a factor."""
+    """Projector onto the residual space of a system.
+
+    It uses an orthonormal basis for a small system or if there is no factor, otherwise the factor.
+    """
     rows, columns = block_system.design.shape
     if factor is None or rows * columns <= MAX_BASIS_ENTRIES:
         return BasisProjection.from_design(block_system.design)
@@ -187,13 +197,13 @@ def make_projection(block_system: BlockSystem, factor: BlockFactor | None) -> Pr
 
 
 def _group_gram_matrices(columns: Floats, group_boundaries: Ints) -> list[Floats]:
-    """Gram matrices (k, k) of groups of columns."""
+    """Gram matrices (k, k) of groups of k columns; group i has the columns from boundary i to boundary i + 1."""
     parts = (columns[:, low:high] for low, high in pairwise(group_boundaries.tolist()))
     return [part.T @ part for part in parts]
 
 
 def _spectrum_of_thin_root(matrix_root: Floats) -> tuple[Floats, Floats]:
-    """Non-zero eigenvalues of root root', and their vectors, for a root (f, k) with fewer columns than rows."""
+    """Non-zero eigenvalues (e,) and eigenvectors (f, e) of the product R R' of a matrix root R (f, k), with k < f."""
     values, vectors = np.linalg.eigh(matrix_root.T @ matrix_root)
     nonzero = values > MAX_ZERO_EIGENVALUE
     return values[nonzero], matrix_root @ (vectors[:, nonzero] / np.sqrt(values[nonzero]))

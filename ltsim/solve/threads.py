@@ -1,4 +1,4 @@
-"""Limit of linear algebra to one thread: on small matrices further threads only wait."""
+"""Limit of linear-algebra libraries to one thread, which is faster for small matrices."""
 
 from collections.abc import Callable
 from contextvars import ContextVar
@@ -16,14 +16,17 @@ _IS_LIMITED: ContextVar[bool] = ContextVar("whether a caller has set the limit a
 
 @cache
 def _thread_pool_controller() -> ThreadpoolController:
-    """Controller of the threads of linear-algebra libraries, created once, which takes milliseconds."""
+    """Controller of the threads of linear-algebra libraries, created once because creation takes milliseconds."""
     return ThreadpoolController()
 
 
 def single_threaded(
     function: Callable[DecoratedParameters, DecoratedReturn],
 ) -> Callable[DecoratedParameters, DecoratedReturn]:
-    """Decorator that limits the libraries' threads to one: faster for small matrices, and sums keep their order."""
+    """Decorator that limits linear algebra in a function to one thread: faster for small matrices, and reproducible.
+
+    With one thread the order of summation does not change.
+    """
 
     @wraps(function)
     def wrapper(*args: DecoratedParameters.args, **kwargs: DecoratedParameters.kwargs) -> DecoratedReturn:

@@ -58,7 +58,7 @@ def test_gon_read_as_degrees_is_refused_with_the_unit_that_fits() -> None:
     [
         (lambda x: x * [1.0, -1.0, 1.0], "fit mirrored"),
         (lambda x: 2.0 * x, "fit scaled by 0.5"),
-        pytest.param(lambda x: 0.0 * x, "all of them coincide", marks=pytest.mark.long),
+        pytest.param(lambda x: 0.0 * x, "all of these points have the same coordinates", marks=pytest.mark.long),
         (lambda x: x[[1, 0, 2, 3, 5, 4, 6, 7]], "coordinates and names"),
     ],
 )
@@ -138,7 +138,7 @@ def test_copies_of_rows_do_not_sharpen_a_result(times: int, clock: bool) -> None
     assert copied.chi2 == pytest.approx(found.chi2)
     assert copied.dof == found.dof
     assert copied.target_covariance == pytest.approx(found.target_covariance, rel=1e-9, abs=1e-16)
-    assert adjustment_warnings(copied)[0].startswith(f"{(times - 1) * len(once)} rows repeat others to the last digit")
+    assert adjustment_warnings(copied)[0].startswith(f"{(times - 1) * len(once)} rows are exact copies of other rows")
     assert not copied.is_rejected.any()
 
 
@@ -238,4 +238,4 @@ def test_a_floor_plan_that_fits_the_mirror_image_alone_is_said() -> None:
     elsewhere = {n: Station(position_mm=(0.0, 1e4 * i * i, 0.0)) for i, n in enumerate(recording.stations)}
     lost = recording.replace(setup=recording.setup.model_copy(update={"stations": elsewhere}))
     (said,) = adjustment_warnings(adjust(lost))
-    assert "miss the network by up to" in said
+    assert "differ from the network by up to" in said

@@ -104,7 +104,7 @@ WRONG = {
     "an unknown name": ({"without": ["beam-tlit"]}, "did you mean beam-tilt"),
     "an unknown instrument": ({"without": ["beam-tilt@X"]}, "no instrument called .X."),
     "a value for several": ({"hold": {"azimuth-eccentricity": 1.0}}, "several parameters"),
-    "nothing left": ({"parameters": ["beam-tilt"], "without": ["beam-tilt"]}, "all parameters are held"),
+    "nothing left": ({"parameters": ["beam-tilt"], "without": ["beam-tilt"]}, "all parameters are fixed"),
     "orders of another construction": ({"construction": "misalignment", "harmonics": 3}, "harmonics and degree"),
     "an order out of bounds": ({"construction": "dh", "harmonics": 9}, "expected 0 to 4"),
     "a prior and distances": ({"method": "distance", "prior": "x"}, "x"),

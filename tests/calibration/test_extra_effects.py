@@ -81,7 +81,7 @@ def test_a_law_is_fitted_in_the_words_of_a_diagnosis(drifting: Recording, tmp_pa
 
 
 def test_a_law_that_each_set_up_follows_in_its_own_way_says_so(drifting: Recording) -> None:
-    words = "vertical index ~ station-time, in its own way at each set-up"
+    words = "vertical index ~ station-time, separately at each set-up"
     (law,) = lt.calibrate(drifting, with_effects=[words], advise=False).effects
     assert (law.effect, law.place_text, law.n_distinguishable_parameters) == (words, "", len(drifting.stations))
     assert law.sentence.startswith(f"{words}: rms ") and ", swing " in law.sentence
@@ -99,13 +99,13 @@ def test_a_curve_is_told_by_its_swing_beside_an_effect(drifting: Recording) -> N
 def test_what_the_recording_cannot_tell_is_left_out_and_said(drifting: Recording) -> None:
     unaimed = lt.calibrate(drifting, with_effects=["smr-incidence"], advise=False)
     assert unaimed.effects[0].n_distinguishable_parameters == 0
-    assert "it was not estimated" in unaimed.effects[0].sentence
+    assert "not estimated, because" in unaimed.effects[0].sentence
 
 
 @pytest.mark.parametrize(
     ("wanted", "said"),
     [
-        ("beam-tilt", "part of the ordinary calibration"),
+        ("beam-tilt", "always estimated in a calibration"),
         ("noise-level", "changes the noise, not the readings"),
         ("target-swap", "a blunder in the recording"),
         ("index-drift:S9", "'S9' is not a station"),
@@ -114,7 +114,7 @@ def test_what_the_recording_cannot_tell_is_left_out_and_said(drifting: Recording
         ("no-such-effect", "no effect"),
         ("beam ~ time", "responses are distance, azimuth"),
         ("beam tilt ~ time:S9", "'S9' is not a station"),
-        ("beam tilt ~ time:pace=3", "no constants but"),
+        ("beam tilt ~ time:pace=3", "no further constants"),
         ("beam tilt ~ pressure^2", "expected words such as .* station-time"),
     ],
 )

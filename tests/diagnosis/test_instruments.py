@@ -99,7 +99,7 @@ def test_a_curve_that_each_tracker_has_of_its_own_is_one_finding():
     readings[:, 1] += 3.0 * recording.sigma()[:, 1] * curve
     first = diagnose(recording.with_readings(readings)).findings[0]
     assert first.carrier == "azimuth"
-    assert first.formula == "azimuth correction follows a smooth function of distance, another at each instrument"
+    assert first.formula == "azimuth correction follows a smooth function of distance, separately for each instrument"
     assert set(first.where.covariates) == {"distance", "instrument"}
 
 

@@ -109,7 +109,7 @@ def test_holes_ceilings_and_clearance_take_floor_away() -> None:
     [
         ("[11400, 2800], [600, 2800]]", "[600, 2800], [11400, 2800]]", "floor.areas.1.corners_mm is not an outline:"),
         ("[11400, 600], [11400, 2800]", "[12400, 600], [11400, 2800]", "has the corner (12400, 600), outside the room"),
-        ("ceiling_mm = 2300", "ceiling_mm = 1500", "floor.areas.2.ceiling_mm is 1500, but heads are at 1400"),
+        ("ceiling_mm = 2300", "ceiling_mm = 1500", "floor.areas.2.ceiling_mm is 1500, but tracker heads are at 1400"),
         ("[workshop]\n", 'scenario = "paper-workshop"\n[workshop]\n', "either scenario or [workshop], not both"),
         ("12000, 8000, 5000", "12000, 2000, 5000", "outside the workshop"),
         ("[search]", '[[goal.tolerances]]\ngroup = "machin"\nwithin_mm = 0.1\n[search]', "did you mean machine?"),
@@ -129,8 +129,8 @@ def test_what_is_wrong_with_a_hall_is_one_sentence(hall: Path, old: str, new: st
 
 def test_outlines_that_cross_touch_or_lie_in_a_line_are_told() -> None:
     assert not outline_error(np.array([[0.0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]]))
-    assert "crosses" in outline_error(np.array([[0.0, 0], [1, 1], [1, 0], [0, 1]]))
-    assert "crosses" in outline_error(np.array([[0.0, 0], [2, 0], [2, 2], [1, 0], [0, 2]]))
+    assert "cross or touch" in outline_error(np.array([[0.0, 0], [1, 1], [1, 0], [0, 1]]))
+    assert "cross or touch" in outline_error(np.array([[0.0, 0], [2, 0], [2, 2], [1, 0], [0, 2]]))
     assert "line" in outline_error(np.array([[0.0, 0], [1, 1], [2, 2]]))
     assert "corner 2 coincides" in outline_error(np.array([[0.0, 0], [0, 0], [2, 2]]))
     places = np.array([[0.2, 0.2], [0.5, 0.5], [0.6, 0.6]])

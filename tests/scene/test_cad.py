@@ -86,7 +86,7 @@ def test_a_damaged_file_is_one_sentence_and_nothing_else(suffix: str, tmp_path: 
     pytest.importorskip("cascadio", reason="the extra step is not installed")
     file = tmp_path / f"bad{suffix}"
     file.write_text(HEADER + "#1=NONSENSE(;\n")
-    with pytest.raises(SetupError, match=rf"bad\{suffix}: is not a whole"):
+    with pytest.raises(SetupError, match=rf"bad\{suffix}: is not a complete"):
         read_mesh(file)
     assert capfd.readouterr() == ("", "")
 

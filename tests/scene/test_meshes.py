@@ -134,8 +134,8 @@ def test_cad_files_give_the_same_triangles(suffix: str, tmp_path: Path) -> None:
     ("name", "content", "message"),
     [
         ("part.stl", b"", "part.stl"),
-        ("part.glb", b"glTF but cut", "is not a whole glb file"),
-        ("part.ply", b"no header at all", "is not a whole ply file"),
+        ("part.glb", b"glTF but cut", "is not a complete glb file"),
+        ("part.ply", b"no header at all", "is not a complete ply file"),
         ("part.obj", b"v 0 0 0\nv 1 0 0\n", "part.obj"),
     ],
 )

@@ -1,8 +1,9 @@
-"""Evaluation of a reflector's bench test: without the eccentricity, lengths give the range error over incidence.
+"""Evaluation of a reflector's bench test: range error as a function of the incidence angle.
 
-A rotation by alpha of a sphere with eccentricity c changes the length by -(c_x cos alpha - c_y sin alpha), and a probe
-measures c. An interferometer records changes only: the table is determined relative to its value at 0 deg, a constant
-that belongs to the range offset of a tracker.
+The reflector is rotated on a table, an interferometer measures the length to it, and a probe measures the eccentricity
+of the sphere. A rotation by alpha of a sphere with the eccentricity c changes the length by -(c_x cos alpha - c_y sin
+alpha), which is removed. An interferometer records changes only: the error is determined relative to its value at 0
+deg, a constant that belongs to the range offset of a tracker.
 
 Source: Sensors 2021, 21, 7479, sections 2.2 and 3.1.
 """
@@ -25,9 +26,9 @@ from ltsim.recordings.files import read_text
 from ltsim.recordings.result_file import Entry, Finite, ResultFile
 
 MIN_BENCH_LENGTHS = 3
-"""Smallest number of lengths: two coordinates of the vertex and the zero."""
+"""Smallest number of lengths: they determine two coordinates of the mirrors' vertex and the zero of the lengths."""
 MIN_PROBE_READINGS = 4
-"""Smallest number of probe readings: two coordinates of the eccentricity and the zero, and one more for the scatter."""
+"""Smallest number of probe readings: two coordinates of the eccentricity, the zero, and one more for the scatter."""
 
 BENCH_TABLE = Table(
     "bench.csv",
@@ -42,7 +43,7 @@ BENCH_TABLE = Table(
 
 
 class EstimateEntry(Entry):
-    """Estimate with its standard deviation."""
+    """Estimate and its standard deviation [um]."""
 
     value_um: Finite
     """Estimate."""
@@ -79,7 +80,7 @@ ANGLES_TABLE = Table(
 
 
 class BenchFile(ResultFile):
-    """`bench.json`: the result of `bench`."""
+    """Result of `bench`, with the content of `bench.json`."""
 
     FILE: ClassVar[str] = "bench.json"
     format: Literal["ltsim-bench/1"] = "ltsim-bench/1"
@@ -91,15 +92,14 @@ class BenchFile(ResultFile):
     run_out_um: Finite
     """Difference of the largest and the smallest probe reading."""
     angles: tuple[BenchRow, ...] = Field(alias="table")
-    """Range error over incidence."""
+    """Range error at each angle of incidence."""
     vertex_axial: EstimateEntry
-    """Offset of the mirrors' vertex from the sphere's centre, component out of the open face, if an offset is the
-    cause.
-    """
+    """Offset of the mirrors' vertex from the sphere's centre that would explain the errors, component out of the open
+    face."""
     vertex_side: EstimateEntry
-    """Offset of the mirrors' vertex from the sphere's centre, component to the side."""
+    """Offset of the mirrors' vertex from the sphere's centre that would explain the errors, component to the side."""
     remainder_um: Finite
-    """Root mean square error that no offset of the vertex explains, caused by optics."""
+    """Rms range error that no offset of the vertex explains; its cause is in the optics."""
 
     def _lines(self) -> list[str]:
         worst = max(self.angles, key=lambda row: abs(row.error_um))
@@ -125,19 +125,25 @@ class BenchFile(ResultFile):
 
 @dataclass(frozen=True)
 class BenchReadings:
-    """Bench readings: angles [rad], lengths (a,) [m], probe readings of the surface (k,) [m]."""
+    """Readings of a bench test in SI units."""
 
     angles: Floats
+    """Angle of the table for each length [rad]."""
     lengths: Floats
+    """Lengths by the interferometer [m], with any zero."""
     probe_angles: Floats
+    """Angle of the table for each probe reading [rad]."""
     probe_direction: float
+    """Direction of the probe from the interferometer [rad]."""
     displacements: Floats
+    """Displacement of the sphere's surface at the probe, outward [m]."""
     length_sigma: float
+    """Standard deviation of a length [m]."""
 
 
 @dataclass(frozen=True)
 class BenchEstimates:
-    """Estimates from the bench readings, in SI units."""
+    """Estimates from a bench test in SI units."""
 
     eccentricity: Floats
     """Eccentricity, (2,) [m]."""
@@ -161,13 +167,15 @@ class VertexOffset(NamedTuple):
     side_offset: float
     """Component [m] of the offset to the side."""
     axial_sigma: float
+    """Standard deviation of the axial component [m]."""
     side_sigma: float
+    """Standard deviation of the component to the side [m]."""
     remaining_rms: float
     """Root mean square error that no offset explains, caused by optics."""
 
 
 def eccentricity_design(angles: Floats) -> Floats:
-    """Change of the length per unit of an eccentric point when the table is rotated, (a, 2)."""
+    """Change of each length per unit of the eccentricity's two components, shape (angles, 2)."""
     return np.stack([-np.cos(angles), np.sin(angles)], axis=1)
 
 
@@ -222,7 +230,10 @@ def evaluate_bench(record: BenchReadings) -> BenchEstimates:
 
 
 def fit_vertex_offset(angles: Floats, range_errors: Floats, sigma: float) -> VertexOffset:
-    """Offset of the vertex that explains range errors (a,) [m] at `angles`; `sigma` [m] of one entry."""
+    """Offset of the mirrors' vertex that explains the range errors [m] at the given angles [rad] best.
+
+    `sigma` [m] is the standard deviation of one range error.
+    """
     design = np.concatenate([np.ones((len(angles), 1)), eccentricity_design(angles)], axis=1)
     estimate = np.linalg.lstsq(design, range_errors, rcond=None)[0]
     spread = sigma * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))

@@ -1,9 +1,9 @@
-"""Targets of each station in its own frame, alignment of stations to one frame, errors relative to the truth.
+"""Points of each station in its instrument frame, alignment of stations to one frame, and errors relative to the truth.
 
-The truth is known in simulations only. The error of a recording has a part that no parameters remove (noise, unmodelled
-effects) and a correctable part that the true parameters would remove. Their mean squares add, so that the share of a
-method is (R - C) / (R - P) of the mean squares of raw, calibrated and perfectly corrected readings, over all trials
-together: 1 for a calibrator with the true parameters, 0 for one without effect, negative for one that increases errors.
+Errors are known in simulations only. One part of them no parameters remove (noise, unmodelled effects); the true
+parameters would remove the other, correctable part. With the mean squares R of raw, C of calibrated and P of perfectly
+corrected readings over all trials, the share of a method is (R - C) / (R - P). It is 1 for a calibration with the true
+parameters, 0 for one without effect, and negative for one that increases errors.
 """
 
 from dataclasses import dataclass
@@ -21,9 +21,10 @@ from ltsim.recordings.recording import Recording
 def measured_points(
     recording: Recording, construction: Construction | None = None, values: Floats | None = None
 ) -> Floats:
-    """Measured points (n, 3) [m] in the instruments' frames; NaN for incomplete pointings.
+    """Measured points in instrument frames, shape (pointings, 3) [m]; NaN for incomplete pointings.
 
-    They are corrected by a construction's parameters (p,), or (n, p) where instruments differ [SI]; by default raw.
+    They are corrected by the parameters `values` of an instrument model, (parameters,) or (pointings, parameters) [SI];
+    by default they are not corrected.
     """
     is_complete = recording.is_measured.all(axis=1)
     points = np.full((len(recording), 3), np.nan)
@@ -36,7 +37,10 @@ def measured_points(
 
 
 def station_point_clouds(recording: Recording, points: Floats, row_mask: Bools | None = None) -> Floats:
-    """Mean (S, T, 3), over faces and repeats, of the points (n, 3) of each station and target; NaN for none."""
+    """Mean point of each target from each station, shape (stations, targets, 3) [m]; NaN for a target not measured.
+
+    `points` (pointings, 3) are averaged over faces and repeats; `row_mask` selects pointings.
+    """
     size = (len(recording.stations), len(recording.targets))
     is_complete = np.isfinite(points).all(axis=1)
     if row_mask is not None:
@@ -49,9 +53,9 @@ def station_point_clouds(recording: Recording, points: Floats, row_mask: Bools |
 
 
 def align_to_points(cloud: Floats, target_points: Floats) -> Floats:
-    """Cloud (T, 3) aligned rigidly to `target_points` (T, 3) by least squares over common targets.
+    """Points of a station (targets, 3) after the best rigid fit to `target_points`, over the common targets.
 
-    Raises NetworkError for fewer than three common targets that are not collinear.
+    NetworkError is raised unless at least three common targets are not on one line.
     """
     is_shared = np.isfinite(cloud[:, 0]) & np.isfinite(target_points[:, 0])
     rotation, translation = align_rigidly(cloud[is_shared], target_points[is_shared])
@@ -59,10 +63,10 @@ def align_to_points(cloud: Floats, target_points: Floats) -> Floats:
 
 
 def align_to_first_station(clouds: Floats, names: tuple[str, ...]) -> Floats:
-    """Clouds (S, T, 3), each aligned rigidly to the first station's frame.
+    """Points of all stations (stations, targets, 3) after a rigid fit to the frame of the first station.
 
-    A station with fewer than three targets in common with the first is aligned to the mean of those aligned before; in
-    the paper all stations see all targets. Raises NetworkError with the name of a station that cannot be aligned.
+    A station with fewer than three targets in common with the first is fitted to the mean of the stations fitted
+    before. In the paper all stations see all targets. NetworkError names a station that cannot be fitted.
     """
     placed_points = np.full_like(clouds, np.nan)
     placed_points[0] = clouds[0]
@@ -91,22 +95,25 @@ def align_to_first_station(clouds: Floats, names: tuple[str, ...]) -> Floats:
 
 @dataclass(frozen=True)
 class CalibrationErrors:
-    """Root mean square errors relative to the truth [m]: raw, calibrated, with true parameters."""
+    """Rms errors of points relative to the truth [m]: uncorrected, calibrated, and with the true parameters."""
 
     raw_rms: float
+    """Rms error [m] of the uncorrected points."""
     calibrated_rms: float
+    """Rms error [m] of the points with the estimated parameters."""
     true_parameters_rms: float
+    """Rms error [m] of the points with the true parameters."""
 
     @property
     def share_removed(self) -> float:
-        """Fraction of the correctable mean square that was removed."""
+        """Fraction of the correctable mean square error that the calibration removed."""
         return share(self.raw_rms, self.calibrated_rms, self.true_parameters_rms)
 
 
 def share(raw_errors: Floats | float, calibrated_errors: Floats | float, true_parameters: Floats | float) -> float:
-    """Fraction of the correctable mean square that was removed, from the errors (N,) of N trials.
+    """Fraction of the correctable mean square error that a calibration removed, over all trials together.
 
-    It is NaN if nothing is correctable.
+    The arguments are the rms errors of each trial. The result is NaN if nothing is correctable.
     """
     squares = (float(np.nanmean(np.square(error))) for error in (raw_errors, calibrated_errors, true_parameters))
     before, after, perfect = squares
@@ -114,10 +121,10 @@ def share(raw_errors: Floats | float, calibrated_errors: Floats | float, true_pa
 
 
 def cloud_error(recording: Recording, points: Floats, true_points: Floats) -> float:
-    """Rms distance [m] to the truth over stations and targets, after a rigid fit of each station.
+    """Rms distance [m] of points from the true points over stations and targets, after a rigid fit of each station.
 
-    `points` (n, 3) [m] are in the instruments' frames. Poses are unknown to users: an error that the pose absorbs
-    completely (azimuth index, station height) is not counted.
+    `points` (pointings, 3) [m] are in instrument frames. Users do not know the poses: an error that the pose absorbs
+    completely (azimuth index, height of the station) is not counted.
     """
     clouds = station_point_clouds(recording, points)
     gap = np.stack([align_to_points(cloud, true_points) - true_points for cloud in clouds])

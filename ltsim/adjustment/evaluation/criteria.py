@@ -1,13 +1,13 @@
-"""The paper's criteria: disagreement of stations in distances and coordinates, and deviations from nominal points.
+"""Criteria of the paper: disagreement of stations in distances and coordinates, and deviations from nominal points.
 
-Without nominal data (Sensors 2021, 21, 7479, sections 2.3.4 and 3.2.1): equation 11 lacks an absolute value and takes
-station 1, while section 3.2.1 takes deviations from the mean over stations; both are available under different names:
-`distance` is the mean-based one behind the paper's Table 3, `distance_to_first` the other.
+Without nominal points (Sensors 2021, 21, 7479, sections 2.3.4 and 3.2.1): eq. 11 has no absolute value and compares
+with station 1, whereas section 3.2.1 compares with the mean over the stations. Both are computed: `distance` compares
+with the mean, as the paper's Table 3, and `distance_to_first` with station 1.
 
-The laboratory verification, a calibrated tracker against nominal points from a CMM, has equations 13 and 14 as they are
-meant: eq. 13 compares distances between targets i and j as the tracker measured them from one station with the same
-distance of the CMM; eq. 14 compares coordinates in the CMM's frame after a rigid fit of each station. Before: an ideal
-tracker; after: with the parameters of a calibration.
+The verification compares a calibrated tracker with nominal points from a measuring machine, by eq. 13 and 14 as they
+are meant. Eq. 13 compares the distance between two targets, measured from one station, with the distance of the nominal
+points. Eq. 14 compares coordinates after a rigid fit of each station to the nominal points. The values before
+calibration are those of an ideal tracker.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -36,14 +36,15 @@ from ltsim.recordings.reflectors import require_equal_radii
 from ltsim.recordings.result_file import Entry, OptionalFloat, ResultFile, SourceEntry
 
 MAX_COMPARED_PAIRS = 20_000_000
-"""Largest number of stations times targets whose clouds are compared (0.5 GB of memory)."""
+"""Number of pairs of a station and a target above which the stations are not compared (0.5 GB of memory)."""
 
 
 @dataclass(frozen=True)
 class StationDisagreement(ValueEquality):
-    """Disagreement (k,) [m], one value per pair of targets for distances, one per target for coordinates."""
+    """Disagreement of the stations [m]: for distances one value per pair of targets, for coordinates one per target."""
 
     values: Floats
+    """Disagreement of each pair of targets or each target [m]."""
 
     @property
     def mean(self) -> float:
@@ -74,9 +75,9 @@ class DisagreementEntry(Entry):
     """Disagreement between stations [um]."""
 
     mean_um: OptionalFloat = None
-    """Mean over pairs or targets."""
+    """Mean over the pairs of targets, or over the targets."""
     max_um: OptionalFloat = None
-    """Maximum over pairs or targets."""
+    """Maximum over the pairs of targets, or over the targets."""
 
     @classmethod
     def from_differences(cls, differences: StationDisagreement) -> Self:
@@ -118,14 +119,14 @@ class CriterionEntry(Entry):
 
 
 class CriteriaEntry(Entry):
-    """Criteria of the paper."""
+    """Criteria of the paper for the agreement of stations, before and after calibration."""
 
     distance: CriterionEntry
-    """Deviations of distances from their mean over stations."""
+    """Deviations of distances from their mean over the stations."""
     coordinate: CriterionEntry
-    """Deviations of coordinates after a rigid fit (eq. 12)."""
+    """Deviations of coordinates after a rigid fit of the stations (eq. 12)."""
     distance_to_first: CriterionEntry | None = None
-    """Deviations of distances from the first station's (eq. 11); null after a verification."""
+    """Deviations of distances from those of the first station (eq. 11); null in a verification."""
 
     def criteria_table(self) -> Table:
         """Table of the criteria."""
@@ -140,7 +141,7 @@ class CriteriaEntry(Entry):
 
 
 class Criteria(ResultFile, CriteriaEntry):
-    """`criteria.json`: the result of `evaluate_criteria` and `verify_against_nominal`."""
+    """Result of `evaluate` and `verify`, with the content of `criteria.json`."""
 
     FILE: ClassVar[str] = "criteria.json"
     format: Literal["ltsim-criteria/1"] = "ltsim-criteria/1"
@@ -148,7 +149,7 @@ class Criteria(ResultFile, CriteriaEntry):
 
     @classmethod
     def from_criteria(cls, recording: Recording, criteria: CriteriaEntry) -> Self:
-        """The result for a recording."""
+        """Result for a recording with the given criteria."""
         entries = {name: getattr(criteria, name) for name in criteria.model_fields_set}
         return cls(**entries, recording=SourceEntry.from_recording(recording))
 
@@ -160,10 +161,11 @@ class Criteria(ResultFile, CriteriaEntry):
 
 
 def iterate_pair_distances(clouds: Floats, min_observers: int = 1) -> Iterator[tuple[Ints, Floats]]:
-    """Iterator over points: the k observers of each point, and its distances (k, m) [m] to later points.
+    """Iterator over targets: indices of the stations that measured each, and its distances to later targets [m].
 
-    `clouds` (S, T, 3) [m] are each observer's points, NaN if not observed. Pairs with fewer than `min_observers`
-    observers are omitted, so that memory depends on observed pairs only.
+    `clouds` (stations, targets, 3) [m] are the points of each station, NaN if not measured. The distances have the
+    shape (stations that measured the target, later targets). Pairs measured from fewer than `min_observers` stations
+    are left out, so that the memory depends only on measured pairs.
     """
     is_measured = np.isfinite(clouds[:, :, 0])
     for point in range(clouds.shape[1]):
@@ -173,10 +175,10 @@ def iterate_pair_distances(clouds: Floats, min_observers: int = 1) -> Iterator[t
 
 
 def distance_differences(clouds: Floats) -> StationDisagreement:
-    """Mean over stations of |distance - its mean over stations| for each pair of targets (section 3.2.1).
+    """Mean absolute deviation of each distance between two targets from its mean over the stations (section 3.2.1).
 
-    `clouds` (S, T, 3) [m] are each station's targets in its own frame; NaN if not observed. Pairs with one observer are
-    omitted.
+    `clouds` (stations, targets, 3) [m] are the points of each station in its instrument frame, NaN if not measured.
+    Pairs measured from one station are left out.
     """
     lengths = (length for _, length in iterate_pair_distances(clouds, 2))
     means = [np.nanmean(np.abs(length - np.nanmean(length, axis=0)), axis=0) for length in lengths if length.size]
@@ -184,16 +186,16 @@ def distance_differences(clouds: Floats) -> StationDisagreement:
 
 
 def distance_differences_to_first(clouds: Floats) -> StationDisagreement:
-    """Mean over the other stations of |distance from station 1 - from them| for each pair of targets (eq. 11)."""
+    """Mean absolute difference of each distance between two targets from that of station 1 (eq. 11)."""
     lengths = (length for _, length in iterate_pair_distances(clouds[:, np.isfinite(clouds[0, :, 0])], 2))
     means = [np.nanmean(np.abs(length[1:] - length[0]), axis=0) for length in lengths if length.size]
     return StationDisagreement(np.concatenate([np.zeros(0), *means]))
 
 
 def coordinate_differences(aligned_clouds: Floats) -> StationDisagreement:
-    """Mean over pairs of stations of the distance between their two positions of each target (eq. 12).
+    """Distance between the positions of each target from two stations, mean over all pairs of stations (eq. 12).
 
-    `aligned_clouds` (S, T, 3) [m] are all stations' targets in one frame; NaN if not observed.
+    `aligned_clouds` (stations, targets, 3) [m] are the points of all stations in one frame, NaN if not measured.
     """
     total, count = np.zeros(aligned_clouds.shape[1]), np.zeros(aligned_clouds.shape[1])
     for targets, gap in iterate_pair_distances(np.swapaxes(aligned_clouds, 0, 1)):
@@ -253,7 +255,7 @@ def evaluate_criteria(
 
 
 def _subtract_change(recording: Recording, reading_changes: Floats | None) -> Recording:
-    """Recording with a change (n, 3) subtracted from its readings."""
+    """Recording whose readings are reduced by a change of shape (pointings, 3)."""
     return recording if reading_changes is None else recording.with_readings(recording.readings - reading_changes)
 
 
@@ -277,7 +279,7 @@ NOMINAL_TABLE = Table(
 
 
 def read_nominal(path: Path) -> dict[str, Floats]:
-    """Nominal points (3,) [m] by target, from a list such as ``target,x_mm,y_mm,z_mm``; raises RecordError."""
+    """Nominal coordinates (3,) [m] of each target, from a list such as ``target,x_mm,y_mm,z_mm``."""
     points = read_points(path)
     for line, place in zip(points.line_numbers, points.points, strict=True):
         if not np.isfinite(place).all():
@@ -286,12 +288,12 @@ def read_nominal(path: Path) -> dict[str, Floats]:
 
 
 def distance_errors(clouds: Floats, nominal_points: Floats) -> StationDisagreement:
-    """Mean over stations of |distance - nominal distance| for each pair of targets (eq. 13, as meant)."""
+    """Mean absolute error of each distance between two targets relative to the nominal distance (eq. 13)."""
     return distance_differences_to_first(np.concatenate([nominal_points[None], clouds]))
 
 
 def coordinate_errors(clouds: Floats, nominal_points: Floats) -> StationDisagreement:
-    """Mean over stations of the distance to the nominal point after a rigid fit, for each target (eq. 14)."""
+    """Mean distance of each target from its nominal point after a rigid fit of each station, over stations (eq. 14)."""
     gap = np.linalg.norm([align_to_points(cloud, nominal_points) - nominal_points for cloud in clouds], axis=2)
     return StationDisagreement(np.nanmean(gap[:, np.isfinite(gap).any(axis=0)], axis=0))
 

@@ -1,4 +1,4 @@
-"""Go or no-go in the field, from repeated measurements of each set-up."""
+"""Field check: a go or no-go decision from repeated measurements of each set-up."""
 
 from ltsim.adjustment.fieldcheck.check import (
     check as check,

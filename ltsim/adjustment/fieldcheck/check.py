@@ -1,8 +1,8 @@
 """Field check: tests of every set-up by repeated measurements, with corrected p-values.
 
 All tests of a recording share one false-alarm probability, `level`. Half of it belongs to the tests of single set-ups
-and half to those of the network, in equal parts for each test (Bonferroni), and within a test in equal parts for each
-target, gap or pointing that was tested.
+and half to the tests of the network. Each half is divided equally among the tests, and the part of a test equally
+among the targets, time gaps or pointings that it tests (Bonferroni).
 """
 
 from collections.abc import Callable, Mapping
@@ -52,15 +52,17 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import write_result
 
 MAX_GROSS_FRACTION = 0.1
-"""Largest fraction of a set-up's pointings that may be gross errors; with more, the declared noise is wrong."""
+"""Largest fraction of a set-up's pointings that the test removes as gross errors; more of them mean that the declared
+noise is wrong.
+"""
 N_SETUP_TESTS = 6
-"""Number of tests of one set-up."""
+"""Number of tests of one set-up: two faces, gross errors, bump, drift of the station and of the instrument, scatter."""
 
 
 SentenceWriter = Callable[[Recording, ColumnsFit, bool], str]
 """Function that writes the sentence of a test from the recording, the fit, and a flag that the test passed."""
 MIN_TARGET_DOF = 6.0
-"""Smallest number of degrees of freedom at which the scatter of a target is tested separately."""
+"""Number of degrees of freedom from which the scatter of a target is compared with that of the other targets."""
 
 
 def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple[float, float] | None = None) -> Check:
@@ -107,16 +109,23 @@ def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple
     if len(full_recording.stations) > 1:
         motions = tuple(motion for setup in setups for motion in setup.motions)
         moving = tuple(motion for motion in moving if motion.stations not in {m.stations for m in motions})
-        plain = adjust_for_check(corrected, motions)
-        read, shown, scattering = corrected, corrected, tuple[CheckItem, ...]()
-        if isinstance(plain, Adjustment):
-            shown, scattering = scale_target_noise(corrected, plain)
-            read = apply_corrections(shown, detect_blunders(plain))
-        if read is not corrected:  # a set-up is not blamed for what has a name
-            setups = tuple(_test_setup(read, read, s, family, mpe) for s in all_indices)
+        adjustment_or_error = adjust_for_check(corrected, motions)
+        recording_to_test, noise_scaled_recording, scattering = corrected, corrected, tuple[CheckItem, ...]()
+        if isinstance(adjustment_or_error, Adjustment):
+            noise_scaled_recording, scattering = scale_target_noise(corrected, adjustment_or_error)
+            recording_to_test = apply_corrections(noise_scaled_recording, detect_blunders(adjustment_or_error))
+        if recording_to_test is not corrected:  # a set-up is not blamed for what has a name
+            setups = tuple(_test_setup(recording_to_test, recording_to_test, s, family, mpe) for s in all_indices)
         shared = HypothesisFamily(level, 2 * N_NETWORK_TESTS)
-        together = network_items(shown, plain, shared, motions, moving, with_target_noise=shown is not corrected)
-        network = (*scattering, *together)
+        network_tests = network_items(
+            noise_scaled_recording,
+            adjustment_or_error,
+            shared,
+            motions,
+            moving,
+            with_target_noise=noise_scaled_recording is not corrected,
+        )
+        network = (*scattering, *network_tests)
     result = Check.from_items(CheckArrays(full_recording, setups), network, level, causes)
     if not result.items:
         message = "no station measured a target twice, so no test is possible yet; "
@@ -125,9 +134,9 @@ def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple
 
 
 def write_check(check: Check, folder: Path, extra_files: Mapping[str, str]) -> Check:
-    """Writing of `check.json`, `two_face.csv` and `extra_files` texts (a figure) into a folder.
+    """Check with the digests of its files, after `check.json` and `two_face.csv` are written into a folder.
 
-    Returns the check with their digests.
+    `extra_files` are the texts of further files by file name, for example of a figure.
 
     Raises
     ------
@@ -145,68 +154,79 @@ def _test_setup(
     family: HypothesisFamily,
     mpe: tuple[float, float] | None,
 ) -> SetupCheck:
-    """Tests of a set-up; its two-face differences are those of `paired_recording`, including outliers."""
+    """Tests of a set-up.
+
+    The two-face differences are those of `paired_recording`, which contains outliers; the other tests use
+    `setup_recording`.
+    """
     indices = np.flatnonzero(setup_recording.station == station)
-    recording, rows, name = setup_recording.select(indices), indices + 1, setup_recording.stations[station]
+    recording, row_numbers, name = setup_recording.select(indices), indices + 1, setup_recording.stations[station]
     construction = declared_construction(recording)
-    visit = StationOccupation.from_recording(recording, construction)
-    judged = SetupTests((), visit, (), recording)
-    if visit.dof > 0:
-        judged = _gross_and_motion_tests(visit, construction, family, rows)
-    two_faced, motionless = paired_recording.select(indices), judged.motion_corrected.readings
-    motionless = np.where(np.isnan(motionless), two_faced.readings, motionless)
+    occupation = StationOccupation.from_recording(recording, construction)
+    setup_tests = SetupTests((), occupation, (), recording)
+    if occupation.dof > 0:
+        setup_tests = _gross_and_motion_tests(occupation, construction, family, row_numbers)
+    two_faced, corrected = paired_recording.select(indices), setup_tests.motion_corrected.readings
+    corrected = np.where(np.isnan(corrected), two_faced.readings, corrected)
     items, faces = (
         list[CheckItem](),
         TwoFaceDifferences.from_recordings(
-            two_faced, two_faced.with_readings(motionless), construction, family.alpha_per_test, mpe
+            two_faced, two_faced.with_readings(corrected), construction, family.alpha_per_test, mpe
         ),
     )
     if faces is not None:
         limit = "noise and specification" if mpe is None else "the limit"
         sentence, targets, worst = face_sentence(faces, recording, limit)
-        pair = tuple(rows[worst].tolist())
+        pair = tuple(row_numbers[worst].tolist())
         items.append(CheckItem.from_test(name, "two-face", not targets, sentence, targets=targets, rows=pair))
-    if visit.dof < 1:
-        return SetupCheck(name, tuple(items), faces, None, rows)
-    remaining, scale = judged.remaining, _scatter_by_target(judged.remaining, family)
+    if occupation.dof < 1:
+        return SetupCheck(name, tuple(items), faces, None, row_numbers)
+    remaining = setup_tests.corrected_occupation
+    scale = _scatter_by_target(remaining, family)
     if scale is None:
-        items += [*judged.items, _repeatability_item(remaining, family)]
+        items += [*setup_tests.items, _repeatability_item(remaining, family)]
     else:
-        judged = _gross_and_motion_tests(
-            StationOccupation.from_recording(recording, construction, sigma=visit.sigma * scale),
+        setup_tests = _gross_and_motion_tests(
+            StationOccupation.from_recording(recording, construction, sigma=occupation.sigma * scale),
             construction,
             family,
-            rows,
+            row_numbers,
         )
-        items += [_target_scatter_item(visit, remaining, family), *judged.items]
-    return SetupCheck(name, tuple(items), faces, remaining, rows, judged.motions)
+        items += [_target_scatter_item(occupation, remaining, family), *setup_tests.items]
+    return SetupCheck(name, tuple(items), faces, remaining, row_numbers, setup_tests.motions)
 
 
 @dataclass(frozen=True)
 class SetupTests:
-    """Items on pointings and motions of an occupation, the occupation without these, and readings without motions."""
+    """Results of the tests of one occupation for gross errors, motions of the station and drifts of the instrument."""
 
     items: tuple[CheckItem, ...]
-    remaining: StationOccupation
+    corrected_occupation: StationOccupation
+    """Occupation without the gross pointings, and with the detected motions and drifts fitted."""
     motions: tuple[StationMotion, ...]
+    """Detected motions of the station."""
     motion_corrected: Recording
+    """Recording whose readings are corrected for the detected motions and drifts."""
 
 
 def _gross_and_motion_tests(
-    occupation: StationOccupation, construction: Construction, family: HypothesisFamily, rows: Ints
+    occupation: StationOccupation, construction: Construction, family: HypothesisFamily, row_numbers: Ints
 ) -> SetupTests:
-    """Tests of one set-up for gross errors, a bump and a drift, and the readings without its motion."""
+    """Tests of one set-up for gross errors, a bump, and drifts of the station and of the instrument's zeros.
+
+    `row_numbers` (n,) are the rows of the pointings in the whole recording, from 1.
+    """
     gross, bump, occupation = _gross_pointings_and_bump(occupation, construction, family)
-    items = [_gross_item(occupation, gross, rows, family), _bump_item(occupation, bump, rows, family)]
-    recording, even = occupation.recording, UniformMotion((occupation.recording.stations[0],))
+    items = [_gross_item(occupation, gross, row_numbers, family), _bump_item(occupation, bump, row_numbers, family)]
+    recording, uniform_motion = occupation.recording, UniformMotion((occupation.recording.stations[0],))
     motions: list[StationMotion] = [] if bump is None else [bump]
     designs = [motion.design(occupation.sightings) for motion in motions]
     remaining = reduce(StationOccupation.with_fitted_columns, designs, occupation)
-    creep, zeros = even.design(occupation.sightings), _zero_drift_design(occupation)
-    items.append(_drift_item(remaining, family, "drift", creep, drift_sentence))
+    drift_design, zeros = uniform_motion.design(occupation.sightings), _zero_drift_design(occupation)
+    items.append(_drift_item(remaining, family, "drift", drift_design, drift_sentence))
     if not items[-1].passed:
-        motions.append(even)
-        designs, remaining = [*designs, creep], remaining.with_fitted_columns(creep)
+        motions.append(uniform_motion)
+        designs, remaining = [*designs, drift_design], remaining.with_fitted_columns(drift_design)
     items.append(_drift_item(remaining, family, "instrument-drift", zeros, instrument_sentence))
     if not items[-1].passed:
         designs, remaining = [*designs, zeros], remaining.with_fitted_columns(zeros)
@@ -217,9 +237,9 @@ def _gross_and_motion_tests(
 
 
 def _scatter_by_target(occupation: StationOccupation, family: HypothesisFamily) -> Floats | None:
-    """Ratio (n, 1) of the scatter at each pointing's target to the declared noise.
+    """Factor (n, 1) on the declared noise of each of n pointings, at least 1, from the scatter at its target.
 
-    It is None if all targets have equal scatter (Bartlett).
+    None if the scatter of the targets does not differ significantly (test of Bartlett).
     """
     chi2, dof = occupation.target_chi2_and_dof()
     is_testable = dof >= MIN_TARGET_DOF
@@ -231,15 +251,18 @@ def _scatter_by_target(occupation: StationOccupation, family: HypothesisFamily) 
     gain /= 1.0 + (np.sum(1.0 / dof_of_target) - 1.0 / dof_of_target.sum()) / (3.0 * (len(dof_of_target) - 1.0))
     if not special.chdtrc(len(dof_of_target) - 1.0, gain) < family.alpha_per_test:
         return None
-    ratio = np.full(len(dof), np.sqrt(mean_variance))
-    ratio[is_testable] = np.sqrt(variance)
-    return np.asarray(np.maximum(ratio, 1.0)[occupation.recording.target][:, None])
+    scatter_ratio = np.full(len(dof), np.sqrt(mean_variance))
+    scatter_ratio[is_testable] = np.sqrt(variance)
+    return np.asarray(np.maximum(scatter_ratio, 1.0)[occupation.recording.target][:, None])
 
 
 def _gross_pointings_and_bump(
     occupation: StationOccupation, construction: Construction, family: HypothesisFamily
 ) -> tuple[dict[int, float], StationBump | None, StationOccupation]:
-    """Gross pointings with p-values, removed one by one until a bump explains more than the next one, and the bump."""
+    """p-values of gross pointings by index, the bump or None, and the occupation without the gross pointings.
+
+    Pointings are removed one by one, until a bump explains more than the next one.
+    """
     gross: dict[int, float] = {}
     most = max(1, MAX_GROSS_FRACTION * len(occupation.row_mask))
     while True:
@@ -259,7 +282,10 @@ def _gross_pointings_and_bump(
 
 
 def best_bump(occupation: StationOccupation) -> tuple[StationBump | None, ColumnsFit, int]:
-    """Gap in which a motion of the station explains most, its fit, and the number of gaps."""
+    """Bump (sudden motion of the station) that explains the readings best, its fit, and the number of tested time gaps.
+
+    The bump is None if no time gap has enough targets measured before and after it.
+    """
     candidates = [
         bump
         for bump in StationBump.candidates(occupation.sightings)
@@ -288,17 +314,20 @@ def _neg_log_p(fit: ColumnsFit) -> float:
 
 
 def _gross_item(
-    occupation: StationOccupation, gross: Mapping[int, float], rows: Ints, family: HypothesisFamily
+    occupation: StationOccupation, p_values: Mapping[int, float], row_numbers: Ints, family: HypothesisFamily
 ) -> CheckItem:
     recording, name = occupation.recording, occupation.recording.stations[0]
-    targets = tuple(dict.fromkeys(recording.targets[recording.target[i]] for i in gross))
-    sentence, numbers = gross_sentence(occupation, list(gross), rows), tuple(int(rows[i]) for i in gross)
-    chance = family.corrected_p_value(max(gross.values())) if gross else None
-    return CheckItem.from_test(name, "gross", not gross, sentence, chance, targets=targets, rows=numbers)
+    targets = tuple(dict.fromkeys(recording.targets[recording.target[i]] for i in p_values))
+    sentence, numbers = (
+        gross_sentence(occupation, list(p_values), row_numbers),
+        tuple(row_numbers[list(p_values)].tolist()),
+    )
+    chance = family.corrected_p_value(max(p_values.values())) if p_values else None
+    return CheckItem.from_test(name, "gross", not p_values, sentence, chance, targets=targets, rows=numbers)
 
 
 def _bump_item(
-    occupation: StationOccupation, bump: StationBump | None, rows: Ints, family: HypothesisFamily
+    occupation: StationOccupation, bump: StationBump | None, row_numbers: Ints, family: HypothesisFamily
 ) -> CheckItem:
     recording, name = occupation.recording, occupation.recording.stations[0]
     if bump is None:
@@ -308,14 +337,17 @@ def _bump_item(
     index = int(np.searchsorted(recording.time[order], bump.time))
     pair = order[index - 1 : index + 1]
     time_interval = float(recording.time[pair[0]]), float(recording.time[pair[1]])
-    numbers = int(rows[pair[0]]), int(rows[pair[1]])
+    numbers = int(row_numbers[pair[0]]), int(row_numbers[pair[1]])
     chance = family.corrected_p_value(occupation.p_value(fit), len(order) - 1)
     sentence = bump_sentence(recording, time_interval, numbers, fit)
     return CheckItem.from_test(name, "bump", False, sentence, chance, rows=numbers, between_s=time_interval)
 
 
 def _zero_drift_design(occupation: StationOccupation) -> Floats:
-    """Change (n, 3, 2) of the readings per second by unit drift rates of the range zero and the vertical index."""
+    """Changes (n, 3, 2) of the three readings of n pointings by unit drift rates [1/s] of two zeros of the instrument.
+
+    The first is that of the range, the second the vertical index.
+    """
     laws, sightings = [RangeDrift(law="visit"), IndexDrift(law="visit")], with_equal_times_per_run(occupation.sightings)
     return np.concatenate([law.design(sightings) for law in laws], axis=2)
 
@@ -328,17 +360,17 @@ def _drift_item(
     write_sentence: SentenceWriter,
 ) -> CheckItem:
     fit = occupation.fit_columns(design)
-    p = family.corrected_p_value(occupation.p_value(fit))
-    is_passed = p >= family.false_alarm_rate
+    p_value = family.corrected_p_value(occupation.p_value(fit))
+    is_passed = p_value >= family.false_alarm_rate
     return CheckItem.from_test(
-        occupation.recording.stations[0], kind, is_passed, write_sentence(occupation.recording, fit, is_passed), p
+        occupation.recording.stations[0], kind, is_passed, write_sentence(occupation.recording, fit, is_passed), p_value
     )
 
 
 def _repeatability_item(occupation: StationOccupation, family: HypothesisFamily) -> CheckItem:
-    """Item on the scatter of repeated pointings relative to the declared noise, two-sided.
+    """Result of the two-sided test of the scatter of repeated pointings against the declared noise.
 
-    Smaller noise passes with a remark.
+    Scatter that is significantly smaller than declared passes with a remark.
     """
     name, ratio = occupation.recording.stations[0], float(np.sqrt(occupation.chi2 / max(occupation.dof, 1)))
     if occupation.dof < 1:
@@ -355,10 +387,10 @@ def _repeatability_item(occupation: StationOccupation, family: HypothesisFamily)
 
 
 def _target_scatter_item(
-    occupation: StationOccupation, remaining: StationOccupation, family: HypothesisFamily
+    occupation: StationOccupation, corrected_occupation: StationOccupation, family: HypothesisFamily
 ) -> CheckItem:
-    """Item on the scatter of a set-up whose targets have different scatter."""
-    closure, (chi2, dof) = _repeatability_item(remaining, family), remaining.target_chi2_and_dof()
+    """Result of the test of scatter for a set-up whose targets scatter differently, with the names of the worst."""
+    closure, (chi2, dof) = _repeatability_item(corrected_occupation, family), corrected_occupation.target_chi2_and_dof()
     listed_targets = np.flatnonzero(dof >= MIN_TARGET_DOF)
     listed_targets = listed_targets[np.argsort(-chi2[listed_targets] / dof[listed_targets], kind="stable")]
     sentence, targets = target_sentence(occupation, listed_targets)

@@ -27,15 +27,15 @@ from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from ltsim.solve.design import robust_sigma
 
 N_NETWORK_TESTS = 2
-"""Number of tests of all stations together: common targets, and levels."""
+"""Number of tests of all stations together: one of common targets, one of levels."""
 EXCLUDABLE_REFERENCE_KINDS: tuple[ReferenceKind, ...] = ("point", "difference", "length", "mark", "scale")
-"""Kinds of reference values that may be excluded; levels are tested one by one."""
+"""Kinds of reference values that the adjustment may exclude. Levels are tested separately, station by station."""
 MIN_LEVEL_REDUNDANCY = 0.05
-"""Redundancy below which no other station checks a level."""
+"""Redundancy up to which a level or a reading counts as unchecked by the other observations."""
 
 
 def adjust_for_check(recording: Recording, motions: Sequence[StationMotion]) -> Adjustment | LtsimError:
-    """Network as of `adjust`, with moving stations, or the error if there is none."""
+    """Adjusted network with motions of stations among its unknowns, or the error that prevents an adjustment."""
     try:
         plain = adjust(recording, effects=motions, robust=bool(motions), tested_kinds=EXCLUDABLE_REFERENCE_KINDS)
         require_usable(plain)
@@ -47,10 +47,11 @@ def adjust_for_check(recording: Recording, motions: Sequence[StationMotion]) -> 
 def scale_target_noise(
     recording: Recording, adjustment_or_error: Adjustment
 ) -> tuple[Recording, tuple[CheckItem, ...]]:
-    """Recording with the noise of much noisier targets set to their scatter, and items on them.
+    """Recording with increased standard deviations at noisy targets, and the failed item on these targets.
 
-    Noisy targets reported by `adjust` give an item if they remain noisy when the instrument's errors are estimated,
-    since these affect near and steep targets most. Their pointings need not be repeated for that reason alone.
+    A noisy target is one whose readings scatter much more than those of the other targets, also if the instrument's
+    errors are estimated: such errors affect near and steep targets most. Without noisy targets the recording is
+    returned unchanged and the items are empty.
     """
     if adjustment_or_error.rejected_references or not len(adjustment_or_error.noisy_targets[0]):
         return recording, ()
@@ -61,25 +62,33 @@ def scale_target_noise(
             effects=adjustment_or_error.effects,
             tested_kinds=EXCLUDABLE_REFERENCE_KINDS,
         )
-    named, ratio, rest = adjustment_or_error.noisy_targets
-    if not len(named) or not ratio > 1.0 or verdict_on(adjustment_or_error).agreement is not VerdictCase.LARGER_NOISE:
+    noisy_targets, ratio, ratio_elsewhere = adjustment_or_error.noisy_targets
+    if (
+        not len(noisy_targets)
+        or not ratio > 1.0
+        or verdict_on(adjustment_or_error).agreement is not VerdictCase.LARGER_NOISE
+    ):
         return recording, ()
-    rows = np.isin(recording.target, named)
+    is_noisy = np.isin(recording.target, noisy_targets)
     w_by_observable = [
         w[share > MIN_LEVEL_REDUNDANCY]
         for w, share in zip(
-            adjustment_or_error.normalised_residuals[rows].T, adjustment_or_error.redundancy[rows].T, strict=True
+            adjustment_or_error.normalised_residuals[is_noisy].T,
+            adjustment_or_error.redundancy[is_noisy].T,
+            strict=True,
         )
     ]
     ratios = [robust_sigma(w) if len(w) >= MIN_DOF_FOR_ESTIMATED_NOISE else ratio for w in w_by_observable]
     sigma = (
-        np.where(rows[:, None], np.maximum(ratios, 1.0), 1.0) * recording.sigma() / [MILLIMETRE, ARCSECOND, ARCSECOND]
+        np.where(is_noisy[:, None], np.maximum(ratios, 1.0), 1.0)
+        * recording.sigma()
+        / [MILLIMETRE, ARCSECOND, ARCSECOND]
     )
     scaled_recording = recording.replace(
         covariates={**recording.covariates, **dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))}
     )
-    names = tuple(recording.targets[t] for t in named)
-    scatter_words = f"scatter {ratio:.2g} times the declared noise, the others {rest:.2g} times"
+    names = tuple(recording.targets[t] for t in noisy_targets)
+    scatter_words = f"scatter {ratio:.2g} times the declared noise, the others {ratio_elsewhere:.2g} times"
     sentence = f"readings to {', '.join(names)} {scatter_words}"
     return scaled_recording, (
         CheckItem.from_test("", "closure", False, f"{sentence}: these targets are unstable", targets=names),
@@ -95,21 +104,20 @@ def network_items(
     *,
     with_target_noise: bool,
 ) -> tuple[CheckItem, ...]:
-    """Tests of the agreement of stations, with estimated errors of the instrument; empty if no comparison is possible.
+    """Results of the tests of all stations together, with the errors of the instrument estimated.
 
-    `adjustment_or_error` is the network of `adjust` with the declared noise, even for a recording with increased noise
-    of targets; `motions` of stations were estimated from their single set-ups, those `moving_stations` from the
-    network.
+    `adjustment_or_error` is the network adjusted with the declared noise, also if `recording` has increased noise at
+    some targets. `motions` were detected in single set-ups, `moving_stations` are motions that only the network shows.
     """
     try:
-        built = declared_construction(recording)
+        construction = declared_construction(recording)
     except NetworkError as problem:
         return (CheckItem.from_test("", "network", True, f"the stations are not compared: {problem}"),)
     try:
         if isinstance(adjustment_or_error, LtsimError):
             raise adjustment_or_error
         motions = (*motions, *moving_stations)
-        fitted = adjust(recording, built, effects=motions, robust=True, tested_kinds=EXCLUDABLE_REFERENCE_KINDS)
+        fitted = adjust(recording, construction, effects=motions, robust=True, tested_kinds=EXCLUDABLE_REFERENCE_KINDS)
     except (NetworkError, ConvergenceError) as problem:
         return (CheckItem.from_test("", "network", False, f"the set-ups do not form a network: {problem}"),)
     items = [CheckItem.from_test("", "network", False, doubt) for doubt in network_warnings(adjustment_or_error)]
@@ -122,10 +130,10 @@ def network_items(
     ]
     is_explained = np.zeros(len(recording), dtype=bool)
     for motion, *_ in detect_blunders(adjustment_or_error):
-        at = ", ".join(motion.stations)
+        stations = ", ".join(motion.stations)
         items.append(
             CheckItem.from_test(
-                at, "mistake", False, motion.sentence, targets=motion.targets, rows=tuple(motion.rows + 1)
+                stations, "mistake", False, motion.sentence, targets=motion.targets, rows=tuple(motion.rows + 1)
             )
         )
         is_explained[motion.rows] = True
@@ -139,50 +147,58 @@ def network_items(
     ]
     if fitted.solution.has_converged and fitted.dof > 0:
         use, any_rejected = fitted.problem.used_readings, fitted.is_rejected.any()
-        again = any_rejected or with_target_noise or len(motions) > len(adjustment_or_error.effects)
-        without = (
+        requires_new_adjustment = any_rejected or with_target_noise or len(motions) > len(adjustment_or_error.effects)
+        adjustment = (
             adjust(recording, effects=motions, reading_mask=use, tested_kinds=EXCLUDABLE_REFERENCE_KINDS)
-            if again
+            if requires_new_adjustment
             else adjustment_or_error
         )
-        if _has_instrument_errors(without, fitted):
-            without = fitted
+        if _has_instrument_errors(adjustment, fitted):
+            adjustment = fitted
         elif any_rejected:
-            without = adjust(recording, effects=motions, robust=True, tested_kinds=EXCLUDABLE_REFERENCE_KINDS)
-        alone, less = two_sided_chi2_p_value(without.chi2, without.dof)
+            adjustment = adjust(recording, effects=motions, robust=True, tested_kinds=EXCLUDABLE_REFERENCE_KINDS)
+        p_value, less = two_sided_chi2_p_value(adjustment.chi2, adjustment.dof)
         if (
-            with_target_noise and not less and family.corrected_p_value(alone) < family.false_alarm_rate
+            with_target_noise and not less and family.corrected_p_value(p_value) < family.false_alarm_rate
         ):  # noise: what stands out of it, by adjust
             is_explained |= ~np.isin(
                 np.arange(len(is_explained)),
                 [motion.row for motion in adjustment_or_error.flagged_readings(uses_estimated_noise=True)],
             )
-        items += [*_target_agreement_items(without, is_explained, family), *_level_items(fitted, family)]
+        items += [*_target_agreement_items(adjustment, is_explained, family), *_level_items(fitted, family)]
     return tuple(items)
 
 
-def _has_instrument_errors(adjustment: Adjustment, fitted: Adjustment) -> bool:
-    """True if the instrument's errors explain more of the network `adjustment` them than an estimated noise factor."""
-    count = fitted.problem.unknowns.instrument_columns.size
-    ratio = (adjustment.chi2 - fitted.chi2) / count / max(fitted.chi2 / fitted.dof, 1e-30)
-    return bool(special.fdtrc(count, fitted.dof, max(ratio, 0.0)) < GLOBAL_LEVEL)
+def _has_instrument_errors(without_instrument_errors: Adjustment, with_instrument_errors: Adjustment) -> bool:
+    """True if errors of the instrument explain the misfit of a network better than larger noise does (F test).
+
+    `without_instrument_errors` has no unknowns for these errors, `with_instrument_errors` estimates them.
+    """
+    n_parameters = with_instrument_errors.problem.unknowns.instrument_columns.size
+    f_statistic = (
+        (without_instrument_errors.chi2 - with_instrument_errors.chi2)
+        / n_parameters
+        / max(with_instrument_errors.chi2 / with_instrument_errors.dof, 1e-30)
+    )
+    return bool(special.fdtrc(n_parameters, with_instrument_errors.dof, max(f_statistic, 0.0)) < GLOBAL_LEVEL)
 
 
 def _target_agreement_items(fitted: Adjustment, is_explained: Bools, family: HypothesisFamily) -> list[CheckItem]:
-    """Items on the agreement of the stations, the worst first.
+    """Result of the test whether the stations agree on their common targets, with the worst pointing.
 
-    Pointings that a blunder explains (`is_explained` (n,)) are excluded.
+    `is_explained` (n,) flags pointings that another item already reports; they are left out.
     """
     recording, out = fitted.recording, fitted.is_rejected.any(axis=1) & ~is_explained
     alone, less = two_sided_chi2_p_value(fitted.chi2, fitted.dof)
     p = family.corrected_p_value(alone)
-    scatter = f"sigma0 {fitted.sigma0:.2f} where the declared noise gives 1 ({fitted.dof} degrees of freedom)"
+    scatter = f"sigma0 is {fitted.sigma0:.2f}, expected is 1 ({fitted.dof} degrees of freedom)"
     if not out.any():
         passed = less or p >= family.false_alarm_rate
         verb = "agree" if passed else "disagree"
         if passed and not less and alone < GLOBAL_LEVEL:
-            rarity = f"one of {1 / alone:.0f} networks, not rarely enough among the tests of a check"
-            scatter += f"; noise alone gives this in {rarity}"
+            scatter += (
+                f"; noise alone gives this in one of {1 / alone:.0f} networks, which a check with many tests accepts"
+            )
         return [
             CheckItem.from_test("", "network", passed, f"the stations {verb} on their common targets: {scatter}", p)
         ]
@@ -192,13 +208,13 @@ def _target_agreement_items(fitted: Adjustment, is_explained: Bools, family: Hyp
     station, target = recording.station[rows[0]], recording.target[rows[0]]
     first = f"{recording.stations[station]} to {recording.targets[target]}, row {rows[0] + 1}"
     phrase = f"{len(rows)} pointings contradict" if len(rows) > 1 else "a pointing contradicts"
-    sentence = f"{phrase} the other stations ({first}{', is the worst' if len(rows) > 1 else ''})"
+    sentence = f"{phrase} the other stations ({'the worst is ' if len(rows) > 1 else ''}{first})"
     targets = tuple(dict.fromkeys(recording.targets[t] for t in recording.target[rows]))
     return [CheckItem.from_test("", "network", False, sentence, targets=targets, rows=tuple((rows + 1).tolist()))]
 
 
 def _level_items(fitted: Adjustment, family: HypothesisFamily) -> list[CheckItem]:
-    """Items on the level of each levelled station relative to the vertical of the others, by their common targets."""
+    """Results of the tests of each station's level against the vertical of the other stations, by common targets."""
     items, levels = [], fitted.problem.level_rows
     sigma_by_station = {
         fitted.recording.stations[k]: sigma for k, sigma in zip(levels.station_indices, levels.sigma, strict=True)
@@ -207,6 +223,6 @@ def _level_items(fitted: Adjustment, family: HypothesisFamily) -> list[CheckItem
         if test.kind == "level" and (sigma_by_station[test.name] / test.sigma_error.min()) ** 2 > MIN_LEVEL_REDUNDANCY:
             p = family.corrected_p_value(float(special.chdtrc(test.rank, test.chi2_drop)), len(levels))
             verb = "agrees with" if p >= family.false_alarm_rate else "deviates from"
-            sentence = f"{test.name}: its level {verb} the vertical of the others ({test.error_text})"
+            sentence = f"{test.name}: its level {verb} the vertical of the other stations ({test.error_text})"
             items.append(CheckItem.from_test(test.name, "level", p >= family.false_alarm_rate, sentence, p))
     return items

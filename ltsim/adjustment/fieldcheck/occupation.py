@@ -1,13 +1,13 @@
-"""Model of a single set-up: repeated pointings after a fit of targets and instrument errors.
+"""Linear model of a single set-up with repeated pointings, and two-face differences.
 
-Every target measured twice, on the other face or later, provides redundancy without a second station. The linear model
-has three coordinates per target and the instrument's parameters; a suspected cause (a bump, a drift, a gross pointing)
-is tested by the chi-square decrease of its columns.
+Every target measured twice, on the other face or later, provides redundancy without a second station. The unknowns
+are three coordinates per target and the instrument's parameters. A suspected cause (a bump, a drift, a gross pointing)
+adds columns to the design matrix, and is tested by the decrease of chi-square if they are fitted too.
 
-Two-face differences, half of face 1 minus face 2, are tested target by target. Their limit includes the declared noise
-and, since a tracker within its specification has such differences too, the differences that the specified errors of
-axes, beam and encoders cause at that position (`setup.toml`, [instrument.prior]). A limit given as A um + B um/m of the
-full difference as a length (the form of ASME B89.4.19) replaces it.
+Half differences of face 1 minus face 2 are tested target by target. Their limit includes the declared noise. A tracker
+within its specification has such differences too, so the limit also includes those that the specified errors of axes,
+beam and encoders cause at that position (`setup.toml`, [instrument.prior]). A user can replace the limit by A um +
+B um/m for the full difference as a length (the form of ASME B89.4.19).
 """
 
 from __future__ import annotations
@@ -29,42 +29,53 @@ from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
 
 MIN_INSTRUMENT_CHANGE = 0.1
-"""Smallest change of a reading, in its sigma, by a direction of the instrument's errors that is kept in the model."""
+"""Singular value of the whitened columns of the instrument's errors, scaled by their prior standard deviations, above
+which their combination is a parameter of the model. Smaller combinations change the readings by less than their noise.
+"""
 MIN_READING_REDUNDANCY = 0.05
-"""Redundancy below which an error of a reading is not visible."""
+"""Eigenvalue of the redundancy matrix of a pointing's readings, 0 to 1, up to which an error in its direction is not
+tested.
+"""
 MIN_DETERMINED_FRACTION = 0.999
-"""Fraction of a parameter within the determined directions above which its value is reported."""
+"""Share of a parameter's unit vector, squared, in the space that the readings determine. A parameter with a smaller
+share is undetermined and gets an infinite variance.
+"""
 MIN_REMAINING_SIGNATURE_FRACTION = 0.01
-"""Fraction of a suspected cause's signature that must remain after targets and instrument for a test."""
+"""Length of a column of a suspected cause after projection, relative to the length before. A shorter column is not
+tested, because coordinates of targets and errors of the instrument explain it.
+"""
 MIN_RELATIVE_SINGULAR_VALUE = 1e-6
-"""Smallest singular value of whitened columns, relative to the largest, that counts as a separate direction."""
+"""Square of the singular value of a matrix relative to its largest one, up to which columns count as linearly
+dependent.
+"""
 
 
 @dataclass(frozen=True)
 class ColumnsFit:
-    """Least-squares fit of columns to an occupation: chi-square decrease, rank, estimate and covariance.
-
-    The variance of an undetermined value is infinite.
-    """
+    """Least-squares fit of additional columns of the design matrix to the residuals of an occupation."""
 
     chi2_drop: float
+    """Decrease of the weighted sum of squared residuals by the fit."""
     rank: int
+    """Number of linearly independent columns."""
     estimates: Floats
+    """Estimated parameter (c,) of each column."""
     covariance: Floats
+    """Covariance (c, c) of the estimates; the variance of an undetermined parameter is infinite."""
 
     def length_and_sigma(self, columns: slice) -> tuple[float, float]:
-        """Length of the vector of some estimated values, and its standard deviation."""
-        part, spread = self.estimates[columns], self.covariance[columns, columns]
-        length = float(np.sqrt(part @ part))
-        if not np.isfinite(np.diag(spread)).all():
+        """Length of the vector of the estimates that `columns` selects, and the standard deviation of the length."""
+        vector, covariance = self.estimates[columns], self.covariance[columns, columns]
+        length = float(np.sqrt(vector @ vector))
+        if not np.isfinite(np.diag(covariance)).all():
             return length, float("inf")
-        along = part / length if length else np.full(len(part), 1.0 / np.sqrt(len(part)))
-        return length, float(np.sqrt(max(float(along @ spread @ along), 0.0)))
+        direction = vector / length if length else np.full(len(vector), 1.0 / np.sqrt(len(vector)))
+        return length, float(np.sqrt(max(float(direction @ covariance @ direction), 0.0)))
 
 
 @dataclass(frozen=True)
 class StationOccupation:
-    """Occupation: a set-up with whitened readings, from which targets and instrument errors are projected out."""
+    """Set-up with its whitened residuals, from which target coordinates and instrument errors are projected out."""
 
     recording: Recording
     """Recording of this station."""
@@ -73,11 +84,13 @@ class StationOccupation:
     row_mask: Bools
     """Flags (n,) of the pointings in use."""
     whitened_residuals: Floats
-    """Residuals of the readings divided by sigma, (n, 3); 0 for unused ones."""
+    """Residuals of the readings of n pointings divided by their standard deviations, (n, 3); 0 for unused readings."""
     target_basis: Floats
-    """Orthonormal columns of each pointing's target, (n, 3, 3)."""
+    """Orthonormal basis, (n, 3, 3), of the changes of the readings by the coordinates of each pointing's target. The
+    last axis counts the three basis vectors.
+    """
     instrument_basis: Floats
-    """Orthonormal columns of the instrument's errors over all targets, (n, 3, k)."""
+    """Orthonormal basis, (n, 3, k), of the changes of the readings by the k determined errors of the instrument."""
     sigma: Floats
     """Standard deviations of the readings, (n, 3)."""
     dof: int
@@ -91,9 +104,9 @@ class StationOccupation:
         row_mask: Bools | None = None,
         sigma: Floats | None = None,
     ) -> StationOccupation:
-        """Occupation of a recording's station.
+        """Occupation of the only station of a recording.
 
-        `row_mask` (n,) selects pointings, `sigma` (n, 3) replaces the declared noise.
+        `row_mask` (n,) selects pointings, `sigma` (n, 3) [m, rad, rad] replaces the declared standard deviations.
         """
         mask = np.ones(len(recording), dtype=bool) if row_mask is None else row_mask
         weight = recording.usable & mask[:, None]
@@ -101,45 +114,49 @@ class StationOccupation:
         sightings = replace(sightings_of(recording, _initial_state(recording, mask)), reflector_offsets=None)
         prior = prior_sigmas(recording, construction)[0]
         # At the mean of each target: at a gross reading, the columns of the instrument would contain its error.
-        by_point, by_value = construction.reading_design(sightings.raw_readings, np.zeros(construction.n_parameters))
+        target_design, parameter_design = construction.reading_design(
+            sightings.raw_readings, np.zeros(construction.n_parameters)
+        )
         scale = (weight / sigma)[:, :, None]
-        gap = np.where(weight, recording.readings - sightings.raw_readings, 0.0)
-        gap[:, 1:] = wrap_angle(gap[:, 1:])
-        by_target, ranks = _orthonormal_by_target(by_point * scale, recording.target, len(recording.targets))
-        blank = np.zeros((len(recording), 3, 0))
-        unadjusted = cls(recording, sightings, mask, gap, by_target, blank, sigma, 0)
-        columns = unadjusted.project_columns(by_value * prior * scale).reshape(3 * len(recording), -1)
+        misclosure = np.where(weight, recording.readings - sightings.raw_readings, 0.0)
+        misclosure[:, 1:] = wrap_angle(misclosure[:, 1:])
+        target_basis, ranks = _orthonormal_by_target(target_design * scale, recording.target, len(recording.targets))
+        no_columns = np.zeros((len(recording), 3, 0))
+        unadjusted = cls(recording, sightings, mask, misclosure, target_basis, no_columns, sigma, 0)
+        columns = unadjusted.project_columns(parameter_design * prior * scale).reshape(3 * len(recording), -1)
         u, size, _ = np.linalg.svd(columns, full_matrices=False)
         instrument = u[:, size > MIN_INSTRUMENT_CHANGE].reshape(len(recording), 3, -1)
         dof = int(weight.sum()) - ranks - instrument.shape[2]
-        occupation = cls(recording, sightings, mask, gap, by_target, instrument, sigma, dof)
-        return replace(occupation, whitened_residuals=occupation.project_columns(gap[:, :, None] * scale)[:, :, 0])
+        occupation = cls(recording, sightings, mask, misclosure, target_basis, instrument, sigma, dof)
+        return replace(
+            occupation, whitened_residuals=occupation.project_columns(misclosure[:, :, None] * scale)[:, :, 0]
+        )
 
     @property
     def chi2(self) -> float:
-        """Weighted sum of squared residuals after targets and instrument errors."""
+        """Weighted sum of squared residuals after the fit of target coordinates and instrument errors."""
         return float(np.sum(self.whitened_residuals**2))
 
     @property
     def inverse_sigmas(self) -> Floats:
-        """Inverse standard deviations (n, 3) of the readings in use, 0 for others."""
+        """Inverse standard deviations (n, 3) of the readings; 0 for readings that are not in use."""
         return np.where(self.recording.usable & self.row_mask[:, None], 1.0 / self.sigma, 0.0)
 
     def project_columns(self, columns: Floats) -> Floats:
-        """Whitened columns (n, 3, c) with targets and instrument errors projected out."""
-        on_target = np.einsum("nij,nic->njc", self.target_basis, columns)
-        target_sums = np.zeros((len(self.recording.targets), *on_target.shape[1:]))
-        np.add.at(target_sums, self.recording.target, on_target)
+        """Whitened columns (n, 3, c) without the part that target coordinates and instrument errors explain."""
+        target_coefficients = np.einsum("nij,nic->njc", self.target_basis, columns)
+        target_sums = np.zeros((len(self.recording.targets), *target_coefficients.shape[1:]))
+        np.add.at(target_sums, self.recording.target, target_coefficients)
         remainder = columns - np.einsum("nij,njc->nic", self.target_basis, target_sums[self.recording.target])
         if self.instrument_basis.shape[2]:
-            amount = np.einsum("nik,nic->kc", self.instrument_basis, remainder)
-            remainder = remainder - np.einsum("nik,kc->nic", self.instrument_basis, amount)
+            instrument_coefficients = np.einsum("nik,nic->kc", self.instrument_basis, remainder)
+            remainder = remainder - np.einsum("nik,kc->nic", self.instrument_basis, instrument_coefficients)
         return np.asarray(remainder)
 
     def _unit_columns(self, design: Floats) -> tuple[Floats, Floats]:
-        """Unit columns (3 n, c) of a suspected cause and their lengths (c,).
+        """Projected columns (3 n, c) of a suspected cause, scaled to unit length, and their lengths (c,).
 
-        It is 0 if targets and instrument errors absorb them.
+        Column and length are 0 if target coordinates and instrument errors explain the cause.
         """
         whitened = design * self.inverse_sigmas[:, :, None]
         columns = self.project_columns(whitened).reshape(-1, design.shape[2])
@@ -148,19 +165,19 @@ class StationOccupation:
         return np.where(length > 0, columns / np.where(length > 0, length, 1.0), 0.0), length
 
     def fit_columns(self, design: Floats) -> ColumnsFit:
-        """Fit of the columns (n, 3, c) of a suspected cause, which are changes of the readings."""
+        """Fit of a suspected cause; `design` (n, 3, c) is the change of the readings per unit of its c parameters."""
         unit, length = self._unit_columns(design)
         u, size, right = np.linalg.svd(unit, full_matrices=False)
         is_valid = size > np.sqrt(MIN_RELATIVE_SINGULAR_VALUE) * max(float(size.max(initial=0.0)), 1e-12)
-        amount = u[:, is_valid].T @ self.whitened_residuals.ravel()
+        coefficients = u[:, is_valid].T @ self.whitened_residuals.ravel()
         inverse = (right[is_valid].T / size[is_valid]) / np.where(length > 0, length, np.inf)[:, None]
         covariance = inverse @ inverse.T
-        unseen = np.sum(right[is_valid] ** 2, axis=0) < MIN_DETERMINED_FRACTION
-        covariance[unseen, unseen] = np.inf
-        return ColumnsFit(float(amount @ amount), int(is_valid.sum()), inverse @ amount, covariance)
+        is_undetermined = np.sum(right[is_valid] ** 2, axis=0) < MIN_DETERMINED_FRACTION
+        covariance[is_undetermined, is_undetermined] = np.inf
+        return ColumnsFit(float(coefficients @ coefficients), int(is_valid.sum()), inverse @ coefficients, covariance)
 
     def p_value(self, fit: ColumnsFit) -> float:
-        """p-value of a chi-square decrease: the larger one of declared and of estimated noise."""
+        """p-value of the decrease of chi-square: the larger of a test with declared and one with estimated noise."""
         if not fit.rank or self.dof <= fit.rank:
             return 1.0
         by_declared = float(special.chdtrc(fit.rank, fit.chi2_drop))
@@ -169,7 +186,7 @@ class StationOccupation:
         return max(by_declared, float(special.fdtrc(fit.rank, dof, ratio)))
 
     def with_fitted_columns(self, design: Floats) -> StationOccupation:
-        """Occupation with the columns (n, 3, c) of a suspected cause fitted too."""
+        """Occupation whose model also contains the columns (n, 3, c) of a suspected cause."""
         u, size, _ = np.linalg.svd(self._unit_columns(design)[0], full_matrices=False)
         added = u[:, size > np.sqrt(MIN_RELATIVE_SINGULAR_VALUE) * max(float(size.max(initial=0.0)), 1e-12)]
         residuals = self.whitened_residuals.ravel() - added @ (added.T @ self.whitened_residuals.ravel())
@@ -179,7 +196,7 @@ class StationOccupation:
         )
 
     def target_chi2_and_dof(self) -> tuple[Floats, Floats]:
-        """Chi-square (T,) of each target's pointings, and its degrees of freedom."""
+        """Weighted sums of squared residuals (T,) at each of T targets, and their degrees of freedom (T,)."""
         leverage = np.sum(self.target_basis**2, axis=2) + np.sum(self.instrument_basis**2, axis=2)
         redundancy = np.where(self.inverse_sigmas > 0, 1.0 - leverage, 0.0).sum(axis=1)
         target, count = self.recording.target, len(self.recording.targets)
@@ -189,7 +206,7 @@ class StationOccupation:
         return np.asarray(sums[0], dtype=np.float64), np.asarray(sums[1], dtype=np.float64)
 
     def distance_from_mean(self, row: int) -> float:
-        """Distance [m] of a pointing from the mean of the other pointings to its target; NaN without others."""
+        """Distance [m] of the point of a row from the mean of the other points of its target; NaN without others."""
         points = from_polar(self.recording.readings)
         is_complete = np.isfinite(points).all(axis=1)
         others: Bools = np.logical_and(is_complete & self.row_mask, self.recording.target == self.recording.target[row])
@@ -197,7 +214,7 @@ class StationOccupation:
         return float(np.linalg.norm(points[row] - points[others].mean(axis=0))) if others.any() else float("nan")
 
     def target_point_sigma(self, target: int) -> float:
-        """Standard deviation [m] of the points of a target along one axis; NaN with fewer than two complete ones."""
+        """Standard deviation [m] of the repeated points of a target, rms over the three axes; NaN with fewer than two."""
         points = from_polar(self.recording.readings[self.row_mask & np.asarray(self.recording.target == target)])
         points = points[np.isfinite(points).all(axis=1)]
         if len(points) < 2:
@@ -205,20 +222,23 @@ class StationOccupation:
         return float(np.sqrt(np.mean(np.var(points, axis=0, ddof=1))))
 
     def pointing_removal_tests(self) -> tuple[Floats, Ints]:
-        """Chi-square decrease (n,) if a pointing is removed, and number of readings (n,) that test it."""
-        response = np.eye(3) - np.einsum("nij,nkj->nik", self.target_basis, self.target_basis)
-        response = response - np.einsum("nij,nkj->nik", self.instrument_basis, self.instrument_basis)
+        """Decreases (n,) of chi-square by the removal of each of n pointings, and their degrees of freedom (n,).
+
+        The degrees of freedom count the directions in which other pointings check a pointing.
+        """
+        redundancy = np.eye(3) - np.einsum("nij,nkj->nik", self.target_basis, self.target_basis)
+        redundancy = redundancy - np.einsum("nij,nkj->nik", self.instrument_basis, self.instrument_basis)
         in_use = self.inverse_sigmas > 0
-        response = np.where(in_use[:, :, None] & in_use[:, None, :], response, 0.0)
-        values, vectors = np.linalg.eigh(response)
+        redundancy = np.where(in_use[:, :, None] & in_use[:, None, :], redundancy, 0.0)
+        values, vectors = np.linalg.eigh(redundancy)
         is_controlled = values > MIN_READING_REDUNDANCY
-        amount = np.einsum("nij,ni->nj", vectors, self.whitened_residuals)
-        chi2_drops = np.where(is_controlled, amount**2 / np.where(is_controlled, values, 1.0), 0.0).sum(axis=1)
+        components = np.einsum("nij,ni->nj", vectors, self.whitened_residuals)
+        chi2_drops = np.where(is_controlled, components**2 / np.where(is_controlled, values, 1.0), 0.0).sum(axis=1)
         return chi2_drops, is_controlled.sum(axis=1).astype(np.int64)
 
 
 def _initial_state(recording: Recording, row_mask: Bools) -> NetworkState:
-    """State with the instrument at the origin and targets at the mean of their pointings."""
+    """Network state with the instrument at the origin and each target at the mean of its measured points."""
     points = from_polar(recording.readings)
     is_complete = np.isfinite(points).all(axis=1)
     is_valid = is_complete & row_mask if (is_complete & row_mask).any() else is_complete
@@ -231,32 +251,35 @@ def _initial_state(recording: Recording, row_mask: Bools) -> NetworkState:
 
 
 def _orthonormal_by_target(columns: Floats, target: Ints, n_targets: int) -> tuple[Floats, int]:
-    """Orthonormal basis of the columns (n, 3, 3) of each target over all its rows, and the sum of their ranks."""
+    """Orthonormal basis (n, 3, 3) of the columns of each target over its rows, and the sum of their ranks.
+
+    `columns` (n, 3, 3) are the whitened changes of the readings per unit of the target's coordinates.
+    """
     bases, ranks = np.zeros_like(columns), 0
     for t in range(n_targets):
         rows = np.flatnonzero(target == t)
         u, size, _ = np.linalg.svd(columns[rows].reshape(-1, 3), full_matrices=False)
-        good = size > np.sqrt(MIN_RELATIVE_SINGULAR_VALUE) * max(float(size.max(initial=0.0)), 1e-12)
-        basis = np.where(good, u, 0.0)
+        is_independent = size > np.sqrt(MIN_RELATIVE_SINGULAR_VALUE) * max(float(size.max(initial=0.0)), 1e-12)
+        basis = np.where(is_independent, u, 0.0)
         bases[rows, :, : basis.shape[1]] = basis.reshape(len(rows), 3, -1)
-        ranks += int(good.sum())
+        ranks += int(is_independent.sum())
     return bases, ranks
 
 
 @dataclass(frozen=True)
 class TwoFaceDifferences:
-    """Two-face half differences of one set-up with their limits."""
+    """Two-face half differences of the m pairs of one set-up, with their limits."""
 
     uncorrected_pairs: TwoFacePairs
-    """Two-face pairs, uncorrected."""
+    """Pairs of readings as recorded."""
     motion_corrected_pairs: TwoFacePairs
-    """Two-face pairs without the contribution of a moving station or a drifting instrument."""
+    """Pairs of readings corrected for detected motions of the station and drifts of the instrument."""
     half_difference_sigmas: Floats
-    """Standard deviation of each half difference by the declared noise, (m, 3) [m, rad, rad]."""
+    """Standard deviations (m, 3) [m, rad, rad] of the half differences that follow from the declared noise."""
     exceeds_limit: Bools
-    """Flags (m, 3) of the half differences (without motions) that exceed their limits."""
+    """Flags (m, 3) of the half differences that exceed their limits, after the correction for motions."""
     max_half_differences: Floats
-    """Largest permitted half difference, (m, 3)."""
+    """Largest permitted half differences, (m, 3) [m, rad, rad]."""
 
     @classmethod
     def from_recordings(
@@ -269,30 +292,29 @@ class TwoFaceDifferences:
     ) -> TwoFaceDifferences | None:
         """Differences of a recording with one station; None if no target was measured on both faces.
 
-        `motion_corrected_pairs` has its readings without motions.
-
-        `alpha` is the chance of one false alarm over all of them; `mpe` a limit of lengths [um], and [um/m].
+        `motion_corrected` is the recording without the effects of detected motions. `alpha` is the probability of any
+        false alarm among the differences. `mpe` is the limit (A, B) of A um + B um/m of the full difference.
         """
         if not len(face_pair_rows(recording)):
             return None
-        pairs, unmoved = two_face_pairs(recording), two_face_pairs(motion_corrected)
+        pairs, corrected_pairs = two_face_pairs(recording), two_face_pairs(motion_corrected)
         sigma = recording.sigma()
         sigma[:, 1] *= np.abs(np.cos(recording.readings[:, 2]))
-        noise = 0.5 * np.sqrt(np.sum(sigma[pairs.rows] ** 2, axis=1))
+        noise_sigma = 0.5 * np.sqrt(np.sum(sigma[pairs.rows] ** 2, axis=1))
         prior = prior_sigmas(recording, construction)[0]
         change = [
             two_face_pairs(recording, construction, np.diag(prior)[k]).half_differences - pairs.half_differences
             for k in range(len(prior))
         ]
-        guarantee = np.sqrt(np.sum(np.square(change), axis=0))
+        specification_sigma = np.sqrt(np.sum(np.square(change), axis=0))
         if mpe is None:
             critical = -special.ndtri(alpha / (2 * pairs.half_differences.size))
-            limit = critical * np.hypot(noise, guarantee)
+            limit = critical * np.hypot(noise_sigma, specification_sigma)
         else:
             metres = pairs.front_face_readings[:, 0]
             allowed = 0.5 * MICROMETRE * (mpe[0] + mpe[1] * metres)
             limit = np.stack([allowed, allowed / metres, allowed / metres], axis=1)
-        return cls(pairs, unmoved, noise, np.abs(unmoved.half_differences) > limit, limit)
+        return cls(pairs, corrected_pairs, noise_sigma, np.abs(corrected_pairs.half_differences) > limit, limit)
 
 
 @dataclass(frozen=True)
@@ -304,8 +326,8 @@ class TwoFacePairs:
     front_face_readings: Floats
     """Mean front-face range, azimuth, elevation, (m, 3) [m, rad, rad]."""
     half_differences: Floats
-    """Half of face 1 minus face 2, (m, 3) [m, rad, rad]: range, azimuth perpendicular to the beam (times the cosine of
-    the elevation), elevation.
+    """Half of face 1 minus face 2, (m, 3) [m, rad, rad]: of the range, of the azimuth times the cosine of the elevation
+    (perpendicular to the beam), and of the elevation.
     """
 
     def __len__(self) -> int:
@@ -318,7 +340,7 @@ class TwoFacePairs:
 
     @property
     def median(self) -> Floats:
-        """Median (3,) of the absolute half differences, insensitive to a few gross errors."""
+        """Median (3,) [m, rad, rad] of the absolute half differences, insensitive to a few gross errors."""
         return np.median(np.abs(self.half_differences), axis=0)
 
     def select(self, pairs: Bools) -> Self:
@@ -346,10 +368,10 @@ def face_pair_rows(recording: Recording) -> Ints:
 def two_face_pairs(
     recording: Recording, construction: Construction | None = None, values: Floats | None = None
 ) -> TwoFacePairs:
-    """Two-face half differences of a recording, corrected with parameters (p,) or (n, p) [SI] of a construction.
+    """Two-face half differences of a recording, after the correction of its readings by the instrument's parameters.
 
-    The default is an ideal tracker, which does not correct. Raises NetworkError if no target was measured on both
-    faces.
+    `values` are the p parameters of the construction [SI], (p,) or for each of n pointings (n, p). By default the
+    readings are not corrected. Raises NetworkError if no target was measured on both faces.
     """
     pairs = face_pair_rows(recording)
     if not len(pairs):
@@ -359,9 +381,9 @@ def two_face_pairs(
     readings = np.where(recording.is_measured, recording.readings, 1.0)
     polar = to_polar(model.point(readings, applied_values))
     first, second = polar[pairs[:, 0]], polar[pairs[:, 1]]
-    gap = first - second
-    gap[:, 1:] = wrap_angle(gap[:, 1:])
-    place = first - 0.5 * gap
-    half_difference = 0.5 * gap
-    half_difference[:, 1] *= np.cos(place[:, 2])
-    return TwoFacePairs(pairs, place, half_difference)
+    difference = first - second
+    difference[:, 1:] = wrap_angle(difference[:, 1:])
+    mean_reading = first - 0.5 * difference
+    half_difference = 0.5 * difference
+    half_difference[:, 1] *= np.cos(mean_reading[:, 2])
+    return TwoFacePairs(pairs, mean_reading, half_difference)

@@ -26,7 +26,7 @@ CheckItemKind = Literal[
 ]
 """Kind of test of a field check."""
 FIRST_REPORTED_KINDS = ("cause", "mistake", "bump", "drift")
-"""Kinds of items that are reported first, because two-face differences and scatter follow from them."""
+"""Kinds of failed tests that are reported first, because their causes also produce two-face differences and scatter."""
 
 
 class CheckItem(Entry):
@@ -37,9 +37,9 @@ class CheckItem(Entry):
     kind: CheckItemKind
     """Kind of test."""
     passed: bool
-    """True if the item is no reason to stop."""
+    """True if the measurement can continue."""
     sentence: str
-    """Sentence with units."""
+    """Result of the test as a sentence with units."""
     p_value: OptionalFloat = None
     """p-value, corrected for the number of tests."""
     targets: tuple[str, ...] = ()
@@ -67,15 +67,17 @@ ITEM_KIND_BY_CAUSE: dict[str, CheckItemKind] = {
     "height": "mistake",
     "noise-level": "closure",
 }
-"""Kind of item for each kind of identified cause; `cause` for others."""
+"""Kind of test under which an identified cause is listed, by the kind of the cause; `cause` for other kinds."""
 
 
 def item_from_cause(test: CauseTest) -> CheckItem:
-    """Item of an identified cause; it passes only if it is noise smaller than declared."""
-    at, targets = ", ".join(test.where.stations), test.where.targets
+    """Item of a check for an identified cause. The item fails, unless the cause is noise smaller than declared."""
+    stations, targets = ", ".join(test.where.stations), test.where.targets
     kind: CheckItemKind = "level" if test.acts_on == "level" else ITEM_KIND_BY_CAUSE.get(test.kind, "cause")
     sentence = test.sentence.rstrip(".")
-    return CheckItem.from_test(at, kind, not test.is_fault, sentence, test.p_value, targets=targets, rows=test.rows)
+    return CheckItem.from_test(
+        stations, kind, not test.is_fault, sentence, test.p_value, targets=targets, rows=test.rows
+    )
 
 
 ITEMS_TABLE = Table(
@@ -99,23 +101,23 @@ TWO_FACE_TABLE = Table(
 
 @dataclass(frozen=True)
 class SetupCheck(ValueEquality):
-    """Tests of a set-up: items, two-face differences (None without pairs), model (None without repeats).
-
-    `rows` are the rows of the whole recording, from 1.
-    """
+    """Tests of one set-up with their results."""
 
     station: str
     items: tuple[CheckItem, ...]
     two_face_differences: TwoFaceDifferences | None
+    """Half two-face differences; None if no target was measured on both faces."""
     occupation: StationOccupation | None
+    """Linear model of the set-up with its residuals; None if no target was measured twice."""
     rows: Ints
+    """Row numbers (n,) of the set-up's pointings in the whole recording, from 1."""
     motions: tuple[StationMotion, ...] = ()
-    """Motions of the station during the occupation."""
+    """Motions of the station that were detected during the occupation."""
 
 
 @dataclass(frozen=True)
 class CheckArrays(ValueEquality):
-    """Arrays of a check: recording and set-ups."""
+    """Recording of a check, and the tests of its set-ups with their arrays; they are not part of `check.json`."""
 
     recording: Recording
     setups: tuple[SetupCheck, ...]
@@ -134,16 +136,18 @@ class Check(ResultFile):
     level: Finite
     """False-alarm probability of the whole check."""
     tests: tuple[CauseTest, ...] = ()
-    """Simple causes that the readings support, and outliers."""
+    """Identified causes of errors (for example a moved target or a wrong unit) and outliers."""
     items: tuple[CheckItem, ...]
-    """Items of all tests, set-up by set-up, for the readings without these causes."""
+    """Results of all tests: identified causes, then set-ups, then the network. The readings of the tests of set-ups and
+    network are corrected for the identified causes.
+    """
     _arrays: CheckArrays | None = PrivateAttr(None)
 
     @classmethod
     def from_items(
         cls, arrays: CheckArrays, network: Sequence[CheckItem], alpha: float, tests: Sequence[CauseTest]
     ) -> Self:
-        """Result from the items of set-ups and network: causes and blunders first, then set-ups."""
+        """Result with the items in this order: identified causes, blunders, set-ups, network."""
         causes = tuple(map(item_from_cause, tests))
         mistakes = (item for item in network if item.kind == "mistake")
         rest = (item for item in network if item.kind != "mistake")
@@ -189,34 +193,38 @@ class Check(ResultFile):
         return TWO_FACE_TABLE.with_rows(rows)
 
 
-def _go_or_no_go_sentence(items: Sequence[CheckItem], causes: Sequence[CheckItem], setups: int) -> str:
+def _go_or_no_go_sentence(items: Sequence[CheckItem], causes: Sequence[CheckItem], n_setups: int) -> str:
     """Sentence with go or no-go and its reason: first the causes that produce other failures, then noisy targets."""
     failed_items = [item for item in items if not item.passed]
-    count = sum(not item.passed for item in causes)
+    n_failed_causes = sum(not item.passed for item in causes)
     rest = sorted(
-        failed_items[count:], key=lambda i: not (i.kind in FIRST_REPORTED_KINDS or (i.kind == "closure" and i.targets))
+        failed_items[n_failed_causes:],
+        key=lambda i: not (i.kind in FIRST_REPORTED_KINDS or (i.kind == "closure" and i.targets)),
     )
-    failed_items = [*failed_items[:count], *rest]
+    failed_items = [*failed_items[:n_failed_causes], *rest]
     if failed_items:
-        more = f" (and {len(failed_items) - 1} more)" if len(failed_items) > 1 else ""
+        n_more = len(failed_items) - 1
+        more = f" (and {n_more} more failed test{'s' if n_more > 1 else ''})" if n_more else ""
         return f"no-go: {failed_items[0].sentence}{more}"
-    return f"go: {setups} set-up{'s' if setups > 1 else ''} within noise and specification"
+    return f"go: {n_setups} set-up{'s' if n_setups > 1 else ''} within noise and specification"
 
 
 @dataclass(frozen=True)
 class HypothesisFamily:
-    """Family of tests of a recording: `corrected_p_value` p-values count all tests and all places within a test."""
+    """Family of tests that share one false-alarm rate (Bonferroni)."""
 
     false_alarm_rate: float
+    """Probability of any false alarm among all tests of the family."""
     n_tests: int
+    """Number of tests, each of which gets an equal part of the false-alarm rate."""
 
     @property
     def alpha_per_test(self) -> float:
-        """Part of the significance level for one test."""
+        """Significance level of one test."""
         return self.false_alarm_rate / self.n_tests
 
     def corrected_p_value(self, p_value: float, n_places: int = 1) -> float:
-        """p-value corrected for the number of tests and of places within a test (Bonferroni)."""
+        """p-value times the number of tests and the number of places that one test tries (Bonferroni), at most 1."""
         return min(1.0, p_value * n_places * self.n_tests)
 
 

@@ -1,9 +1,10 @@
-"""Detection, identification and adaptation: simple causes that the readings support, compared by one log evidence.
+"""Detection, identification and adaptation of common errors of a network, compared by their log evidence.
 
-A simple cause is one of a short list at one place: an outlier, an offset of all distances to a target, a station that
-moved, a wrong reference value. Each is a hypothesis with a prior and a change of the model; the network is fitted with
-it, and its log evidence is compared with that of the others. A cause of a million standard deviations is identified as
-reliably as one of twenty, because every fit starts at a robust state and is relinearised.
+The list of causes is short: an outlier, an offset of all distances to a target, a station that moved, a wrong reference
+value and so on. Each cause at each place is a hypothesis with a prior and a change of the model. The network is fitted
+with the hypothesis, and the log evidence of the fit is compared with that of the other hypotheses. An error of a
+million standard deviations is identified as reliably as one of twenty, because every fit starts at a robust state and
+is relinearised.
 
 References
 ----------

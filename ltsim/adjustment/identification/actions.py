@@ -1,4 +1,4 @@
-"""Next action of a user after an identified cause, by its kind and place."""
+"""Next action of a user after an identified cause, by kind and place of the cause."""
 
 from collections.abc import Iterable
 
@@ -27,13 +27,15 @@ ACTIONS_BY_CAUSE = {
     "height": "Check the heights of the instrument and of the targets{at_place}.",
     "noise-level": "Find the cause of the scatter{at_place}, or declare this noise in the set-up.",
 }
-"""Next action for each kind of cause; `place` is the names of stations and targets, `at_place` the same after "at"."""
+"""Next action for each kind of cause. `place` stands for the names of the stations and targets, `at_place` for the same
+names after the word "at", `rows` for the pointing with its row number.
+"""
 VERTICAL_INDEX_ACTION = "Determine the vertical index of the tracker, and measure {place} again."
 """Next action for an offset of the elevations at one set-up."""
 
 
 def cause_action(test: CauseTest) -> str:
-    """Sentence on the next action after an accepted cause; empty for a kind without one."""
+    """Sentence on the next action after an accepted cause; empty if the kind of the cause has no action."""
     names = (*test.where.stations, *test.where.targets)
     place = listing(names, len(names)) if names else "the set-ups"
     action = ACTIONS_BY_CAUSE.get(test.kind, "")
@@ -46,5 +48,5 @@ def cause_action(test: CauseTest) -> str:
 
 
 def cause_actions(tests: Iterable[CauseTest]) -> list[str]:
-    """Next actions after the faults among accepted causes, without repetitions, in their order."""
+    """Next actions after those accepted causes that are faults, in the order of the causes and without repetitions."""
     return list(dict.fromkeys(filter(None, (cause_action(test) for test in tests if test.is_fault))))

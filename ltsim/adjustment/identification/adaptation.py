@@ -1,4 +1,4 @@
-"""Adaptation: a recording adjusted with the simple causes that were identified in it.
+"""Adaptation: a recording adjusted with the errors that were identified in it.
 
 References
 ----------
@@ -33,21 +33,23 @@ def adjust_with_causes(
     subtracted_changes: bool = False,
     **options: Any,
 ) -> Adjustment:
-    """Adjustment of a recording with hypotheses of a fit in its model, from the state of the fit.
+    """Adjustment of a recording whose model contains hypotheses of a fit, started at the state of this fit.
 
     Parameters
     ----------
-    fit : Fit
+    fit : NetworkFit
+        Fit that contains the hypotheses.
     recording : Recording
         Recording as it was read.
     construction : Construction
+        Construction of the tracker, whose parameters are estimated.
     hypotheses : sequence of Hypothesis
-        Hypotheses of the fit: all of its shifts, or none.
+        Hypotheses of the fit to apply: all of its shifts of readings, or none of them.
     effects : sequence of Signature
-        Further effects to estimate; they come first.
+        Further effects to estimate; their parameters precede those of the shifts.
     subtracted_changes : bool
-        Subtract the estimated shifts from the readings. They are estimated with the network in any case: from zero
-        then, and from their estimates otherwise.
+        True to subtract the estimated shifts from the readings first. The adjustment estimates the shifts in both
+        cases. It starts from zero if they are subtracted, otherwise from the estimates of the fit.
     **options
         Options of `adjust`.
     """

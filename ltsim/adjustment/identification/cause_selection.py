@@ -1,4 +1,4 @@
-"""Selected simple causes of a network, and what a verb does with them."""
+"""Selected causes of errors in a network, and the decisions of the commands about them."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from ltsim.core.arrays import Floats
 from ltsim.physics.effects.station_bump import StationBump
 
 MAX_LOG_EVIDENCE_GAIN = 1e30
-"""Log evidence that replaces an infinite one, of a hypothesis without which there is no network."""
+"""Finite number in place of an infinite gain of log evidence: that of a hypothesis without which no fit is possible."""
 MIN_LOG_EVIDENCE_CERTAIN = 7.0
-"""Log evidence of a cause (odds of 1000 to 1) from which the whole network is adjusted with it."""
+"""Gain of log evidence above which a cause counts as certain (odds of 1000 to 1)."""
 SHARED_CAUSE_KINDS = (
     "constant-offset",
     "constant-step",
@@ -35,13 +35,18 @@ SHARED_CAUSE_KINDS = (
     "reflector-radius",
     "centring",
 )
-"""Kinds of causes that all readings of one observable, or of one set-up, share."""
+"""Kinds of causes that change all readings of one observable, or of one set-up."""
 MAX_REFERENCE_MISCLOSURE = 0.1
-"""Misclosure of a reference value [m] above which a network that uses it may not converge."""
+"""Misclosure of a reference value [m] above which the value is excluded from the start, because the adjustment may not
+converge with it.
+"""
 
 
 def largest_displacement(fit: NetworkFit, hypothesis: Hypothesis) -> float:
-    """Largest displacement [m] of a reading, or misclosure of a reference value, by a hypothesis in the model."""
+    """Size [m] of an error in the model: largest displacement of a measured point, or misclosure of a reference value.
+
+    It is 0 for a hypothesis on the noise or on wrongly recorded rows.
+    """
     change, sightings = hypothesis.model_change, fit.adjustment.sightings
     if isinstance(change, ReferenceOmission):
         return float(np.abs(fit.misclosure_of(change.reference_value)).max())
@@ -54,22 +59,24 @@ def largest_displacement(fit: NetworkFit, hypothesis: Hypothesis) -> float:
 
 
 def has_general_misfit(fit: NetworkFit) -> bool:
-    """True if all readings scatter more than declared, so that residuals may come from a misfit of the model."""
+    """True if a fit contains larger noise of all readings, so that an error of the model may cause the residuals."""
     general = (h.model_change for h in fit.hypotheses if not h.stations and not h.targets)
     return any(isinstance(change, NoiseFactor) and change.start_factor > 1.0 for change in general)
 
 
 @dataclass(frozen=True)
 class SelectedHypothesis:
-    """Selected hypothesis, its gain of log evidence given the others, and the alternatives fitted in its place."""
+    """Selected hypothesis with its gain of log evidence, and the alternatives that were fitted in its place."""
 
     hypothesis: Hypothesis
     log_evidence_gain: float
+    """Log evidence of the network with all selected hypotheses, minus that without this one."""
     alternatives: tuple[tuple[Hypothesis, float], ...]
+    """Alternative hypotheses with their gains of log evidence in place of this one."""
 
     @property
     def probabilities(self) -> Floats:
-        """Posterior probabilities (2 + k,) of the hypothesis, of its k alternatives, and of none of them."""
+        """Posterior probabilities (k + 2,): of the hypothesis, of its k alternatives, and of no error at all."""
         every = [self.log_evidence_gain, *(gain for _, gain in self.alternatives), 0.0]
         gains = np.minimum(every, MAX_LOG_EVIDENCE_GAIN)
         return np.asarray(np.exp(gains - np.logaddexp.reduce(gains)))
@@ -77,13 +84,15 @@ class SelectedHypothesis:
 
 @dataclass(frozen=True)
 class CauseSelection:
-    """Network with the simple causes that the readings support.
+    """Network fitted with the causes of errors that the readings support.
 
     Attributes
     ----------
     fit : NetworkFit
+        Fit with all selected hypotheses.
     selected_hypotheses : tuple of SelectedHypothesis
-        Selected shifts, then changes of the noise; the most certain first in each group.
+        Selected errors of readings and reference values, then changes of the noise; the most certain first in each
+        group.
     """
 
     fit: NetworkFit
@@ -91,10 +100,10 @@ class CauseSelection:
 
     @property
     def requires_initial_causes(self) -> bool:
-        """True if the network must be adjusted with the selected hypotheses from the start to be consistent.
+        """True if the network must be adjusted with the selected hypotheses before other tests are possible.
 
-        An error that all readings of a set-up or target share, or a reference value that is far off, prevents all other
-        tests, also if the noise is smaller than declared. Single motions and reference values have separate tests.
+        This is necessary after a certain error that all readings of a set-up or target share, and after a reference
+        value with a large error. Other motions of stations and reference values have separate tests in the adjustment.
         """
         sure = [c.hypothesis for c in self.selected_hypotheses if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN]
         shared = [h for h in sure if h.kind in SHARED_CAUSE_KINDS]
@@ -108,7 +117,7 @@ class CauseSelection:
 
     @property
     def certain_motions(self) -> tuple[FittedMotion, ...]:
-        """Motions beyond doubt, the surest of each station, for an adjustment without the other hypotheses."""
+        """Certain motions of stations, at most one per station: that with the largest gain of log evidence."""
         certain = (c for c in self.selected_hypotheses if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN)
         sure = [c.hypothesis.model_change for c in certain]
         motions: dict[tuple[str, ...], FittedMotion] = {}
@@ -120,17 +129,18 @@ class CauseSelection:
 
     @property
     def has_shifts_other_than_motions(self) -> bool:
-        """True if a selected shift is none of `certain_motions`, which an adjustment estimates in any case."""
+        """True if a shift of readings is selected that is not among `certain_motions`."""
         changes = [choice.hypothesis.model_change for choice in self.selected_hypotheses]
         return sum(isinstance(change, ReadingShiftChange) for change in changes) > len(self.certain_motions)
 
     @property
     def is_consistent(self) -> bool:
-        """True if the network is consistent with the selected hypotheses and none of them is doubtful.
+        """True if the network with the selected hypotheses passes the global test and every hypothesis is certain.
 
-        Excluded are set-ups in another unit or sense (their rows are read again), noise smaller than declared (its
-        outliers may be none), and larger noise with remaining outliers. Reference values and tripods over marks have
-        more specific tests.
+        It is False for set-ups in another unit or sense of rotation, because their rows must be read again. It is False
+        for noise smaller than declared, because its outliers may be errors of the model, and for larger noise with
+        remaining outliers. It is also False with reference values or tripods over marks, which have more specific
+        tests.
         """
         changes = [c.hypothesis.model_change for c in self.selected_hypotheses]
         quieter = any(isinstance(change, NoiseFactor) and change.start_factor < 1.0 for change in changes)

@@ -1,13 +1,13 @@
-"""Hypotheses of centring errors: random displacements of all reflectors at one set-up or at all, or of one target.
+"""Hypotheses of centring errors: random displacements of reflectors at one set-up, at all set-ups, or on one target.
 
-The displacements u of the occupations have the prior N(0, s^2). In the residual space, with the projected signature Z
-of unit displacements, eigenvalues d of Z'Z and scores z = V'Z'r along its eigenvectors, the log restricted likelihood
-ratio of the variance component s^2 is
+The displacements of the occupations have the prior N(0, s^2). The projection of the signature of unit displacements
+onto the residual space is Z, with the eigenvalues d_j and eigenvectors V of Z'Z. With the whitened residuals r and the
+scores z = V'Z'r, the log restricted likelihood ratio of the variance component s^2 is
 
     log L = sum_j [ z_j^2 s^2 / (1 + s^2 d_j) - log(1 + s^2 d_j) ] / 2.
 
-A reflector of another radius is such a cause at all targets of a set-up: along the normals of unknown nests the
-displacements have one length.
+A reflector of another radius displaces all targets of a set-up along the normals of their nests. The directions are
+unknown, but all displacements have the same length.
 
 References
 ----------
@@ -41,41 +41,51 @@ from ltsim.recordings.occupations import target_occupations
 from ltsim.recordings.recording import Recording
 
 MIN_OCCUPATIONS = 4
-"""Smallest number of occupations that are displaced at random; fewer single displacements explain as much."""
+"""Smallest number of occupations of a place for a test of centring errors; fewer single displacements explain as much.
+"""
 MIN_POINTINGS_PER_OCCUPATION = 1.5
-"""Smallest mean number of pointings in an occupation: displacements without repeats are noise."""
+"""Smallest mean number of pointings per occupation for a test: displacements without repeats look like noise."""
 MIN_OUTLIER_FRACTION = 0.25
-"""Fraction of pointings with an outlier at a place from which displacements are fitted to its readings alone."""
+"""Fraction of pointings with an outlier at a place, above which displacements are also fitted with the rest of the
+network unchanged.
+"""
 N_LOCAL_ITERATIONS = 4
-"""Number of Gauss-Newton iterations of such a fit; each reduces an error by the ratio of displacement and range."""
+"""Number of Gauss-Newton iterations of the fit of displacements in an unchanged network; each multiplies the error by
+the ratio of displacement and range.
+"""
 MAX_CENTRING_ENTRIES = 3_000_000
-"""Largest number of entries of all signatures; beyond it the places with the largest residuals are tested (cost)."""
+"""Largest number of matrix entries of all tested signatures (computing time); places with smaller residuals are not
+tested beyond this limit.
+"""
 CENTRING_SIGMAS = np.geomspace(1e-6, 1.0, 241)
-"""Standard deviations [m] of centring errors that are tried, in steps of 6 %: an estimate from a hundred components has
-a standard deviation of 7 %.
+"""Standard deviations [m] of centring errors whose likelihood is computed, in steps of 6 %: an estimate from a hundred
+components has a standard deviation of 7 %.
 """
 MAX_RELATIVE_LENGTH_SCATTER = 0.1
-"""Largest scatter of the lengths of displacements, relative to their rms, at which they count as equal."""
+"""Scatter of the lengths of displacements, relative to their rms, up to which the lengths count as equal."""
 MAX_LENGTH_RATIO = 3.0
-"""Largest ratio of a common length to the rms of the displacements: displacements of any size are nearly on the surface
-of a sphere that is much larger.
+"""Ratio of an estimated common length to the rms of the displacements, from which the length is rejected: any small
+displacements lie nearly on the surface of a much larger sphere.
 """
 MIN_TARGETS_FOR_LENGTH = 10
-"""Smallest number of targets that show a common length: the pose of the set-up and the length are seven unknowns."""
+"""Number of targets from which a common length is estimated; the pose of the set-up and the length are seven unknowns.
+"""
 N_LENGTH_ITERATIONS = 30
-"""Number of Gauss-Newton iterations of a common length."""
+"""Number of Gauss-Newton iterations of the estimation of a common length."""
 
 
 @dataclass(frozen=True)
 class _CentringPlace:
-    """Place at which centring errors are tested, and the occupation (n,) of its pointings, -1 elsewhere."""
+    """Place at which centring errors are tested: a set-up, a target, or all set-ups."""
 
     centring: CentringUncertainty
+    """Stations and targets of the place."""
     occupation: Ints
+    """Occupation (n,) to which each of n pointings belongs; -1 for pointings elsewhere."""
 
 
 def centring_hypotheses(fit: NetworkFit, space: ResidualSpace) -> list[tuple[float, Hypothesis]]:
-    """Hypotheses of centring errors with their gains of log evidence in a residual space of a fit."""
+    """Gains of log evidence and hypotheses of centring errors, in the linear approximation at a fit."""
     places = _centring_places(fit.recording, space.used_readings)
     squares = np.zeros(space.used_readings.shape)
     squares[space.used_readings] = space.residuals[: int(space.used_readings.sum())] ** 2
@@ -85,12 +95,16 @@ def centring_hypotheses(fit: NetworkFit, space: ResidualSpace) -> list[tuple[flo
         entries += 3 * (int(place.occupation.max()) + 1) * space.n_rows
         if entries > MAX_CENTRING_ENTRIES:
             break
-        offers.append(_offer(place, *best_centring_sigma(space, place.occupation)[:2], len(places)))
+        offers.append(_gain_and_hypothesis(place, *best_centring_sigma(space, place.occupation)[:2], len(places)))
     return offers
 
 
-def _offer(place: _CentringPlace, gain: float, sigma: float, n_places: int) -> tuple[float, Hypothesis]:
-    """Hypothesis at a place with a standard deviation [m], and its gain with the prior."""
+def _gain_and_hypothesis(place: _CentringPlace, gain: float, sigma: float, n_places: int) -> tuple[float, Hypothesis]:
+    """Gain of log evidence including the prior, and the hypothesis of centring errors at a place.
+
+    `gain` is without the prior, `sigma` [m] the standard deviation of the displacements, `n_places` the number of
+    places that share the prior probability.
+    """
     centring, prior = place.centring, log_prior_of("centring", n_places) + LOG_ODDS_OF_CENTRING
     change = CentringChange(centring.model_copy(update={"sigma_mm": sigma / MILLIMETRE}))
     targets = () if len(centring.targets) > 1 else centring.targets
@@ -98,23 +112,25 @@ def _offer(place: _CentringPlace, gain: float, sigma: float, n_places: int) -> t
 
 
 def local_centring_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
-    """Hypotheses of centring errors with their gains, from the outliers at their places and the network unchanged.
+    """Gains of log evidence and hypotheses of large centring errors, fitted with the rest of the network unchanged.
 
-    Large displacements are not linear, and a network that they distort rejects their readings.
+    The readings of large displacements were rejected as outliers, and large displacements are not linear. Only places
+    with many outliers are tested.
     """
     places = _centring_places(fit.recording, fit.problem_with_all_readings.used_readings)
     offers = []
     for place in places:
         rows = np.flatnonzero(place.occupation >= 0)
         if fit.is_outlier[rows].any(axis=1).mean() > MIN_OUTLIER_FRACTION:
-            offers.append(_offer(place, *_local_gain(fit, place, rows), len(places)))
+            offers.append(_gain_and_hypothesis(place, *_local_gain(fit, place, rows), len(places)))
     return offers
 
 
 def _local_gain(fit: NetworkFit, place: _CentringPlace, rows: Ints) -> tuple[float, float]:
-    """Gain of log evidence by the displacements of a place on its rows, and their standard deviation [m].
+    """Gain of log evidence by the displacements of the reflectors at a place, and their standard deviation [m].
 
-    They are fitted by Gauss-Newton to the readings of each occupation. The pose of a set-up absorbs a common motion.
+    The displacements are fitted by Gauss-Newton to the readings (`rows`) of each occupation. A rigid motion of all
+    displacements at a set-up is removed, because the pose of the set-up absorbs it.
     """
     used, sigma = fit.problem_with_all_readings.used_readings[rows], fit.problem.sigma[rows]
     sightings, of = fit.adjustment.sightings, place.occupation[rows]
@@ -147,17 +163,18 @@ def _local_gain(fit: NetworkFit, place: _CentringPlace, rows: Ints) -> tuple[flo
 
 
 def _misfit_cost(fit: NetworkFit, whitened: Floats) -> float:
-    """Negative log evidence of whitened residuals (r,), each of normal noise or an outlier."""
+    """Negative log evidence of whitened residuals (r,), each of which is normal noise or an outlier."""
     prior = log_prior_of("outlier", int(fit.problem_with_all_readings.used_readings.sum()))
     outlier = -log_occam_factor_of_shift(np.abs(whitened), 1) - prior
     return float(np.minimum(0.5 * whitened**2, outlier).sum())
 
 
 def _centring_places(recording: Recording, used_readings: Bools) -> list[_CentringPlace]:
-    """Set-ups and targets with enough repeated pointings, and all set-ups together.
+    """Places with enough repeated pointings for a test: set-ups, targets, and all set-ups together.
 
-    A target that only one set-up sees shows no displacement. At all set-ups displacements fit any misfit that recurs in
-    both faces: there the pointings must be repeated in one face.
+    Targets that only one set-up measures are left out, because they show no displacement. For all set-ups together
+    pointings must be repeated in the same face, because displacements would otherwise fit any error of the model that
+    recurs in both faces.
     """
     is_used = np.asarray(used_readings.any(axis=1))
     pairs = np.unique(np.stack([recording.target[is_used], recording.station[is_used]]), axis=1)
@@ -183,11 +200,16 @@ class CentringEstimate(NamedTuple):
     sigma: float
     """Standard deviation [m] of each component of a displacement."""
     n_determined: float
-    """Number of components that the readings determine: the variance has twice its inverse as relative variance."""
+    """Effective number of displacement components that the readings determine. The relative variance of the estimated
+    variance is two divided by this number.
+    """
 
 
 def best_centring_sigma(space: ResidualSpace, occupation: Ints) -> CentringEstimate:
-    """Most likely standard deviation of centring errors of the occupations (n,), -1 for none."""
+    """Most likely standard deviation of centring errors.
+
+    `occupation` (n,) is the occupation of each pointing; -1 for pointings without centring errors.
+    """
     signature = space.whitened_signature(CentringErrors(1.0, occupation))
     projected = space.project(signature)
     strength, turn = np.linalg.eigh(projected.T @ projected)
@@ -202,19 +224,20 @@ def best_centring_sigma(space: ResidualSpace, occupation: Ints) -> CentringEstim
 
 
 class CommonDisplacement(NamedTuple):
-    """Displacement of all reflectors at a set-up by one length, along unknown normals of their nests."""
+    """Common length of the displacements of all reflectors at a set-up, along the unknown normals of their nests."""
 
     length: float
-    """Length [m], positive away from the nests, which are behind the targets as seen from the set-up."""
+    """Length [m], positive away from the nests. A nest is assumed behind its target as seen from the set-up."""
     sigma: float
     """Standard deviation of the length [m]."""
 
 
 def common_displacement(fit: NetworkFit, hypothesis: Hypothesis) -> CommonDisplacement | None:
-    """Common displacement of the reflectors at a set-up; None if the lengths differ.
+    """Common length of the displacements of the reflectors at a set-up; None if the lengths differ.
 
-    The readings determine the displacements but for a motion of the set-up (the pose absorbs it), which is estimated
-    with the length: without a rotation the displacements of equal length are on a sphere.
+    The readings determine the displacements except for a rigid motion of the set-up, which its pose absorbs. This
+    motion is estimated together with the length. The start value neglects the rotation: displacements of equal length
+    then lie on a sphere.
     """
     displacement = fit.estimate(hypothesis)[0].reshape(-1, 3)
     if len(displacement) < MIN_TARGETS_FOR_LENGTH or len(hypothesis.stations) != 1:

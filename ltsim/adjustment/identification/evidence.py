@@ -1,13 +1,12 @@
-"""Log evidence of hypotheses of unknown size, and their prior odds.
+"""Log evidence of errors of unknown size, and prior odds of their kinds.
 
-A shift of p components has a prior that is uniform in the logarithm of its size, over `SHIFT_SIZE_DECADES` decades, and
-in its direction (Jeffreys). In units of the standard deviations of its estimate, of length w, the marginal likelihood
-ratio
-against no shift is, by Laplace's method,
+A shift with p components has a prior that is uniform in its direction and in the logarithm of its size (Jeffreys), over
+`SHIFT_SIZE_DECADES` decades. With w the length of the estimate in its standard deviations, Laplace's method gives the
+logarithm of the marginal likelihood ratio against no shift,
 
-    log B = w^2 / 2 - p log w + (p / 2) log(2 pi) - log S_p - log R,
+    log B = w^2 / 2 - p log w + (p / 2) log(2 pi) - log S_p - log R.
 
-S_p the surface of the unit sphere in p dimensions and R the logarithm of the ratio of the largest size to the smallest.
+S_p is the surface of the unit sphere in p dimensions, R the logarithm of the ratio of the largest size to the smallest.
 
 References
 ----------
@@ -20,32 +19,38 @@ from scipy import special
 from ltsim.core.arrays import Floats
 
 SHIFT_SIZE_DECADES = 6.0
-"""Decades between the smallest and the largest size of a shift in its prior: 10 um and 10 m."""
+"""Width of the prior of the size of a shift, in decades: from 10 um to 10 m."""
 LOG_SIZE_PRIOR_WIDTH = float(np.log(SHIFT_SIZE_DECADES * np.log(10.0)))
-"""Log of the width, in natural logarithms of the size, of the log-uniform prior of a shift."""
+"""Logarithm of the width of the prior of a shift. The width is the natural logarithm of the ratio of largest to
+smallest size.
+"""
 
 
 def log_occam_factor_of_shift(normalised_size: Floats | float, rank: int) -> Floats:
-    """Log of the Occam factor (at most 0) of shifts of `rank` components; sizes in standard deviations."""
+    """Logarithm (at most 0) of the Occam factor of shifts with `rank` components.
+
+    `normalised_size` is the length of each estimate in its standard deviations.
+    """
     size = np.maximum(np.asarray(normalised_size, dtype=np.float64), np.sqrt(rank))
     log_surface = np.log(2.0) + 0.5 * rank * np.log(np.pi) - special.gammaln(0.5 * rank)
     return np.minimum(0.5 * rank * np.log(2.0 * np.pi) - log_surface - LOG_SIZE_PRIOR_WIDTH - rank * np.log(size), 0.0)
 
 
 FACTOR_DECADES = 2.0
-"""Decades of the prior of the ratio of the noise to the declared noise, in both directions."""
+"""Largest ratio of the noise to the declared noise in its prior, in decades; the smallest ratio is the inverse."""
 
 
 def log_occam_factor_of_variance(redundancy: Floats | float) -> Floats:
-    """Log of the Occam factor of a variance factor that is determined with the given redundancy."""
+    """Logarithm (at most 0) of the Occam factor of a variance factor that is estimated with a redundancy."""
     width = np.sqrt(np.pi / np.maximum(np.asarray(redundancy, dtype=np.float64), 1.0))
     return np.minimum(np.log(width / (2.0 * FACTOR_DECADES * np.log(10.0))), 0.0)
 
 
 def estimate_variance_factor(sum_of_squares: Floats, redundancy: Floats) -> tuple[Floats, Floats]:
-    """Restricted maximum likelihood estimate of a common factor on standard deviations, and its log likelihood ratio.
+    """Restricted maximum likelihood estimates (g,) of factors on the standard deviations of g groups of readings.
 
-    The arguments are weighted sums of squares and redundancies of groups of readings (g,).
+    The second array (g,) is the log likelihood ratio of each factor against the declared noise. The arguments are the
+    weighted sums of squared residuals (g,) and the redundancies (g,) of the groups.
     """
     is_sufficient = np.asarray(redundancy) > 1.0
     ratio = np.where(is_sufficient, sum_of_squares / np.where(is_sufficient, redundancy, 1.0), 1.0)
@@ -55,10 +60,10 @@ def estimate_variance_factor(sum_of_squares: Floats, redundancy: Floats) -> tupl
 
 
 def log_occam_factor_of_centring(covariance: Floats, sigma: float) -> float:
-    """Log of the Occam factor of centring errors with prior N(0, sigma^2) and a posterior covariance (q, q) [m^2].
+    """Logarithm of the Occam factor of q displacement components with the prior N(0, sigma^2), sigma in m.
 
-    The determinant of the posterior covariance relative to the prior one is that of the change of the readings'
-    covariance in the residual space.
+    `covariance` (q, q) [m^2] is the posterior covariance of the displacements. Its determinant relative to that of the
+    prior is the factor by which the prior penalises the displacements; a second factor penalises the estimated sigma.
     """
     relative = np.linalg.eigvalsh(covariance) / sigma**2
     determined = float(np.sum(np.maximum(1.0 - relative, 0.0)))
@@ -85,17 +90,20 @@ PRIOR_FRACTION_BY_KIND = {
     "noise-level": 0.05,
     "centring": 0.02,
 }
-"""Fraction of the prior probability of all causes that each kind has; its places share it equally."""
+"""Prior probability of each kind of cause, given that there is an error. The places where the kind is possible share it
+equally.
+"""
 
 
 LOG_ODDS_OF_CENTRING = -30.0
-"""Log odds of centring errors, in addition to their prior fraction: the margin by which they must exceed other causes.
+"""Logarithm of additional prior odds of centring errors, by which their evidence must exceed that of other causes.
 
-Displacements of many targets fit any smooth misfit of the model, of which about a tenth of the gain is real; the margin
-is that of other hypotheses in a network with a misfit (`selection.MIN_LOG_EVIDENCE_GAIN_WITH_MISFIT`).
+Displacements of many targets fit any smooth error of the model, so that only about a tenth of the gain of log evidence
+is real. Other hypotheses in a network with such an error need the same additional gain
+(`selection.MIN_LOG_EVIDENCE_GAIN_WITH_MISFIT`).
 """
 
 
 def log_prior_of(kind: str, n_places: int) -> float:
-    """Log prior of a cause of the given kind at one of the given number of places."""
+    """Logarithm of the prior probability of a kind of cause at one of `n_places` possible places."""
     return float(np.log(PRIOR_FRACTION_BY_KIND[kind] / max(n_places, 1)))

@@ -52,34 +52,36 @@ from ltsim.solve.design import robust_sigma
 from ltsim.solve.gauss_newton import Solution, solve
 
 MIN_SHIFT_SIGMAS = 4.0
-"""Smallest shift, in its standard deviations, that a fit may contain; by chance 1 of 16,000 estimates exceeds four."""
+"""Length of an estimated shift, in its standard deviations, up to which the fit is discarded; by chance 1 of 16,000
+estimates exceeds four.
+"""
 MAX_NOISE_ESTIMATES = 3
 """Largest number of estimates of the noise factors in a fit."""
 NOISE_TOLERANCE = 0.05
-"""Relative change of the noise factors at which their estimation ends (0.1 in log evidence)."""
+"""Relative change of the noise factors up to which their estimation ends (0.1 in log evidence)."""
 MIN_NOISE_CHANGE_FOR_OUTLIERS = 0.2
-"""Relative change of the noise from which the set of outliers is determined again."""
+"""Relative change of the noise factors above which outliers are searched again."""
 MAX_OUTLIER_PASSES = 6
-"""Largest number of solutions in which outliers are rejected and accepted again; readings that still alternate are
-rejected and indicate no cause.
-"""
+"""Largest number of solutions in which outliers are rejected and accepted again; alternating readings are rejected."""
 WEAK_PRIOR_SIZES = 1e6
-"""Standard deviation, in plausible sizes, of the weak prior of a shift; larger shifts do not occur."""
+"""Standard deviation of the prior of a shift in a fit, in plausible sizes of its effect: practically no prior."""
 
 
 @dataclass(frozen=True)
 class FitInput:
-    """Input of a fit: recording, construction, priors of its parameters, and usable readings (n, 3)."""
+    """Input of a network fit."""
 
     recording: Recording
     construction: Construction
     prior: ParameterPrior | None = None
+    """Prior of the parameters of the construction; None for that of the set-up."""
     is_usable: Bools | None = None
+    """Flags (n, 3) of the readings that a fit may use; None for all."""
 
 
 @dataclass(frozen=True)
 class NetworkFit:
-    """Network fitted with some hypotheses in its model; readings that contradict it are rejected as outliers.
+    """Network fitted with some hypotheses in its model; readings that contradict the model are rejected as outliers.
 
     Attributes
     ----------
@@ -87,9 +89,8 @@ class NetworkFit:
     hypotheses : tuple of Hypothesis
     problem_with_all_readings : NetworkProblem
         Least-squares problem with all usable readings.
-    problem : NetworkProblem
-        Least-squares problem with the readings that fit.
-    solution : Solution
+    problem, solution
+        Least-squares problem without the outliers, and its solution.
     """
 
     network: FitInput
@@ -102,9 +103,10 @@ class NetworkFit:
     def far_references(
         cls, network: FitInput, hypotheses: Sequence[Hypothesis]
     ) -> tuple[list[ReferenceValueRows], int]:
-        """Reference values with large residuals at a robust state, and the number of all reference values.
+        """Reference values with large residuals in a robust fit, and the number of all reference values.
 
-        A network that uses them is distorted as a whole.
+        Large means more than `MIN_FAR_RESIDUAL` robust standard deviations. An adjustment with such a value would
+        distort the whole network.
         """
         problem, start = cls._make_problem(network, hypotheses)
         relaxed_problem = relax_exact_references(problem, start)
@@ -119,14 +121,14 @@ class NetworkFit:
         network: FitInput,
         hypotheses: Sequence[Hypothesis] = (),
         start_state: NetworkState | None = None,
-        approximate_sizes: Sightings | None = None,
+        approximate_sightings: Sightings | None = None,
     ) -> NetworkFit | None:
-        """Fit from a start, by default from the recording alone; None for an undetermined network.
+        """Network fit with hypotheses; None if the fit does not converge or does not determine a shift.
 
-        If the sightings `approximate_sizes` are given, the start is computed from the recording without the guessed
-        shifts of the hypotheses.
+        The fit starts at `start_state`, by default at approximate coordinates from the recording. If
+        `approximate_sightings` are given, the start values of the shifts are first subtracted from the readings.
         """
-        fit = cls._with_hypotheses(network, tuple(hypotheses), start_state, approximate_sizes)
+        fit = cls._with_hypotheses(network, tuple(hypotheses), start_state, approximate_sightings)
         for _ in range(MAX_NOISE_ESTIMATES):
             revised = tuple(with_centring_sigma(h, fit.estimate) for h in fit.hypotheses)
             if revised == fit.hypotheses or not fit.solution.has_converged:
@@ -140,11 +142,11 @@ class NetworkFit:
         network: FitInput,
         hypotheses: tuple[Hypothesis, ...],
         start_state: NetworkState | None,
-        approximate_sizes: Sightings | None = None,
+        approximate_sightings: Sightings | None = None,
     ) -> NetworkFit:
-        """Fit as in `from_start`, with the declared standard deviations of centring errors."""
+        """Fit as in `from_start`, with the standard deviations of centring errors that the hypotheses contain."""
         is_first = start_state is None
-        problem, start_state = cls._make_problem(network, hypotheses, start_state, approximate_sizes)
+        problem, start_state = cls._make_problem(network, hypotheses, start_state, approximate_sightings)
         if is_first:
             start_state = resect_contradicted_setups(
                 problem, fit_robust_state(problem, resect_contradicted_setups(problem, start_state))[0]
@@ -157,12 +159,12 @@ class NetworkFit:
 
     @property
     def _determines_shifts(self) -> bool:
-        """True if the readings determine each shift; one that is equivalent to a change of coordinates has no size."""
+        """True if the estimate of each shift exceeds `MIN_SHIFT_SIGMAS` standard deviations."""
         return all(self.length_in_sigmas(h) > MIN_SHIFT_SIGMAS for h, _, _ in self.shifts_with_slices)
 
     @property
     def shifts_with_slices(self) -> Iterator[tuple[Hypothesis, ReadingShiftChange, slice]]:
-        """Hypotheses that are shifts, with the slices of their parameters in the state."""
+        """Triples of a hypothesis that is a shift, its model change, and the slice of its parameters in the state."""
         first = 0
         for h in self.hypotheses:
             if isinstance(h.model_change, ReadingShiftChange):
@@ -177,7 +179,7 @@ class NetworkFit:
         return self.state.extra_parameters[at], self.adjustment.extra_covariance[at, at]
 
     def length_in_sigmas(self, hypothesis: Hypothesis) -> float:
-        """Length of the estimate of a shift in its standard deviations."""
+        """Length of the estimate of a shift or of centring errors, in standard deviations (Mahalanobis)."""
         values, covariance = self.estimate(hypothesis)
         return float(np.sqrt(max(float(values @ np.linalg.pinv(covariance) @ values), 0.0)))
 
@@ -186,14 +188,16 @@ class NetworkFit:
         network: FitInput,
         hypotheses: Sequence[Hypothesis],
         start_state: NetworkState | None = None,
-        approximate_sizes: Sightings | None = None,
+        approximate_sightings: Sightings | None = None,
     ) -> tuple[NetworkProblem, NetworkState]:
-        """Problem with all usable readings, and a start, as in `from_start`."""
+        """Least-squares problem with all usable readings, and the start state; parameters as in `from_start`."""
         recording = apply_corrections_and_omissions(network.recording, hypotheses)
         lost = np.zeros(len(recording.targets), dtype=bool)
         if start_state is None:
             reached, lost = initial_network(
-                recording if approximate_sizes is None else subtract_shifts(recording, hypotheses, approximate_sizes)
+                recording
+                if approximate_sightings is None
+                else subtract_shifts(recording, hypotheses, approximate_sightings)
             )
             recording = recording.with_readings(np.where(lost[recording.target][:, None], np.nan, recording.readings))
             parameters = np.zeros((len(recording.instruments), network.construction.n_parameters))
@@ -203,7 +207,8 @@ class NetworkFit:
         model = MeasurementModel(recording, network.construction, effects)
         if len(start_state.extra_parameters) != model.n_extra_parameters:
             start_state = replace(
-                start_state, extra_parameters=start_parameters(hypotheses, model.n_extra_parameters, approximate_sizes)
+                start_state,
+                extra_parameters=start_parameters(hypotheses, model.n_extra_parameters, approximate_sightings),
             )
         usable = np.ones((len(recording), 3), dtype=bool) if network.is_usable is None else network.is_usable
         sigma = recording.sigma()
@@ -221,7 +226,7 @@ class NetworkFit:
         return problem, replace(start_state, station_positions=positions)
 
     def _with_estimated_noise(self) -> NetworkFit:
-        """Fit with noise factors estimated from its residuals (restricted maximum likelihood)."""
+        """Fit whose noise factors are estimated from the residuals (restricted maximum likelihood)."""
         fit = self
         for _ in range(MAX_NOISE_ESTIMATES):
             sigma = fit._estimated_sigmas()
@@ -236,7 +241,7 @@ class NetworkFit:
         return fit
 
     def _estimated_sigmas(self) -> Floats:
-        """Standard deviations (n, 3) with the noise factors that the residuals imply."""
+        """Declared standard deviations (n, 3) [m, rad, rad] times the noise factors that the residuals imply."""
         sigma = self.network.recording.sigma()
         for h in self.hypotheses:
             if isinstance(h.model_change, NoiseFactor):
@@ -249,7 +254,7 @@ class NetworkFit:
         return sigma
 
     def without_distances(self, rows: Ints) -> NetworkFit | None:
-        """Fit from the beginning without the distances of some rows; None if they are needed for a network."""
+        """New fit without the distances of some rows; None if the network needs these distances."""
         readings = self.network.recording.readings.copy()
         readings[rows, 0] = np.nan
         network = replace(self.network, recording=self.network.recording.with_readings(readings))
@@ -277,12 +282,12 @@ class NetworkFit:
 
     @property
     def recording(self) -> Recording:
-        """The recording with the hypotheses' corrections."""
+        """Recording with corrected rows and without excluded reference values, according to the hypotheses."""
         return self.problem.model.recording
 
     @property
     def effects(self) -> tuple[Signature, ...]:
-        """The shifts in the model, each with a plausible size of at least its estimate."""
+        """Effects of the shifts in the model, each with a plausible size that is at least as large as its estimate."""
         signatures = list[Signature]()
         for _, shift, at in self.shifts_with_slices:
             times = float(np.max(np.abs(self.state.extra_parameters[at]) / shift.effect.size_scales))
@@ -290,10 +295,10 @@ class NetworkFit:
         return tuple(signatures)
 
     def correct_recording(self, recording: Recording, outliers: bool = False) -> Recording:
-        """Recording corrected for the hypotheses in the model; `is_outlier` decides whether outliers remain.
+        """Recording corrected for the hypotheses in the model, with its outliers only if `outliers` is True.
 
-        Rows are corrected, shifts are subtracted, estimated noise factors are applied to the declared noise, and
-        rejected reference values are removed.
+        Wrongly recorded rows are corrected, shifts are subtracted, the declared noise is multiplied by the estimated
+        noise factors, and excluded reference values are removed.
         """
         readings = self.recording.readings.copy()
         for _, shift, at in self.shifts_with_slices:
@@ -333,17 +338,14 @@ class NetworkFit:
 
     @cached_property
     def outlier_prediction_sigmas(self) -> Floats:
-        """Standard deviations (n, 3) of the deviations of outliers from their predictions, over the declared ones.
-
-        They are 1 for other readings.
-        """
+        """Standard deviations (n, 3) of outlier minus prediction, over the declared ones; 1 for other readings."""
         spread = np.ones(self.is_outlier.shape)
         if self.is_outlier.any():
             spread[self.is_outlier] = prediction_sigmas(self.problem_with_all_readings, self.solution, self.is_outlier)
         return spread
 
     def misclosure_of(self, value: ReferenceValue) -> Floats:
-        """Misclosure (q,) [m, rad] of an omitted reference value; 0 at a set-up whose readings are all rejected."""
+        """Misclosure (q,) [m, rad] of an excluded reference value; 0 at a set-up whose readings are all rejected."""
         declared, centring = self.network.recording, self.problem.model.recording.setup.centring
         declared = declared.replace(setup=declared.setup.model_copy(update={"centring": centring}))
         model = replace(self.problem.model, recording=declared)
@@ -358,7 +360,7 @@ class NetworkFit:
 
     @property
     def is_gross_reading(self) -> Bools:
-        """Flags (n, 3) of the readings with deviations beyond any error of a tracker."""
+        """Flags (n, 3) of the readings with residuals larger than `MAX_TRACKER_ERROR` as a displacement."""
         return (
             np.abs(np.nan_to_num(self.residuals)) * displacement_per_reading(self.adjustment.sightings)
             > MAX_TRACKER_ERROR
@@ -366,7 +368,7 @@ class NetworkFit:
 
     @cached_property
     def outlier_log_evidence(self) -> float:
-        """Log of the Occam factors and priors of all outliers."""
+        """Contribution of all outliers to the log evidence: logarithms of their Occam factors and prior odds."""
         w = np.abs(self.whitened_residuals[self.is_outlier])
         return float(np.sum(log_occam_factor_of_shift(w, 1))) + len(w) * log_prior_of(
             "outlier", int(self.problem_with_all_readings.used_readings.sum())
@@ -374,12 +376,12 @@ class NetworkFit:
 
     @cached_property
     def log_evidence(self) -> float:
-        """Log marginal likelihood up to a constant of the recording: fit, Occam factors and priors of all causes."""
+        """Log marginal likelihood up to a constant: chi-square, Occam factors and priors of hypotheses and outliers."""
         total = -0.5 * self.solution.sum_of_squares + self.outlier_log_evidence
         return total + sum(h.log_prior + self._log_occam_factor_of(h) for h in self.hypotheses)
 
     def _log_occam_factor_of(self, hypothesis: Hypothesis) -> float:
-        """Log of the Occam factor of a hypothesis in the model, with the determinant of a change of the noise."""
+        """Logarithm of the Occam factor of a hypothesis in the model; for a noise factor with its log determinant."""
         change = hypothesis.model_change
         if isinstance(change, ReadingShiftChange):
             return float(log_occam_factor_of_shift(self.length_in_sigmas(hypothesis), len(change.effect.parameters)))

@@ -1,4 +1,4 @@
-"""Hypotheses: observable, place, prior probability, and change of the network's model."""
+"""Hypotheses on errors of a network: kind, place, prior probability, and change of the model."""
 
 from __future__ import annotations
 
@@ -29,43 +29,47 @@ CauseKind = Literal[
     "noise-level",
     "centring",
 ]
-"""Kind of a simple cause of disagreement between readings and model."""
+"""Kind of a cause of disagreement between readings and model."""
 
 
 @dataclass(frozen=True)
 class ReadingShiftChange:
-    """Shift of readings: a signature with estimated parameters, and the start values of their estimation."""
+    """Shift of readings by an effect whose parameters are estimated."""
 
     effect: Signature
     start_values: tuple[float, ...] = ()
+    """Start values [SI] of the estimation; empty for zeros."""
 
 
 @dataclass(frozen=True)
 class ReferenceOmission:
-    """Rejection of a reference value."""
+    """Exclusion of a wrong reference value from the adjustment."""
 
     reference_value: ReferenceValue
 
 
 @dataclass(frozen=True)
 class RowCorrection:
-    """Correction of wrongly recorded rows: correct readings (k, 3), targets and faces (k,)."""
+    """Correction of k wrongly recorded pointings."""
 
     rows: Ints
+    """Indices (k,) of the pointings in the recording."""
     readings: Floats
+    """Corrected readings (k, 3) [m, rad, rad]."""
     target_indices: Ints
+    """Corrected targets (k,)."""
     faces: Ints
+    """Corrected faces (k,), 1 or 2."""
 
 
 @dataclass(frozen=True)
 class NoiseFactor:
-    """Common factor on the declared standard deviations of some readings (n, 3).
-
-    The estimation starts from a guess, because with the declared noise many readings would be outliers.
-    """
+    """Common factor on the declared standard deviations of some readings."""
 
     reading_mask: Bools
+    """Flags (n, 3) of the readings that the factor multiplies."""
     start_factor: float = 1.0
+    """Start value of the estimation: with the declared noise many readings would be rejected as outliers."""
 
 
 @dataclass(frozen=True)
@@ -77,9 +81,10 @@ class CoordinateExchange:
 
 @dataclass(frozen=True)
 class CentringChange:
-    """Centring errors of some targets: a random displacement of the reflector at each of their occupations."""
+    """Centring errors: a random displacement of the reflector at each occupation of some targets."""
 
     centring: CentringUncertainty
+    """Stations and targets with centring errors, and the standard deviation of the displacements."""
 
 
 ModelChange = ReadingShiftChange | ReferenceOmission | RowCorrection | NoiseFactor | CoordinateExchange | CentringChange
@@ -88,23 +93,23 @@ ModelChange = ReadingShiftChange | ReferenceOmission | RowCorrection | NoiseFact
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A simple cause of disagreement between readings and model.
+    """Hypothesis of one cause, at one place, of disagreement between readings and model.
 
     Attributes
     ----------
-    kind : Kind
+    kind : CauseKind
     acts_on : str
         Observable, `position`, `reference value` or `noise`.
     stations, targets : tuple of str
         Names of the stations and targets where the cause acts; empty for all.
     log_prior : float
-        Log prior odds of this hypothesis at its place, relative to no cause.
+        Logarithm of the prior odds of this hypothesis at its place, relative to no error.
     model_change
         Change of the model by the cause.
     name : str
-        Further name of the place: of a reference value or a wrong entry.
+        Name of a wrong reference value, or the sentence on wrongly recorded rows; else empty.
     rows : tuple of int
-        Rows, from 1, that it is about, where these are few.
+        Rows, from 1, of the wrongly recorded pointings; empty for other kinds.
     """
 
     kind: CauseKind
@@ -116,19 +121,23 @@ class Hypothesis:
     targets: tuple[str, ...]
     """Names of the targets at which the cause acts; empty for all."""
     log_prior: float
-    """Logarithm of the prior odds."""
+    """Logarithm of the prior odds relative to no error."""
     model_change: ModelChange
     """Change of the model by the cause."""
     name: str = ""
+    """Name of a wrong reference value, or the sentence on wrongly recorded rows."""
     rows: tuple[int, ...] = ()
     """Row numbers of the affected pointings."""
 
     @property
     def place_key(self) -> tuple[object, ...]:
-        """Key of the place; hypotheses with equal keys are equivalent and differ only in time and guess."""
+        """Key of kind and place; hypotheses with equal keys differ only in the onset time and the start values."""
         return self.kind, self.acts_on, self.stations, self.targets, self.rows
 
     def competes_with(self, rival: Hypothesis) -> bool:
-        """True if both may explain the same readings: equal station or target, or one of them acts everywhere."""
+        """True if both hypotheses may explain the same readings.
+
+        They do if they share a station or target, or if one of them acts everywhere.
+        """
         places = [(*h.stations, *h.targets) for h in (self, rival)]
         return not all(places) or not set(places[0]).isdisjoint(places[1])

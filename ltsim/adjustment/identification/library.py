@@ -1,7 +1,7 @@
-"""Library of simple causes: possible errors at a station, a target, a reference value, and in the noise.
+"""Library of hypotheses: errors that are possible at a station, at a target, in a reference value, and in the noise.
 
-A family is one kind of shift at every station or target, from the beginning or from a time on. Its signatures are
-computed from one array, so that a network of thousands of places is screened at once.
+A family is one kind of shift of readings at every station or target, from the beginning or from a time on. The
+signatures of a family are computed from one array, so that a network with thousands of places is screened at once.
 """
 
 from __future__ import annotations
@@ -42,37 +42,42 @@ from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.scene.sightings import Sightings
 
 MIN_POINTINGS_FOR_TARGET_NOISE = 4
-"""Smallest number of pointings to a target at which it may have separate noise; with two or three an outlier explains
-as much.
+"""Number of pointings to a target from which its noise is tested separately; with two or three pointings an outlier
+explains as much.
 """
 MIN_POINTINGS_AROUND_MOTION = 3
-"""Smallest number of pointings before and after the time at which a station moves; with fewer a single reading explains
-as much.
+"""Number of pointings that a motion of a station must have before and after it; with fewer a single outlier explains as
+much.
 """
 MAX_CHANGE_TIMES = 60
-"""Largest number of times at which a change is tried at one station or target, spread evenly over its pointings."""
+"""Largest number of onset times that are tested at one station or target, spread evenly over its pointings."""
 MIN_POINTS_FOR_EXCHANGE = 4
-"""Smallest number of reference points of which two can be identified as exchanged; three also fit
-their mirror image.
+"""Number of reference points from which an exchange of two of them is tested; three points also fit their mirror image.
 """
-MIN_EXCHANGE_MISCLOSURE_RATIO = 0.02
-"""Ratio of the largest misclosures of reference points with and without an exchange that no other cause produces."""
+MAX_EXCHANGE_MISCLOSURE_RATIO = 0.02
+"""Largest misclosure of the reference points after an exchange, relative to that without it and to that after any other
+exchange, below which the exchange is a hypothesis.
+"""
 PlaceKind = Literal["station", "target"]
 """Kind of place at which a family of hypotheses acts."""
 
 
 @dataclass(frozen=True)
 class ShiftFamily:
-    """Family of hypotheses: one kind of shift at every station or target.
+    """Family of hypotheses: one kind of shift of readings at every station or target.
 
     Attributes
     ----------
     kind : CauseKind
+        Kind of the error.
     acts_on : str
+        Observable that is shifted, or `position`.
     place_kind : {`station`, `target`}
+        Kind of place at which the error acts.
     design : (n, 3, p) float
-        Change of the readings per unit of each parameter, for a shift of all readings.
-    first_onset : int
+        Change of the three readings of n pointings per unit of each of p parameters, if the shift acts on all
+        pointings.
+    min_pointings_around_onset : int
         Number of pointings of a place that must lie before and after the time when the shift begins; 0 for a shift from
         the beginning.
     """
@@ -81,16 +86,19 @@ class ShiftFamily:
     acts_on: str
     place_kind: PlaceKind
     design: Floats
-    first_onset: int = 0
+    min_pointings_around_onset: int = 0
 
     def candidate_onsets(self, sightings: Sightings, rows: Ints) -> list[float]:
-        """Times [s] at which a change is tried at the place with these rows, in the order of measurement."""
-        if not self.first_onset:
+        """Times [s] at which a shift may begin at a place; `rows` are its pointings in the order of measurement."""
+        if not self.min_pointings_around_onset:
             return [-np.inf]
         times = sightings.time[rows]
         middle, gap = 0.5 * (times[1:] + times[:-1]), np.diff(times)
-        inner = slice(self.first_onset - 1, max(len(middle) - self.first_onset + 1, self.first_onset - 1))
-        indices = np.flatnonzero(gap[inner] > 0.0) + self.first_onset - 1
+        inner = slice(
+            self.min_pointings_around_onset - 1,
+            max(len(middle) - self.min_pointings_around_onset + 1, self.min_pointings_around_onset - 1),
+        )
+        indices = np.flatnonzero(gap[inner] > 0.0) + self.min_pointings_around_onset - 1
         if self.place_kind == "target":  # what moves between two pointings of one station is as well told of its set-up
             moved = np.diff(sightings.station[rows])[indices] != 0
             indices = indices[moved] if moved.any() else indices
@@ -99,7 +107,7 @@ class ShiftFamily:
         return middle[indices].tolist()
 
     def make_effect(self, name: str, onset_time: float) -> Signature:
-        """Effect of this family at a named station or target, starting at the time `onset_time` [s]."""
+        """Effect of this family at a station or target of this name, from the time `onset_time` [s] on."""
         names = (name,)
         stations, targets = (names, ()) if self.place_kind == "station" else ((), names)
         if self.kind == "station-bump":
@@ -115,7 +123,7 @@ class ShiftFamily:
 
 
 def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
-    """Families that are possible in a recording."""
+    """Families of shifts that are possible in a recording."""
     stations = len(sightings.station_names) > 1
     distance, azimuth, elevation = (
         ReadingShift(observable).design(sightings) for observable in ("distance", "azimuth", "elevation")
@@ -127,36 +135,46 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
             ("distance", distance),
             ("elevation", elevation),
         ):  # an azimuth: a station that turns
-            yield ShiftFamily("constant-step", observable, "station", offset, first_onset=MIN_POINTINGS_AROUND_MOTION)
+            yield ShiftFamily(
+                "constant-step", observable, "station", offset, min_pointings_around_onset=MIN_POINTINGS_AROUND_MOTION
+            )
             drift = ReadingShift(observable, is_drift=True).design(sightings)
             yield ShiftFamily("constant-drift", observable, "station", drift)
         yield ShiftFamily("scale-error", "distance", "station", distance * sightings.range_[:, None, None])
         yield ShiftFamily("constant-offset", "distance", "target", distance)
-        yield ShiftFamily("target-moved", "position", "target", sightings.target_derivatives, first_onset=1)
+        yield ShiftFamily(
+            "target-moved", "position", "target", sightings.target_derivatives, min_pointings_around_onset=1
+        )
         if np.isfinite(sightings.nest_normals).all(axis=1).any():
             yield ShiftFamily("reflector-radius", "position", "station", SmrOffset().design(sightings))
     motion = station_design(sightings)
-    yield ShiftFamily("orientation", "azimuth", "station", azimuth, first_onset=MIN_POINTINGS_AROUND_MOTION)
-    yield ShiftFamily("station-bump", "position", "station", motion, first_onset=MIN_POINTINGS_AROUND_MOTION)
+    yield ShiftFamily(
+        "orientation", "azimuth", "station", azimuth, min_pointings_around_onset=MIN_POINTINGS_AROUND_MOTION
+    )
+    yield ShiftFamily(
+        "station-bump", "position", "station", motion, min_pointings_around_onset=MIN_POINTINGS_AROUND_MOTION
+    )
     yield ShiftFamily("station-drift", "position", "station", UniformMotion().design(sightings))
 
 
 @dataclass(frozen=True)
 class ShiftCandidate:
-    """Candidate shift of a family at a place, from a time on."""
+    """Candidate: a shift of a family at one station or target, from one time on."""
 
     family: ShiftFamily
     place_name: str
+    """Name of the station or target."""
     onset_time: float
+    """Time [s] from which the shift acts; minus infinity for the whole recording."""
     affected_rows: Ints
-    """Pointings on which it acts."""
+    """Indices of the pointings that are shifted."""
     earlier_rows: Ints
-    """Earlier pointings of the place."""
+    """Indices of the pointings of the same place before the onset."""
     n_places: int
     """Number of places of this kind of hypothesis, among which its prior probability is divided."""
 
     def make_hypothesis(self, start_values: Floats) -> Hypothesis:
-        """Hypothesis of the candidate, whose estimation starts at a guess (p,)."""
+        """Hypothesis of the candidate; `start_values` (p,) [SI] are those of its p parameters."""
         effect = self.family.make_effect(self.place_name, self.onset_time)
         kind, acts_on = self.family.kind, self.family.acts_on
         change = ReadingShiftChange(effect, tuple(start_values.tolist()))
@@ -164,7 +182,7 @@ class ShiftCandidate:
 
     @property
     def log_prior(self) -> float:
-        """Log prior odds."""
+        """Logarithm of the prior odds relative to no error."""
         return log_prior_of(self.family.kind, self.n_places)
 
 
@@ -189,12 +207,12 @@ def shift_candidates(sightings: Sightings) -> list[ShiftCandidate]:
 
 
 def reference_omissions(fit: NetworkFit) -> list[Hypothesis]:
-    """Hypotheses that a reference value is wrong, one for each of a fit."""
+    """Hypotheses that a reference value of a fit is wrong, one for each value."""
     return omissions_of_values(fit.recording, list(reference_values(fit.problem, fit.state)))
 
 
 def omissions_of_values(recording: Recording, values: Sequence[ReferenceValueRows]) -> list[Hypothesis]:
-    """Hypotheses that a reference value is wrong, one for each of the given ones."""
+    """Hypotheses that a reference value is wrong, one for each of `values`."""
     hypotheses = []
     for v in values:
         ends = (v.name, *v.name.partition("#")[0].split("-")) if v.kind in ("length", "difference") else (v.name,)
@@ -207,7 +225,7 @@ def omissions_of_values(recording: Recording, values: Sequence[ReferenceValueRow
     return hypotheses
 
 
-CAUSE_KIND_BY_UNIT_ERROR: dict[str, CauseKind] = {
+CAUSE_KIND_BY_BLUNDER: dict[str, CauseKind] = {
     "target-swap": "names",
     "wrong-unit": "unit",
     "face-confusion": "unit",
@@ -217,11 +235,11 @@ CAUSE_KIND_BY_UNIT_ERROR: dict[str, CauseKind] = {
 
 
 def row_corrections(fit: NetworkFit) -> list[Hypothesis]:
-    """Hypotheses of wrongly recorded rows, by the positions of outliers after correction."""
+    """Hypotheses of wrongly recorded rows: outliers that lie at a target once a typical blunder is corrected."""
     places, hypotheses = len(fit.recording.stations) * len(fit.recording.targets), []
     is_suspect = np.asarray((fit.is_outlier & fit.is_gross_reading).any(axis=1)) | fit.adjustment.is_gross_pointing
     for mistake, readings, target in detect_blunders(replace(fit.adjustment, is_gross_pointing=is_suspect)):
-        kind = CAUSE_KIND_BY_UNIT_ERROR[mistake.effect]
+        kind = CAUSE_KIND_BY_BLUNDER[mistake.effect]
         change = RowCorrection(mistake.rows, readings, target, fit.recording.face[mistake.rows])
         rows = tuple((mistake.rows + 1).tolist())
         prior = log_prior_of(kind, places)
@@ -232,7 +250,10 @@ def row_corrections(fit: NetworkFit) -> list[Hypothesis]:
 
 
 def convention_corrections(recording: Recording) -> list[Hypothesis]:
-    """Hypotheses of set-ups recorded in another unit, direction of rotation or face, from the shape of their points."""
+    """Hypotheses of set-ups recorded in another unit, sense of rotation or face.
+
+    They follow from the shape of the points that each set-up measured, before any adjustment.
+    """
     converted, slips = correct_units(recording)
     faced, faces = correct_faces(converted)
     hypotheses = []
@@ -245,9 +266,9 @@ def convention_corrections(recording: Recording) -> list[Hypothesis]:
 
 
 def coordinate_exchanges(recording: Recording) -> list[Hypothesis]:
-    """Hypotheses of exchanged coordinates of two reference points.
+    """Hypothesis that the coordinates of two reference points are exchanged; empty if no pair stands out.
 
-    They follow from the shape of the network without reference points.
+    It compares the reference coordinates with the shape of the network that is computed without them.
     """
     setup_by_name = {name: recording.target_setup(name) for name in recording.targets}
     names = [
@@ -265,7 +286,7 @@ def coordinate_exchanges(recording: Recording) -> list[Hypothesis]:
     except NetworkError:
         return []
     best_index = int(np.argmin(swapped))
-    if not swapped[best_index] < MIN_EXCHANGE_MISCLOSURE_RATIO * min(
+    if not swapped[best_index] < MAX_EXCHANGE_MISCLOSURE_RATIO * min(
         [miss, *swapped[:best_index], *swapped[best_index + 1 :]]
     ):
         return []
@@ -283,7 +304,10 @@ def _swapped_order(n_points: int, first_index: int, second_index: int) -> list[i
 
 
 def noise_hypotheses(fit: NetworkFit) -> Iterator[tuple[Hypothesis, Bools]]:
-    """Hypotheses of other noise of all readings, an observable, a target or a station; affected readings (n, 3)."""
+    """Hypotheses that the noise of all readings, an observable, a target or a station differs from the declared noise.
+
+    The second element of each pair is the mask (n, 3) of the affected readings.
+    """
     recording = fit.recording
     full_mask = np.ones((len(recording), 3), dtype=bool)
     is_multiple = len(recording.stations) > 1

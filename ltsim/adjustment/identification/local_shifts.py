@@ -1,4 +1,4 @@
-"""Robust fits of shifts to the residuals of their own readings, with the network unchanged, in batches."""
+"""Robust fits of shifts to the residuals of the readings that they shift, with the network unchanged, in batches."""
 
 from __future__ import annotations
 
@@ -10,30 +10,33 @@ import numpy as np
 from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Bools, Floats
 
 N_REWEIGHTINGS = 6
-"""Number of reweightings in the fit of a shift."""
+"""Number of iterations of reweighted least squares in the fit of a shift."""
 MAX_TRIMMED_FITS = 2
-"""Largest number of fits to the readings that are no outliers with the shift."""
+"""Number of final least-squares fits, each to the readings that are no outliers with the previous estimate."""
 MAX_DEPENDENT_EIGENVALUE = 1e-13
-"""Eigenvalue, relative to the largest, of the normal matrix of unit columns up to which they count as linearly
+"""Eigenvalue of a normal matrix, relative to its largest one, up to which columns of the design count as linearly
 dependent.
 """
 
 
 @dataclass(frozen=True)
 class LocalShift:
-    """Design of a shift on its readings: unit columns (m, r), their lengths (r,), residuals (m,)."""
+    """Least-squares problem of one shift on the m readings that it changes, in whitened units."""
 
     unit_columns: Floats
+    """Columns of the design matrix, scaled to unit length, of the r parameters with influence, (m, r)."""
     column_lengths: Floats
+    """Lengths of the columns before scaling, (r,)."""
     residuals: Floats
+    """Whitened residuals of the network without the shift, (m,)."""
     is_outlier: Bools
-    """Flags of the outliers among the readings, (m,)."""
+    """Flags of the readings that this network rejected as outliers, (m,)."""
     acting_parameters: Bools
-    """Flags (q,) of the r parameters of the shift that act on these readings."""
+    """Flags (q,) of those r of the q parameters of the shift that influence these readings."""
 
     @classmethod
     def from_design(cls, design: Floats, residual: Floats, is_outlier: Bools) -> LocalShift:
-        """Design of a shift from its whitened design (n, 3, q), whitened residuals (n, 3) and outlier flags (n, 3)."""
+        """Problem of a shift from the whitened design (n, 3, q), residuals (n, 3) and outlier flags (n, 3)."""
         whole = design.reshape(-1, design.shape[2])
         acts = whole.any(axis=1)
         size = np.linalg.norm(whole[acts], axis=0)
@@ -43,14 +46,14 @@ class LocalShift:
 
     @property
     def has_outliers_and_parameters(self) -> bool:
-        """True if an outlier is among the readings, and a parameter acts on them."""
+        """True if at least one reading is an outlier and at least one parameter influences the readings."""
         return bool(self.is_outlier.any() and self.acting_parameters.any())
 
 
 def fit_local_shifts(shifts: Sequence[LocalShift], outlier_cost: float) -> list[tuple[float, Floats]]:
-    """Decrease of the robust negative log likelihood, and parameters (q,), of each shift.
+    """Gain and estimate of each shift: decrease of the robust negative log likelihood, and parameters (q,).
 
-    Each reading contributes at most `outlier_cost`.
+    In the robust likelihood each reading contributes at most `outlier_cost`.
     """
     fits: dict[int, tuple[float, Floats]] = {}
     for batch in _batches(shifts):
@@ -78,9 +81,9 @@ def fit_local_shifts(shifts: Sequence[LocalShift], outlier_cost: float) -> list[
 
 
 def _batches(shifts: Sequence[LocalShift]) -> Iterator[list[int]]:
-    """Indices of shifts with equal numbers of columns, ordered by length.
+    """Batches of indices of shifts with equal numbers of parameters, ordered by the number of readings.
 
-    A batch has at most `MAX_TEMPORARY_ENTRIES` entries.
+    The designs of a batch have at most `MAX_TEMPORARY_ENTRIES` entries together.
     """
     batch: list[int] = []
     for i in sorted(range(len(shifts)), key=lambda i: shifts[i].unit_columns.shape[::-1]):
@@ -98,10 +101,11 @@ def _batches(shifts: Sequence[LocalShift]) -> Iterator[list[int]]:
 def _robust_parameters(
     unit_columns: Floats, residual: Floats, is_outlier: Bools, is_used: Bools, outlier_cost: float
 ) -> Floats:
-    """Robust parameters (h, r) of unit columns (h, m, r) for residuals (h, m).
+    """Robust estimates (h, r) of the r parameters of h shifts with m readings each.
 
-    They start at the outliers (h, m) of `is_used` rows. For one column the start is the median of the ratios, for
-    several a least-squares solution reweighted to least absolute deviations.
+    `unit_columns` (h, m, r) are the designs, `residual` (h, m) the residuals. `is_used` (h, m) is False for rows that
+    only pad a shift with fewer readings. A single parameter starts at the median of the ratios of residual and column
+    over the outliers. Several parameters start at an approximation of least absolute deviations by reweighting.
     """
     if unit_columns.shape[2] == 1:
         column = unit_columns[:, :, 0]
@@ -120,19 +124,22 @@ def _robust_parameters(
 
 
 def _reading_changes(unit_columns: Floats, parameters: Floats) -> Floats:
-    """Changes (h, m) of the readings by parameters (h, r) of columns (h, m, r)."""
+    """Changes (h, m) of m readings by h shifts, from their parameters (h, r) and columns (h, m, r)."""
     return np.asarray((unit_columns @ parameters[:, :, None])[:, :, 0])
 
 
 def _row_medians(values: Floats, mask: Bools) -> Floats:
-    """Medians (h,) of the selected values (h, m), at least one in each row."""
+    """Medians (h,) over the second axis of values (h, m) that `mask` (h, m) selects, at least one in each row."""
     ordered, count = np.sort(np.where(mask, values, np.inf), axis=1), mask.sum(axis=1)
     rows = np.arange(len(values))
     return np.asarray(0.5 * (ordered[rows, (count - 1) // 2] + ordered[rows, count // 2]))
 
 
 def _least_squares(unit_columns: Floats, residual: Floats, weight: Floats) -> Floats:
-    """Least-squares parameters (h, r) with weights (h, m); the minimum-norm solution for dependent columns."""
+    """Least-squares parameters (h, r) of h shifts; `weight` (h, m) multiplies residuals and design rows.
+
+    Dependent columns get the solution with minimum norm.
+    """
     weighted_columns = unit_columns * weight[:, :, None]
     normal = np.swapaxes(weighted_columns, 1, 2) @ weighted_columns
     right_side = np.swapaxes(weighted_columns, 1, 2) @ (residual * weight)[:, :, None]

@@ -1,4 +1,4 @@
-"""Changes of a recording by hypotheses: corrected rows, omitted references, subtracted shifts, centring errors."""
+"""Application of hypotheses to a recording: corrected rows, excluded references, subtracted shifts, centring errors."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -20,15 +20,19 @@ from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
 
 CENTRING_TOLERANCE = 0.15
-"""Relative change of the standard deviation of centring errors from which a fit is repeated: an estimate from a hundred
-components has a standard deviation of 7 %."""
+"""Relative change of the standard deviation of centring errors from which a fit is repeated. An estimate from a hundred
+components has a standard deviation of 7 %.
+"""
 
 
-def start_parameters(hypotheses: Sequence[Hypothesis], size: int, approximate_sizes: Sightings | None) -> Floats:
-    """Start values (q,) of the parameters of the shifts."""
+def start_parameters(hypotheses: Sequence[Hypothesis], size: int, approximate_sightings: Sightings | None) -> Floats:
+    """Start values (`size`,) [SI] of the parameters of the additional effects, of which the shifts are the first.
+
+    The start values of the shifts are used if `approximate_sightings` are given; otherwise all values are zero.
+    """
     shifts = [h.model_change for h in hypotheses if isinstance(h.model_change, ReadingShiftChange)]
     values = [
-        s.start_values if approximate_sizes is not None and s.start_values else (0.0,) * len(s.effect.parameters)
+        s.start_values if approximate_sightings is not None and s.start_values else (0.0,) * len(s.effect.parameters)
         for s in shifts
     ]
     parameters = np.zeros(size)
@@ -37,17 +41,21 @@ def start_parameters(hypotheses: Sequence[Hypothesis], size: int, approximate_si
     return parameters
 
 
-def subtract_shifts(recording: Recording, hypotheses: Sequence[Hypothesis], approximate_sizes: Sightings) -> Recording:
-    """Recording without the shifts of the hypotheses, at their guessed sizes."""
+def subtract_shifts(
+    recording: Recording, hypotheses: Sequence[Hypothesis], approximate_sightings: Sightings
+) -> Recording:
+    """Recording from which the shifts of the hypotheses are subtracted, with the sizes of their start values."""
     readings = recording.readings.copy()
     for h in hypotheses:
         if isinstance(h.model_change, ReadingShiftChange) and h.model_change.start_values:
-            readings -= h.model_change.effect.reading_change(approximate_sizes, np.array(h.model_change.start_values))
+            readings -= h.model_change.effect.reading_change(
+                approximate_sightings, np.array(h.model_change.start_values)
+            )
     return recording.with_readings(readings)
 
 
 def apply_corrections_and_omissions(recording: Recording, hypotheses: Sequence[Hypothesis]) -> Recording:
-    """Recording with corrected rows and centring errors, and without rejected reference values."""
+    """Recording with corrected rows and declared centring errors, and without excluded reference values."""
     readings, target, face = recording.readings.copy(), recording.target.copy(), recording.face.copy()
     for h in hypotheses:
         if isinstance(h.model_change, RowCorrection):
@@ -70,10 +78,11 @@ def apply_corrections_and_omissions(recording: Recording, hypotheses: Sequence[H
 
 
 def with_centring_sigma(hypothesis: Hypothesis, estimate: Callable[[Hypothesis], tuple[Floats, Floats]]) -> Hypothesis:
-    """Hypothesis with the standard deviation of its centring errors that their `estimate` implies.
+    """Hypothesis of centring errors with a new standard deviation s, estimated from the fitted displacements.
 
-    Restricted maximum likelihood: s^2 = u'u / (q - tr(C) / s^2) for the estimate u (q,) and its covariance C. Any other
-    hypothesis, and one whose standard deviation changes little, is returned as it is.
+    `estimate` returns the displacements u (q,) of a hypothesis and their covariance C (q, q). The step of restricted
+    maximum likelihood is s^2 = u'u / (q - tr(C) / s^2). Another hypothesis is returned unchanged, and so is one whose
+    standard deviation changes by less than `CENTRING_TOLERANCE`.
     """
     change = hypothesis.model_change
     if not isinstance(change, CentringChange):

@@ -1,4 +1,4 @@
-"""Nominal sizes of offsets: radii of common SMRs, and constants of common prisms."""
+"""Nominal sizes of offsets of distances: differences of the radii of common SMRs, and constants of common prisms."""
 
 from collections.abc import Mapping
 from typing import TypeVar
@@ -9,15 +9,17 @@ SMR_RADIUS_DIFFERENCES = {
     7.94e-3: ("7/8 inch", "1.5 inch"),
     4.76e-3: ("0.5 inch", "7/8 inch"),
 }
-"""Differences of the radii of common SMRs [m], with the smaller and the larger one."""
+"""Nominal diameters of the smaller and the larger SMR, by the difference of their radii [m]."""
 PRISM_CONSTANTS = {17.5e-3: "the constant of a mini prism", 34.4e-3: "the constant of a round prism"}
-"""Constants of common prisms [m]."""
+"""Names of the constants of common prisms, by their size [m]."""
 MAX_NOMINAL_DIFFERENCE = 60e-6
-"""Tolerance [m] between an offset and a nominal size, for an offset with a smaller uncertainty."""
+"""Difference [m] of an offset from a nominal size below which the sentence names that size. The standard deviation of
+the offset must also be smaller than this.
+"""
 
 
 def usual_offset_text(value: float, sigma: float) -> str:
-    """Text of the usual cause of an offset of distances [m]; empty for none."""
+    """Text of the usual cause of an offset of distances, from its `value` and `sigma` [m]; empty if no cause fits."""
     pairs = {
         size: f"the radii of a {small} and a {large} SMR differ by this"
         for size, (small, large) in SMR_RADIUS_DIFFERENCES.items()
@@ -26,9 +28,9 @@ def usual_offset_text(value: float, sigma: float) -> str:
 
 
 def usual_smr_text(value: float, sigma: float) -> str:
-    """Text of the SMR that was used in place of another, from the displacement [m] of its centre from the nest.
+    """Text of the SMR that was used in place of another; empty if no pair of common SMRs fits.
 
-    It is empty for none.
+    `value` and `sigma` [m] are those of the displacement of the centre of the SMR, positive away from the nest.
     """
     pair = _nearest_nominal(SMR_RADIUS_DIFFERENCES, value, sigma)
     if pair is None:
@@ -38,9 +40,9 @@ def usual_smr_text(value: float, sigma: float) -> str:
 
 
 def _nearest_nominal(nominal_sizes: Mapping[float, NominalType], value: float, sigma: float) -> NominalType | None:
-    """Entry of the usual size [m] within `MAX_NOMINAL_DIFFERENCE` of a value.
+    """Entry of the nominal size [m] that differs from the absolute value by less than `MAX_NOMINAL_DIFFERENCE`.
 
-    None if there is none or the sigma is larger.
+    None if no size does, or if `sigma` is not smaller than that limit.
     """
     close = [
         entry

@@ -1,7 +1,7 @@
-"""Resection of set-ups whose readings mostly contradict the network, without one of their observables.
+"""Resection of set-ups from two observables, if most of their readings contradict the network.
 
-Ranges with a common offset or scale error displace a set-up, so that its angles have large residuals too; elevations
-with a wrong index tilt it, so that all its readings have large residuals.
+Ranges with a common offset or scale error displace a set-up, so that its angles have large residuals too. Elevations
+with a wrong vertical index tilt a set-up, so that all its readings have large residuals.
 """
 
 from __future__ import annotations
@@ -22,9 +22,10 @@ from ltsim.solve.design import robust_sigma
 
 
 def resect_contradicted_setups(problem: NetworkProblem, state: NetworkState) -> NetworkState:
-    """State in which set-ups with mostly far residuals are resected from two of their observables.
+    """State in which set-ups with mostly large residuals have a new pose, resected from two of their three observables.
 
-    The results must be near.
+    A pose is replaced only if fewer readings of the set-up then have large residuals. Large means more than
+    `MIN_FAR_RESIDUAL` robust standard deviations.
     """
     recording, far = problem.model.recording, _is_far(problem, state)
     if not far.any() or far[problem.used_readings].mean() > MIN_FAULTY_FRACTION_OF_PLACE:
@@ -51,7 +52,7 @@ def resect_contradicted_setups(problem: NetworkProblem, state: NetworkState) -> 
 
 
 def _is_far(problem: NetworkProblem, state: NetworkState) -> Bools:
-    """Flags (n, 3) of the used readings with far residuals."""
+    """Flags (n, 3) of the used readings with residuals above `MIN_FAR_RESIDUAL` robust standard deviations."""
     whitened_residual = whitened_residuals(problem, state)
     scale = max(robust_sigma(whitened_residual[problem.used_readings]), 1.0)
     return np.asarray(problem.used_readings & (whitened_residual > MIN_FAR_RESIDUAL * scale))

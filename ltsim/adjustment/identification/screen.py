@@ -1,8 +1,9 @@
 """Screening of all hypotheses by an approximate gain of log evidence, given a fit.
 
-Two methods are used, and the larger gain counts. The residual space of a fit is exact for a small cause. The residuals
-of single pointings, with the network unchanged, reveal a cause of any size whose readings were rejected as outliers.
-Both only rank hypotheses: results come from a fit with the hypothesis in the model.
+Two methods are used, and the larger gain counts. The projection onto the residual space of a fit is exact for small
+errors. A fit to the residuals of single places, with the rest of the network unchanged, detects errors of any size
+whose readings were rejected as outliers. Both methods only rank hypotheses; a result requires a fit with the
+hypothesis.
 """
 
 from __future__ import annotations
@@ -41,21 +42,21 @@ from ltsim.physics.effects.motions import exact_target_change
 from ltsim.solve.gauss_newton import solve
 
 MAX_EXACTLY_PROJECTED_ENTRIES = 3_000_000
-"""Number of entries of all signatures up to which all are projected exactly; of more only the best ones by their own
-rows.
+"""Largest number of matrix entries of the signatures that are projected exactly (computing time). Beyond it only the
+best candidates of an approximation without projection are projected.
 """
 MIN_OUTLIERS_FOR_TRIAL = 6
-"""Number of outliers at a place from which its distances are removed for a trial."""
+"""Number of outliers in a network above which fits without the distances of single places are made."""
 MIN_GROSS_FRACTION_FOR_TRIAL = 0.4
-"""Fraction of gross pointings at a place from which its distances are removed for a trial."""
+"""Fraction of gross pointings at a place above which a fit without its distances is made, or its motion is tested."""
 MAX_TRIAL_PLACES = 5
-"""Largest number of places whose distances are removed for a trial."""
+"""Largest number of places for which a fit without their distances is made, or whose motion is tested."""
 MIN_LENGTHS_FOR_SCALE = 2
-"""Smallest number of reference lengths that share a scale."""
+"""Number of reference lengths from which a common scale error is tested."""
 
 
 def screened_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
-    """Hypotheses with their approximate gain of log evidence, the largest first."""
+    """Approximate gains of log evidence and hypotheses, the largest gain first."""
     every = shift_candidates(fit.adjustment.sightings)
     gains = np.full(len(every), -np.inf)
     non_robust_fit = _non_robust_fit(fit)
@@ -93,7 +94,10 @@ def screened_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
 
 
 def _non_robust_fit(fit: NetworkFit) -> tuple[Adjustment, float] | None:
-    """Least-squares fit of all readings, and its deficit of log evidence; None if it equals the robust fit."""
+    """Least-squares fit of all readings, and its log evidence minus that of the robust fit (at most 0).
+
+    None if the robust fit has no outliers, so that both fits are equal, or if the least-squares fit does not converge.
+    """
     if not fit.is_outlier.any():
         return None
     solution = solve(fit.problem_with_all_readings, fit.state)
@@ -106,7 +110,10 @@ def _non_robust_fit(fit: NetworkFit) -> tuple[Adjustment, float] | None:
 def _best_per_place(
     ranked: Sequence[tuple[float, int]], candidates: Sequence[ShiftCandidate]
 ) -> list[tuple[float, int]]:
-    """Best time of each kind of hypothesis at each place."""
+    """Gains and indices of the candidates with the best onset time, for each kind of error at each place.
+
+    `ranked` contains gains and indices of all candidates, the largest gain first.
+    """
     places, best = set[tuple[str, str, str]](), []
     for gain, i in ranked:
         candidate = candidates[i]
@@ -118,7 +125,7 @@ def _best_per_place(
 
 
 def _exact_log_evidence(space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
-    """Log evidence (h,) of candidates in a residual space."""
+    """Gains (h,) of log evidence by each of h candidates, from the projection onto a residual space."""
     gains = np.full(len(candidates), -np.inf)
     indices = np.arange(len(candidates))
     sizes = np.array([space.n_rows * c.family.design.shape[2] for c in candidates], dtype=np.int64)
@@ -131,7 +138,7 @@ def _exact_log_evidence(space: ResidualSpace, candidates: Sequence[ShiftCandidat
     for rank, group in by_rank.items():
         step = max(1, MAX_TEMPORARY_ENTRIES // (space.n_rows * rank))
         for batch in (group[k : k + step] for k in range(0, len(group), step)):
-            rows = np.hstack([_projected_signature(space, candidates[i]) for i in batch])
+            rows = np.hstack([_whitened_signature(space, candidates[i]) for i in batch])
             projected = space.project(rows).reshape(space.n_rows, len(batch), rank)
             size = np.linalg.norm(rows, axis=0).reshape(len(batch), rank)
             unit = projected / np.where(size > 0, size, 1.0)
@@ -151,14 +158,17 @@ def _log_evidence(chi2_drop: float, rank: int) -> float:
     return 0.5 * chi2_drop + float(log_occam_factor_of_shift(np.sqrt(chi2_drop), rank)) if rank else -np.inf
 
 
-def _projected_signature(space: ResidualSpace, candidate: ShiftCandidate) -> Floats:
+def _whitened_signature(space: ResidualSpace, candidate: ShiftCandidate) -> Floats:
     design = np.zeros_like(candidate.family.design)
     design[candidate.affected_rows] = candidate.family.design[candidate.affected_rows]
     return space.whiten(design)
 
 
 def _approximate_log_evidence(space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
-    """Log evidence (h,) of candidates from the residuals of their own rows, with the redundancy of each row."""
+    """Gains (h,) of log evidence by each of h candidates, without projection.
+
+    Each uses only the residuals of the rows that the candidate shifts, weighted by the redundancy of the rows.
+    """
     use, count = space.used_readings, int(space.used_readings.sum())
     residual, share = np.zeros(use.shape), np.zeros(use.shape)
     residual[use], share[use] = space.residuals[:count], np.maximum(space.redundancy[:count], 1e-3)
@@ -179,10 +189,10 @@ def _approximate_log_evidence(space: ResidualSpace, candidates: Sequence[ShiftCa
 
 
 def _local_shift_log_evidence(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> tuple[Floats, list[Floats]]:
-    """Log evidence (h,) gained by shifts whose readings are no longer outliers, with the network unchanged.
+    """Gains (h,) of log evidence by h candidate shifts with the network unchanged, and start values of each shift.
 
-    Also returned is a guess of each shift. If a change begins during the measurement, the network may have followed the
-    later readings; its negative is then visible before.
+    A shift gains evidence if its readings are no longer outliers. If a shift begins during the measurement, the network
+    may have followed the later readings. The earlier readings then show the negative shift, so that both are tested.
     """
     gains = np.full(len(candidates), -np.inf)
     guesses = [np.zeros(c.family.design.shape[2]) for c in candidates]
@@ -217,9 +227,10 @@ def _local_shift_log_evidence(fit: NetworkFit, candidates: Sequence[ShiftCandida
 
 
 def _moved_targets(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> Iterator[tuple[int, float, Floats]]:
-    """Moved targets from their positions before and after a time: index, log evidence, and displacement (3,) [m].
+    """Candidates for moved targets: index, gain of log evidence, and displacement (3,) [m].
 
-    The network places a target that moved far between both positions, so that no reading to it fits.
+    Each target is positioned separately from the pointings before and after the onset. The network places a target that
+    moved far between both positions, so that no reading to it fits and the other methods fail.
     """
     gross, sightings = np.asarray(fit.is_outlier.any(axis=1)), fit.adjustment.sightings
     moved_indices = [i for i, c in enumerate(candidates) if c.family.kind == "target-moved"]
@@ -255,10 +266,7 @@ def _moved_targets(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> Ite
 
 
 def _target_position(fit: NetworkFit, rows: Ints) -> Floats | None:
-    """Position (3,) [m] of a target from some pointings to it, with the stations unchanged.
-
-    It is None if it is not unique.
-    """
+    """Position (3,) [m] of a target from some pointings to it, with the stations unchanged; None if not unique."""
     rows = rows[fit.problem_with_all_readings.used_readings[rows].any(axis=1)]
     sight, station = FitReadings.from_recording(fit.recording).select_rows(rows), fit.recording.station[rows]
     usable = replace(
@@ -268,10 +276,11 @@ def _target_position(fit: NetworkFit, rows: Ints) -> Floats | None:
 
 
 def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> list[tuple[float, Hypothesis]]:
-    """Offsets and scale errors of distances at the places with most outliers, from a network without these distances.
+    """Gains and hypotheses of offsets and scale errors of distances at the places with most outliers.
 
-    Distances with large errors displace the target or station, so that its angles have large residuals too. If gross
-    pointings are as frequent in the whole recording, no place is tried.
+    Distances with large errors displace the target or station, so that its angles have large residuals too. The network
+    is therefore fitted without these distances, and the error follows from their residuals. No place is tested if gross
+    pointings are as frequent in the whole recording.
     """
     gross = np.asarray((fit.is_outlier & fit.is_gross_reading).any(axis=1))
     if gross.mean() > MIN_GROSS_FRACTION_FOR_TRIAL:
@@ -304,7 +313,7 @@ def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandid
 
 
 def _outlier_log_evidence(fit: NetworkFit, rows: Ints) -> float:
-    """Log evidence that the outliers among some rows cost."""
+    """Log evidence that is gained if the outliers among some rows are explained: their Occam factors and priors."""
     out = fit.is_outlier[rows]
     w = np.abs(fit.whitened_residuals[rows][out])
     return -float(np.sum(log_occam_factor_of_shift(w, 1))) - len(w) * log_prior_of(
@@ -333,7 +342,7 @@ def _reference_hypotheses(fit: NetworkFit, adjustment: Adjustment) -> list[tuple
 
 
 def _length_scale_hypothesis(fit: NetworkFit, space: ResidualSpace) -> list[tuple[float, Hypothesis]]:
-    """Hypothesis of a common scale error of all reference lengths (or of the distances), with its gain."""
+    """Gain and hypothesis of a scale error of all reference lengths, or of all distances; empty for few lengths."""
     scale = GaugeScale()
     if any(h.kind == "reference-scale" for h in fit.hypotheses) or len(fit.problem.gauge_rows) < MIN_LENGTHS_FOR_SCALE:
         return []
@@ -344,12 +353,15 @@ def _length_scale_hypothesis(fit: NetworkFit, space: ResidualSpace) -> list[tupl
 
 
 def _noise_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
-    """Hypotheses of changed noise, with their gains; outliers by the declared noise may be none by another."""
+    """Gains and hypotheses of noise that differs from the declared noise."""
     return [_best_noise_hypothesis(fit, h, readings) for h, readings in noise_hypotheses(fit)]
 
 
 def _best_noise_hypothesis(fit: NetworkFit, hypothesis: Hypothesis, reading_mask: Bools) -> tuple[float, Hypothesis]:
-    """Hypothesis of changed noise with its gain and a guess, for the best number of remaining outliers."""
+    """Gain and hypothesis of a noise factor with its start value.
+
+    Some of the present outliers are none with larger noise; the number of remaining outliers maximises the gain.
+    """
     within, out = reading_mask & fit.problem.used_readings, reading_mask & fit.is_outlier
     sizes = np.sort(np.abs(fit.whitened_residuals[out]))  # as many of the smaller ones as is best are outliers no more
     squares = np.sum(fit.whitened_residuals[within] ** 2) + np.append(0.0, np.cumsum(sizes**2))

@@ -1,4 +1,4 @@
-"""Signatures of simple causes: offset, drift or scale error of one observable, at a station or target."""
+"""Signatures of offsets, drifts and scale errors of one observable, at a station or target, from a time on."""
 
 from dataclasses import dataclass
 
@@ -13,22 +13,22 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class ReadingShift(Signature):
-    """Offset, drift or scale error of the readings of one observable.
+    """Offset, drift or scale error of the readings of one observable, for some stations and targets, from a time on.
 
-    An elevation offset is the vertical index, equal on both faces. A drift grows evenly during the visit of a station,
-    from zero; its parameter is the shift at the last pointing.
+    An offset of the elevations is an error of the vertical index. Its sign in the raw elevations depends on the face. A
+    drift grows at a constant rate from zero at the first pointing of a station; its parameter is the shift at the last.
 
     Attributes
     ----------
     observable : {`distance`, `azimuth`, `elevation`}
     is_proportional : bool
-        True if the shift grows with the range (a scale error).
+        True for a scale error, which is proportional to the range; False for an offset.
     stations, targets : tuple of str
         Names of the stations and targets whose readings are shifted; empty for all.
     onset_time : float
         First time [s] of shifted readings.
     size_factor : float
-        Largest plausible size, in units of the usual size.
+        Factor on the usual plausible size of the parameter.
     is_drift : bool
         True if the shift grows with the time since the first pointing of the station.
     """
@@ -43,12 +43,12 @@ class ReadingShift(Signature):
 
     @property
     def name(self) -> str:
-        """`scale-error`, `constant-drift` or `constant-offset`."""
+        """Name of the kind of error: `scale-error`, `constant-drift` or `constant-offset`."""
         return "scale-error" if self.is_proportional else "constant-drift" if self.is_drift else "constant-offset"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Change of a reading, or of its ratio to the range."""
+        """Single parameter: the offset of the readings, or their scale error."""
         if self.is_proportional:
             return (Parameter("scale-error", "ppm", "scale error of the readings", PPM),)
         if self.observable == "distance":
@@ -70,7 +70,10 @@ class ReadingShift(Signature):
         return design_from_front_face_corrections(sightings, **{self.observable: -size[:, None]})
 
     def linearise(self, sightings: Sightings, values: Floats) -> Linearisation:
-        """Change of the readings at a value; distances with a scale error change in proportion to their change."""
+        """Change of the readings and its derivatives at a value of the parameter.
+
+        A scale error is proportional to the range, so that its change also depends on poses and targets.
+        """
         design = self.design(sightings)
         if not self.is_proportional:
             return Linearisation(design @ values, design)
@@ -79,6 +82,6 @@ class ReadingShift(Signature):
 
 
 def displacement_per_reading(sightings: Sightings) -> Floats:
-    """Lengths (n, 3) [m or m/rad] that convert errors of the readings to displacements."""
+    """Displacement (n, 3) [m/m or m/rad] of a measured point per unit error of its range, azimuth and elevation."""
     range_ = sightings.range_
     return np.stack([np.ones_like(range_), range_ * np.cos(sightings.elevation), range_], axis=1)

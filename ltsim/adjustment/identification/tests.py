@@ -1,4 +1,4 @@
-"""Table of tests of every result: accepted hypotheses and outliers, with size and evidence."""
+"""Table of tests in every result: identified errors and outliers, with their sizes and probabilities."""
 
 from __future__ import annotations
 
@@ -47,20 +47,20 @@ class AlternativeCause(Entry):
     kind: str
     """Kind of the hypothesis, as `kind` of a test."""
     where: CausePlace
-    """Stations or targets at which it acts."""
+    """Stations or targets at which the alternative error acts."""
     probability: Finite
-    """Posterior probability."""
+    """Posterior probability of the alternative."""
 
 
 class CauseTest(Entry):
-    """Test of a hypothesis in the network with all accepted hypotheses."""
+    """Test of a hypothesis about an error, in the network with all accepted hypotheses."""
 
     kind: str
-    """`outlier`, `constant-offset`, `scale-error`, `target-moved`, `station-bump`, `reference-value` and so on."""
+    """Kind of the error: `outlier`, `constant-offset`, `scale-error`, `target-moved`, `station-bump` and so on."""
     acts_on: str
     """Observable, `position`, a kind of reference value, or `noise`."""
     where: CausePlace
-    """Stations or targets at which it acts."""
+    """Stations or targets at which the error acts."""
     statistic: Finite
     """Decrease of chi-square; for noise and blunders twice the log likelihood ratio."""
     dof: int
@@ -74,15 +74,15 @@ class CauseTest(Entry):
     unit: str = ""
     """Unit of the estimate and of its standard deviation."""
     rows: tuple[int, ...] = ()
-    """Rows of the recording, from 1, if they are few."""
+    """Affected rows of the recording, from 1; empty for more than 20 rows."""
     probability: OptionalFloat = None
-    """Posterior probability among the alternatives."""
+    """Posterior probability of the hypothesis, compared with its alternatives and with no error."""
     alternatives: tuple[AlternativeCause, ...] = ()
-    """Alternative hypotheses fitted in its place, those with a posterior probability above 1 %."""
+    """Alternative hypotheses that were fitted in place of this one and have a posterior probability above 1 %."""
     accepted: bool = True
     """True if the hypothesis is part of the model of the result."""
     sentence: str = ""
-    """Sentence on the test."""
+    """Result of the test as a sentence."""
 
     @property
     def is_fault(self) -> bool:
@@ -91,11 +91,11 @@ class CauseTest(Entry):
 
 
 MAX_LISTED_OUTLIERS = 20
-"""Largest number of outliers with a separate test, the largest first."""
+"""Largest number of outliers in the table, and of rows that a test lists."""
 
 
 def cause_tests(selection: CauseSelection) -> tuple[CauseTest, ...]:
-    """Tests of a selection: accepted hypotheses, the most probable first, then outliers."""
+    """Tests of the selected hypotheses, the most certain first, then of the outliers."""
     fit = selection.fit
     return (*(_accepted_test(fit, choice) for choice in selection.selected_hypotheses), *_outlier_tests(fit))
 
@@ -148,21 +148,21 @@ def _accepted_test(fit: NetworkFit, choice: SelectedHypothesis) -> CauseTest:
 
 
 def reported_kind(fit: NetworkFit, hypothesis: Hypothesis) -> CauseKind:
-    """Kind of an accepted hypothesis in the table of tests: displacements of one length are another reflector."""
+    """Kind of an accepted hypothesis in the table; displacements of equal length are another reflector radius."""
     if isinstance(hypothesis.model_change, CentringChange) and common_displacement(fit, hypothesis) is not None:
         return "reflector-radius"
     return hypothesis.kind
 
 
 def estimated_noise_factor(fit: NetworkFit, hypothesis: Hypothesis) -> float:
-    """Factor on the declared standard deviations of an accepted change of the noise."""
+    """Estimated factor on the declared standard deviations, of an accepted hypothesis about the noise."""
     assert isinstance(hypothesis.model_change, NoiseFactor)
     mask = hypothesis.model_change.reading_mask & fit.problem.used_readings
     return float(np.median(fit.problem.sigma[mask] / fit.network.recording.sigma()[mask]))
 
 
 def _estimated_size(hypothesis: Hypothesis, values: Floats, covariance: Floats) -> dict[str, Any]:
-    """Size, standard deviation and unit; of a vector its length."""
+    """Dictionary with the keys `estimate`, `sigma` and `unit` of a shift; the size of a vector is its length."""
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     unit, factor = ("mm", MILLIMETRE)
     if isinstance(hypothesis.model_change.effect, ReadingShift):
@@ -191,7 +191,7 @@ def _misclosure_and_unit(fit: NetworkFit, hypothesis: Hypothesis) -> tuple[float
 
 
 UNITS_BY_REFERENCE_KIND = {"level": ("arcsec", ARCSECOND), "yaw": ("arcsec", ARCSECOND), "scale": ("ppm", PPM)}
-"""Units of reference values that are no lengths."""
+"""Unit of the misclosure and its size [SI] by kind of reference value, for kinds that are no lengths."""
 REFERENCE_PHRASES = {
     "point": "The reference coordinates of",
     "difference": "The reference difference",
@@ -201,26 +201,26 @@ REFERENCE_PHRASES = {
     "mark": "The set-up of",
     "scale": "The scale of",
 }
-"""Phrases for the kinds of reference values."""
+"""Subject of a sentence by kind of reference value; the name of the value follows."""
 
 
 def cause_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
-    """Sentence on an accepted hypothesis with its usual causes."""
+    """Sentence on an accepted hypothesis with the size of the error and its usual causes."""
     is_centring = isinstance(hypothesis.model_change, CentringChange)
     return (_centring_sentence if is_centring else _shift_or_noise_sentence)(fit, hypothesis)
 
 
 def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
-    """Sentence on any cause but centring errors."""
+    """Sentence on an accepted hypothesis that is not about centring errors."""
     at = ", ".join((*hypothesis.stations, *hypothesis.targets))
     if isinstance(hypothesis.model_change, RowCorrection | CoordinateExchange):
         return hypothesis.name
     if isinstance(hypothesis.model_change, NoiseFactor):
         factor = estimated_noise_factor(fit, hypothesis)
-        what = "The readings" if hypothesis.acts_on == "noise" else f"The readings of the {hypothesis.acts_on}"
+        what = "the readings" if hypothesis.acts_on == "noise" else f"the readings of the {hypothesis.acts_on}"
         of = f" {'from' if hypothesis.stations else 'to'} {at}" if at else ""
         cure = "declare this noise in the set-up" if not at else "measure again, or correct the set-up"
-        return f"{what}{of} scatter {factor:.2g} times as much as declared (sigma); {cure}."
+        return f"The standard deviation of {what}{of} is {factor:.2g} times the declared one: {cure}."
     if isinstance(hypothesis.model_change, ReferenceOmission):
         miss, unit, factor = _misclosure_and_unit(fit, hypothesis)
         plural = hypothesis.model_change.reference_value.kind == "point"
@@ -235,7 +235,7 @@ def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     size = f"{with_sigma(abs(estimate['estimate']), estimate['sigma'], estimate['unit'])}"
     effect = hypothesis.model_change.effect
     if hypothesis.kind == "reference-scale":
-        causes = "a temperature, an expansion or the scale of the distances is not as declared"
+        causes = "the declared temperature or expansion, or the scale of the distances, is wrong"
         return f"The reference lengths and the distances differ in scale by {size}: {causes}."
     if hypothesis.kind == "reflector-radius":
         cause = usual_smr_text(float(values[0]), float(np.sqrt(covariance[0, 0]))) or "another SMR radius"
@@ -259,18 +259,18 @@ def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
 OBSERVABLE_CAUSES = {
     ("constant-offset", "distance", "station"): "another SMR, or a wrong distance constant",
     ("constant-offset", "distance", "target"): "another SMR or prism",
-    ("constant-offset", "elevation", "station"): "another vertical index at this set-up",
+    ("constant-offset", "elevation", "station"): "the vertical index differs at this set-up",
     ("constant-step", "distance", "station"): "another SMR, or the beam was interrupted",
-    ("constant-step", "elevation", "station"): "another vertical index afterwards",
+    ("constant-step", "elevation", "station"): "the vertical index differs afterwards",
     ("constant-drift", "distance", "station"): "a drift of the range zero",
     ("constant-drift", "elevation", "station"): "a drift of the vertical index",
     ("scale-error", "distance", "station"): "a wrong atmospheric correction or unit at this set-up",
 }
-"""Usual causes of a shift of one observable, by kind, observable and place."""
+"""Usual causes of a shift of one observable, by kind of the error, observable, and kind of place."""
 
 
 def _observable_sentence(fit: NetworkFit, hypothesis: Hypothesis, estimate: dict[str, Any]) -> str:
-    """Sentence on a shift of all readings of one observable at a station or target, with its `estimate`."""
+    """Sentence on a shift of all readings of one observable; `estimate` has its size, standard deviation and unit."""
     at = ", ".join((*hypothesis.stations, *hypothesis.targets))
     place, link = ("target", "to") if hypothesis.targets else ("station", "from")
     cause = OBSERVABLE_CAUSES[hypothesis.kind, hypothesis.acts_on, place]
@@ -289,11 +289,11 @@ def _observable_sentence(fit: NetworkFit, hypothesis: Hypothesis, estimate: dict
 
 
 def _centring_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
-    """Sentence on centring errors: displacements of one length at a set-up, or of random size."""
+    """Sentence on centring errors at a set-up, on a target, or at all set-ups, with the size of the displacements."""
     assert isinstance(hypothesis.model_change, CentringChange)
     size = f"{_number_text(float(f'{hypothesis.model_change.centring.sigma_mm:.2g}'))} mm (standard deviation)"
     if hypothesis.targets:
-        what = f"The reflector on {hypothesis.targets[0]} is displaced at random at each set-up"
+        what = f"The reflector on target {hypothesis.targets[0]} was displaced at random at each set-up"
         return f"{what}, by {size} along each axis: check its centring."
     if not hypothesis.stations:
         return (
@@ -306,19 +306,19 @@ def _centring_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     if common is None:
         return (
             f"The reflectors seen from {at} are displaced from their targets at random, by {size} along each axis: "
-            f"they were not in their places (centring), or {at} has errors that repeat in all rounds."
+            f"the reflectors were not centred, or readings from {at} have errors that repeat in all rounds."
         )
     text = with_sigma(abs(common.length) / MILLIMETRE, common.sigma / MILLIMETRE, "mm")
     side = "away from" if common.length > 0 else "towards"
     cause = usual_smr_text(common.length, common.sigma) or "another SMR or adaptor"
     return (
-        f"At {at} the centres of the SMRs are displaced by one length of {text}, {side} their nests: {cause}. "
-        "Declare the normals of the nests (nest_normal), so that it is estimated along them."
+        f"At {at} the centres of the SMRs are all displaced by {text}, {side} their nests: {cause}. "
+        "Declare the normals of the nests (nest_normal), so that the displacement is estimated along the normals."
     )
 
 
 def _row_interval_text(fit: NetworkFit, hypothesis: Hypothesis) -> str:
-    """Text of the rows between which a change happened."""
+    """Text of the rows of the recording between which a motion happened, for example `between rows 12 and 13`."""
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     effect, s = hypothesis.model_change.effect, fit.adjustment.sightings
     since = effect.onset_time if isinstance(effect, ReadingShift) else getattr(effect, "time", -np.inf)
@@ -335,12 +335,12 @@ def _row_interval_text(fit: NetworkFit, hypothesis: Hypothesis) -> str:
 
 
 def _number_text(value: float) -> str:
-    """Number with four digits, large ones without exponent."""
+    """Text of a number with four significant digits, without exponent."""
     return f"{float(f'{value:.4g}'):.12g}"
 
 
 def _outlier_tests(fit: NetworkFit) -> list[CauseTest]:
-    """Tests of rejected readings, the largest first, each against its prediction by all readings in use."""
+    """Tests of the rejected readings, the largest first, each against its prediction by all readings in use."""
     recording, tests = fit.recording, list[CauseTest]()
     indices = np.argwhere(fit.is_outlier)
     indices = indices[np.argsort(-np.abs(fit.whitened_residuals[fit.is_outlier]))][:MAX_LISTED_OUTLIERS]
@@ -379,7 +379,10 @@ def _outlier_tests(fit: NetworkFit) -> list[CauseTest]:
 
 
 def _p_target_moved(fit: NetworkFit, row: int, chi2_drop: float) -> float:
-    """Probability that the target of an outlier has moved, which is possible if it is the last pointing."""
+    """Posterior probability that the target of an outlier has moved.
+
+    It is 0 unless the outlier is the last pointing to its target: later pointings would show the motion.
+    """
     s = fit.adjustment.sightings
     same_rows = np.flatnonzero(s.target == s.target[row])
     if same_rows[np.argmax(s.time[same_rows])] != row or len(same_rows) < 2:

@@ -1,1 +1,1 @@
-"""Undetermined and undetectable quantities of a network, and additional measurements that determine them."""
+"""Undetermined and undetectable quantities of a network, and further measurements that determine them."""

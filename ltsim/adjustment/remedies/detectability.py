@@ -1,9 +1,11 @@
-"""Minimal detectable size of every effect in a network.
+"""Minimal detectable size of every effect of the catalogue in a network.
 
-A test detects an effect if the squared length of its projected whitened signature reaches the noncentrality of the test
-(`reliability.noncentrality`). A diagnosis tests every effect of the catalogue at all of its places and with all of its
-shapes. Its false-alarm rate is divided equally among the families of effects, and within a family equally among its
-members.
+A test detects an effect if the noncentrality of its signature in the residuals reaches that of the test
+(`reliability.noncentrality`). A diagnosis tests each effect at all of its places and with all of its constants. The
+false-alarm rate is divided equally among the effects, and then equally among the places and constants of an effect.
+
+References ---------- Baarda, A testing procedure for use in geodetic networks (1968); Teunissen, Testing theory (2006),
+chapter 4; Gross and Vitells, Trial factors for the look elsewhere effect, Eur. Phys. J. C 70 (2010) 525.
 
 References
 ----------
@@ -29,48 +31,51 @@ from ltsim.physics.effects.effect import Effect, NoiseEffect, Parameter
 
 ParameterType = TypeVar("ParameterType")
 MIN_CONFUSABLE_FRACTION = 0.9
-"""Fraction of a signature that another effect explains from which the two count as confusable."""
+"""Fraction of an effect's signature from which another effect that explains it is reported as confusable."""
 INFORMATION_ROUNDING_ERROR = 1e-9
-"""Information on a term of the calibration, relative to that of its prior, that rounding may produce."""
+"""Information on a calibration parameter, relative to that of its prior, below which it is taken as rounding."""
 PROJECTION_BATCH_ROWS = 512
-"""Number of rows that are projected together."""
+"""Number of observations that are projected on the residuals together, to limit the memory."""
 MAX_EXAMINED_PLACES = 150
-"""Largest number of places and shapes of one effect that are examined."""
+"""Number of places and constants of one effect up to which all are examined; of more, an even selection is examined."""
 
 
 @cache
 def search_noncentrality(dof: int, n_places: int) -> float:
-    """Noncentrality at which a search detects an effect of `dof` parameters that is tried at `n_places` places.
+    """Noncentrality from which a search detects an effect with `dof` parameters that it tests at `n_places` places.
 
-    The false-alarm rate is divided among all its places and shapes, and among all effects of the catalogue; unknown
-    physics counts as one more effect.
+    The false-alarm rate is divided among all places and constants of the effect, and among all effects of the
+    catalogue. An unknown cause counts as one more effect.
     """
     return noncentrality(dof, alpha=GLOBAL_LEVEL, hypotheses=n_places * (len(CATALOGUE) - len(BASELINE_EFFECTS) + 1))
 
 
 @dataclass(frozen=True)
 class MinimalSize:
-    """Minimal detectable size of one parameter of an effect, which is detected with a probability of 80 %."""
+    """Size of one parameter of an effect that a test detects with a probability of 80 %."""
 
     effect: str
+    """Name of the effect."""
     parameter: str
+    """Name of the parameter."""
     unit: str
+    """Display unit of the parameter."""
     best_size: float
-    """Size [SI] at the best of its places and shapes."""
+    """Detectable size [SI] at the place, and with the constants, where it is smallest."""
     median_size: float
-    """Median size [SI] over its places and shapes."""
+    """Median of the detectable sizes [SI] over all places and constants."""
     worst_size: float
-    """Size [SI] at the worst of its places and shapes; infinite for an absorbed effect."""
+    """Detectable size [SI] at the worst place; infinite if the unknowns of the network absorb the effect there."""
     prior_sigma: float
     """Plausible size of the parameter [SI]."""
     visible_fraction: float
-    """Median fraction of the signature that remains after the adjustment."""
+    """Fraction of the squared signature that remains in the residuals, median over all places."""
     worst_place: str
-    """Station, target or shape at the worst place."""
+    """Station, target or constants where the detectable size is largest."""
 
 
 def select_places(places: Sequence[ParameterType]) -> list[ParameterType]:
-    """Selection of at most `MAX_EXAMINED_PLACES` places, distributed evenly."""
+    """Evenly distributed selection of at most `MAX_EXAMINED_PLACES` places."""
     if len(places) <= MAX_EXAMINED_PLACES:
         return list(places)
     return [places[i] for i in np.unique(np.linspace(0, len(places) - 1, MAX_EXAMINED_PLACES).round().astype(int))]
@@ -78,20 +83,25 @@ def select_places(places: Sequence[ParameterType]) -> list[ParameterType]:
 
 @dataclass(frozen=True)
 class EffectDetectability:
-    """Detectability of an effect in a layout: its places, and the projected signature at each."""
+    """Detectability of an effect at each of its places in a network."""
 
     name: str
+    """Name of the effect."""
     parameters: tuple[tuple[Parameter, ...], ...]
-    """Parameters of the effect at each place: an effect with several laws has several sets."""
+    """Parameters of the effect at each place; they differ if the effect has several variants."""
     places: tuple[str, ...]
+    """Text of each place."""
     minimal_sizes: tuple[Floats, ...]
-    """Minimal detectable sizes at each place, (q,) [SI]; infinite for an absorbed effect."""
+    """Minimal detectable size of each parameter at each place [SI]; infinite if the network absorbs the effect."""
     visible_fractions: tuple[float, ...]
+    """Fraction of the squared signature that remains in the residuals, at each place."""
     projected_basis: tuple[Floats, ...]
-    """Orthonormal columns (m, r) of the projected signature; empty for noise, and if they are not needed."""
+    """Orthonormal basis of the signature's part in the residuals at each place, shape (residuals, rank).
+
+    It is empty for effects on the noise, and if it is not needed."""
 
     def table(self) -> list[MinimalSize]:
-        """Minimal detectable sizes, one per parameter."""
+        """Minimal detectable size of each parameter of the effect."""
         rows = []
         for law in dict.fromkeys(self.parameters):
             at = [k for k, parameters in enumerate(self.parameters) if parameters == law]
@@ -106,10 +116,10 @@ class EffectDetectability:
 
 
 def _noise_effect_information(space: ResidualSpace, places: Sequence[NoiseEffect]) -> list[Floats]:
-    """Information (q, q) on the parameters of each noise effect, half the trace of P D_i P D_j.
+    """Information matrix of the parameters of each effect on the noise, from half the trace of P D_i P D_j.
 
-    P is the projector onto the residual space; D is the derivative of the whitened variances, by central differences
-    over a tenth of the plausible size.
+    P is the projector onto the residuals. D_i is the derivative of the whitened variances with respect to parameter i,
+    by central differences over a tenth of its plausible size.
     """
     problem, changes = space.adjustment.problem, []
     for effect in places:
@@ -128,10 +138,7 @@ def _noise_effect_information(space: ResidualSpace, places: Sequence[NoiseEffect
 
 
 def detectability_at_places(space: ResidualSpace, places: Sequence[Effect]) -> EffectDetectability | None:
-    """Detectability of one effect at all places that a search would try; None if the network lacks data that it needs.
-
-    At most `MAX_EXAMINED_PLACES` of the places are examined.
-    """
+    """Detectability of one effect at all places that a search would test; None if the network lacks data for it."""
     selected_places = select_places(places)
     noises = [effect for effect in selected_places if isinstance(effect, NoiseEffect)]
     signatures: list[tuple[Effect, Floats, float, int, Floats]] = []
@@ -154,10 +161,10 @@ def detectability_at_places(space: ResidualSpace, places: Sequence[Effect]) -> E
 def effect_detectability(
     signatures: Sequence[tuple[Effect, Floats, float, int, Floats]], effect_index: int
 ) -> EffectDetectability:
-    """Detectability of one effect from its projected signatures.
+    """Detectability of one effect from the part of its signatures that remains in the residuals.
 
-    Each place gives information (q, q), visible fraction, rank, and columns (m, r). `effect_index` is the number of
-    places that a search tries.
+    Each of `signatures` has the effect at one place, the information on its parameters, the fraction that remains in
+    the residuals, its rank, and a basis. `effect_index` is the number of places that a search tests.
     """
     effects, information, visible, spent, columns = zip(*signatures, strict=True)
     noncentralities = [search_noncentrality(max(dof, 1), effect_index) for dof in spent]
@@ -167,10 +174,10 @@ def effect_detectability(
 
 
 def visible_information(gram: Floats, norm: Floats, min_visible_fraction: float) -> tuple[Floats, Floats, Ints]:
-    """Information (..., q, q), visible fraction (...) and rank (...) from Gram matrices of projected unit columns.
+    """Information on the parameters of effects, fraction that remains in the residuals, and rank, from Gram matrices.
 
-    `norm` (..., q) are the lengths of the columns, `visible_fraction` is the fraction of a squared length below which
-    it is rounding.
+    `gram` (..., q, q) are the products of projected unit signatures of q parameters, `norm` (..., q) the lengths of the
+    signatures. Squared lengths below `min_visible_fraction` are rounding.
     """
     share = np.einsum("...ii->...i", gram)
     visible_norms = np.where(share < min_visible_fraction, 0.0, norm)
@@ -179,7 +186,7 @@ def visible_information(gram: Floats, norm: Floats, min_visible_fraction: float)
 
 
 def _minimal_sizes(information: Floats, noncentrality: float) -> Floats:
-    """Minimal detectable size (q,) of each parameter alone; infinite without information."""
+    """Minimal detectable size of each parameter if it acts alone; infinite without information."""
     diagonal = np.diag(information)
     size = np.full(len(diagonal), np.inf)
     size[diagonal > 0] = np.sqrt(noncentrality / diagonal[diagonal > 0])
@@ -187,7 +194,7 @@ def _minimal_sizes(information: Floats, noncentrality: float) -> Floats:
 
 
 def _place_text(effect: Effect) -> str:
-    """Text of the place and shape of an effect."""
+    """Text of the place and the constants of an effect."""
     names = [*effect.stations, *effect.targets]
     for shape in type(effect).shape_parameters:
         value = getattr(effect, shape.name, None)
@@ -197,10 +204,9 @@ def _place_text(effect: Effect) -> str:
 
 
 def baseline_detectability(adjustment: Adjustment, effect: Effect) -> EffectDetectability:
-    """Detectability of a term of the ordinary calibration, with the other terms and their priors in the model.
+    """Detectability of an effect that every calibration estimates, with its other parameters and their priors.
 
-    Such a term is estimated and not tested: the detectable size is the one at which its estimate differs significantly
-    from zero.
+    Such an effect is not tested. Its detectable size is the one at which its estimate differs significantly from zero.
     """
     indices = [adjustment.construction.index(p.name) for p in effect.parameters]
     block, prior = (
@@ -214,9 +220,9 @@ def baseline_detectability(adjustment: Adjustment, effect: Effect) -> EffectDete
 
 
 def explained_fraction(first: EffectDetectability, second: EffectDetectability) -> float:
-    """Fraction of the first effect's projected signature that the second explains: median over the first's places.
+    """Fraction of the signature of `first` in the residuals that `second` explains, median over the places of `first`.
 
-    The second may have any of its places and shapes, as in a diagnosis.
+    `second` may act at any of its places and with any of its constants, as in a diagnosis.
     """
     if not any(b.shape[1] for b in second.projected_basis):
         return 0.0
@@ -232,22 +238,27 @@ def explained_fraction(first: EffectDetectability, second: EffectDetectability) 
 
 @dataclass(frozen=True)
 class CatalogueDetectability:
-    """Detectability of all effects of the catalogue in one layout."""
+    """Detectability of all effects of the catalogue in one network."""
 
     effects: tuple[EffectDetectability, ...]
+    """Detectability of each effect that has a signature in the residuals."""
     undetectable_effects: tuple[str, ...]
-    """Effects without a projected signature in this layout, or that need data which it does not contain."""
+    """Names of effects that no residual shows, or that need data which the network does not have."""
     detectable_effects: tuple[str, ...]
+    """Names of effects with a signature in the residuals."""
     similarity: Floats
-    """Fraction of the row effect that the column effect explains, (e, e), for effects with a signature
-    (`detectable_effects`)."""
+    """Fraction of the signature of the effect of the row that the effect of the column explains, in the order of
+    `detectable_effects`."""
 
     def table(self) -> list[MinimalSize]:
-        """Minimal detectable sizes, one per parameter of every effect."""
+        """Minimal detectable size of each parameter of every effect."""
         return [row for effect_report in self.effects for row in effect_report.table()]
 
     def confusable_pairs(self) -> list[tuple[str, str, float]]:
-        """Pairs of effects (effect, confusable effect, explained fraction), the most similar first."""
+        """Pairs of effects that are hard to distinguish: effect, other effect, and fraction that the other explains.
+
+        The most similar pair is first.
+        """
         first, second = np.nonzero(
             (self.similarity > MIN_CONFUSABLE_FRACTION) & ~np.eye(len(self.detectable_effects), dtype=bool)
         )
@@ -261,9 +272,9 @@ class CatalogueDetectability:
 def catalogue_detectability(
     adjustment: Adjustment, catalogue: Sequence[type[Effect] | Effect]
 ) -> CatalogueDetectability:
-    """Detectability of all effects of a catalogue in a layout, at its nominal adjustment.
+    """Detectability of all effects of a catalogue in a network, at its adjusted or nominal coordinates.
 
-    Terms that the construction estimates are treated as estimated; all others are additional signatures.
+    Effects that the calibration estimates are treated as estimated parameters; all others as additional signatures.
     """
     space = ResidualSpace.from_adjustment(adjustment)
     estimated_names = set(adjustment.construction.parameter_names)

@@ -1,7 +1,7 @@
-"""Network with hypothetical pointings: extension of a recording by measurements that have not been made.
+"""Network with hypothetical pointings: a recording, extended by measurements that have not been made.
 
-A covariance does not depend on readings: those of a new pointing are predicted by the adjusted network, and the
-adjustment of the extended network gives its precision.
+Covariances do not depend on readings. The adjusted network predicts the readings of a new pointing, and the adjustment
+of the extended network gives its precision.
 """
 
 from __future__ import annotations
@@ -23,27 +23,27 @@ from ltsim.recordings.recording import KIND_COLUMN, SHARED_COLUMN, Recording
 from ltsim.recordings.setup import GaugeDistance
 
 DEFAULT_POINTING_TIME = 15.0
-"""Time of a pointing [s] for a recording without clock."""
+"""Time [s] from one pointing to the next in a recording without times."""
 
 
 @dataclass(frozen=True)
 class PlannedNetwork:
-    """Recording that may contain hypothetical pointings, and the state that predicts their readings."""
+    """Recording that may contain hypothetical pointings, and the network state that predicts their readings."""
 
     recording: Recording
-    """Recording, with hypothetical pointings."""
+    """Recording with the real and the hypothetical pointings."""
     state: NetworkState
-    """State that predicts the readings."""
+    """Poses, coordinates and parameters that predict the readings."""
     construction: Construction
-    """Construction of the instrument whose parameters are estimated."""
+    """Instrument model whose parameters are estimated."""
     prior: ParameterPrior | None = None
-    """Prior of these parameters; None for the one declared in the set-up."""
+    """Prior of the instrument parameters; None for the prior of the set-up."""
 
     @classmethod
     def from_adjustment(cls, adjustment: Adjustment, construction: Construction | None = None) -> PlannedNetwork:
-        """Network of an adjustment, without rejected readings.
+        """Network of an adjustment, without its rejected readings.
 
-        An adjustment of corrected readings has no parameters; those of `construction` are then zero.
+        An adjustment of corrected readings has no parameters; the parameters of `construction` are then zero.
         """
         built, state = construction or adjustment.construction, adjustment.state
         recording = adjustment.recording
@@ -62,21 +62,24 @@ class PlannedNetwork:
         )
 
     def make_adjustment(self) -> Adjustment:
-        """Adjustment of this network; raises NetworkError for an undetermined pose.
+        """Adjustment of this network; raises NetworkError if it does not determine a pose.
 
-        It is not kept: proposals hold their networks, and the adjustments of all take 8 MB each in a large network.
+        The adjustment is not cached, because those of all proposals together would take 8 MB each in a large network.
         """
         return Adjustment.from_plan(self.recording, self.state, self.construction, prior=self.prior)
 
     def parameter_covariance(self) -> tuple[Floats, Floats]:
-        """Covariance (I, p, p) of each instrument's parameters, and their prior sigmas (I, p)."""
+        """Covariance of each instrument's parameters (instruments, parameters, parameters), and their prior sigmas.
+
+        The prior standard deviations have the shape (instruments, parameters).
+        """
         adjustment = self.make_adjustment()
         problem = adjustment.problem
         return adjustment.covariance_of(problem.unknowns.instrument_columns), problem.prior.sigma
 
     @property
     def seconds_per_pointing(self) -> float:
-        """Usual time [s] between pointings."""
+        """Usual time [s] from one pointing to the next."""
         recording = self.recording
         if not recording.has_clock or len(recording) < 2:
             return DEFAULT_POINTING_TIME
@@ -85,9 +88,9 @@ class PlannedNetwork:
     def with_pointings(
         self, station: Ints | int, target: Ints, face: Ints | int, time: Floats | float | None = None
     ) -> PlannedNetwork:
-        """Network with additional pointings to `target` (k,), later than all others.
+        """Network with additional pointings to the targets with the indices `target`, after all other pointings.
 
-        `time` [s] is that of the first of them, or of each; default right after the last one made.
+        `time` [s] is the time of the first additional pointing, or of each; default right after the last pointing.
         """
         recording, count, step = self.recording, len(target), self.seconds_per_pointing
         times = np.asarray(recording.time.max(initial=-step) + step if time is None else time)
@@ -125,9 +128,9 @@ class PlannedNetwork:
         return replace(self, recording=full_recording.with_readings(np.concatenate([recording.readings, prediction])))
 
     def with_station(self, name: str, template_station: int, position: Floats, rotation: Floats) -> PlannedNetwork:
-        """Network with an additional set-up at `position` (3,), `rotation` (3, 3).
+        """Network with an additional set-up at a position (3,) [m] with a rotation matrix (3, 3).
 
-        Instrument and level are those of set-up `template_station`.
+        Instrument and level are those of the set-up with the index `template_station`.
         """
         recording, state = self.recording, self.state
         station_setup = recording.station_setup(recording.stations[template_station])
@@ -145,7 +148,7 @@ class PlannedNetwork:
         )
 
     def with_targets(self, names: Sequence[str], points: Floats) -> PlannedNetwork:
-        """Network with additional reflectors at `points` (k, 3) without pointings."""
+        """Network with additional targets at coordinates (targets, 3) [m], which no pointing measures yet."""
         new_recording = self.recording.replace(targets=(*self.recording.targets, *names))
         return replace(
             self,
@@ -154,7 +157,7 @@ class PlannedNetwork:
         )
 
     def with_length(self, first_target: int, second_target: int, sigma_mm: float) -> PlannedNetwork:
-        """Network with the calibrated distance between two targets; unchanged if it is already known."""
+        """Network with a calibrated length between two targets; unchanged if it is a reference length already."""
         recording, rows = self.recording, GaugeRows.from_recording(self.recording)
         if {first_target, second_target} in (
             set(pair) for pair in zip(rows.first_targets.tolist(), rows.second_targets.tolist(), strict=True)

@@ -1,8 +1,8 @@
-"""Next measurement: the one that gives most information on the instrument, or that decides between explanations.
+"""Next measurement: the one that gives most information on the instrument, or that decides between possible causes.
 
-The expected evidence between two explanations is a chi-square difference: the part of the true signature that the best
-instance of the rival, at any of its places and shapes, does not explain. Since the true one is unknown, the smaller
-difference is used.
+The expected evidence between two causes is a difference of chi-square: the part of the true cause's signature that the
+other cause does not explain at any of its places and with any of its constants. As the true cause is unknown, the
+smaller of the two differences is used.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.exchange import RecordingSource, load_recording
 
 MIN_DECISIVE_CHI2 = 10.0
-"""Expected difference of chi-square from which two explanations count as distinguished."""
+"""Expected difference of chi-square from which two possible causes count as distinguished."""
 N_EVALUATED_PLACES = 24
-"""Number of additional places with complete evidence: those with most information on the instrument."""
+"""Number of additional stations for which the evidence is computed: those with most information on the instrument."""
 DEFAULT_MOVE_TIME = 1200.0
-"""Default time [s] to move the instrument and set it up."""
+"""Time [s] to move the instrument and set it up, unless given."""
 
 ProgressCallback = Callable[[str, float], None]
-"""Progress callback: name of the step, and finished fraction."""
+"""Function that is called with the name of the step and the finished fraction."""
 
 
 def no_progress(*_arguments: object) -> None:
@@ -56,21 +56,23 @@ def no_progress(*_arguments: object) -> None:
 
 @dataclass(frozen=True)
 class Explanation:
-    """Effect at the place and with the shape that fit a recording best, and its size (q,) [SI]."""
+    """Possible cause of a misfit: an effect at the place and with the constants that fit the recording best."""
 
     effect: Effect
+    """Effect at its place with its constants."""
     parameter_values: Floats
+    """Estimated sizes of the effect, shape (parameters,) [SI]."""
 
 
 def residual_space_of(adjustment: Adjustment, extra_effects: Sequence[Signature] = ()) -> ResidualSpace:
-    """Residual space of an adjustment with `extra_effects` in the model."""
+    """Space of the residuals of an adjustment that also estimates `extra_effects`."""
     return ResidualSpace.from_adjustment(adjustment).with_effects(extra_effects)
 
 
 def best_explanation(space: ResidualSpace, name: str) -> Explanation:
-    """Explanation of a recording by the effect `name`, at the place and with the shape of the best fit.
+    """Effect with the given name, at the place and with the constants that fit a recording best, and its size.
 
-    Raises ModelError for an unknown effect, and for one without a signature in this recording.
+    ModelError is raised for an unknown effect, and for an effect without a signature in the residuals.
     """
     kind = find_effect(name)
     if issubclass(kind, NoiseEffect):
@@ -87,7 +89,7 @@ def best_explanation(space: ResidualSpace, name: str) -> Explanation:
 
 
 def _best_fit(space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Floats, float]:
-    """Size (q,) of an effect that fits a projected vector best, and the remaining squared length."""
+    """Size of an effect that fits a vector of residuals best, shape (parameters,), and remaining squared length."""
     projected_signature = space.project(space.whitened_signature(effect))
     if not np.isfinite(projected_signature).all() or not projected_signature.any():
         return np.zeros(len(effect.parameters)), float(residual @ residual)
@@ -97,19 +99,22 @@ def _best_fit(space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[F
 
 @dataclass(frozen=True)
 class RivalExplanations:
-    """Rival explanations with all their alternative instances."""
+    """Two possible causes of a misfit, with all places and constants at which either could imitate the other."""
 
     first: Explanation
+    """First possible cause."""
     second: Explanation
+    """Second possible cause."""
     rival_instances: tuple[list[tuple[float, Effect]], list[tuple[float, Effect]]]
-    """Alternative instances of the second explanation, with the part of the first that each leaves unexplained in the
-    present recording, the smallest first; then the same with exchanged roles. Additional pointings never decrease these
-    parts.
-    """
+    """Variants of the second cause, each with the chi-square of the first cause that it does not explain in this
+    recording.
+
+    The variant with the smallest chi-square is first. The second element of the tuple has the causes exchanged. Further
+    pointings never decrease these chi-squares."""
 
     @classmethod
     def from_explanations(cls, space: ResidualSpace, first: Explanation, second: Explanation) -> RivalExplanations:
-        """Rivals of two explanations in the residual space of a recording."""
+        """Pair of two possible causes, compared in the residuals of a recording."""
         return cls(
             first,
             second,
@@ -121,11 +126,11 @@ class RivalExplanations:
 
     @property
     def present_evidence(self) -> float:
-        """Evidence in the present recording."""
+        """Difference of chi-square between the two causes in the present recording."""
         return min(instances[0][0] for instances in self.rival_instances)
 
     def expected_evidence(self, space: ResidualSpace) -> float:
-        """Expected difference of chi-square in a longer recording, for either explanation."""
+        """Expected difference of chi-square between the two causes in a longer recording, whichever of them is true."""
         least = []
         for truth, rival_instances in zip((self.first, self.second), self.rival_instances, strict=True):
             signature = space.project(space.whitened_signature(truth.effect) @ truth.parameter_values)
@@ -141,6 +146,7 @@ class RivalExplanations:
 def _instances_with_unexplained_part(
     space: ResidualSpace, truth: Explanation, rival: Effect
 ) -> list[tuple[float, Effect]]:
+    """Variants of a rival effect, each with the chi-square of the true cause that it leaves, the smallest first."""
     signature = space.project(space.whitened_signature(truth.effect) @ truth.parameter_values)
     instances = [rival, *select_places(type(rival).candidates(space.sightings))]
     return sorted(((_best_fit(space, effect, signature)[1], effect) for effect in instances), key=lambda pair: pair[0])
@@ -148,17 +154,18 @@ def _instances_with_unexplained_part(
 
 @dataclass(frozen=True)
 class MeasurementProposal(ValueEquality):
-    """Proposed measurement and its expected benefit."""
+    """Proposed measurement with its expected benefit."""
 
     remedy: Remedy
+    """Measurement that is proposed."""
     sigma_ratio: float
-    """Factor on the geometric mean of the parameters' standard deviations; below one is better."""
+    """Ratio of the standard deviations of the parameters after the measurement to those before (geometric mean)."""
     most_improved_parameter: str
     """Parameter whose standard deviation decreases most."""
     most_improved_ratio: float
-    """Factor on the standard deviation of that parameter."""
+    """Ratio of the standard deviation of that parameter after the measurement to the one before."""
     expected_chi2: dict[str, float] = field(default_factory=dict)
-    """Expected chi-square difference between the first explanation and each other one, by name."""
+    """Expected difference of chi-square between the first possible cause and each other cause, by its name."""
 
     @classmethod
     def from_remedy(
@@ -168,7 +175,10 @@ class MeasurementProposal(ValueEquality):
         adjustment: Adjustment,
         evidence: dict[str, float] | None = None,
     ) -> MeasurementProposal:
-        """Proposal of a remedy; `adjustment` is the one with it. Gain 1 for an instrument without parameters."""
+        """Proposal for a measurement, from the present adjustment and the adjustment with the measurement.
+
+        The ratio of standard deviations is 1 for an instrument without parameters.
+        """
         if not adjustment.construction.n_parameters:
             return cls(remedy, 1.0, "", 1.0, evidence or {})
         before, after = present_adjustment.instrument_covariance, adjustment.instrument_covariance
@@ -185,17 +195,17 @@ class MeasurementProposal(ValueEquality):
 
     @property
     def distinguished_explanations(self) -> tuple[str, ...]:
-        """Names of the explanations that would be distinguished from the first."""
+        """Names of the possible causes that the measurement would distinguish from the first."""
         return tuple(name for name, value in self.expected_chi2.items() if value >= MIN_DECISIVE_CHI2)
 
     @property
     def distinguishes_all(self) -> bool:
-        """True if all would be distinguished from the first."""
+        """True if the measurement would distinguish all other possible causes from the first."""
         return bool(self.expected_chi2) and len(self.distinguished_explanations) == len(self.expected_chi2)
 
     @property
     def sort_key(self) -> tuple[int, int, float, float]:
-        """Sort key, smaller is better: number of distinguished explanations, then effort, then evidence."""
+        """Sort key, smaller is better: number of distinguished causes, then effort, then evidence."""
         decisive_chi2 = sum(min(value, MIN_DECISIVE_CHI2) for value in self.expected_chi2.values())
         if not self.distinguished_explanations:
             return 0, 0, 0.0, -decisive_chi2
@@ -209,17 +219,17 @@ class MeasurementProposal(ValueEquality):
 
 @dataclass(frozen=True)
 class RankedProposals(ValueEquality):
-    """Proposals of further measurements as networks, the best first."""
+    """Proposals of further measurements with their networks, the best first."""
 
     proposals: tuple[MeasurementProposal, ...]
     compared_explanations: tuple[str, ...] = ()
-    """Names of the explanations to distinguish; empty for information on the instrument."""
+    """Names of the possible causes to distinguish; empty if information on the instrument is wanted."""
     present_chi2: dict[str, float] = field(default_factory=dict)
-    """Chi-square difference between the first and each other explanation in the present recording."""
+    """Difference of chi-square between the first and each other cause in the present recording."""
 
     @property
     def advice_sentence(self) -> str:
-        """Sentence on the deciding measurement, or on the most informative one without a question."""
+        """Sentence on the measurement that decides between the causes, or that is most informative."""
         best = self.proposals[0]
         if not self.compared_explanations:
             return best.remedy.instruction
@@ -246,7 +256,7 @@ def rank_next_measurements(
     minutes_per_move: float = 20.0,
     progress: ProgressCallback = no_progress,
 ) -> RankedProposals:
-    """Ranking of further measurements after a recording; arguments and errors as of `lt.next_measurement`."""
+    """Proposals of further measurements after a recording, the best first; arguments as in `lt.next_measurement`."""
     input_recording = load_recording(recording)
     adjustment = adjust(input_recording, declared_construction(input_recording))
     adjustment.solution.require_success()
@@ -278,10 +288,10 @@ def rank_deciding_measurements(
     stops_at_first: bool = False,
     progress: ProgressCallback = no_progress,
 ) -> RankedProposals:
-    """Ranking of remedies by the evidence that they give between two or more explanations of an adjusted recording.
+    """Proposals of further measurements, ranked by their evidence between two or more possible causes of a misfit.
 
-    Each explanation is to be distinguished from the first; those already distinguished are ignored. `extra_effects` are
-    in the model. With `stops_at_first` the search ends at the first remedy that decides.
+    Each cause is to be distinguished from the first; causes that are already distinguished are ignored. The adjustment
+    estimates `extra_effects` too. With `stops_at_first` the search ends at the first measurement that decides.
     """
     network, (first, *others) = PlannedNetwork.from_adjustment(adjustment), explanations
     planned_adjustment = network.make_adjustment()
@@ -316,7 +326,7 @@ def rank_deciding_measurements(
 
 
 def _proposals_of(remedies: Iterable[Remedy], present_adjustment: Adjustment) -> Iterator[MeasurementProposal]:
-    """Proposals of the remedies that determine every pose."""
+    """Proposals for the measurements with which all poses are determined."""
     for remedy in remedies:
         adjustment = remedy.make_adjustment()
         if adjustment is not None:
@@ -324,11 +334,12 @@ def _proposals_of(remedies: Iterable[Remedy], present_adjustment: Adjustment) ->
 
 
 def _effort_rank(remedy: Remedy) -> tuple[int, float]:
+    """Effort of a measurement: rank of its kind, then its duration [s]."""
     return KINDS_BY_EFFORT.index(remedy.kind), remedy.duration
 
 
 def _most_informative_stations(network: PlannedNetwork, seconds_per_move: float) -> Iterator[Remedy]:
-    """Additional stations with most information on the instrument, the quickest first."""
+    """Additional stations that give most information on the instrument, the quickest first."""
     proposals = _proposals_of(station_remedies(network, seconds_per_move), network.make_adjustment())
     best = sorted(proposals, key=lambda p: p.sigma_ratio)[:N_EVALUATED_PLACES]
     yield from sorted((p.remedy for p in best), key=_effort_rank)

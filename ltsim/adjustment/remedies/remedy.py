@@ -1,7 +1,7 @@
-"""Possible additional measurements: pointings, set-ups, other procedures, a reference length, near reflectors.
+"""Possible further measurements: pointings, set-ups, other procedures, a reference length, and near reflectors.
 
-Calibration selects those that determine a combination of parameters, diagnosis and planning those that decide between
-explanations.
+A calibration selects those that determine a combination of parameters. A diagnosis and a plan select those that decide
+between possible causes.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from ltsim.recordings.setup import Limits, Setup
 from ltsim.scene.visibility import SightLimits, compute_visibility
 
 RemedyKind = Literal["pointings", "return", "station", "survey", "length", "reflectors"]
-"""Kind of an additional measurement."""
+"""Kind of a further measurement."""
 KINDS_BY_EFFORT: tuple[RemedyKind, ...] = get_args(RemedyKind)
-"""Kinds of remedies in the order of effort."""
+"""Kinds of further measurements, in the order of increasing effort."""
 SETUP_KINDS = ("return", "station")
-"""Kinds of remedies that need another set-up."""
+"""Kinds of further measurements that need another set-up."""
 
 N_CLOSING_TARGETS = 3
 """Number of targets that are measured again before the tracker leaves a station."""
@@ -38,15 +38,15 @@ N_ADDITIONAL_ROUNDS = 4
 N_SUSPECT_POINTINGS = 3
 """Number of additional pointings to a suspect target."""
 BASE_ROTATION = 90.0 * DEGREE
-"""Rotation of the base at a position that an instrument has already had."""
+"""Rotation [rad] of the tracker's base if it is set up again at a previous position."""
 MAX_REPEATED_SETUPS = 12
-"""Largest number of set-ups whose repetition is evaluated; they are distributed evenly over the recording."""
+"""Number of set-ups up to which the repetition of each is evaluated; of more, an even selection."""
 N_GRID_POSITIONS = 5
 """Number of candidate positions of an additional station along each side of the floor."""
 N_YAWS = 4
 """Number of candidate yaws at each position of an additional station."""
 MAX_SETUPS_FOR_ADDITION = 30
-"""Number of set-ups from which an additional set-up is no longer evaluated."""
+"""Number of set-ups from which no additional set-up is evaluated, to limit the time."""
 MIN_PROPOSED_DISTANCE = 0.8
 """Smallest distance [m] of a proposed station from other stations and targets, and of a proposed target."""
 REFERENCE_BAR_LENGTH = 2.0
@@ -91,11 +91,11 @@ ADVICE_SENTENCES = {
     "determined already": "use the network method: it determines this from the same recording (gain {then:.2f})",
     "not determined": "no tested measurement determines it; reference points or a tighter specification may",
 }
-"""Sentences of advice by kind of remedy: the action, and its benefit."""
+"""Sentences of advice by the kind of measurement: what to do, and what it gives."""
 
 
 def advice_sentence(remedy_kind: str, **values: object) -> str:
-    """Sentence of advice with its values."""
+    """Sentence of advice for a kind of measurement, with the given values."""
     return ADVICE_SENTENCES[remedy_kind].format(**values)
 
 
@@ -106,18 +106,19 @@ def list_text(names: list[str] | tuple[str, ...]) -> str:
 
 @dataclass(frozen=True)
 class Remedy:
-    """Remedy: a measurement that could be added."""
+    """Measurement that could be added to a recording."""
 
     kind: RemedyKind
+    """Kind of the measurement."""
     instruction: str
-    """Instruction to the user."""
+    """Instruction to the user who makes the measurement."""
     duration: float
     """Duration of the measurement [s]."""
     network: PlannedNetwork
-    """Network with the proposed measurement, with predicted readings."""
+    """Network that includes the proposed measurement, with predicted readings."""
 
     def make_adjustment(self) -> Adjustment | None:
-        """Adjustment with the proposed measurement; None if it leaves a pose undetermined.
+        """Adjustment of the network with the proposed measurement; None if it leaves a pose undetermined.
 
         An additional set-up may see too few targets.
         """
@@ -128,7 +129,7 @@ class Remedy:
 
     @property
     def added_setup_on_plan(self) -> tuple[Floats, float] | None:
-        """Position (3,) [m] and yaw [rad] of an additional set-up, on the floor plan; None for another remedy."""
+        """Position (3,) [m] and yaw [rad] of the additional set-up on the floor plan; None if there is none."""
         state, plan = self.network.state, FloorPlan.from_recording(self.network.recording, self.network.state)
         return (
             (plan.positions_on_plan(state.station_positions[-1]), plan.yaw_on_plan(state.station_rotations[-1]))
@@ -139,15 +140,16 @@ class Remedy:
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """Transformation from the network frame to the floor plan; the identity without a plan.
+    """Transformation from the frame of the network to the floor plan; the identity if there is no plan.
 
-    Plans are approximate, but levels are accurate: only the rotation about the vertical follows from the plan.
+    Positions on a plan are approximate, but levels are accurate: the plan determines only the rotation about the
+    vertical.
     """
 
     rotation: Floats
-    """Rotation (3, 3) from the network frame to the plan."""
+    """Rotation matrix (3, 3) from the frame of the network to the plan."""
     translation: Floats
-    """Translation (3,) [m] from the network frame to the plan."""
+    """Translation (3,) [m] from the frame of the network to the plan."""
     has_plan: bool
     """True if the set-up gives positions on a floor plan."""
 
@@ -175,19 +177,19 @@ class FloorPlan:
         return cls(turn, there.mean(axis=0) - turn @ here.mean(axis=0), has_plan=True)
 
     def positions_on_plan(self, position: Floats) -> Floats:
-        """Positions (..., 3) on the plan."""
+        """Positions on the plan [m], for positions (..., 3) in the frame of the network."""
         return position @ self.rotation.T + self.translation
 
     def yaw_on_plan(self, rotation: Floats) -> float:
-        """Yaw [rad] on the plan of an instrument with rotation (3, 3)."""
+        """Yaw [rad] on the plan of an instrument with the rotation matrix `rotation`."""
         plan_rotation = self.rotation @ rotation
         return float(np.arctan2(plan_rotation[1, 0], plan_rotation[0, 0]))
 
 
 def pointing_remedies(network: PlannedNetwork, suspect_targets: Iterable[str] = ()) -> Iterator[Remedy]:
-    """Remedies at the last station before it is dismantled.
+    """Further measurements at the last station, before the tracker is dismantled.
 
-    `suspect_targets` are targets that should be measured again.
+    `suspect_targets` are names of targets that may be wrong and should be measured again.
     """
     recording = network.recording
     last_index = int(recording.station[np.argmax(recording.time)])
@@ -226,7 +228,7 @@ def pointing_remedies(network: PlannedNetwork, suspect_targets: Iterable[str] = 
 def return_remedies(
     network: PlannedNetwork, seconds_per_move: float, stations: Iterable[int] | None = None
 ) -> Iterator[Remedy]:
-    """Remedies with another set-up at each position of an instrument, with rotated base, for the same targets."""
+    """Further measurements: the same targets from each previous position, with the tracker's base rotated."""
     recording, state = network.recording, network.state
     count = len(recording.stations)
     indices = np.unique(np.linspace(0, count - 1, min(count, MAX_REPEATED_SETUPS)).round().astype(int)).tolist()
@@ -244,7 +246,7 @@ def return_remedies(
 
 
 def station_remedies(network: PlannedNetwork, seconds_per_move: float) -> Iterator[Remedy]:
-    """Remedies with an additional station on a grid between and around the others, with several yaws."""
+    """Further measurements: an additional station on a grid between and around the others, with several yaws."""
     recording, state = network.recording, network.state
     if len(recording.stations) >= MAX_SETUPS_FOR_ADDITION:
         return
@@ -272,7 +274,7 @@ def station_remedies(network: PlannedNetwork, seconds_per_move: float) -> Iterat
 def _setup_remedy(
     kind: RemedyKind, instruction: str, network: PlannedNetwork, target: Ints, seconds_per_move: float
 ) -> Remedy:
-    """Remedy with targets measured from an additional set-up, the last one of a network."""
+    """Further measurement: all given targets from the additional set-up that is the last one of a network."""
     recording, faces = network.recording, np.unique(network.recording.face)
     targets, face = np.tile(target, len(faces)), np.repeat(faces, len(target))
     start_time = float(recording.time.max()) + seconds_per_move
@@ -283,7 +285,7 @@ def _setup_remedy(
 
 
 def procedure_remedies(network: PlannedNetwork) -> Iterator[Remedy]:
-    """Remedies with a changed procedure at all stations: both faces if one is used, then another order."""
+    """Further measurements: another procedure at all stations, such as both faces or another order."""
     recording = network.recording
     step, work = network.seconds_per_pointing, float(np.ptp(recording.time))
     for key in ("other face", "close", "reverse"):
@@ -301,7 +303,7 @@ def procedure_remedies(network: PlannedNetwork) -> Iterator[Remedy]:
 
 
 def _additional_pointings(recording: Recording, rows: Ints, procedure: str) -> list[tuple[int, int]]:
-    """Target and face of the additional pointings of a visit under another procedure."""
+    """Target and face of the additional pointings from one set-up under another procedure."""
     existing = list(zip(recording.target[rows].tolist(), recording.face[rows].tolist(), strict=True))
     if procedure == "other face":
         return sorted({(t, 3 - f) for t, f in existing} - set(existing))
@@ -311,13 +313,13 @@ def _additional_pointings(recording: Recording, rows: Ints, procedure: str) -> l
 
 
 def second_face_remedy(network: PlannedNetwork) -> Remedy | None:
-    """Remedy with both faces at each station; None if they are already used."""
+    """Further measurement: the other face at each station; None if both faces were used."""
     first = next(procedure_remedies(network), None)
     return first if first and first.instruction == advice_sentence("other face") else None
 
 
 def calibrated_length_remedy(network: PlannedNetwork) -> Iterator[Remedy]:
-    """Remedy with a calibrated length between the pair of targets with a distance nearest to 2 m."""
+    """Further measurement: a calibrated length between the two targets whose distance is nearest to 2 m."""
     points, names = network.state.target_points, network.recording.targets
     if len(points) < 2:
         return
@@ -329,7 +331,7 @@ def calibrated_length_remedy(network: PlannedNetwork) -> Iterator[Remedy]:
 
 
 def near_reflector_remedies(network: PlannedNetwork) -> Iterator[Remedy]:
-    """Remedies with four reflectors near each of the first two stations, measured from all stations."""
+    """Further measurements: four reflectors near each of the first two stations, measured from all stations."""
     two_face_remedy = second_face_remedy(network)
     for key, start in [
         ("near", network),
@@ -353,13 +355,13 @@ def near_reflector_remedies(network: PlannedNetwork) -> Iterator[Remedy]:
 
 
 def _setup_rows(recording: Recording, station: int) -> Ints:
-    """Rows of one set-up in the order of time."""
+    """Indices of the pointings from one set-up, in the order of time."""
     here = np.flatnonzero(recording.station == station)
     return here[np.argsort(recording.time[here], kind="stable")]
 
 
 def _targets_in_order(target: Ints) -> Ints:
-    """Distinct targets in the order of their first pointings."""
+    """Indices of the targets in the order of their first pointings."""
     return np.array(list(dict.fromkeys(target.tolist())), dtype=np.int64)
 
 

@@ -1,8 +1,8 @@
-"""Combinations of parameters that a recording does not determine, and additional measurements that would.
+"""Combinations of parameters that a recording does not determine, and measurements that would determine them.
 
-In units of the prior sigmas the parameters' covariance has eigenvalues between 0 and 1: one minus an eigenvalue is the
-gain, the fraction of the prior variance along that combination that the readings removed. A combination with a gain
-below one half is called undetermined: its prior is more precise than the readings alone.
+In prior standard deviations, the covariance of the parameters has eigenvalues between 0 and 1. The gain of a
+combination is one minus its eigenvalue: the fraction of its prior variance that the readings removed. A combination
+with a gain below one half is undetermined: its prior is more precise than the readings alone.
 """
 
 from collections.abc import Sequence
@@ -25,37 +25,38 @@ from ltsim.core.errors import NetworkError
 from ltsim.physics.model.construction import Construction
 
 MIN_DETERMINED_GAIN = 0.5
-"""Smallest gain of a determined combination."""
+"""Gain from which a combination counts as determined."""
 MAX_UNINFORMATIVE_GAIN = 0.01
-"""Gain below which combinations count as equally undetermined; they are then rotated to combinations of few parameters.
-"""
+"""Gain below which combinations count as equally undetermined. Such combinations are rotated among each other to
+combinations of few parameters."""
 MIN_REPORTED_COEFFICIENT = 0.1
-"""Smallest coefficient of a combination that is reported."""
+"""Coefficient of a parameter in a combination from which it is reported."""
 MIN_WORTHWHILE_GAIN_INCREASE = 0.25
-"""Smallest increase of a gain that is worth a measurement: half of the gain of a determined combination."""
+"""Increase of a gain from which a measurement is proposed: half of the gain of a determined combination."""
 
 
 GAIN_ROUNDING_ERROR = 1e-9
-"""Gain, and difference of gains, that rounding may produce."""
+"""Gain, or difference of two gains, below which it is taken as rounding."""
 MAX_EQUAL_COEFFICIENT_DIFFERENCE = 1e-6
-"""Relative difference up to which coefficients count as equal, so that rounding decides neither a sign nor an order."""
+"""Relative difference up to which two coefficients count as equal, so that rounding does not decide on a sign or an
+order."""
 MAX_ROTATION_SWEEPS = 200
-"""Largest number of sweeps of planar rotations."""
+"""Largest number of passes over all pairs of combinations in the rotation to few parameters."""
 MIN_ROTATION_ANGLE = 1e-13
-"""Largest angle [rad] of a sweep after which they have converged."""
+"""Largest rotation [rad] in a pass below which the rotation has converged."""
 
 
 @dataclass(frozen=True)
 class ParameterCombination:
-    """Combination of parameters: a unit vector (p,) in prior sigmas, and its gain."""
+    """Combination of parameters in prior standard deviations, and its gain."""
 
     vector: Floats
-    """Unit vector (p,) in prior sigmas."""
+    """Coefficients of the parameters, a unit vector (parameters,)."""
     gain: float
     """Fraction of the prior variance that the readings removed."""
 
     def coefficients(self, names: Sequence[str]) -> dict[str, float]:
-        """Coefficients above 0.1 by name, largest first; the largest is positive, the first of equally large ones."""
+        """Coefficients above 0.1 by parameter name, the largest first; the largest is positive."""
         size = np.abs(self.vector)
         order = np.argsort(-np.round(size / MAX_EQUAL_COEFFICIENT_DIFFERENCE), kind="stable")
         sign = np.sign(self.vector[_first_of_largest(size)])
@@ -63,9 +64,9 @@ class ParameterCombination:
 
 
 def gains_and_combinations(covariance: Floats, prior_sigma: Floats) -> tuple[Floats, Floats]:
-    """Gains (p,) in ascending order, and their combinations (p, p) in prior sigmas.
+    """Gains in ascending order, shape (p,), and their combinations of p parameters in prior sigmas, shape (p, p).
 
-    A gain is 1 minus the posterior variance over the prior variance.
+    A gain is 1 minus the ratio of the posterior to the prior variance.
     """
     scaled_covariance = covariance / np.outer(prior_sigma, prior_sigma)
     remaining, vectors = np.linalg.eigh(0.5 * (scaled_covariance + scaled_covariance.T))
@@ -73,9 +74,9 @@ def gains_and_combinations(covariance: Floats, prior_sigma: Floats) -> tuple[Flo
 
 
 def undetermined_combinations(covariance: Floats, prior_sigma: Floats) -> list[ParameterCombination]:
-    """Combinations with a gain below one half, the least determined first.
+    """Combinations of p parameters with a gain below one half, the least determined first.
 
-    `covariance` (p, p) is the posterior covariance.
+    `covariance` (p, p) is the posterior covariance, `prior_sigma` (p,) the prior standard deviations.
     """
     gain, vectors = gains_and_combinations(covariance, prior_sigma)
     is_silent = gain < MAX_UNINFORMATIVE_GAIN
@@ -88,15 +89,15 @@ def undetermined_combinations(covariance: Floats, prior_sigma: Floats) -> list[P
 
 
 def _first_of_largest(sizes: Floats) -> int:
-    """Index of the first of the largest sizes that are equal up to rounding."""
+    """Index of the first value among those that are largest up to rounding."""
     return int(np.flatnonzero(sizes >= (1.0 - MAX_EQUAL_COEFFICIENT_DIFFERENCE) * sizes.max())[0])
 
 
 def rotate_to_simple_structure(vectors: Floats) -> Floats:
-    """Orthonormal columns rotated among themselves so that each has few large coefficients.
+    """Orthonormal columns rotated among themselves so that each has few large coefficients (varimax).
 
-    The result depends on the span of the columns alone: planar rotations of pairs begin at a basis of it that is formed
-    by the projections of the parameters, and converge to rounding.
+    The result depends only on the span of the columns: the rotations of pairs begin at a basis formed by projections of
+    the parameters, and converge to rounding.
 
     References
     ----------
@@ -123,7 +124,7 @@ def rotate_to_simple_structure(vectors: Floats) -> Floats:
 
 
 def _basis_of_span(vectors: Floats) -> Floats:
-    """Orthonormal basis (p, k) of the span of orthonormal columns (p, k), by pivoted Cholesky of its projector."""
+    """Orthonormal basis (p, k) of the span of k orthonormal columns, by pivoted Cholesky of its projector."""
     projector, basis = vectors @ vectors.T, np.empty_like(vectors)
     for k in range(vectors.shape[1]):
         i = _first_of_largest(np.diag(projector))
@@ -135,10 +136,10 @@ def _basis_of_span(vectors: Floats) -> Floats:
 def determining_sentences(
     adjustment: Adjustment, construction: Construction, directions: Sequence[Sequence[ParameterCombination]]
 ) -> list[list[str]]:
-    """Sentences per instrument: for each undetermined direction, the measurement that determines it.
+    """Sentences for each instrument on the measurements that determine its undetermined combinations.
 
-    It is the first remedy that increases the gain above one half, or the one with the largest increase. `construction`
-    has the parameters of the directions; `directions` has one sequence per instrument.
+    The measurement is the first that increases the gain above one half, or else the one with the largest increase.
+    `construction` has the parameters of the combinations; `directions` has the combinations of each instrument.
     """
     if not any(directions):
         return [[] for _ in directions]
@@ -161,7 +162,7 @@ def determining_sentences(
 def _gains_of_combinations(
     network: PlannedNetwork, directions: Sequence[Sequence[ParameterCombination]]
 ) -> list[list[float]]:
-    """Gain along each direction of each instrument in a network; empty for an undetermined network."""
+    """Gain of each combination of each instrument in a network; empty for an undetermined network."""
     try:
         covariance, prior = network.parameter_covariance()
     except NetworkError:
@@ -175,9 +176,10 @@ def _gains_of_combinations(
 def _determining_sentence(
     direction: ParameterCombination, present_gain: float, remedies_with_gains: Sequence[tuple[str, float]]
 ) -> str:
-    """Sentence on the measurement that determines one direction.
+    """Sentence on the measurement that determines one combination of parameters.
 
-    `remedies_with_gains` are remedies with their gains, `present_gain` is the present gain.
+    `remedies_with_gains` are instructions of possible measurements, each with the gain that it would give;
+    `present_gain` is the present gain.
     """
     if present_gain >= MIN_DETERMINED_GAIN > direction.gain:
         return advice_sentence("determined already", then=present_gain)

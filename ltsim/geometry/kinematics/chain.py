@@ -1,9 +1,10 @@
 """Kinematic chains: a tracker as a sequence of elementary motions, exact, with exact derivatives.
 
 A chain is a list of motions from the base outwards: a turn about z by the azimuth, a shift along x by the transit
-offset, and so on. The target sits at the origin of the last frame. Errors enter as an amount added to a motion's
-nominal amount; the motion's `slot` is the name under which they are added. The derivative of the point with respect to
-a slot is the axis in the base frame (translation), or its cross product with the lever arm behind it (rotation).
+offset, and so on. The target sits at the origin of the last frame. An instrument error is added to the nominal amount
+of a motion. The motion's `slot` is the key of this error in the mapping `errors`. The derivative of the point with
+respect to the error of a translation is the direction of its axis in the base frame. For a rotation it is the cross
+product of the axis and the vector from the axis to the target.
 """
 
 from collections.abc import Callable, Mapping
@@ -15,7 +16,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 
 NominalFunction = Callable[[Floats], Floats]
-"""Function from raw readings (n, 3) to the nominal amount (n,) of a motion."""
+"""Function from raw readings (n, 3) to the nominal angle [rad] or length [m] (n,) of a motion."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,7 @@ class ReadingAmount:
 def _motion_amount(
     elementary_motion: ElementaryMotion, raw_readings: Floats, errors: Mapping[str, Floats]
 ) -> Floats | None:
+    """Signed angle [rad] or length [m] of a motion, nominal amount plus error, (n,) or a number; None for no motion."""
     amount = None if elementary_motion.nominal is None else elementary_motion.nominal(raw_readings)
     error = errors.get(elementary_motion.slot)
     if error is not None:
@@ -95,9 +97,9 @@ def _rotate(axis: int, angle: Floats, *vectors: Floats) -> None:
 def point_of_readings(chain: KinematicChain, raw_readings: Floats, errors: Mapping[str, Floats]) -> Floats:
     """Point (n, 3) [m] of raw readings (n, 3).
 
-    `errors` gives the error of each slot, as an array (n,) or one number.
+    `errors` has the error of each slot [rad or m], as an array (n,) or one number. A missing slot has no error.
     """
-    p: list[Any] = [0.0, 0.0, 0.0]  # coordinates apart from each other, whose arrays are contiguous
+    p: list[Any] = [0.0, 0.0, 0.0]  # one contiguous array per coordinate
     for motion in reversed(chain):
         amount = _motion_amount(motion, raw_readings, errors)
         if amount is None:
@@ -116,13 +118,14 @@ def point_of_readings(chain: KinematicChain, raw_readings: Floats, errors: Mappi
 def point_and_derivatives(
     chain: KinematicChain, raw_readings: Floats, errors: Mapping[str, Floats], error_slots: set[str]
 ) -> tuple[Floats, dict[str, Floats]]:
-    """Point (n, 3) [m] of raw readings, and its derivative (n, 3) with respect to each slot in `error_slots`.
+    """Point (n, 3) [m] of raw readings (n, 3), and its derivative (n, 3) with respect to the error of each slot.
 
-    The computation starts at the target and applies the motions towards the base. Point and derivatives are vectors of
-    the current frame: a turn rotates all of them, a shift moves the point alone.
+    The dictionary of derivatives has one entry for each slot in `error_slots` that the chain contains. The computation
+    starts at the target and applies the motions towards the base. Point and derivatives are vectors of
+    the current frame: a rotation turns all of them, a translation moves the point alone.
     """
     p = np.zeros((len(raw_readings), 3))
-    carried, count = np.zeros((len(chain), len(raw_readings), 3)), 0
+    derivative_buffer, count = np.zeros((len(chain), len(raw_readings), 3)), 0
     derivatives: dict[str, Floats] = {}
     for motion in reversed(chain):
         amount = _motion_amount(motion, raw_readings, errors)
@@ -130,17 +133,17 @@ def point_and_derivatives(
             if amount is not None:
                 p[:, motion.axis] += amount
         elif amount is not None:
-            _rotate(motion.axis, amount, p, carried[:count])
+            _rotate(motion.axis, amount, p, derivative_buffer[:count])
         if motion.slot not in error_slots:
             continue
         if motion.slot not in derivatives:
-            derivatives[motion.slot] = carried[count]
+            derivatives[motion.slot] = derivative_buffer[count]
             count += 1
-        by_amount = derivatives[motion.slot]
+        derivative = derivatives[motion.slot]
         if isinstance(motion, TranslationStep):
-            by_amount[:, motion.axis] += motion.sign
+            derivative[:, motion.axis] += motion.sign
         else:
             i, j = (motion.axis + 1) % 3, (motion.axis + 2) % 3
-            by_amount[:, i] -= motion.sign * p[:, j]
-            by_amount[:, j] += motion.sign * p[:, i]
+            derivative[:, i] -= motion.sign * p[:, j]
+            derivative[:, j] += motion.sign * p[:, i]
     return p, derivatives

@@ -34,7 +34,7 @@ from ltsim.geometry.kinematics.chain import (
 
 
 def joint_error_motions(joint_name: str) -> tuple[ElementaryMotion, ...]:
-    """Error matrix E_Rot of a rotary joint as elementary motions with slots ``J1.dX`` ... ``J1.eZ``."""
+    """Error matrix E_Rot of a joint as six elementary motions, for joint J1 with slots ``J1.dX`` to ``J1.eZ``."""
     shifts = tuple(TranslationStep(i, f"{joint_name}.d{axis}") for i, axis in enumerate("XYZ"))
     turns = tuple(RotationStep(i, f"{joint_name}.e{axis}") for i, axis in enumerate("XYZ"))
     return shifts + turns

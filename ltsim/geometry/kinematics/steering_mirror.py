@@ -12,8 +12,8 @@ target is the image of a point straight up the beam:
 with e the transit offset, i the transit tilt, f the mirror offset, c the mirror tilt. A reflection F before a turn or a
 shift is the reflected turn or shift before F, and F leaves the origin, where the target sits, as it is: so F moves
 through T^-1, C' and B to the end and vanishes. Turns about x and shifts along y and z stay, turns about y and z and
-shifts along x change their sign. What is left is a chain of turns and shifts like any other, in which the mirror's
-motions stand twice.
+shifts along x change their sign. The result is a chain of turns and shifts like any other, in which each motion of the
+mirror occurs twice.
 
 Source: Loser and Kyle 1998, Alignment and field check procedures for the Leica laser tracker LTD 500, Boeing Large
 Scale Optical Metrology Seminar (the parameters); Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35,
@@ -27,7 +27,8 @@ from ltsim.geometry.kinematics.chain import KinematicChain, ReadingAmount, Rotat
 ZENITH_ROTATION = -0.5 * math.pi
 """Rotation [rad] of the mirror's normal between the zenith and the horizontal, added to the elevation."""
 HALF_ANGLE_SIGN = -0.5
-"""Rotation of the mirror per elevation: half of it, because a reflected beam turns twice as far."""
+"""Ratio of the mirror's rotation to the elevation: one half, because the reflected beam turns twice as far as the
+mirror. It is negative because elevation is counted upwards and a positive turn about y is downwards."""
 
 STEERING_MIRROR_CHAIN: KinematicChain = (
     # To the mirror: T.

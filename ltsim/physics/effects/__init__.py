@@ -39,8 +39,8 @@ EFFECT_NAMES_BY_GROUP = {
 
 def _builtin_effect_class(effect_name: str) -> type[Effect]:
     """Class of a built-in effect, from the module with its name."""
-    held = vars(import_module(f"{__name__}.{effect_name.replace('-', '_')}")).values()
-    return next(kind for kind in held if isinstance(kind, type) and vars(kind).get("name") == effect_name)
+    module_members = vars(import_module(f"{__name__}.{effect_name.replace('-', '_')}")).values()
+    return next(kind for kind in module_members if isinstance(kind, type) and vars(kind).get("name") == effect_name)
 
 
 EFFECT_CLASSES_BY_GROUP = {
@@ -56,7 +56,7 @@ find_effect = CATALOGUE.find
 
 
 def title_of(name: str) -> str:
-    """Title of an effect for the middle of a sentence; for an unknown name, the name without hyphens."""
+    """Title of an effect, for use within a sentence; for an unknown name, the name without hyphens."""
     try:
         title = catalogue_entry(find_effect(name)).title
     except ModelError:

@@ -1,10 +1,10 @@
 """Errors of readings from unmeasured properties of the air along the beams, included in budgets for long ranges.
 
 There are three causes, each a catalogue effect: a temperature along the beams that differs from the measured one
-(`station-weather`: 0.95 ppm/K of a range), a vertical gradient there (`air-gradient`: light bends by beta G d^2 / 2)
-and turbulence (`turbulence`: a variance of C d^3 across the beam). At 10 m the sizes of `AirUncertainty` are 5 um along
-and 11 um across the beam, at 40 m 19 um and 110 um, less than manufacturers' limits across the beam there (15 um + 6
-um/m).
+(`station-weather`: 0.95 ppm/K of a range), a vertical temperature gradient (`air-gradient`: the beam bends by
+beta G d^2 / 2), and turbulence (`turbulence`: a variance of C d^3 across the beam). With the default values of
+`AirUncertainty` the standard deviations are 5 um along and 11 um across the beam at 10 m, and 19 um and 110 um at 40 m.
+Across the beam this is less than manufacturers' limits at 40 m (15 um + 6 um/m).
 """
 
 import numpy as np
@@ -20,7 +20,7 @@ from ltsim.scene.sightings import Sightings
 
 
 def reading_changes_per_sigma(air: AirUncertainty, sightings: Sightings) -> Floats:
-    """Change (n, 3, 2) of the raw readings by one standard deviation of the temperature and of the gradient."""
+    """Change (n, 3, 2) of the raw readings by one standard deviation of the air temperature and of its gradient."""
     weather = StationWeather().design(sightings) * (relative_index_change_per_kelvin() * air.temperature_k)
     return np.concatenate([weather, AirGradient().design(sightings) * air.gradient_k_per_m], axis=2)
 
@@ -31,22 +31,22 @@ def turbulence_variance(air: AirUncertainty, sightings: Sightings) -> Floats:
     return Turbulence().variance(sightings, np.zeros((len(sightings), 3)), size)
 
 
-def turbulence_sigma_across_beam(air: AirUncertainty, range_: float) -> float:
-    """Standard deviation [m] of an observed point due to turbulence, perpendicular to the beam, at a range [m]."""
+def air_sigma_across_beam(air: AirUncertainty, range_: float) -> float:
+    """Standard deviation [m] of an observed point across the beam due to gradient and turbulence, at a range [m]."""
     bent = 0.5 * relative_index_change_per_kelvin() * air.gradient_k_per_m * range_**2
     return float(np.hypot(bent, np.sqrt(air.turbulence_um2_per_m3 * range_**3) * MICROMETRE))
 
 
-def turbulence_sigma_along_beam(air: AirUncertainty, range_: float) -> float:
-    """Standard deviation [m] of the range due to turbulence, at a range [m]."""
+def air_sigma_along_beam(air: AirUncertainty, range_: float) -> float:
+    """Standard deviation [m] of the range due to the temperature along the beam, at a range [m]."""
     return relative_index_change_per_kelvin() * air.temperature_k * range_
 
 
 def air_uncertainty_text(air: AirUncertainty, max_range: float) -> str:
-    """Text of the standard deviations of the air, and of the errors that they cause at the longest range [m]."""
+    """Text of the standard deviations of the air, and of the errors they cause at the longest range [m]."""
     return (
         f"air: {air.temperature_k:g} K along the beams of a station, a vertical gradient of "
         f"{air.gradient_k_per_m:g} K/m and turbulence of {air.turbulence_um2_per_m3:g} um2/m3 (one sigma each), "
-        f"at {max_range:.0f} m {turbulence_sigma_along_beam(air, max_range) / MICROMETRE:.0f} um along and "
-        f"{turbulence_sigma_across_beam(air, max_range) / MICROMETRE:.0f} um across the beam"
+        f"at {max_range:.0f} m {air_sigma_along_beam(air, max_range) / MICROMETRE:.0f} um along and "
+        f"{air_sigma_across_beam(air, max_range) / MICROMETRE:.0f} um across the beam"
     )

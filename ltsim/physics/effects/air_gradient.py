@@ -14,19 +14,19 @@ class AirGradient(WarmAirEffect):
     """Uniform vertical gradient of the air's temperature: warm air lies above cool air, and refraction bends the beam.
 
     Delta_elevation = -1/2 beta G d cos(el) (warm air above lifts the target's image), Delta_d = +beta G d ((z_station +
-    z_target) / 2 - z_sensor), with G = dT/dz and beta = -dn/dT. The two together are a conformal map of empty space, so
-    poses and targets absorb the whole and nothing is left in the residuals, while the mesh is distorted (7 um rms at 1
-    K/m); either alone would invent a signature. A weather sensor that rides on the head (`head`) reads another height
-    at each station and leaves a scale a station.
+    z_target) / 2 - z_sensor), with G = dT/dz and beta = -dn/dT. Both changes together are a conformal map of space.
+    Poses and targets therefore absorb the whole effect: the residuals do not change, while the coordinates of the
+    targets are distorted (7 um rms at 1 K/m). A weather sensor on the head (`head`) measures at another height at each
+    station, so that each station has another scale.
 
     Size: 0.1 K/m in a good hall, 1 to 2 K/m in a heated one; 1 K/m bends 8 m by 3.7 urad, 30 um.
-    Like: nothing is left to be like anything; `head`: station-weather. Bending alone: head-sag (0.92), vertical-index
-    (0.86 / 0).
+    Like: with a sensor in the room no effect, because the residuals do not change; with a sensor on the head
+    station-weather. Bending alone: head-sag (0.92), vertical-index (0.86 / 0).
     Separate by: thermometers at two heights; a length standard at the floor and at the ceiling (5.6 ppm over 6 m at 1
     K/m).
-    Valid: up to some kelvin a metre; the vertical is the z axis of the network frame.
+    Valid: up to some kelvin per metre; the vertical is the z axis of the network frame.
     Source: Born and Wolf, Principles of Optics, section 3.2 (ray equation); Ciddor 1996, Appl. Opt. 35, 1566,
-    doi:10.1364/AO.35.001566 (beta); that a network absorbs it is derived here.
+    doi:10.1364/AO.35.001566 (beta). That a network absorbs the effect is derived here.
     Status: first order validated against the integrated ray; absorption by the network reproduced.
     """
 
@@ -43,29 +43,29 @@ class AirGradient(WarmAirEffect):
         return [cls(sensor="room"), cls(sensor="head")]
 
     def _sensor_height(self, sightings: Sightings) -> Floats:
-        """Height (n,) [m] of the weather sensor, for which the temperature used is correct."""
+        """Height (n,) [m] of the weather sensor at each pointing, at which the used temperature is correct."""
         if self.sensor == "head":
             return sightings.station_positions[sightings.station, 2]
         return np.full(len(sightings), float(sightings.target_points[:, 2].mean()))
 
     def design(self, sightings: Sightings) -> Floats:
-        steep = relative_index_change_per_kelvin() * self.row_weights(sightings) * sightings.range_
+        index_gradient = relative_index_change_per_kelvin() * self.row_weights(sightings) * sightings.range_
         heights = sightings.station_positions[sightings.station, 2] + sightings.target_points[sightings.target, 2]
         _, across, up = sightings.beam_vectors
         column = design_from_front_face_corrections(
             sightings,
-            distance=steep * (0.5 * heights - self._sensor_height(sightings)),
-            azimuth=-0.5 * steep * across[:, 2] / np.cos(sightings.elevation),
-            elevation=-0.5 * steep * up[:, 2],
+            distance=index_gradient * (0.5 * heights - self._sensor_height(sightings)),
+            azimuth=-0.5 * index_gradient * across[:, 2] / np.cos(sightings.elevation),
+            elevation=-0.5 * index_gradient * up[:, 2],
         )
         return column[:, :, None]
 
     def field(self, sightings: Sightings) -> TemperatureField:
-        """Temperature field with a gradient of 1 K/m."""
-        bottom = self._sensor_height(sightings)
+        """Temperature field of air with a vertical gradient of 1 K/m."""
+        sensor_height = self._sensor_height(sightings)
 
         def field(points: Floats) -> tuple[Floats, Floats]:
-            higher = points[:, 2] - np.repeat(bottom, len(points) // max(len(bottom), 1))
-            return higher, np.broadcast_to([0.0, 0.0, 1.0], points.shape)
+            height_difference = points[:, 2] - np.repeat(sensor_height, len(points) // max(len(sensor_height), 1))
+            return height_difference, np.broadcast_to([0.0, 0.0, 1.0], points.shape)
 
         return field

@@ -23,13 +23,14 @@ def _point_heights(sightings: Sightings) -> Floats:
 class AirLayer(WarmAirEffect):
     """Layered air: a warm layer lies under the roof.
 
-    T(z) = D / (1 + exp(-(z - height) / width)), z above the lowest target or station, and along the path from the
-    station, (D_t, D_v) = integral of (d - s) grad_perp n ds, Delta_d = -integral of (n - n_sensor) ds, s = 0 to d. Only
-    the curvature of the profile is seen: targets in the layer are read too near and too high.
+    The temperature is T(z) = D / (1 + exp(-(z - height) / width)), with z counted from the lowest target or station.
+    Along the path from the station, s = 0 to d, (D_t, D_v) = integral of (d - s) grad_perp n ds, and
+    Delta_d = -integral of (n - n_sensor) ds. Residuals show only the curvature of the profile: targets in the layer are
+    measured too near and too high.
 
-    Size: 2 to 6 K across the layer; it shows from 12 K on in one face, from 4.5 K on in two.
-    Like: elevation-second-order sine (0.59); a drift, where the ceiling row is measured first.
-    Separate by: a temperature profile; another time of day; stations at different heights.
+    Size: 2 to 6 K across the layer; it is detected from 12 K on in one face, from 4.5 K on in two faces.
+    Like: elevation-second-order sine (0.59); a drift, if the targets at the ceiling are measured first.
+    Separate by: a measured temperature profile; another time of day; stations at different heights.
     Valid: steps of 1 to 10 K; the weather sensor is below the layer; height and width along the network's z
     axis.
     Source: Born and Wolf, Principles of Optics, section 3.2 (ray equation); Ciddor 1996, Appl. Opt. 35, 1566,
@@ -58,7 +59,7 @@ class AirLayer(WarmAirEffect):
         return [cls(height=float(z), width=w) for z in heights for w in LAYER_WIDTHS]
 
     def field(self, sightings: Sightings) -> TemperatureField:
-        """Temperature field with a step of 1 K above the lowest target or station."""
+        """Temperature field of a layer that is 1 K warmer than the air below."""
         from scipy.special import expit
 
         floor = float(_point_heights(sightings).min(initial=np.inf))

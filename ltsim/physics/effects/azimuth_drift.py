@@ -6,13 +6,14 @@ from ltsim.physics.effects.places import Drift
 class AzimuthDrift(Drift):
     """Drift of the azimuth zero: the base or the tripod head rotates, or the circle warms up.
 
-    Correction of the azimuth = r t (in every visit, or in one) or A exp(-t / tau). The station's yaw takes the mean, so
-    only the change within a visit is seen: a linear drift over the recording and one in every visit are the same.
+    Correction of the azimuth = r t (at every station, or at one) or A exp(-t / tau). The station's yaw absorbs the mean
+    of the correction. Residuals therefore show only the change while a station is measured, and a linear drift over the
+    recording equals one that restarts at every station.
 
     Size: under 2 urad/h after the warm-up; tens of urad over two hours from cold, or on an unsteady stand.
-    Like: transit-tilt (0.67 / 0) where points are taken level by level.
-    Separate by: a random order of the targets, the first three again before leaving.
-    Valid: the same law at every station, or one station's own; time constants of 10 min to 4 h.
+    Like: transit-tilt (0.67 / 0) if targets are measured in the order of their heights.
+    Separate by: a random order of the targets; a repeat of the first three targets at the end of each station.
+    Valid: the same drift at every station, or a drift at one station; time constants of 10 min to 4 h.
     Source: Pollack Periodica 15(3), 2020, on the warm-up of a Leica AT960 (size); Dvořáček 2016, Acta Polytechnica 56,
     88-98 (tests of a Leica AT401).
     Status: validated against the azimuth slot at a given time, and the equality of both linear laws up to yaw.

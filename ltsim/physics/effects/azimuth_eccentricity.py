@@ -7,11 +7,12 @@ class AzimuthEccentricity(SlotEffect):
     """Eccentricity of the azimuth circle: the circle rotates off its centre, one period per turn.
 
     Delta_azimuth = A1 cos(x) + B1 sin(x), x the raw azimuth; the amplitude is the eccentricity over the circle's
-    radius. Odd, so it flips with the face.
+    radius. The error changes its sign with the face.
 
-    Size: raw, 10 um on a radius of 50 mm are 200 urad; after the maker's map under 0.5 urad good, 5 to 10 urad bad.
+    Size: 10 um on a radius of 50 mm are 200 urad before the manufacturer's correction; with it under 0.5 urad in a good
+    tracker, 5 to 10 urad in a bad one.
     Like: bearing-wobble, radial run-out of order 2 (0.92 / 0).
-    Separate by: two faces; another yaw at each station, without which it is a fixed pattern of the room.
+    Separate by: two faces; another yaw at each station, without which the error depends on the place in the room.
     Valid: first order of one read head; two opposite heads cancel it to second order.
     Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (x6x, x6y); Muralikrishnan et
     al. 2010, J. Res. NIST 115, 291-301, doi:10.6028/jres.115.022.

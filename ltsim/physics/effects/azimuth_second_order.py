@@ -6,8 +6,8 @@ from ltsim.physics.effects.effect import LightPathStage, SlotEffect
 class AzimuthSecondOrder(SlotEffect):
     """Second-order error of the azimuth circle: the scale is stretched and compressed twice per turn.
 
-    Delta_azimuth = A2 cos(2 x) + B2 sin(2 x), x the raw azimuth: the same on both faces, so two-face tests see nothing;
-    horizontal lengths breathe with the azimuth, with a period of half a turn.
+    Delta_azimuth = A2 cos(2 x) + B2 sin(2 x), x the raw azimuth. The error is the same on both faces, so that two-face
+    tests do not detect it. Measured horizontal lengths vary with the azimuth, with a period of half a turn.
 
     Size: under 0.5 urad in a good tracker; 65 um in a length of 7.75 m at 7 m, about 5.5 urad, in older ones.
     Like: bearing-wobble, radial run-out of order 3 (0.80 / 0).

@@ -9,16 +9,15 @@ from ltsim.scene.sightings import Sightings
 class Backlash(Effect):
     """Backlash: the reading of an axis depends on the direction of its last motion (hysteresis).
 
-    Correction of the raw angle = -h/2 sgn(last move of that axis), on either axis. The last move is that between two
-    pointings of a station in the order of the work; the first pointing of a station has none.
+    Correction of the raw angle = -h/2 sgn(last motion of that axis), for each axis. The last motion is that between two
+    pointings of a station in the order of measurement. The first pointing of a station has no correction.
 
     Size: 0.1 to 0.3 urad in a good drive, 2 to 5 urad in a bad one.
-    Like: encoder harmonics, where the route is always the same.
+    Like: encoder harmonics, if the targets are always measured in the same order.
     Separate by: the same targets in the reverse order.
-    Valid: constant width; the order of the rows is the order of the work. Cable drag that decays with the travel is not
-    in it.
+    Valid: constant width; rows in the order of measurement. Cable drag that decays during the motion is not included.
     Source: general knowledge of drives; the law is that of a play of constant width.
-    Status: validated by reversing the order of the work, which turns the sign.
+    Status: validated by reversing the order of measurement, which changes the sign.
     """
 
     name = "backlash"

@@ -5,8 +5,8 @@ from ltsim.physics.effects.effect import LightPathStage, Parameter, SlotEffect, 
 class BeamTilt(SlotEffect):
     """Beam tilt: the beam is not perpendicular to the transit axis (horizontal collimation error).
 
-    Delta_azimuth = f c / cos(el), a lateral shift f c d proportional to the range; no dependence on the azimuth,
-    steepest for targets high above or below; flips with the face.
+    Delta_azimuth = f c / cos(el), which is a lateral shift f c d proportional to the range. It does not depend on the
+    azimuth, is largest for steep lines of sight, and changes its sign with the face.
 
     Size: under 1 urad in a good tracker, 10 to 50 urad in a bad one.
     Like: bearing-wobble of the transit axis (0.98 / 0.82), transit-tilt (0.55 / 0), beam-offset (0.46 / 0.95). In one

@@ -31,18 +31,18 @@ class BearingWobble(Effect):
 
     tilt, order n: w_x + i w_y = (A + i B) exp(i n x), x the raw azimuth, in the base frame;
         Delta_elevation = w_x sin(az) - w_y cos(az), Delta_azimuth = -tan(el) (w_x cos(az) + w_y sin(az)).
-        n = 0 is the station's tilt, n = 1 index and transit tilt; n = -1, 2, 3 are new. Even n is the same on both
-        faces.
+        n = 0 equals a tilt of the station, n = 1 equals vertical index and transit tilt; the other orders are not in
+        other effects. For even n the error is the same on both faces.
     radial, order n: the axis shifts by r_x + i r_y = (A + i B) exp(i n x), and D = r.
     transit, order n: the transit axis yaws by A cos(n y) + B sin(n y), y the raw elevation; Delta_azimuth = f eX /
         cos(el).
-    What betrays a tilt is the coupling of both angles by tan(el).
+    A tilt differs from errors of single angles because it changes both, in the ratio tan(el).
 
     Size: 0.3 to 1 urad and 0.3 to 1 um in a good bearing, 3 to 5 urad and 5 to 10 um in a bad one.
     Like: radial 2 the azimuth-eccentricity (0.92 / 0), transit 2 the beam-tilt (0.98 / 0.82), tilt -1 the tilt 3 (0.57
     / 0.74).
     Separate by: two faces (odd n), a change of yaw, an electronic level on the head during a turn.
-    Valid: orders up to 3, which repeat every turn; ball passage does not and is noise.
+    Valid: orders up to 3, which repeat in every turn. The passage of balls does not repeat; it is noise.
     Source: ISO 230-7:2015 (axial, radial and tilt error motion); the algebra is derived here.
     Status: validated against the exact rotation of the base and against finite differences of the chain.
     """

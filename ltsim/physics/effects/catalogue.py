@@ -1,14 +1,14 @@
-"""Catalogue of effects, built-in and from installed packages, and the entry of each.
+"""Catalogue of effects, built-in and from installed packages, and the catalogue entry of each.
 
-A package adds effects by entry points of the group `ltsim.effects`, each naming a class:
+A package provides effects by entry points of the group `ltsim.effects`, each with the name of a class:
 
     [project.entry-points."ltsim.effects"]
     cable-drag = "my_package.cable_drag:CableDrag"
 
-Packages are searched when the catalogue is first read beyond the built-in effects, not when ltsim is imported.
+Packages are searched when an effect that is not built-in is first needed, not when ltsim is imported.
 
-The entry is the docstring of the effect's class, or of its file. Its first line is the title, a colon and the cause;
-then come the equation, with its sign, and a paragraph for each of `DOCSTRING_SECTIONS`.
+The catalogue entry is the docstring of the effect's class, or of its module. Its first line is the title, a colon and
+the cause. The equation follows, with its sign, and then a paragraph for each of `DOCSTRING_SECTIONS`.
 """
 
 import inspect
@@ -27,20 +27,21 @@ from ltsim.physics.effects.effect import Effect, LightPathStage
 ENTRY_POINT_GROUP = "ltsim.effects"
 """Group of entry points with which an installed package provides effects."""
 BUILTIN_ORIGIN = "ltsim"
-"""Origin that the catalogue states for built-in effects."""
+"""Provider of built-in effects in the catalogue."""
 SESSION_ORIGIN = "this session"
-"""Origin that the catalogue states for effects that were registered in the running session."""
+"""Provider in the catalogue of effects that were registered in the running session."""
 PACKAGE_EFFECTS_GROUP = "installed"
 """Heading in the catalogue of the effects that installed packages provide."""
 EFFECT_NAME_PATTERN = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 """Permitted names of effects: lower-case words, joined by hyphens."""
 DOCSTRING_SECTIONS = ("Size", "Like", "Separate by", "Valid", "Source", "Status")
-"""Parts of a catalogue entry: sizes in a good and in a bad instrument or room; effects that leave similar residuals,
-with two correlations of the residuals in the reference workshop, one face and two faces; the measurement that
-distinguishes it from these; domain in which the law holds; literature; how the law was validated.
+"""Sections of a catalogue entry after its equation, in this order. Size: sizes in a good and in a bad instrument or
+room. Like: effects with similar residuals, with the correlation of the residuals in the reference workshop for one face
+and for two faces. Separate by: measurements that distinguish the effect from these. Valid: domain in which the equation
+holds. Source: literature. Status: how the equation was validated.
 """
 _SECTION_START = re.compile(rf"^({'|'.join(DOCSTRING_SECTIONS)}): ", re.MULTILINE)
-"""Start of a section of a catalogue entry: its name and a colon."""
+"""Pattern for the start of a section of a catalogue entry: its name and a colon."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ class CatalogueEntry:
 
 @cache
 def catalogue_entry(effect_class: type) -> CatalogueEntry:
-    """Card of an effect class; raises ModelError if neither the class nor its module has a complete one."""
+    """Catalogue entry of an effect class; raises ModelError if neither class nor module has a complete docstring."""
     doc = effect_class.__dict__.get("__doc__") or ""
     text = doc if _SECTION_START.search(inspect.cleandoc(doc)) else sys.modules[effect_class.__module__].__doc__
     try:
@@ -109,9 +110,10 @@ def installed_entry_points() -> list[EntryPoint]:
 
 
 class Catalogue(Sequence[type[Effect]]):
-    """Catalogue of all effects: `built_in_effects` ones in their order, then added ones in the order of their names.
+    """Catalogue of all effects: built-in effects in their order, then effects of packages in the order of their names.
 
-    `built_in_effects` are the built-in effects by group; `points` returns the entry points of packages.
+    `built_in_effects` are the built-in effects by group. `points` is a function that returns the entry points of
+    packages.
     """
 
     def __init__(
@@ -128,7 +130,10 @@ class Catalogue(Sequence[type[Effect]]):
 
     @cached_property
     def entries(self) -> Mapping[str, ListedEffect]:
-        """All effects by name; raises ModelError, with package and reason, for an unusable effect of a package."""
+        """Effects by name, with group and provider.
+
+        Raises ModelError, with package and reason, for an effect of a package that cannot be used.
+        """
         added: dict[str, ListedEffect] = {}
         for point in self._entry_points():
             entry = _load_effect_class(point)
@@ -139,9 +144,10 @@ class Catalogue(Sequence[type[Effect]]):
         return self._builtin_effects | {name: added[name] for name in sorted(added)}
 
     def add(self, effect_class: type[Effect]) -> type[Effect]:
-        """Registration of an effect class for this session; it replaces an earlier one of the same name.
+        """Registration of an effect class for this session; it replaces a class with the same name of this session.
 
-        A class without a docstring gets an empty entry. Raises ModelError if the class is no valid effect.
+        A class without a complete docstring gets a catalogue entry without content. Raises ModelError if the class is
+        no valid effect, or if its name is that of a built-in effect or of an effect of a package.
         """
         if why := interface_fault(effect_class):
             raise ModelError(f"{effect_class!r} cannot be an effect: {why}")
@@ -183,12 +189,14 @@ class Catalogue(Sequence[type[Effect]]):
 
 
 def _package_name(entry_point: EntryPoint) -> str:
+    """Name and version of the package that declares an entry point."""
     return (
         f"{entry_point.dist.name} {entry_point.dist.version}" if entry_point.dist is not None else "an unknown package"
     )
 
 
 def _refusal(entry_point: EntryPoint, reason: str) -> ModelError:
+    """Error for an effect of a package that cannot be used, with the reason."""
     place = f"{entry_point.value} of {_package_name(entry_point)}"
     return ModelError(
         f"the effect '{entry_point.name}' ({place}) cannot be used: {reason}; repair or uninstall that package"
@@ -196,6 +204,7 @@ def _refusal(entry_point: EntryPoint, reason: str) -> ModelError:
 
 
 def _load_effect_class(entry_point: EntryPoint) -> ListedEffect:
+    """Effect that an entry point of a package provides; raises ModelError if it cannot be used."""
     try:
         kind = entry_point.load()
     except Exception as problem:  # whatever a stranger's module does when it is imported
@@ -210,11 +219,11 @@ def _load_effect_class(entry_point: EntryPoint) -> ListedEffect:
 
 
 def interface_fault(effect_class: object) -> str:
-    """Reason why a class is no valid effect; empty for a valid one."""
+    """Reason why a class is no valid effect, as text for users; empty for a valid effect."""
     if not (isinstance(effect_class, type) and issubclass(effect_class, Effect)):
         return "it is not a class derived from lt.Effect"
-    if lacking := sorted(getattr(effect_class, "__abstractmethods__", ())):
-        return f"its class lacks {', '.join(lacking)}"
+    if missing_methods := sorted(getattr(effect_class, "__abstractmethods__", ())):
+        return f"its class lacks {', '.join(missing_methods)}"
     if not EFFECT_NAME_PATTERN.fullmatch(getattr(effect_class, "name", "")) or effect_class.name == "unknown":
         return f"its name '{getattr(effect_class, 'name', '')}' should be lower-case words joined by '-'"
     if not isinstance(getattr(effect_class, "stage", None), LightPathStage) or not effect_class.parameters:

@@ -30,6 +30,7 @@ def vapour_pressure(temperature: Floats) -> Floats:
 
 
 def _compressibility(temperature: Floats, pressure: float, water_mole_fraction: Floats) -> Floats:
+    """Compressibility factor of moist air at temperature [C] and pressure [Pa] (Ciddor 1996, appendix A)."""
     kelvin = temperature + 273.15
     linear = 1.58123e-6 - 2.9331e-8 * temperature + 1.1043e-10 * temperature**2
     linear = (
@@ -48,14 +49,14 @@ def refractivity(
     humidity: float = 50.0,
     wavelength: float = HELIUM_NEON_WAVELENGTH,
 ) -> Floats:
-    """Phase index of air with 450 umol/mol of carbon dioxide, less one.
+    """Refractivity: phase refractive index minus one, of air with 450 umol/mol of carbon dioxide.
 
     Parameters
     ----------
     temperature : float array, [C]
     pressure : float, [Pa]
     humidity : float, [%]
-        Relative.
+        Relative humidity.
     wavelength : float, [m]
         Wavelength in vacuum.
     """
@@ -81,9 +82,8 @@ def refractivity(
 def temperature_sensitivity(temperature: float = 20.0) -> float:
     """Sensitivity beta = -dn/dT [1/K] of the refractive index at `temperature` [C] (central difference).
 
-    Pressure and humidity are normal.
-
-    The humidity's share follows the vapour pressure, as for a hygrometer that shows a constant percentage.
+    Pressure and relative humidity are constant, with the default values of `refractivity`. The amount of water vapour
+    therefore increases with the temperature.
     """
     warm, cold = (float(refractivity(np.array(temperature + d))) for d in (0.5, -0.5))
     return cold - warm

@@ -15,7 +15,7 @@ READING_COLUMN = {"azimuth": 1, "elevation": 2}
 def cos_sin_parameters(
     name_stem: str, angle_text: str, prior_sigma: float, prior_kind: PriorKind | None = None
 ) -> tuple[Parameter, ...]:
-    """Parameters of the cosine and sine amplitudes of an angle."""
+    """Parameters with the amplitudes of cosine and sine of an angle, which `angle_text` describes."""
     waves = ("cosine", "sine")
     return tuple(
         Parameter(f"{name_stem}-{wave[:3]}", "urad", f"{wave} of {angle_text}", prior_sigma, prior_kind)
@@ -24,7 +24,7 @@ def cos_sin_parameters(
 
 
 def cos_sin_terms(circle: str, order: int) -> tuple[SlotTerm, SlotTerm]:
-    """Terms with cosine and sine of a multiple of a circle's raw reading, as corrections of that reading."""
+    """Terms with cosine and sine of `order` times the raw reading of a circle, as corrections of this reading."""
     return SlotTerm(circle, HarmonicBasis("cos", READING_COLUMN[circle], order)), SlotTerm(
         circle, HarmonicBasis("sin", READING_COLUMN[circle], order)
     )
@@ -32,7 +32,7 @@ def cos_sin_terms(circle: str, order: int) -> tuple[SlotTerm, SlotTerm]:
 
 @dataclass(frozen=True)
 class CircleHarmonic(SlotEffect):
-    """Graduation harmonic of `order` of one circle."""
+    """Base class of harmonics of one circle: periodic errors of its graduation."""
 
     order: int = 3
     """Periods per turn of the circle."""
@@ -43,5 +43,5 @@ class CircleHarmonic(SlotEffect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates for every order that the data can distinguish."""
+        """Candidates for every order of `CANDIDATE_ORDERS`."""
         return [cls(order=m) for m in CANDIDATE_ORDERS]

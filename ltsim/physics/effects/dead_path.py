@@ -10,19 +10,20 @@ from ltsim.scene.sightings import Sightings
 TEMPERATURE_COLUMN = "air_temperature_c"
 """Column of a recording with the air temperature [C] of each pointing."""
 MIN_TEMPERATURE_RANGE = 0.05
-"""Smallest range of temperatures [K] from which the effect can be estimated."""
+"""Range of temperatures [K] in a recording up to which the effect is not tried, because it cannot be estimated."""
 
 
 class DeadPath(Effect):
     """Dead path: a part of the reference path inside the head warms up with the air, without correction.
 
     Delta_d = k (T - T_0), T the recorded air temperature, T_0 that of the first pointing. For an interferometer
-    k = -beta D_0, with beta = 0.955 ppm/K the change of the air's index; for an absolute meter the fibre's own.
+    k = -beta D_0, with beta = 0.955 ppm/K the change of the refractive index of air and D_0 the length of the path. For
+    an absolute distance meter k is a property of its fibre.
 
     Size: 0.15 um/K for a path D_0 of 0.15 m, negligible; 1 to 5 um/K for the fibre of a bad absolute meter.
-    Like: range-drift, where the temperature follows the clock.
-    Separate by: a new homing; both distance modes along the same line.
-    Valid: needs the column air_temperature_c; without it, or with a constant one, there is nothing to try.
+    Like: range-drift, if the temperature changes steadily with time.
+    Separate by: a new homing of the interferometer; both distance modes along the same line.
+    Valid: recordings with the column air_temperature_c, whose values must vary.
     Source: Bobroff 1993, Recent advances in displacement measuring interferometry, Meas. Sci. Technol. 4, 907-926.
     Status: validated on a temperature column; the size is general knowledge.
     """
@@ -48,5 +49,7 @@ class DeadPath(Effect):
         temperature = sightings.covariates.get(TEMPERATURE_COLUMN, np.full(len(sightings), np.nan))
         ordered = temperature[sightings.measurement_order]
         is_measured = ordered[np.isfinite(ordered)]
-        warmer = np.nan_to_num(temperature - (is_measured[0] if len(is_measured) else 0.0))
-        return design_from_front_face_corrections(sightings, distance=self.row_weights(sightings) * warmer)[:, :, None]
+        temperature_change = np.nan_to_num(temperature - (is_measured[0] if len(is_measured) else 0.0))
+        return design_from_front_face_corrections(sightings, distance=self.row_weights(sightings) * temperature_change)[
+            :, :, None
+        ]

@@ -6,20 +6,23 @@ from ltsim.physics.effects.effect import LightPathStage, Parameter, SlotEffect, 
 
 
 def beam_deviation_basis(readings: Floats) -> Floats:
-    """Basis with the constant value 0.5: deviation of the beam per offset of the return spot."""
+    """Basis function with the constant value 0.5, which is the shift of the beam divided by that of the return spot."""
     return np.full(len(readings), 0.5)
 
 
 class DetectorOffset(SlotEffect):
     """Null offset of the tracking detector: the return spot is held off centre, so the beam misses the vertex.
 
-    D_t = f eps_y / 2, D_v = f eps_z / 2, fixed to the scope: exactly a beam offset of half the size.
+    D_t = f eps_y / 2, D_v = f eps_z / 2, with eps the offset of the return spot. The effect equals a beam offset of
+    half the size.
 
     Size: under 1 um in a good tracker, 5 to 20 um in a bad one.
     Like: beam-offset, exactly.
-    Separate by: another reflector (coating, size, dirt) or a log of the returned power: the beam offset stays.
+    Separate by: another reflector (coating, size, dirt) or a log of the returned power, which do not change a beam
+    offset.
     Valid: one kind of reflector, a constant offset.
-    Source: general knowledge; half, because a retroreflector returns the beam mirrored at its vertex.
+    Source: general knowledge. The factor one half follows because a retroreflector returns the beam mirrored at its
+    vertex.
     Status: validated against the beam offset.
     """
 

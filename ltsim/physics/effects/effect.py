@@ -6,16 +6,19 @@ calibrator, planner and diagnosis use the same object:
 * `parameters`: name, unit, meaning, prior. Effects are linear in their parameters.
 * `design(sightings)` (n, 3, p): change of the raw reading (range [m], azimuth, elevation [rad]) per unit of
   each parameter. Calibrator, planner and diagnoser need nothing else.
-* `shift(sightings, values)` (n, 3): what the simulator adds. By default design times values; an effect whose
-  exact physics is not linear (a ray through a temperature field) says so here.
-* `shape`: constants that enter nonlinearly (a time constant, a wavelength), with bounds; they are fields of
-  the instance, and the diagnoser profiles over them.
-* `stations`, `targets`: where the effect acts, empty for everywhere; `candidates` lists the places to try.
+* `reading_change(sightings, values)` (n, 3): exact change of the readings, which the simulator adds. By default it is
+  the design times the values. An effect that is not exactly linear, such as a ray through a temperature field,
+  overrides this method.
+* `shape_parameters`: constants that enter nonlinearly, such as a time constant or a wavelength, with bounds. They are
+  fields of the instance, and a diagnosis searches their values.
+* `stations`, `targets`: names of the places where the effect acts, empty for all. `candidates` lists the effects with
+  the places and constants that a search tries.
 
-Conventions of all cards: Delta = truth - reading, the correction to add to a reading; a change of a reading is
-therefore minus its correction, and a parameter that is no correction says so. Azimuth az counts counter-clockwise seen
-from above, elevation el from the horizontal plane; d is the range, f is +1 on face 1 and -1 on face 2. D_r, D_t, D_v
-are lengths along the beam, to its left and upward: Delta_d, d cos(el) Delta_azimuth and d Delta_elevation.
+Conventions of all catalogue entries: Delta = truth - reading is the correction to add to a reading. The change of a
+reading is therefore minus its correction. If a parameter is not a correction, its entry says so. Azimuth az counts
+counter-clockwise seen from above, elevation el from the horizontal plane; d is the range, f is +1 on face 1 and -1 on
+face 2. D_r, D_t, D_v are lengths along the beam, to its left and upward: Delta_d, d cos(el) Delta_azimuth and
+d Delta_elevation.
 """
 
 from collections.abc import Callable
@@ -68,7 +71,8 @@ class Effect(CandidateEffect):
     targets: tuple[str, ...] = ()
     """Names of the targets at which the effect acts; empty for all."""
     size_factor: float = field(default=1.0, kw_only=True)
-    """Factor on the plausible size for instruments that are coarser than a laser tracker."""
+    """Factor on the plausible sizes of the parameters, above 1 for instruments that are less accurate than a
+    tracker."""
 
     name: ClassVar[str]
     stage: ClassVar[LightPathStage]
@@ -86,7 +90,7 @@ class Effect(CandidateEffect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates that a diagnosis tries on a network: all places of the effect's scope, all shapes of its grid.
+        """Effects that a diagnosis tries: one for each place in the effect's scope and each value of its constants.
 
         An effect whose places depend on the recording, such as a change point between two pointings, overrides this
         method.
@@ -108,30 +112,29 @@ class NoiseEffect(NoiseSignature, Effect):
 
 @dataclass(frozen=True)
 class Blunder(Effect):
-    """Base class of blunders: another point was measured, or a finished reading was recorded wrongly.
+    """Base class of blunders: another point was measured, or a correct reading was recorded wrongly.
 
-    The simulator reproduces the wrong action (`measured_sightings`, `recorded_readings`), so that instrument errors and
-    noise belong to the actual measurement; `design` is the change of an ideal reading. A blunder of this size is
-    corrected before an
-    adjustment, so that a search has no candidates.
+    The simulator reproduces the wrong action (`measured_sightings`, `recorded_readings`). Instrument errors and noise
+    are therefore those of the actual measurement, while `design` is the change of an ideal reading. Blunders are
+    corrected before an adjustment, so that a search has no candidates.
     """
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates for a search: none, since `possible_blunders` lists the blunders."""
+        """Empty list, because a search does not try blunders; `possible_blunders` lists them."""
         return []
 
     @classmethod
     def possible_blunders(cls, sightings: Sightings) -> list[Self]:
-        """All blunders of this kind that are possible in a network."""
+        """List of all blunders of this kind that are possible in a network."""
         raise NotImplementedError
 
     def measured_sightings(self, sightings: Sightings) -> Sightings:
-        """Sightings that were actually measured."""
+        """Sightings of the points that were actually measured."""
         return sightings
 
     def recorded_readings(self, sightings: Sightings, readings: Floats) -> Floats:
-        """Readings (n, 3) as recorded, from finished readings (n, 3)."""
+        """Readings (n, 3) with the blunder, as recorded, from correct readings (n, 3)."""
         return readings
 
 
@@ -140,7 +143,7 @@ BasisFunction = Callable[[Floats], Floats]
 
 
 def constant_basis(readings: Floats) -> Floats:
-    """Constant basis, 1 for every reading."""
+    """Values (n,) of the constant basis function: 1 for every pointing."""
     return np.ones(len(readings))
 
 

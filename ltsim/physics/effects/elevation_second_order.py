@@ -6,8 +6,8 @@ from ltsim.physics.effects.effect import LightPathStage, SlotEffect
 class ElevationSecondOrder(SlotEffect):
     """Second-order error of the elevation circle: the scale is stretched and compressed twice per turn.
 
-    C2 cos(2 x) + D2 sin(2 x), x the raw elevation: Delta_elevation = f C2 cos(2 el) + D2 sin(2 el); the cosine flips
-    with the face, the sine does not.
+    The correction of the raw elevation x is C2 cos(2 x) + D2 sin(2 x), in front-face values Delta_elevation =
+    f C2 cos(2 el) + D2 sin(2 el). The cosine changes its sign with the face, the sine does not.
 
     Size: under 0.5 urad in a good tracker, up to 6 urad in an old one.
     Like: D2: elevation-eccentricity sine (0.93 / 0), air-layer (0.59), vertical mesh-expansion (0.50).

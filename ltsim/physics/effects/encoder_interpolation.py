@@ -31,16 +31,15 @@ CANDIDATE_SIGNAL_PERIODS = (
 class EncoderInterpolation(SlotEffect):
     """Interpolation error of an encoder: the signal between two lines of the scale is not an exact sine.
 
-    Delta = A cos(N x) + B sin(N x) on one circle, x its raw reading, N the periods a turn, 1e3 to 1e5. It looks like
-    white noise of that angle, but repeats where the same angle is read again.
+    Delta = A cos(N x) + B sin(N x) on one circle, with x its raw reading and N = 1e3 to 1e5 the signal periods per
+    turn. The error resembles white noise of that angle, but it is the same if the same angle is read again.
 
     Size: 0.05 urad in a good encoder, 0.5 to 1 urad in a bad one.
     Like: white noise of that angle.
     Separate by: a repeat with the base turned by a known fraction; a dense sweep of one target along an arc.
-    Valid: where N is known, from the data sheet: a network of some hundred pointings cannot search N over all integers,
-    so the usual counts are tried. An error e of x blurs the phase by N e, 15 urad by 0.5 rad at N = 36 000: an
-    adjustment takes it at the reading with the instrument's own errors in it (`sightings.read`), as the exact chain
-    does.
+    Valid: N known from the data sheet, or one of the usual numbers, which a search tries; some hundred pointings cannot
+    determine N among all integers. An error e of x changes the phase by N e, for example 15 urad by 0.5 rad at N = 36
+    000. The phase is therefore computed from readings that include the instrument's errors.
     Source: Heydemann 1981, Appl. Opt. 20, 3382, doi:10.1364/AO.20.003382 (why a quadrature signal leaves such an
     error); sizes are general knowledge.
     Status: validated against the exact chain for N up to 36 000.

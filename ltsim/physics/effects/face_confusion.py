@@ -12,16 +12,17 @@ from ltsim.scene.sightings import Sightings
 class FaceConfusion(Blunder):
     """Confused faces: readings of one face are stored as those of the other.
 
-    Rows stored as `face` hold what the other face read: azimuth + 180 deg and 180 deg - elevation of what is expected.
+    Rows that are stored with face `face` contain readings of the other face: the azimuth differs by 180 deg, and the
+    elevation is 180 deg minus the expected value.
 
     Size: metres: a point lands behind the tracker.
     Like: nothing.
-    Separate by: nothing is needed: the raw elevation itself says on which face it was read.
-    Valid: the parameter is 1 where it happened and 0 elsewhere. A mistake of this size is mended before an adjustment,
-    so `candidates` is empty and `possible_blunders` lists the mistakes.
+    Separate by: no measurement is needed, because the raw elevation shows the face.
+    Valid: the parameter is 1 with the blunder and 0 without it. The blunder is corrected before an adjustment, so that
+    `candidates` is empty and `possible_blunders` lists the possible blunders.
     Source: definition of the two faces of a theodolite; Deumlich and Staiger 2002, Instrumentenkunde der
     Vermessungstechnik.
-    Status: validated: twice the same mistake gives the reading back.
+    Status: validated: the blunder applied twice restores the reading.
     """
 
     face: int = 2

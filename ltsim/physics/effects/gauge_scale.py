@@ -9,11 +9,11 @@ from ltsim.scene.sightings import Sightings
 class GaugeScale(Effect):
     """Scale error of the gauge: its temperature or its expansion coefficient is wrong.
 
-    True length = stated length (1 + s); a stated length changes by -s L. No reading changes.
+    True length = declared length (1 + s). A declared length changes by -s L. No reading changes.
 
-    Size: a coefficient from a table is wrong by some percent, 8 ppm for aluminium over 7 K; a gauge one kelvin off 23
-    ppm.
-    Like: range-scale, one index of air for all, a uniform warming of the mesh: exactly.
+    Size: 8 ppm if the tabulated coefficient of aluminium is wrong by 5 % and the temperature differs by 7 K from the
+    reference; 23 ppm for an error of 1 K of the temperature of an aluminium gauge.
+    Like: exactly like range-scale, a wrong refractive index at all stations, and a uniform warming of all targets.
     Separate by: a thermometer on the gauge; a bar of another material; a specification of the range scale.
     Valid: all known lengths share one gauge.
     Source: Sensors 2021, 21, 7479, doi:10.3390/s21227479, eq. 15, which lacks the length: L (1 + a dT) is meant.

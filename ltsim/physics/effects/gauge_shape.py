@@ -13,15 +13,16 @@ from ltsim.scene.sightings import Sightings
 class GaugeShape(Effect):
     """Shape of the gauge: a nest moved, or the gauge bent, after its lengths were measured.
 
-    One nest has moved by D since: true length = stated length + D . unit vector towards the nest. The parameters are
-    the nest's motion in the network frame (no correction of a reading); no reading changes, the target is where it is
-    today.
+    One nest moved by D after the lengths were determined: true length = declared length + D . unit vector towards the
+    nest. The parameters are the motion of the nest in the network frame (no correction of a reading). No reading
+    changes, because the readings refer to the present position.
 
-    Size: 1 K across a frame 20 mm thick with nests 40 mm above it turns into 28 um on 590 mm; a nest moves by 5 to 50
-    um.
+    Size: a difference of 1 K across a frame 20 mm thick with nests 40 mm above it changes 590 mm by 28 um; a nest moves
+    by 5 to 50 um.
     Like: smr-centring or dirt in the gauge's nest.
-    Separate by: the gauge measured again; reflectors swapped. Of the lengths' freedoms one is scale, the rest is shape.
-    Valid: motions small against the lengths; a bend out of the plane of a flat gauge leaves its lengths as they are.
+    Separate by: a new determination of the gauge's lengths; exchanged reflectors.
+    Valid: motions that are small compared with the lengths; a bend out of the plane of a flat gauge does not change its
+    lengths.
     Source: Sensors 2021, 21, 7479, doi:10.3390/s21227479, table 2 and section 2.3 (the gauge; 2.3 + L/300 um of the
     machine that measured it).
     Status: validated against moved points on the known lengths.

@@ -10,13 +10,13 @@ class HeadSag(Effect):
     Delta_elevation = -g (e_up . vertical), e_up the upward unit vector across the beam; for an upright tracker -g
     cos(el), the same on both faces.
 
-    Size: under 0.5 urad in a good head, 5 urad in a bad one; normally inside the maker's map.
+    Size: under 0.5 urad in a good head, 5 urad in a bad one; normally included in the manufacturer's correction.
     Like: elevation-eccentricity cosine, exactly for upright trackers; vertical-index (0.96 / 0).
-    Separate by: the tracker on its side or hanging (0.84).
+    Separate by: a tracker that lies on its side or hangs (correlation 0.84).
     Valid: any mounting; the vertical is the z axis of the network frame.
     Source: Wallace 2002, A rigorous algorithm for telescope pointing, Proc. SPIE 4848 (tube flexure follows the same
     law).
-    Status: validated against the eccentricity's cosine column for upright stations.
+    Status: validated against the cosine part of elevation-eccentricity for upright stations.
     """
 
     name = "head-sag"

@@ -14,15 +14,15 @@ N_AZIMUTHS = 8
 CANDIDATE_ELEVATIONS = (-0.6, 0.0, 0.6)
 """Elevations [rad] of candidate directions, in addition to zenith and nadir."""
 STATION_CENTRE_DISTANCES = 0.5
-"""Distance [m] of candidate centres from a station."""
+"""Distance [m] of candidate centres of plumes from a station."""
 REFINEMENT_STEPS = (0.2, 0.08)
-"""Steps [m] in the refinement of a centre."""
+"""Shifts [m] of the centre of a plume that a local search tries."""
 STATION_PLUME_RADIUS = 0.25
 """Radius [m] of candidate plumes near a station."""
 TARGET_PLUME_RADIUS = 0.5
 """Radius [m] of candidate plumes near a target."""
 MAX_SINGLE_PLACES = 40
-"""Number of stations, or targets, above which plumes at single ones are not candidates."""
+"""Number of stations, or of targets, above which a search does not try plumes at single stations, or single targets."""
 
 
 def _rounded_to_mm(offset: Floats) -> tuple[float, float, float]:
@@ -34,17 +34,16 @@ def _rounded_to_mm(offset: Floats) -> tuple[float, float, float]:
 class HeatPlume(WarmAirEffect):
     """Heat plume: a motor, a radiator or the tracker's exhaust warms a region of the air.
 
-    T = D exp(-|r - c|^2 / (2 radius^2)), its centre c at an offset from a station or a target, or at a place of the
-    hall; along the path, s = 0 to d, (D_t, D_v) = integral of (d - s) grad_perp n ds, Delta_d = -integral of
-    (n - n_sensor) ds. The weight (d - s) makes heat near the station bend the aim (a shift that grows with d), heat
-    near a target hardly at all; the range falls short by beta times the integral of T wherever it is.
+    T = D exp(-|r - c|^2 / (2 radius^2)), with the centre c at an offset from a station or a target, or at a position in
+    the hall. Along the path, s = 0 to d, (D_t, D_v) = integral of (d - s) grad_perp n ds, and Delta_d = -integral of
+    (n - n_sensor) ds. Because of the weight (d - s), heat near the station changes the direction of the beam, heat near
+    a target hardly does. The range is too short by beta times the integral of T, wherever the plume is.
 
-    Size: 5 K over 0.5 m changes a range by 2.3 um; at the head, with a gradient of 5 K in 0.2 m, it bends by 7 urad.
-    Like: the station's tilt and index-drift there (near a station); a range constant of that target (near a target).
-    Separate by: a fan on and off; a repeat after cooling; the scatter of repeats by direction.
-    Valid: on while its station, or target, is measured, or always; the centre is searched half a metre from a station
-    in all directions, at targets, and on a grid over the hall where several lines of sight pass, then moved, and the
-    radius refined.
+    Size: 5 K over 0.5 m changes a range by 2.3 um. At the head a gradient of 5 K in 0.2 m bends the beam by 7 urad.
+    Like: near a station a tilt of the station and index-drift; near a target a constant error of its ranges.
+    Separate by: a fan that is switched on and off; a repeat after cooling; the scatter of repeats by direction.
+    Valid: the plume acts always, or while its station or target is measured. A search tries centres half a metre from
+    each station, at targets, and on a grid over the hall, and then refines centre and radius.
     Source: Born and Wolf, Principles of Optics, section 3.2 (ray equation); Ciddor 1996, Appl. Opt. 35, 1566,
     doi:10.1364/AO.35.001566 (index).
     Status: first order validated against the integrated ray; the Gaussian form is a choice.
@@ -75,10 +74,12 @@ class HeatPlume(WarmAirEffect):
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Candidates around every station and target, and on a grid over the hall."""
         angles = np.linspace(0.0, 2 * np.pi, N_AZIMUTHS, endpoint=False)
-        ways = [(np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)) for a in angles for e in CANDIDATE_ELEVATIONS]
+        directions = [
+            (np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)) for a in angles for e in CANDIDATE_ELEVATIONS
+        ]
         offsets = [
-            _rounded_to_mm(STATION_CENTRE_DISTANCES * np.array(way))
-            for way in (*ways, (0.0, 0.0, 1.0), (0.0, 0.0, -1.0))
+            _rounded_to_mm(STATION_CENTRE_DISTANCES * np.array(direction))
+            for direction in (*directions, (0.0, 0.0, 1.0), (0.0, 0.0, -1.0))
         ]
         stations = sightings.station_names if len(sightings.station_names) <= MAX_SINGLE_PLACES else ()
         targets = sightings.target_names if len(sightings.target_names) <= MAX_SINGLE_PLACES else ()
@@ -92,7 +93,7 @@ class HeatPlume(WarmAirEffect):
         ]
 
     def neighbours(self, sightings: Sightings) -> list[Self]:
-        """Plumes with the centre moved along each axis."""
+        """Plumes with a shifted centre, for a local search."""
         if self.targets:
             return []
         offsets = [sign * step * axis for step in REFINEMENT_STEPS for axis in np.eye(3) for sign in (1.0, -1.0)]
@@ -108,7 +109,7 @@ class HeatPlume(WarmAirEffect):
         return self.with_constants(offset=centre)
 
     def _centre(self, sightings: Sightings) -> Floats:
-        """Centre (3,) [m] in the network frame."""
+        """Centre (3,) [m] of the plume in the network frame."""
         anchor = np.zeros(3)
         if self.stations:
             anchor = sightings.station_positions[sightings.station_names.index(self.stations[0])]
@@ -117,12 +118,12 @@ class HeatPlume(WarmAirEffect):
         return anchor + np.asarray(self.offset)
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings per kelvin, first order, in closed form."""
+        """Change (n, 3, 1) of the raw readings per kelvin at the centre, to first order, in closed form."""
         ball = HallRegion("xyz", tuple(self._centre(sightings).tolist()), self.radius)
-        path, pull = ball.path_and_bending(sightings)
+        path, bending = ball.path_and_bending(sightings)
         _, across, up = sightings.beam_vectors
         acts = relative_index_change_per_kelvin() * self.row_weights(sightings)
-        bend = -pull * (acts / sightings.range_)[:, None]
+        bend = -bending * (acts / sightings.range_)[:, None]
         return design_from_front_face_corrections(
             sightings,
             distance=acts * path,
@@ -135,8 +136,8 @@ class HeatPlume(WarmAirEffect):
         centre = self._centre(sightings)
 
         def field(points: Floats) -> tuple[Floats, Floats]:
-            arm = points - centre
-            warm = np.exp(-0.5 * np.einsum("mi,mi->m", arm, arm) / self.radius**2)
-            return warm, -arm * (warm / self.radius**2)[:, None]
+            relative_position = points - centre
+            warm = np.exp(-0.5 * np.einsum("mi,mi->m", relative_position, relative_position) / self.radius**2)
+            return warm, -relative_position * (warm / self.radius**2)[:, None]
 
         return field

@@ -6,14 +6,15 @@ from ltsim.physics.effects.places import Drift
 class IndexDrift(Drift):
     """Drift of the vertical index: the head warms up and the zero of the elevation circle changes.
 
-    Correction of the raw elevation = r t (anew in every visit, or over the recording) or A exp(-t / tau). It flips with
-    the face in front-face terms, as the index does.
+    Correction of the raw elevation = r t (over the recording, or from the start of every station) or A exp(-t / tau).
+    In front-face values it changes its sign with the face, as the vertical index does.
 
     Size: under 2 urad/h after the warm-up; tens of urad over two hours from cold.
-    Like: the index itself (0.63 / 0.86) and elevation-second-order cosine (0.84) where points are taken level by level;
-    station-settling.
-    Separate by: a random order of the targets, the first three again before leaving, two faces.
-    Valid: the same law at every station, or one station's own; time constants of 10 min to 4 h.
+    Like: vertical-index (0.63 / 0.86) and elevation-second-order cosine (0.84) if targets are measured in the order of
+    their heights; station-settling.
+    Separate by: a random order of the targets; a repeat of the first three targets at the end of each station; two
+    faces.
+    Valid: the same drift at every station, or a drift at one station; time constants of 10 min to 4 h.
     Source: Pollack Periodica 15(3), 2020, on the warm-up of a Leica AT960 (size); patents GB 2497910 B and US 8511891
     (the two-face error followed over time measures stability).
     Status: validated against the vertical index at a given time, face parity and sign.

@@ -18,15 +18,16 @@ EXPANSION_WEIGHTS = {"uniform": np.ones(3), "vertical": np.array([0.0, 0.0, 1.0]
 class MeshExpansion(TargetMotion):
     """Thermal expansion of the mesh: walls and floor move the targets as the hall warms up.
 
-    P(t) = P + a t A (P - centroid), t since the first pointing, A = 1 (uniform) or the z axis alone (vertical). The
-    parameter is the growth of the structure itself (no correction of a reading).
+    P(t) = P + a t A (P - centroid), with t since the first pointing and A = 1 (uniform) or diag(0, 0, 1) (vertical).
+    The parameter is the growth rate of the structure (no correction of a reading).
 
     Size: steel and concrete grow 11 to 12 ppm/K, 69 um over 6 m and 1 K: often more than all errors of the tracker.
-    Like: refractivity-drift and station-weather (uniform mode, exact where it grows between visits), range-drift
+    Like: refractivity-drift and station-weather (uniform mode, exactly if it grows only between stations), range-drift
     (0.955).
-    Separate by: thermometers on the structure; a gauge of another material read at each station; the first station
-    again.
-    Valid: linear over the recording; the fixed point does not matter, poses take a common motion.
+    Separate by: thermometers on the structure; a gauge of another material measured from each station; a repeat of the
+    first station.
+    Valid: growth that is linear in time. The choice of the fixed point does not matter, because poses absorb a common
+    motion.
     Source: Bryan 1990, International status of thermal error research, CIRP Annals 39, 645-656; the law is derived
     here.
     Status: first order validated against the exact motion, and against the range scale drift in the network.
@@ -42,10 +43,10 @@ class MeshExpansion(TargetMotion):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Expansion of the mesh in both modes."""
+        """Candidates with a uniform and with a vertical expansion."""
         return [cls(mode="uniform"), cls(mode="vertical")]
 
     def displacement(self, sightings: Sightings) -> Floats:
-        since = self.row_weights(sightings) * (sightings.time - first_pointing_time(sightings))
-        arm = sightings.target_points[sightings.target] - sightings.target_points.mean(axis=0)
-        return (since[:, None] * arm * EXPANSION_WEIGHTS[self.mode])[:, :, None]
+        time_since_start = self.row_weights(sightings) * (sightings.time - first_pointing_time(sightings))
+        relative_position = sightings.target_points[sightings.target] - sightings.target_points.mean(axis=0)
+        return (time_since_start[:, None] * relative_position * EXPANSION_WEIGHTS[self.mode])[:, :, None]

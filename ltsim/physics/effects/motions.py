@@ -1,4 +1,4 @@
-"""Changes of readings by motions of targets or stations: exact, and in first order; base classes of such effects."""
+"""Changes of readings by motions of targets or stations, exact and to first order, and base classes of such effects."""
 
 from dataclasses import dataclass, replace
 
@@ -14,12 +14,12 @@ from ltsim.scene.sightings import Sightings
 
 
 def exact_target_change(sightings: Sightings, displacement: Floats) -> Floats:
-    """Change (n, 3) of the raw readings when each pointing's target moves by (n, 3) [m] in the network frame."""
+    """Exact change (n, 3) of the raw readings if each pointing's target is displaced by (n, 3) [m], network frame."""
     return reading_change(sightings, _sightings_with_displaced_targets(sightings, displacement).local_points)
 
 
 def exact_station_change(sightings: Sightings, motion: Floats) -> Floats:
-    """Change (n, 3) of the raw readings by motions (n, 6) of the station of each pointing.
+    """Exact change (n, 3) of the raw readings by motions (n, 6) of the station of each pointing.
 
     `motion` is a translation [m] and a rotation vector [rad] about the station's origin, both in the network frame.
     """
@@ -37,16 +37,22 @@ def _sightings_with_displaced_targets(sightings: Sightings, displacement: Floats
 
 
 def _apparent_sightings(sightings: Sightings, motion: Floats) -> Sightings:
-    """Sightings with reflectors at their apparent positions, seen from stations that moved by (n, 6)."""
-    back = np.swapaxes(from_rotation_vector(motion[:, 3:]), 1, 2)
-    apparent = np.einsum("nij,nj->ni", back, sightings.sight_vectors - motion[:, :3])
+    """Sightings with reflectors at the positions that they appear to have from stations that moved by (n, 6).
+
+    A motion is a translation [m] and a rotation vector [rad] in the network frame.
+    """
+    inverse_rotations = np.swapaxes(from_rotation_vector(motion[:, 3:]), 1, 2)
+    apparent = np.einsum("nij,nj->ni", inverse_rotations, sightings.sight_vectors - motion[:, :3])
     return _sightings_with_displaced_targets(sightings, apparent - sightings.sight_vectors)
 
 
 def _linearised_change(
     sightings: Sightings, apparent_sightings: Sightings, displacement_by_values: Floats
 ) -> Linearisation:
-    """Change of the readings for displaced apparent reflectors, with its derivatives."""
+    """Change of the readings by displaced apparent positions of reflectors, with its derivatives.
+
+    `displacement_by_values` (n, 3, p) is the derivative of the change with respect to the parameters.
+    """
     by_target = apparent_sightings.target_derivatives - sightings.target_derivatives
     by_pose = station_design(apparent_sightings) - station_design(sightings)
     return Linearisation(
@@ -55,12 +61,12 @@ def _linearised_change(
 
 
 def station_design(sightings: Sightings) -> Floats:
-    """Change (n, 3, 6) of the raw readings per unit of station motion, first order."""
+    """Change (n, 3, 6) of the raw readings per unit of the station's translation and rotation, to first order."""
     return pose_design(sightings.target_derivatives, sightings.sight_vectors)
 
 
 def reading_change(sightings: Sightings, local_points: Floats) -> Floats:
-    """Change (n, 3) of the raw readings for targets at (n, 3) [m] in the instruments' frames."""
+    """Change (n, 3) of the raw readings if targets are at `local_points` (n, 3) [m] in the instruments' frames."""
     change: Floats = to_face(to_polar(local_points), sightings.face) - sightings.raw_readings
     change[:, 1] = wrap_angle(change[:, 1])
     return change

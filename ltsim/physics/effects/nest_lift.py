@@ -13,8 +13,8 @@ from ltsim.scene.sightings import Sightings
 PLAUSIBLE_LIFT = 50 * MICROMETRE
 """Plausible lift [m] of a reflector in its nest."""
 MAX_PAIRS_WITH_SINGLE_SEATINGS = 600
-"""Number of pairs of station and target beyond which single seatings are not searched, because the
-w-test detects them.
+"""Number of pairs of station and target above which a search does not try single seatings, because the w-test detects
+them.
 """
 
 
@@ -22,14 +22,14 @@ w-test detects them.
 class NestLift(TargetMotion):
     """Badly seated reflector: dirt or a burr lifts it in its nest during one visit of a station.
 
-    D = h n along the nest's normal (kind `normal`), or any direction (kind `free`: a cone or three balls push
-    sideways). The parameters are the motion of the reflector (no correction of a reading); all three readings of that
-    visit share it.
+    D = h n along the nest's normal (kind `normal`), or in any direction (kind `free`, for a nest with a cone or three
+    balls). The parameters are the motion of the reflector (no correction of a reading). It is the same in all pointings
+    of the station to the target.
 
     Size: 4 um in a clean nest, 5 to 50 um with dirt.
     Like: outlier in one reading (0.85).
-    Separate by: reseating and repeating; a lift hits all three readings in a fixed direction.
-    Valid: 5 to 200 um; one seating a visit, so both faces and all repeats share it.
+    Separate by: a repeat after reseating; a lift changes all three readings, in a fixed direction in space.
+    Valid: 5 to 200 um; one seating per station and target, so that both faces and all repeats have the same lift.
     Source: Hughes et al. 2011, Meas. Sci. Technol. 22, 045103, doi:10.1088/0957-0233/22/4/045103 (repeatability of
     nests, second hand); Baarda 1968, A testing procedure for use in geodetic networks (its smallest detectable size).
     Status: first order validated against the exact motion.
@@ -58,8 +58,8 @@ class NestLift(TargetMotion):
             return []
         oriented_indices = np.flatnonzero(np.isfinite(sightings.nest_normals).all(axis=1))
         nests = {sightings.target_names[t] for t in oriented_indices}
-        along = [cls((s,), (t,), "normal") for s, t in pairs if t in nests]
-        return [*along, *(cls((s,), (t,), "free") for s, t in pairs)]
+        normal_lifts = [cls((s,), (t,), "normal") for s, t in pairs if t in nests]
+        return [*normal_lifts, *(cls((s,), (t,), "free") for s, t in pairs)]
 
     def displacement(self, sightings: Sightings) -> Floats:
         acts = self.row_weights(sightings)[:, None, None]

@@ -5,20 +5,21 @@ from ltsim.physics.effects.effect import LightPathStage, NoiseEffect, Parameter
 from ltsim.scene.sightings import Sightings
 
 MIN_VARIANCE_FACTOR = 0.01
-"""Smallest permitted factor on a variance."""
+"""Smallest factor on a variance. A smaller factor is replaced by it, so that no variance is zero or negative."""
 
 
 class NoiseLevel(NoiseEffect):
     """Noise level: all readings of a kind have a larger or smaller standard deviation than declared.
 
-    variance = sigma^2 (1 + v), v the variance added over the stated one, for each observable. Negative: less noise.
+    variance = sigma^2 (1 + v), with v the added variance divided by the declared one, for each observable. A negative v
+    means less noise.
 
     Size: v between -0.5 and 3.
     Like: turbulence (grows with the range), many small effects at once.
-    Separate by: repeats: pointings of one target from one station show the noise without any model.
+    Separate by: repeated pointings of one target from one station, whose scatter is the noise.
     Valid: factors on the variance from 0.1 up.
     Source: Teunissen 2000, Testing Theory: an introduction (weights come before tests).
-    Status: validated: zero gives the stated variance.
+    Status: validated: with v = 0 the variance is the declared one.
     """
 
     name = "noise-level"

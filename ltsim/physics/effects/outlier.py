@@ -14,20 +14,20 @@ Observable = Literal["distance", "azimuth", "elevation"]
 OBSERVABLE_COLUMN: dict[Observable, int] = {"distance": 0, "azimuth": 1, "elevation": 2}
 """Column of each observable in the array of readings."""
 MAX_SEARCHED_POINTINGS = 1500
-"""Number of pointings beyond which a search does not try single outliers, because the w-test detects them."""
+"""Number of pointings above which a search does not try single outliers, because the w-test detects them."""
 
 
 @dataclass(frozen=True)
 class Outlier(Effect):
     """Outlier: one reading of one pointing is wrong.
 
-    Correction of that reading alone, whatever its cause.
+    The parameter is the correction of this reading, whatever the cause of its error.
 
-    Size: any; from 16 um on a range shows.
-    Like: nest-lift (0.85), which hits all three readings of a pointing in one direction.
-    Separate by: the pointing repeated.
-    Valid: any size below a millimetre; larger ones are screened before an adjustment. In large recordings `candidates`
-    is empty: the w-test of the residuals finds single readings without trying each.
+    Size: any; an error of a range is detected from 16 um on.
+    Like: nest-lift (0.85), which changes all three readings of a pointing.
+    Separate by: a repeat of the pointing.
+    Valid: any size below a millimetre; larger outliers are rejected before an adjustment. In large recordings
+    `candidates` is empty, because the w-test of the residuals detects single readings.
     Source: Baarda 1968, A testing procedure for use in geodetic networks (data snooping).
     Status: validated on a single row.
     """

@@ -1,4 +1,4 @@
-"""Places and times at which an effect may act, from the pointings of a recording; time laws of drifts."""
+"""Places and times at which an effect may act, determined from the pointings; base class of drifts."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
@@ -12,7 +12,7 @@ from ltsim.scene.sightings import Sightings
 MAX_CHANGE_POINTS = 140
 """Largest number of candidate change points over all stations of a network."""
 N_NEIGHBOUR_GAPS = 6
-"""Number of gaps between pointings on either side of a change point to which a refinement moves it."""
+"""Number of gaps between pointings, on either side of a change point, in which a local search tries the change."""
 
 
 def change_times(times: Floats, *, min_pointings: int, max_times: int) -> list[float]:
@@ -42,7 +42,10 @@ def station_change_times(sightings: Sightings, *, min_pointings: int) -> list[tu
 
 
 def visit_change_times(sightings: Sightings, target: int, *, max_times: int) -> list[float]:
-    """Times [s] between two visits to a target from different stations; between all pointings if only one sees it."""
+    """Times [s] between pointings to a target from two successive stations, at most `max_times`.
+
+    If only one station measured the target, they are times between its pointings.
+    """
     rows = sightings.measurement_order[sightings.target[sightings.measurement_order] == target]
     times, stations = sightings.time[rows], sightings.station[rows]
     if len(np.unique(stations)) < 2:
@@ -63,7 +66,7 @@ def neighbouring_gap_times(times: Floats, time: float) -> list[float]:
 
 
 def station_target_pairs(sightings: Sightings) -> list[tuple[str, str]]:
-    """Pairs (station, target) with a pointing."""
+    """Pairs of the names of station and target with at least one pointing."""
     pairs = np.unique(np.stack([sightings.station, sightings.target], axis=1), axis=0)
     return [(sightings.station_names[s], sightings.target_names[t]) for s, t in pairs]
 
@@ -78,19 +81,19 @@ TimeLaw = Literal["visit", "linear", "exponential"]
 WARM_UP_TIME_CONSTANT = ShapeParameter(
     "time_constant", "min", "time constant of the warm-up", 600.0, 14_400.0, has_logarithmic_grid=True, n_grid_values=6
 )
-"""Time constant of a warm-up, with the bounds between which a search varies it."""
+"""Time constant of a warm-up, with the bounds [s] of a search for it."""
 
 
 MAX_TIME_CONSTANT_RATIO = 2.0
-"""Largest time constant that a search tries, as a multiple of the duration of the measurement."""
+"""Largest time constant of a warm-up that a search tries, divided by the duration of the measurement."""
 SHORT_RECORDING_TIME_CONSTANTS = (0.3, 1.0)
-"""Time constants that replace the usual ones if these exceed the limit, as fractions of the duration of the
-measurement."""
+"""Time constants of warm-ups, divided by the duration of the measurement, that a search tries if all others exceed
+`MAX_TIME_CONSTANT_RATIO`."""
 
 
 @dataclass(frozen=True)
 class Drift(Effect):
-    """Base class of corrections of one slot that depend on time."""
+    """Base class of drifts: corrections of one slot of the kinematic chain that depend on time."""
 
     law: TimeLaw = "linear"
     """Law of time. ``visit``: rate times the time since the station's first pointing; ``linear``: rate times the time
@@ -104,25 +107,24 @@ class Drift(Effect):
     slot: ClassVar[str]
     """Slot of the kinematic chain that drifts."""
     rate_parameter: ClassVar[Parameter]
-    """Parameter of the linear laws: correction per time."""
+    """Parameter of the laws ``visit`` and ``linear``: correction per time."""
     amplitude_parameter: ClassVar[Parameter]
-    """Parameter of the exponential law: correction at the start."""
+    """Parameter of the law ``exponential``: correction at the start."""
     linear_laws: ClassVar[tuple[TimeLaw, ...]]
-    """Laws of a drift, linear in their size, at all stations together: the first law, and with several stations all
-    laws."""
+    """Laws ``visit`` or ``linear`` that a search tries at all stations together; with one station only the first."""
     tries_single_stations: ClassVar[bool] = False
-    """True if the law within a visit is also a candidate at single stations."""
+    """True if a search also tries the law ``visit`` at single stations."""
 
     def __post_init__(self) -> None:
-        amplitude_names = self.amplitude_parameter if self.law == "exponential" else self.rate_parameter
-        object.__setattr__(self, "parameters", (amplitude_names,))
+        parameter = self.amplitude_parameter if self.law == "exponential" else self.rate_parameter
+        object.__setattr__(self, "parameters", (parameter,))
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates: linear at all stations or at one, and warm-ups that end during the measurement.
+        """Candidates: linear drifts at all stations or at one, and exponential warm-ups.
 
-        A slower warm-up is constant or linear. Without a clock, rows replace time, and time constants are fractions of
-        their number.
+        Warm-ups with time constants far above the duration of the measurement are omitted, because they are constant or
+        linear. In a recording without times, row numbers replace time.
         """
         span = float(np.ptp(sightings.time))
         times = [t for t in WARM_UP_TIME_CONSTANT.grid().tolist() if t <= MAX_TIME_CONSTANT_RATIO * span] or [
@@ -130,16 +132,16 @@ class Drift(Effect):
         ]
         names = sightings.station_names if len(sightings.station_names) > 1 else ()
         linear = [cls(law=law) for law in (cls.linear_laws if names else cls.linear_laws[:1])]
-        alone = [cls((name,), law="visit") for name in names if cls.tries_single_stations]
-        warming = [cls(law="exponential", time_constant=t) for t in times if t > 0.0]
-        return [*linear, *alone, *warming]
+        single_station_drifts = [cls((name,), law="visit") for name in names if cls.tries_single_stations]
+        warm_ups = [cls(law="exponential", time_constant=t) for t in times if t > 0.0]
+        return [*linear, *single_station_drifts, *warm_ups]
 
     def time_law_values(self, sightings: Sightings) -> Floats:
         """Value (n,) of the time law at each pointing, [s] or dimensionless."""
         if self.law == "visit":
             return sightings.station_time
-        since = sightings.time - first_pointing_time(sightings)
-        return since if self.law == "linear" else np.asarray(np.exp(-since / self.time_constant))
+        time_since_start = sightings.time - first_pointing_time(sightings)
+        return time_since_start if self.law == "linear" else np.asarray(np.exp(-time_since_start / self.time_constant))
 
     def design(self, sightings: Sightings) -> Floats:
         amount = self.row_weights(sightings) * self.time_law_values(sightings)

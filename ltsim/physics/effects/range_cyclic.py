@@ -19,7 +19,8 @@ MIN_WAVELENGTH = 0.02
 MAX_WAVELENGTH = 2.0
 """Longest wavelength [m] that a search tries."""
 MAX_PHASE_ERROR = 0.125
-"""Largest phase error at the ends of the range interval, in periods, when the phase is correct in the middle."""
+"""Largest phase error in periods of a wave with the nearest wavelength that a search tries. It occurs at the ends of
+the interval of ranges if the phase is correct in its middle."""
 MAX_WAVELENGTHS = 1200
 """Largest number of wavelengths that a search tries."""
 
@@ -32,13 +33,13 @@ class RangeCyclic(Effect):
     53.5 mm for 2.8 GHz. Ranges that differ by L have the same error.
 
     Size: under 1 um in a good meter, 5 to 10 um in a bad one.
-    Like: noise that repeats; biases the range zero where it is left out.
-    Separate by: one reflector slid along a rail over one L; the modulation frequency of the data sheet.
-    Valid: L from 20 mm to 2 m: a network tells two wavelengths apart whose phases differ over its span of ranges. An
-    interferometer's 0.3 um cannot be seen.
+    Like: noise that repeats. If the effect is not modelled, it biases the range zero.
+    Separate by: one reflector that is moved along a rail over one L; the modulation frequency of the data sheet.
+    Valid: L from 20 mm to 2 m. A network distinguishes wavelengths whose phases differ over its interval of ranges. The
+    wavelength of an interferometer, 0.3 um, cannot be determined.
     Source: Rüeger 1996, Electronic Distance Measurement (unit length; zero and cyclic terms are estimated together);
     Lichti 2007, ISPRS J. Photogramm. Remote Sens. 61, 307-324, doi:10.1016/j.isprsjprs.2006.10.004.
-    Status: validated on wave and sign; the density of the search by the share of power kept between its steps.
+    Status: wave and sign validated; the spacing of wavelengths in the search was tested by the power lost between them.
     """
 
     wavelength: float = 0.15
@@ -65,7 +66,7 @@ class RangeCyclic(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates with all wavelengths that the interval of ranges can distinguish, the longest first."""
+        """Candidates with wavelengths that the interval of measured ranges can distinguish, the longest first."""
         span = float(np.ptp(sightings.range_)) if len(sightings) else 0.0
         step = 4 * MAX_PHASE_ERROR / max(span, 0.5)
         highest = min(1 / MIN_WAVELENGTH, 1 / MAX_WAVELENGTH + MAX_WAVELENGTHS * step)

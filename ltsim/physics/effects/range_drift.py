@@ -6,12 +6,12 @@ from ltsim.physics.effects.places import Drift
 class RangeDrift(Drift):
     """Drift of the range zero: electronics and head warm up.
 
-    Delta_d = r t (linear over the recording, or anew in every visit) or A exp(-t / tau) (warm-up).
+    Delta_d = r t (over the recording, or from the start of every station) or A exp(-t / tau) (warm-up).
 
     Size: 1 to 2 um/h after the warm-up; tenths of a millimetre over two hours from cold.
     Like: mesh-expansion (0.955), dead-path.
-    Separate by: a new homing in between; thermometers; a target measured every quarter of an hour.
-    Valid: the same law at every station, or one station's own; time constants of 10 min to 4 h.
+    Separate by: a new homing during the measurement; thermometers; one target measured every quarter of an hour.
+    Valid: the same drift at every station, or a drift at one station; time constants of 10 min to 4 h.
     Source: Pollack Periodica 15(3), 2020, on the warm-up of a Leica AT960 (size); the exponential is that of a body
     that reaches its temperature.
     Status: validated against the range zero at a given time.

@@ -12,14 +12,14 @@ from ltsim.scene.sightings import Sightings
 class RangeMode(Effect):
     """Range zero by mode: the interferometer has another zero than the absolute distance meter.
 
-    Delta_d = rho for the ranges of the interferometer, where a recording holds both modes (column `distance_mode`): the
-    difference of the two zeros. The zero that both share is range-offset.
+    Delta_d = rho for the ranges of the interferometer, in a recording with both modes (column `distance_mode`). It is
+    the difference of the two zeros. The zero that both modes share is range-offset.
 
     Size: 5 um in a good tracker, 20 to 50 um in a bad one.
-    Like: range-step, where the mode changes once in a visit; range-offset, where all ranges are of one mode.
+    Like: range-step, if the mode changes once at a station; range-offset, if all ranges have the same mode.
     Separate by: the same targets in both modes.
-    Valid: one zero a mode for the whole recording: an interferometer homed anew gets another (range-step).
-    Source: the manual of a Brunson laser-tracker kit (both zeros are checked apart).
+    Valid: one zero per mode for the whole recording. A new homing gives an interferometer another zero (range-step).
+    Source: the manual of a Brunson laser-tracker kit (both zeros are checked separately).
     Status: validated on the rows of either mode, and by a recording with both.
     """
 

@@ -12,14 +12,14 @@ from ltsim.scene.sightings import Sightings
 class RangeStep(Effect):
     """Step of the range zero: the beam is interrupted, and the zero has another value afterwards.
 
-    Delta_d = rho from a time on, until the station is left.
+    Delta_d = rho from the time of the step to the last pointing of the station.
 
     Size: 5 um in a current tracker, 20 to 50 um in a bad one.
-    Like: reflector-constant (exact) and station-weather (0.965) from the station's start on; station-bump.
-    Separate by: near and far targets at that station; a target measured before and after.
-    Valid: one step a station; the next station starts with a new zero of its own.
-    Source: general knowledge: an interferometer is homed anew after each lost beam, an absolute meter keeps its own
-    zero.
+    Like: for a step at the start of the station reflector-constant (exactly) and station-weather (0.965); station-bump.
+    Separate by: near and far targets at that station; a target measured before and after the step.
+    Valid: one step per station; the step does not act at the next station.
+    Source: general knowledge: an interferometer is homed again after each lost beam, an absolute distance meter
+    keeps its zero.
     Status: validated on rows before and after the step.
     """
 

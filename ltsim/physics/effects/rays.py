@@ -1,7 +1,7 @@
-"""Light paths through air of non-uniform temperature: integration of the ray, and first order on the straight path.
+"""Light paths through air of non-uniform temperature: integration of the ray equation, and its first-order solution.
 
-An air field gives, at points (m, 3) of the network frame, the temperature above that of the weather sensor (m,) [K] and
-its gradient (m, 3) [K/m].
+A temperature field is a function of points (m, 3) in the network frame. Its values are the temperature minus that of
+the weather sensor, (m,) [K], and the gradient of the temperature, (m, 3) [K/m].
 
 Ray equation d/ds (n dr/ds) = grad n. First order, s from the station (truth - reading):
 (D_t, D_v) = integral of (d - s) grad_perp n ds, Delta_d = -integral of (n - n_sensor) ds.
@@ -24,16 +24,19 @@ TemperatureField = Callable[[Floats], tuple[Floats, Floats]]
 """Function from points (n, 3) [m] to temperature differences (n,) [K] and their gradients (n, 3) [K/m]."""
 
 REFERENCE_TEMPERATURE = 20.0
-"""Reference temperature [C] at the weather sensor; beta changes by 0.5 % per kelvin."""
+"""Temperature [C] at the weather sensor for which beta = -dn/dT is computed; beta changes by 0.5 % per kelvin."""
 N_RAY_STEPS = 64
 """Number of Runge-Kutta steps along a ray."""
 QUADRATURE_NODES, QUADRATURE_WEIGHTS = (a for a in np.polynomial.legendre.leggauss(32))
-"""Weights of the Gauss-Legendre quadrature along a straight path."""
+"""Weights of the Gauss-Legendre quadrature along a straight path, for the interval from -1 to 1."""
 
 
 @lru_cache
 def _refractivity_by_temperature() -> tuple[Polynomial, Polynomial]:
-    """Refractivity (index less one) by the temperature above the sensor's, -15 to +40 K, and its derivative."""
+    """Polynomials of the refractivity (refractive index minus one) and of its derivative [1/K].
+
+    Their variable is the temperature minus that of the weather sensor, -15 to +40 K.
+    """
     excess = np.linspace(-15.0, 40.0, 56)
     law: Polynomial = Polynomial.fit(excess, refractivity(REFERENCE_TEMPERATURE + excess), 8).convert()
     return law, law.deriv()
@@ -47,9 +50,9 @@ def relative_index_change_per_kelvin() -> float:
 
 
 def first_order_change(sightings: Sightings, field: TemperatureField, row_weights: Bools | None = None) -> Floats:
-    """Change (n, 3) of the raw readings by integrals along the straight paths (Gauss-Legendre).
+    """Change (n, 3) of the raw readings to first order, by integrals along straight paths (Gauss-Legendre).
 
-    If `reflector_weights` (n,) is given, only the pointings that it marks are integrated; the others do not change.
+    If flags `row_weights` (n,) are given, only flagged pointings are computed, and the change of the others is zero.
     """
     rows = np.arange(len(sightings)) if row_weights is None else np.flatnonzero(row_weights)
     beam, across, up = (way[rows] for way in sightings.beam_vectors)
@@ -61,8 +64,10 @@ def first_order_change(sightings: Sightings, field: TemperatureField, row_weight
     beta = relative_index_change_per_kelvin()
     weight = 0.5 * QUADRATURE_WEIGHTS
     mean = warmer.reshape(len(length), len(QUADRATURE_NODES)) @ weight
-    pull = np.einsum("nqi,q->ni", gradient.reshape(len(length), len(QUADRATURE_NODES), 3), weight * (1.0 - share))
-    bend = -beta * length[:, None] * pull  # D over d: an angle
+    weighted_gradient = np.einsum(
+        "nqi,q->ni", gradient.reshape(len(length), len(QUADRATURE_NODES), 3), weight * (1.0 - share)
+    )
+    bend = -beta * length[:, None] * weighted_gradient  # D over d: an angle
     change = np.zeros((3, len(sightings)))
     change[0, rows] = beta * length * mean
     change[1, rows] = np.sum(bend * across, axis=1) / np.cos(sightings.elevation[rows])
@@ -71,17 +76,18 @@ def first_order_change(sightings: Sightings, field: TemperatureField, row_weight
 
 
 def integrated_change(sightings: Sightings, field: TemperatureField, *, steps: int = N_RAY_STEPS) -> Floats:
-    """Change (n, 3) of the raw readings by the ray equation (Runge-Kutta, fourth order).
+    """Change (n, 3) of the raw readings by integration of the ray equation (Runge-Kutta, fourth order).
 
-    The ray starts in the first-order direction, which is then corrected by the distance at which it misses the target.
+    The ray starts in the first-order direction. This direction is then corrected by the distance between the end of the
+    ray and the target.
     """
     start, target = sightings.station_positions[sightings.station], sightings.target_points[sightings.target]
     length = sightings.range_
-    guess = _apparent_directions(sightings, field)
-    end, arrival, optical = _trace_rays(start, guess, length, field, steps)
-    miss = target - end
-    along = np.sum(miss * arrival, axis=1)
-    aim = guess + (miss - along[:, None] * arrival) / length[:, None]
+    start_direction = _apparent_directions(sightings, field)
+    end, arrival, optical = _trace_rays(start, start_direction, length, field, steps)
+    end_error = target - end
+    along = np.sum(end_error * arrival, axis=1)
+    aim = start_direction + (end_error - along[:, None] * arrival) / length[:, None]
     law, _ = _refractivity_by_temperature()
     at_target = law(field(target)[0])
     excess = (optical + at_target * along - law(0.0) * (length + along)) / (1.0 + law(0.0))
@@ -91,25 +97,30 @@ def integrated_change(sightings: Sightings, field: TemperatureField, *, steps: i
 
 
 def _apparent_directions(sightings: Sightings, field: TemperatureField) -> Floats:
-    """Unit vectors (n, 3) towards the apparent positions of the targets, first order."""
+    """Unit vectors (n, 3) from the stations towards the apparent positions of the targets, to first order."""
     beam, across, up = sightings.beam_vectors
     change = first_order_change(sightings, field)
-    aside = change[:, 1] * np.cos(sightings.elevation)
-    aim = beam + aside[:, None] * across + (change[:, 2] * sightings.face_sign)[:, None] * up
+    lateral_angle = change[:, 1] * np.cos(sightings.elevation)
+    aim = beam + lateral_angle[:, None] * across + (change[:, 2] * sightings.face_sign)[:, None] * up
     return aim / np.linalg.norm(aim, axis=1, keepdims=True)
 
 
 def _trace_rays(
     origins: Floats, direction: Floats, length: Floats, field: TemperatureField, steps: int
 ) -> tuple[Floats, Floats, Floats]:
-    """End points (n, 3), end directions (n, 3) and integrals (n,) of n - 1 along rays of given arc length."""
+    """End points (n, 3) [m] and end directions (n, 3) of rays, and integrals (n,) [m] of the refractivity along them.
+
+    Rays are given by start points (n, 3), directions (n, 3) and arc lengths (n,) [m].
+    """
     law, slope = _refractivity_by_temperature()
 
     def rates(place: Floats, heading: Floats) -> tuple[Floats, Floats]:
         warmer, gradient = field(place)
         above = law(warmer)
-        steep = slope(warmer)[:, None] * gradient
-        turn = (steep - np.sum(steep * heading, axis=1, keepdims=True) * heading) / (1.0 + above)[:, None]
+        index_gradient = slope(warmer)[:, None] * gradient
+        turn = (index_gradient - np.sum(index_gradient * heading, axis=1, keepdims=True) * heading) / (1.0 + above)[
+            :, None
+        ]
         return turn, above
 
     place, heading, optical = origins.copy(), direction.copy(), np.zeros(len(origins))
@@ -132,18 +143,18 @@ def _trace_rays(
 
 @dataclass(frozen=True)
 class WarmAirEffect(Effect):
-    """Base class of effects of warmer air, with the temperature difference [K] as the only parameter."""
+    """Base class of effects of warm air whose only parameter is a temperature difference [K]."""
 
     def field(self, sightings: Sightings) -> TemperatureField:
         """Temperature field for a parameter of 1 K."""
         raise NotImplementedError
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings per kelvin, first order."""
+        """Change (n, 3, 1) of the raw readings per kelvin, to first order."""
         return first_order_change(sightings, self.field(sightings), self.row_weights(sightings) > 0)[:, :, None]
 
     def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings by integration of the ray."""
+        """Change (n, 3) of the raw readings by integration of the ray equation."""
         kelvin = self.field(sightings)
 
         def field(points: Floats) -> tuple[Floats, Floats]:

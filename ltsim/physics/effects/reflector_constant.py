@@ -10,12 +10,12 @@ from ltsim.scene.sightings import Sightings
 class ReflectorConstant(Effect):
     """Wrong reflector constant: another SMR or prism at one station, or the constant of another one was entered.
 
-    Delta_d = c for every range of station i; the sphere's centre stays where it is.
+    Delta_d = c for every range of one station. The position of the sphere's centre does not change.
 
     Size: 17.5 or 34.4 mm for another prism, 0.02 to 0.5 mm for the constant of another SMR.
     Like: range-step at the station's start (exact), station-weather (0.965).
     Separate by: the reflector and the constant that were used there; near and far targets at that station.
-    Valid: one reflector a visit. At all stations alike it is the range zero of the instrument.
+    Valid: one reflector per station. The same error at all stations equals the range zero of the instrument.
     Source: general knowledge: constants of reflectors are entered by hand.
     Status: validated against the range offset on the station's rows.
     """

@@ -8,12 +8,13 @@ from ltsim.scene.sightings import Sightings
 class RefractivityDrift(Effect):
     """Drift of the refractive index: the hall warms up, but the weather values are not updated.
 
-    Delta_d = d s t, t since the first pointing; a kelvin is 0.955 ppm. Later stations see the mesh smaller.
+    Delta_d = d s t, with t since the first pointing; 1 K changes the refractive index by 0.955 ppm. Later stations
+    measure shorter ranges.
 
-    Size: 0.5 to 2 K a morning, 0.1 to 1 ppm/h.
-    Like: mesh-expansion, the uniform mode (0.996, exact where it grows between visits), station-weather in single
+    Size: 0.5 to 2 K in a morning, 0.1 to 1 ppm/h.
+    Like: mesh-expansion, uniform mode (0.996, exactly if it grows only between stations); station-weather at single
     stations.
-    Separate by: a thermometer on the structure; the first station again at the end.
+    Separate by: a thermometer on the structure; a repeat of the first station at the end.
     Valid: linear over the recording.
     Source: Ciddor 1996, Appl. Opt. 35, 1566, doi:10.1364/AO.35.001566 (sensitivities by `effects.ciddor`).
     Status: validated against the range scale at one hour.
@@ -30,7 +31,7 @@ class RefractivityDrift(Effect):
     )
 
     def design(self, sightings: Sightings) -> Floats:
-        since = sightings.time - first_pointing_time(sightings)
+        time_since_start = sightings.time - first_pointing_time(sightings)
         return design_from_front_face_corrections(
-            sightings, distance=self.row_weights(sightings) * sightings.range_ * since
+            sightings, distance=self.row_weights(sightings) * sightings.range_ * time_since_start
         )[:, :, None]

@@ -1,4 +1,4 @@
-"""Signatures: functions of the readings whose parameters an adjustment estimates with poses, targets and instrument.
+"""Signatures: changes of the readings, linear in parameters that an adjustment estimates together with the network.
 
 `Signature` is the interface that `MeasurementModel`, `NetworkProblem` and `ResidualSpace` use. A subclass defines
 `name`, `parameters` and `design`. `CandidateEffect` adds the interface for a search over laws; `NoiseSignature` is for
@@ -34,7 +34,7 @@ class Parameter:
     prior_sigma: float
     """Standard deviation [SI] if the set-up gives none; also the scale of a plausible size."""
     prior_kind: PriorKind | None = None
-    """Kind of specification that gives the prior; None: `prior_sigma` alone."""
+    """Kind of the instrument's specification that determines the prior; if None, the prior is `prior_sigma`."""
     is_positive: bool = False
     """True for a quantity that is never negative, such as a thickness."""
 
@@ -53,7 +53,7 @@ class Parameter:
 
     @property
     def si_per_display_unit(self) -> float:
-        """Display unit of the parameter, expressed in SI."""
+        """Size of the display unit in SI, such as 1e-6 for um."""
         return SI_PER_UNIT[self.unit]
 
 
@@ -78,9 +78,10 @@ class ShapeParameter:
     has_reciprocal_grid: bool = False
 
     def grid(self) -> Floats:
-        """Values (steps,) [SI] between the bounds, at which a search tries the effect.
+        """Values (n_grid_values,) [SI] between the bounds that a search tries.
 
-        Evenly spaced in the value, its logarithm, or (`has_reciprocal_grid`, a wavelength) its inverse.
+        They are evenly spaced in the value, in its logarithm (`has_logarithmic_grid`), or in its reciprocal
+        (`has_reciprocal_grid`, as for a wavelength).
         """
         if self.has_reciprocal_grid:
             return 1.0 / np.linspace(1.0 / self.upper_bound, 1.0 / self.lower_bound, self.n_grid_values)
@@ -89,7 +90,7 @@ class ShapeParameter:
         return np.linspace(self.lower_bound, self.upper_bound, self.n_grid_values)
 
     def neighbouring_grid_interval(self, value: float) -> tuple[float, float]:
-        """Interval [SI] of a value, from one grid step below it to one above, within the bounds."""
+        """Lower and upper end [SI] of the interval from one grid step below a value to one above, within the bounds."""
         grid = np.sort(self.grid())
         if len(grid) < 2:
             return value, value
@@ -110,22 +111,22 @@ class Linearisation(NamedTuple):
     by_geometry: tuple[Floats, Floats] | None = None
     """Derivatives with respect to the target's coordinates (n, 3, 3) and the station's motion (n, 3, 6).
 
-    None where they are neglected, as for all changes that are small beside the distance.
+    None if they are neglected, as for all changes that are small compared with the distance.
     """
 
 
 class Signature(Protocol):
-    """Effect on the readings, as a function that is linear in its parameters."""
+    """Interface of a change of the readings that is linear in its parameters, at least to first order."""
 
     @property
     @abstractmethod
     def name(self) -> str:
-        """Name of the law."""
+        """Name of the signature, such as that of its physical effect."""
 
     @property
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters (p) of the effect; `prior_sigma` is the size of a large but plausible effect."""
+        """Parameters of the signature, p of them; `prior_sigma` is the size of a large but plausible effect."""
 
     @abstractmethod
     def design(self, sightings: Sightings) -> Floats:
@@ -138,12 +139,12 @@ class Signature(Protocol):
 
     @property
     def stations(self) -> tuple[str, ...]:
-        """Names of the stations at which it acts; empty for all."""
+        """Names of the stations at which the signature acts; empty for all."""
         return ()
 
     @property
     def targets(self) -> tuple[str, ...]:
-        """Names of the targets at which it acts; empty for all."""
+        """Names of the targets at which the signature acts; empty for all."""
         return ()
 
     def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
@@ -157,17 +158,17 @@ class Signature(Protocol):
     def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
         """Change (g, p) of the reference lengths between targets `first` and `second` (g,) per unit of each parameter.
 
-        It is not zero only for effects on the gauge.
+        It is zero except for effects that change the gauge.
         """
         return np.zeros((len(first), len(self.parameters)))
 
     @property
     def place_text(self) -> str:
-        """Names of the stations and targets at which it acts, separated by commas; empty for everywhere."""
+        """Names of the stations and targets at which the signature acts, separated by commas; empty for all."""
         return ",".join(self.stations + self.targets)
 
     def row_weights(self, sightings: Sightings) -> Floats:
-        """Weights (n,): 1 for pointings on which it acts, 0 for others."""
+        """Weights (n,): 1 for pointings that the signature changes, 0 for others."""
         acts = np.ones(len(sightings), dtype=bool)
         if self.stations:
             acts &= _is_any_of(sightings.station, sightings.station_indices, self.stations)
@@ -177,13 +178,16 @@ class Signature(Protocol):
 
 
 def _is_any_of(name_indices: Ints, allowed_names: Mapping[str, Sequence[int]], names: Sequence[str]) -> Bools:
-    """Flags (n,) of the values that have one of a few names; the test for a single name is much faster."""
+    """Flags (n,) of the indices `name_indices` (n,) that belong to one of `names`.
+
+    `allowed_names` has the indices of every name.
+    """
     ids = [i for name in names for i in allowed_names.get(name, ())]
     return name_indices == ids[0] if len(ids) == 1 else np.isin(name_indices, ids)
 
 
 class CandidateEffect(Signature, Protocol):
-    """Signature with adjustable shape constants, which a search compares with other candidates."""
+    """Signature that a search compares with other candidates. Its constants may enter nonlinearly."""
 
     shape_parameters: ClassVar[tuple[ShapeParameter, ...]] = ()
     """Constants that enter nonlinearly; each is a field of the instance."""
@@ -201,12 +205,12 @@ class CandidateEffect(Signature, Protocol):
         """Covariates that the signature depends on."""
 
     def neighbours(self, sightings: Sightings) -> Sequence[Self]:
-        """Neighbouring candidates that a first search omits; tried once this one is significant."""
+        """Similar candidates, which a search tries only if this candidate is significant."""
         return ()
 
     @property
     def source_position(self) -> tuple[float, ...]:
-        """Coordinates [m], network frame, of the region of the hall in which it acts; empty if it has none."""
+        """Coordinates [m] of the centre of its region of the hall, network frame; empty if it has no region."""
         return ()
 
     @property
@@ -215,7 +219,7 @@ class CandidateEffect(Signature, Protocol):
         return "xyz"[: len(self.source_position)]
 
     def centred_at(self, centre: tuple[float, ...]) -> Self:
-        """Copy with another region of the hall."""
+        """Copy with its region of the hall centred at `centre` [m]."""
         return self
 
     def with_constants(self, **constants: Any) -> Self:
@@ -227,7 +231,7 @@ class NoiseSignature(CandidateEffect, Protocol):
     """Change of the noise: parameters are added variances or factors on variances, not changes of the mean."""
 
     min_relative_size: ClassVar[float] = 0.0
-    """Smallest value of a parameter in units of its prior sigma; most causes only add noise."""
+    """Smallest permitted value of a parameter divided by its prior standard deviation. At 0 noise can only increase."""
 
     @abstractmethod
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
@@ -280,7 +284,7 @@ def design_from_displacements(sightings: Sightings, displacement: Floats) -> Flo
 
 
 def n_constants(effect: CandidateEffect) -> int:
-    """Number of constants of an effect: its parameters, and the constants of its shape and place."""
+    """Number of constants of an effect: its parameters, and the numbers that define its shape and place."""
     constants = (value for name, value in vars(effect).items() if name != "size_factor")
     return len(effect.parameters) + sum(np.size(value) for value in constants if _is_number(value))
 

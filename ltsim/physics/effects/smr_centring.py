@@ -32,9 +32,9 @@ class SmrCentring(Effect):
 
     The tracker measures the vertex, off the centre by e = axial a + side s + up p, axial along the open face: Delta_d =
     e_axial cos(alpha) + e_t sin(alpha) cos(chi - chi_0), lateral -e_perp, alpha the incidence off the axis and chi its
-    direction around it. A fixed reflector (not re-aimed) keeps e in its nest; a re-aimed one turns its axis to the
-    tracker, so the axial part is a range zero and the rest a lateral constant that does not flip with the face (its
-    mark held up; a free roll makes it noise).
+    direction around it. For a fixed reflector e is constant in the nest. The axis of a re-aimed reflector points to the
+    tracker. Its axial part is therefore an error of the range zero, and the other parts are constant lateral lengths
+    that are the same on both faces, if the reflector's mark is always up. Otherwise these parts are noise.
 
     Size: 2.5 um in a good reflector, 12 to 25 um in a bad one.
     Like: fixed: the target's position, exactly. Re-aimed: range-offset, exactly (axial, all); beam-offset (one face).

@@ -29,11 +29,11 @@ THREEFOLD_SIGMA = 5 * MICROMETRE
 AZIMUTHAL_PARTS = ("even", "cos", "sin")
 """Parts of the error by their dependence on the direction of incidence."""
 _PART_DESCRIPTIONS = (
-    "alike on all sides",
+    "the same for all directions",
     "to the horizontal side, opposite on the other",
     "to the upper side, opposite below",
 )
-"""Direction of incidence to which each of `AZIMUTHAL_PARTS` responds, as text."""
+"""Description for users of the directions of incidence at which each of `AZIMUTHAL_PARTS` changes the range."""
 
 
 def _ramp_parameters() -> tuple[Parameter, ...]:
@@ -49,7 +49,7 @@ def _ramp_parameters() -> tuple[Parameter, ...]:
 
 
 def _ramp_values(incidence: Floats) -> Floats:
-    """Ramps (n, 4) at incidence (n,) [rad]: 0 up to each knot, 1 from 30 deg on."""
+    """Values (n, 4) of four ramps at incidence angles (n,) [rad]: 0 up to the ramp's knot, 1 from 30 deg on."""
     return np.clip((incidence[:, None] - KNOT_ANGLES) / (MAX_INCIDENCE - KNOT_ANGLES), 0.0, 1.0)
 
 
@@ -102,9 +102,9 @@ class SmrIncidence(Effect):
 
     @classmethod
     def error_derivatives(cls, incidence: Floats, direction: Floats) -> Floats:
-        """Derivative (n, 14) of the range error (reading - truth) with respect to minus each parameter.
+        """Change (n, 14) of the range correction (truth - reading) per unit of each parameter.
 
-        Incidence and direction are (n,) [rad].
+        `incidence` and `direction` (n,) [rad] are the angle of incidence and its direction around the nest's normal.
         """
         ramps, cubed = (
             _ramp_values(incidence),
@@ -117,7 +117,7 @@ class SmrIncidence(Effect):
 
     @cached_property
     def parameters_from_table(self) -> Floats:
-        """Parameters (14,) [m] that correspond to the table; they are corrections like all parameters."""
+        """Parameters (14,) [m] with the same range corrections as `table`; zeros without a table."""
         if not self.table:
             return np.zeros(len(self.parameters))
         middle_index = len(TABLE_ANGLES) // 2
@@ -142,6 +142,6 @@ class SmrIncidence(Effect):
         )
 
     def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings by the table and the parameters."""
+        """Change (n, 3) of the raw readings by the table and by parameters with `values` (14,) [m]."""
         change: Floats = self.design(sightings) @ (self.parameters_from_table + values)
         return change

@@ -18,10 +18,10 @@ class StationBump(StationMotion):
     pose(t) = pose + H(t - t_b) (translation, rotation). The parameters are the station's motion in the network frame,
     the rotation a vector through its origin (no correction of a reading).
 
-    Size: 5 um and 5 urad up to millimetres; it shows from 5.6 um together with 4 urad on.
+    Size: 5 um and 5 urad up to millimetres; it is detected from 5.6 um together with 4 urad on.
     Like: station-settling (smooth), range-step (ranges only), target-swap.
-    Separate by: a drift check on the first three targets.
-    Valid: one bump a visit, three pointings or more on either side; micrometres to millimetres.
+    Separate by: a repeat of the first three targets at the end of the station.
+    Valid: one bump per station, with three pointings or more before and after it; micrometres to millimetres.
     Source: the user manual of SpatialAnalyzer (drift check); the search over change points is derived here.
     Status: first order validated against the exact motion.
     """
@@ -40,7 +40,7 @@ class StationBump(StationMotion):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates at every gap of a visit with three pointings on either side."""
+        """Candidates at times between pointings of a station, with at least three pointings before and after."""
         return [cls((name,), time=time) for name, time in station_change_times(sightings, min_pointings=3)]
 
     def neighbours(self, sightings: Sightings) -> list[Self]:

@@ -13,13 +13,12 @@ class StationLevelling(StationMotion):
     """Levelling error: the level is wrong, so that the axis of a levelled station is inclined.
 
     w = R_i (b_x, b_y, 0): the parameters are the true lean of the instrument, a rotation vector about its own x and y
-    axes (no correction of a reading). One station with its own, or the same bias b at all of them (a level fixed to the
-    head).
+    axes (no correction of a reading). It acts at one station, or equally at all stations (a level fixed to the head).
 
     Size: 2 urad for a good level, 10 to 20 urad for a bad one.
-    Like: nothing, where the poses are free: then it is the pose, and leaves no residual.
-    Separate by: freeing the tilts and comparing; plumb lines converge by 0.157 urad a metre.
-    Valid: only levelled stations feel it.
+    Like: no effect; if the tilts of the stations are estimated, they absorb it, and the residuals do not change.
+    Separate by: an adjustment that estimates the tilts; plumb lines converge by 0.157 urad per metre.
+    Valid: levelled stations only.
     Source: the user manual of SpatialAnalyzer (weights of levels); ISO 10360-10:2021 (inclinometers).
     Status: first order validated against the exact motion.
     """

@@ -11,7 +11,7 @@ class StationNoise(NoiseLevel):
     Separate by: repeats at that station.
     Valid: white from pointing to pointing.
     Source: Teunissen 2000, Testing Theory: an introduction (weights come before tests).
-    Status: validated: zero gives the stated variance, other stations keep theirs.
+    Status: validated: with v = 0 the variance is the declared one; the variance at other stations does not change.
     """
 
     name = "station-noise"

@@ -9,7 +9,7 @@ from ltsim.physics.effects.motions import StationMotion
 from ltsim.scene.sightings import Sightings
 
 MOTION_COMPONENTS = [3, 4, 2]
-"""Components of a station's motion that settle: rotation about x, about y, translation along z."""
+"""Indices of the components of a station's motion that change: rotation about x, about y, translation along z."""
 
 
 @dataclass(frozen=True)
@@ -18,12 +18,12 @@ class StationSettling(StationMotion):
 
     pose(t) = pose + (1 - exp(-t_i / tau)) (tilts, height), t_i since the station's first pointing. The parameters are
     the final motion of the station itself in the network frame (no correction of a reading): rotation vectors about x
-    and y through its origin, and up. It starts anew at the next station and is the same on both faces.
+    and y through its origin, and a rise. It starts again at the next station and is the same on both faces.
 
     Size: under 1 urad on a good stand, 5 to 20 urad over 10 to 20 min on a bad one; a steel stand of 1.2 m grows 14
     um/K.
     Like: index-drift (one face), air-layer.
-    Separate by: two faces; the first targets again before leaving; a level on the head.
+    Separate by: two faces; a repeat of the first targets at the end of the station; a level on the head.
     Valid: time constants of 2 to 40 min.
     Source: the user manual of SpatialAnalyzer (drift check); the exponential is a choice.
     Status: first order validated against the exact motion.

@@ -7,13 +7,13 @@ from ltsim.scene.sightings import Sightings
 class StationWeather(Effect):
     """Wrong weather values at one station: a thermometer in the sun, a pressure in another unit.
 
-    Delta_d = d s_i at station i: 0.955 ppm a kelvin that the used temperature is too low, -0.268 ppm a hPa that the
-    used pressure is too low. That station sees the whole mesh larger or smaller.
+    Delta_d = d s_i at station i, with s_i = 0.955 ppm for each kelvin by which the used temperature is too low, and
+    -0.268 ppm for each hPa by which the used pressure is too low. All ranges of that station have this scale error.
 
-    Size: 1 K is 0.95 ppm, a slip of 10 hPa 2.7 ppm, mmHg for hPa (250 hPa) 67 ppm.
-    Like: mesh-expansion between stations (exact), range-step at the station's start (0.965).
-    Separate by: the weather values used at that station; the first station again at the end.
-    Valid: one constant index a visit.
+    Size: 0.95 ppm for an error of 1 K, 2.7 ppm for 10 hPa, 67 ppm for mmHg in place of hPa (250 hPa).
+    Like: mesh-expansion between stations (exactly), range-step at the station's start (0.965).
+    Separate by: the weather values used at that station; a repeat of the first station at the end.
+    Valid: a refractive index that is constant at each station.
     Source: Ciddor 1996, Appl. Opt. 35, 1566, doi:10.1364/AO.35.001566 (sensitivities by `effects.ciddor`).
     Status: validated against the range scale on the station's rows.
     """

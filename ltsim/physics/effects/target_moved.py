@@ -26,9 +26,9 @@ class TargetMoved(TargetMotion):
     of the target in the network frame (no correction of a reading), the same as seen from all stations.
 
     Size: 10 to 100 um.
-    Like: nest-lift, where the target was seen from one station afterwards.
+    Like: nest-lift, if only one station measured the target after the motion.
     Separate by: the target measured first and last from each station.
-    Valid: one step a target, between two stations' visits.
+    Valid: one step per target, between the pointings of two stations.
     Source: general knowledge of networks; Baarda 1968, A testing procedure for use in geodetic networks (its smallest
     detectable size).
     Status: first order validated against the exact motion.

@@ -13,13 +13,14 @@ from ltsim.scene.sightings import Sightings
 class TargetSwap(Blunder):
     """Swapped targets: at one station two reflectors have each other's name.
 
-    The reading of one is that of the other: the change is the partner's reading less the own one, times 1.
+    Each target has the reading of the other one. The change is therefore the reading of the other target minus that of
+    the target itself, times 1.
 
-    Size: the distance between the two.
+    Size: the distance between the two targets.
     Like: two outliers, equal and opposite.
-    Separate by: nothing is needed; the length of the miss is the distance of the two.
-    Valid: the parameter is 1 where it happened and 0 elsewhere; nothing in between means anything. A mistake of this
-    size is corrected before an adjustment, so `candidates` is empty and `possible_blunders` lists the pairs.
+    Separate by: no measurement is needed, because the residual equals the distance between the targets.
+    Valid: the parameter is 1 with the blunder and 0 without it. The blunder is corrected before an adjustment, so that
+    `candidates` is empty and `possible_blunders` lists the pairs.
     Source: general knowledge of networks.
     Status: validated against a recording with two names exchanged.
     """

@@ -17,14 +17,14 @@ def reading_rates(sightings: Sightings) -> Floats:
 class TimingLag(Effect):
     """Timing lag: a reading is taken before the axis has settled, or a channel is delayed.
 
-    Delta = rate of the reading times the lag, each channel with its own. The rate is that of the approach: the change
-    since the last pointing of the station over the time between them; none for a station's first pointing.
+    Delta = rate of the reading times the lag, with a separate lag for range, azimuth and elevation. The rate is the
+    change since the previous pointing of the station divided by the time since then; zero for its first pointing.
 
     Size: 0.1 to 1 ms; a target moved at 0.1 m/s is off by 100 um in 1 ms.
-    Like: backlash, where all moves take equally long.
+    Like: backlash, if all motions take the same time.
     Separate by: dwell times of 0.1, 1 and 5 s.
-    Valid: static targets in a steady rhythm; a head that hurries has a higher rate than the mean used here, so the lag
-    comes out too long by that ratio.
+    Valid: static targets at regular times. If the head turns faster than the mean rate used here, the estimated lag is
+    too long by the ratio of both rates.
     Source: general knowledge; the law is that of a delayed channel.
     Status: validated on a sequence of known rates; the size is general knowledge.
     """

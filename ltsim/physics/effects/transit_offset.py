@@ -5,12 +5,12 @@ from ltsim.physics.effects.effect import LightPathStage, Parameter, SlotEffect, 
 class TransitOffset(SlotEffect):
     """Transit offset: the transit axis does not intersect the standing axis.
 
-    Delta_d = f tau cos(el), Delta_elevation = -f tau sin(el) / d, tau positive forward: the only geometric term that
-    makes the two faces read different ranges, by 2 tau cos(el).
+    Delta_d = f tau cos(el), Delta_elevation = -f tau sin(el) / d, with tau positive forward. It is the only geometric
+    error with different ranges on the two faces; they differ by 2 tau cos(el).
 
     Size: under 3 um in a good tracker, 20 to 50 um in a bad one.
     Like: range-offset (0.83 / 0).
-    Separate by: two faces, at once: what shows from 67 um on in one face shows from 0.8 um on in two.
+    Separate by: two faces; the effect is detected from 67 um on in one face, from 0.8 um on in two faces.
     Valid: source in the rotating head; up to 0.1 mm.
     Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (x2).
     Status: validated against the exact chain in first order, and against the columns of the D-H chain.

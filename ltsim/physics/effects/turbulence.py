@@ -9,12 +9,14 @@ from ltsim.scene.sightings import Sightings
 class Turbulence(NoiseEffect):
     """Turbulence: the refractive index fluctuates, and the scatter of readings grows with the range.
 
-    var(D_t) and var(D_v) grow by C d^3, var(d) by C_r d: a change of the noise, not of its mean.
+    The variances of D_t and D_v increase by C d^3, that of d by C_r d. The noise changes, the mean reading does not.
 
-    Size: C of 100 um^2/m^3 on a shop floor; shielding a path of 2.5 m cut the lateral spread from 40 to 23 um there.
+    Size: C of 100 um^2/m^3 on a shop floor; there a shield around a path of 2.5 m reduced the lateral scatter from 40
+    to 23 um.
     Like: noise-level, small drifts.
     Separate by: repeats over minutes; a shielded path.
-    Valid: white from pointing to pointing; averaging within one helps less than 1 / sqrt(N).
+    Valid: errors that are independent between pointings; averaging N values within a pointing reduces them less than
+    1 / sqrt(N).
     Source: Chernov 1960, Wave Propagation in a Random Medium (a ray's displacement grows with d^3); Hughes et al. 2011,
     Meas. Sci. Technol. 22, 045103, doi:10.1088/0957-0233/22/4/045103 (sizes, second hand).
     Status: form validated; sizes second hand.

@@ -1,4 +1,4 @@
-"""Public functions of the catalogue: listing, registration, and effects from name, places and constants."""
+"""Public functions of the catalogue: list of effects, registration of effects, effects with places and constants."""
 
 import dataclasses
 import inspect
@@ -16,7 +16,7 @@ PLACE_FIELDS = ("stations", "targets")
 COMMON_FIELDS = {f.name for f in dataclasses.fields(AnyEffect)}
 """Fields that every effect has; the others are its constants."""
 MAX_SIMULATED_BOUND_RATIO = 100.0
-"""Factor beyond the bounds of a search up to which a length or time constant may be simulated."""
+"""Largest ratio of a simulated length or time to the upper bound of its search, or of the lower bound to it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,7 +25,7 @@ class SizedEffect:
 
     effect: AnyEffect
     parameter_values: Mapping[str, float]
-    """Values of the parameters by name, in units of display."""
+    """Values of the parameters by name, in display units."""
 
 
 S = TypeVar("S", bound=Signature | SizedEffect)
@@ -77,18 +77,18 @@ def Effect(  # noqa: N802 - it stands for a class of the catalogue
 
 
 def name_tuple(name_or_names: str | Sequence[str]) -> tuple[str, ...]:
-    """Names as a tuple, where a single name may be given without a list."""
+    """Names as a tuple, from a single name or a sequence of names."""
     return (name_or_names,) if isinstance(name_or_names, str) else tuple(name_or_names)
 
 
 def effect_tuple(effect_or_effects: str | S | Sequence[str | S]) -> tuple[str | S, ...]:
-    """Effects (names or objects) as a tuple, where a single one may be given without a list."""
+    """Effects (names or objects) as a tuple, from a single effect or a sequence of effects."""
     alone = isinstance(effect_or_effects, str) or not isinstance(effect_or_effects, Sequence)
     return (cast("str | S", effect_or_effects),) if alone else tuple(cast("Sequence[str | S]", effect_or_effects))
 
 
 def make_effect(name: str, places: Mapping[str, tuple[str, ...]], shape: Mapping[str, Any]) -> AnyEffect:
-    """Effect of the catalogue with its places and constants (in units of display if declared, otherwise SI).
+    """Effect of the catalogue with places and constants (in the catalogue's unit if it has one, otherwise SI).
 
     Raises ModelError for an unknown effect or constant, and for an invalid value.
     """
@@ -107,7 +107,7 @@ def make_effect(name: str, places: Mapping[str, tuple[str, ...]], shape: Mapping
 
 
 def _check_constants(effect: AnyEffect) -> None:
-    """Check of the constants of an effect: known words, and lengths and times near the searched range.
+    """Check that the constants of an effect are permitted words, and lengths and times near the bounds of a search.
 
     Raises ModelError with the constant and its permitted values.
     """
@@ -129,7 +129,7 @@ def _check_constants(effect: AnyEffect) -> None:
 
 
 def _constant_in_si(key: str, value: Any, default: Any, unit: float) -> Any:
-    """Constant in SI, converted to the type of its default."""
+    """Constant in SI with the type of its default; raises ModelError for a value of another type."""
     if isinstance(default, str) != isinstance(value, str) or isinstance(default, tuple) != isinstance(value, tuple):
         raise ModelError(f"{key} is {value!r}, expected something like {default!r}")
     if isinstance(default, int):

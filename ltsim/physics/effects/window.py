@@ -12,13 +12,13 @@ from ltsim.scene.sightings import Sightings
 GLASS_REFRACTIVE_INDEX = 1.5
 """Refractive index of glass."""
 SEQUENCE_FRACTIONS = (0.25, 0.12)
-"""Lengths of candidate sequences of targets, as fractions of a station's targets."""
+"""Numbers of neighbouring targets behind a candidate pane, as fractions of the station's targets."""
 PANE_ROTATIONS = (-0.15, -0.05, 0.05, 0.15)
-"""Rotations [rad] of a pane in the refinement."""
+"""Rotations [rad] of a pane about the vertical that a local search tries."""
 
 
 def _targets_by_azimuth(sightings: Sightings, station: str) -> list[int]:
-    """Targets that a station measured, in the order of their azimuths."""
+    """Indices of the targets that a station measured, in the order of their azimuths."""
     s = sightings.station_names.index(station)
     arm = sightings.target_points - sightings.station_positions[s]
     sighted = np.unique(sightings.target[sightings.station == s])

@@ -16,18 +16,19 @@ UNIT_ERRORS_BY_NAME = {slip.name: slip for slip in UNIT_ERRORS}
 
 @dataclass(frozen=True)
 class WrongUnit(Blunder):
-    """Wrong unit: the readings of a station are in other units, count another way, or hold zeniths for elevations.
+    """Wrong unit: readings of a station are in another unit, counted in the opposite sense, or zenith angles.
 
     The reading becomes the reading times a factor, or its complement to a right angle, or counts clockwise; the errors
     are those of `recordings.transcription_errors`.
 
     Size: metres.
-    Like: nothing; the pose fit misses by metres.
-    Separate by: nothing is needed.
-    Valid: the parameter is 1 where it happened and 0 elsewhere. A mistake of this size is mended before an adjustment,
-    so `candidates` is empty and `possible_blunders` lists the mistakes. Weather in a wrong unit is station-weather.
+    Like: nothing; residuals of the station's resection are metres.
+    Separate by: no measurement is needed.
+    Valid: the parameter is 1 with the blunder and 0 without it. The blunder is corrected before an adjustment, so that
+    `candidates` is empty and `possible_blunders` lists the possible blunders. Weather values in a wrong unit are the
+    effect station-weather.
     Source: definitions of the units; BIPM, The International System of Units (SI Brochure).
-    Status: validated on the readings: what the mend gives back is what was read.
+    Status: validated on the readings: the correction restores the original reading.
     """
 
     mistake: str = "gon"

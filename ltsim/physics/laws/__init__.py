@@ -1,1 +1,1 @@
-"""Empirical laws of unknown physics: a response depends on a regressor at a place. This package contains no search."""
+"""Empirical laws, in which an observable or constant depends on a regressor without a known physical cause."""

@@ -1,9 +1,10 @@
-"""Columns of regressors over the pointings, each with an rms of about one, and priors of their coefficients.
+"""Columns of regressors, with a row for each pointing and an rms of about one, and priors of their coefficients.
 
-A smooth curve is a Gaussian process in one covariate, in reduced rank: a linear part and the first eigenfunctions of
-the Laplacian on the covariate's range with the spectral density of a squared-exponential kernel as variances (Solin and
-Sarkka 2020, Hilbert space methods for reduced-rank Gaussian process regression, eq. 20); round a circle, Fourier
-waves. Several length scales share the columns and differ in the variances; so does a random walk.
+A smooth curve is a Gaussian process of reduced rank in one covariate. Its columns are a linear function and the first
+eigenfunctions of the Laplacian on the covariate's range. The prior variances of the coefficients are the spectral
+density of a squared-exponential kernel (Solin and Sarkka 2020, Hilbert space methods for reduced-rank Gaussian process
+regression, eq. 20). For an angle on a full circle the columns are Fourier waves. Curves with other length scales, and
+random walks, have the same columns and other variances.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,11 +23,12 @@ N_MODES_DEFAULT, N_MODES_FACTOR, N_MODES_FINE = 9, 4, 32
 """Number of eigenfunctions of a smooth regressor in the refinement. At the shortest of its length scales the last
 eigenfunction has a tenth to a third of the prior deviation of the first."""
 BASIS_HALF_WIDTH = 1.25
-"""Half-width of the interval at whose ends all eigenfunctions are zero, relative to that of the covariate: a curve need
-not be zero at the ends of the covariate's range.
+"""Width of the interval at whose ends all eigenfunctions are zero, divided by the width of the covariate's range. It is
+larger than 1 so that a curve need not be zero at the ends of the range.
 """
 LENGTH_SCALES = {N_MODES_DEFAULT: (0.9, 0.4, 0.18), N_MODES_FACTOR: (0.6,), N_MODES_FINE: (0.07,)}
-"""Length scales by number of eigenfunctions, in half-widths of the covariate's range; in radians on a circle."""
+"""Length scales of the kernel by number of eigenfunctions, divided by half the covariate's range; in radians on a
+circle."""
 MEMORY_PREFIXES = ("approach-", "move-", "last-", "work-", "wound-", "lapse")
 """Prefixes of the names of covariates that depend on preceding pointings."""
 SHORT_LAW_FUNCTIONS: dict[str, Callable[[Floats, float], Floats]] = {
@@ -46,46 +48,50 @@ SHORT_LAW_FUNCTIONS: dict[str, Callable[[Floats, float], Floats]] = {
     "within": lambda x, k: np.where(np.abs(x) < k, x, 0.0),
     "stuck": lambda x, k: np.where(np.abs(x) < k, np.sign(x), 0.0),
 }
-"""Functions of a covariate and a constant, from which short laws are formed."""
+"""Functions of a covariate x and a constant k that a law may have, by name."""
 PLAY_FUNCTION = "hysteresis"
-"""Name of the function with hysteresis: of the values of a covariate in the order of measurement, and of half the width
-of its loop.
+"""Name of the function with hysteresis. It depends on the values of a covariate in the order of measurement; its
+constant is half the width of the loop.
 """
 ZERO_FRACTION = 0.02
-"""Fraction of its largest value up to which an entry of a column counts as zero."""
+"""Smallest absolute value of a covariate divided by its largest. Below it the covariate counts as a quantity that has
+reached its natural zero, such as a load."""
 
 
 def has_natural_zero(covariate: Floats) -> bool:
-    """True for a quantity with a natural zero, such as a load.
+    """True for a covariate that comes close to zero, such as a load, whose zero is therefore taken as reference.
 
-    Another one, such as a temperature, is centred on its mean.
+    Other covariates, such as a temperature, are centred on their mean.
     """
     return bool(np.nanmin(np.abs(covariate)) < ZERO_FRACTION * np.nanmax(np.abs(covariate)))
 
 
 def scaled_to_unit_rms(column: Floats) -> Floats:
-    """A column (n, 1) with an rms of one."""
+    """Column (n, 1) divided by its rms; zeros are unchanged."""
     size = float(np.sqrt(np.mean(column**2)))
     return column / size if size > 0 else column
 
 
 N_HARMONICS = 5
-"""Number of harmonics of a periodic function of any shape."""
+"""Number of harmonics with which a periodic function of any shape is represented."""
 
 
 def fourier_columns(phase: Floats, n_harmonics: int) -> Floats:
-    """Cosines and sines (n, 2 count) of a phase (n,) and its multiples."""
+    """Cosines and sines (n, 2 n_harmonics) of the multiples of a phase (n,) [rad], each with an rms of about one."""
     return np.sqrt(2.0) * _unit_phasors(phase, n_harmonics).view(np.float64)
 
 
 def _unit_phasors(phase: Floats, n_harmonics: int) -> NDArray[np.complex128]:
-    """Unit complex numbers (n, count) of a phase (n,) and its multiples: powers of the first."""
+    """Complex numbers exp(i k phase), (n, n_harmonics), for a phase (n,) [rad] and k = 1 to `n_harmonics`."""
     first = np.broadcast_to(np.exp(1j * phase)[:, None], (len(phase), n_harmonics))
     return np.cumprod(first, axis=1)
 
 
 def smooth_curve_columns(name: str, covariate: Floats, n_modes: int) -> Floats:
-    """Columns of a smooth curve over a covariate (n,)."""
+    """Columns (n, k) of a smooth curve as a function of a covariate (n,).
+
+    A linear function and `n_modes` eigenfunctions; Fourier waves for a covariate of `CIRCULAR_COVARIATES`.
+    """
     if name in CIRCULAR_COVARIATES:
         return fourier_columns(covariate, (n_modes + 1) // 2)
     low, high = float(covariate.min()), float(covariate.max())
@@ -99,7 +105,10 @@ def smooth_curve_columns(name: str, covariate: Floats, n_modes: int) -> Floats:
 
 @cache
 def smooth_curve_sigmas(is_circular: bool, n_modes: int) -> tuple[Floats, ...]:
-    """Prior standard deviations of the coefficients of a curve, one array per length scale."""
+    """Prior standard deviations (k,) of the coefficients of a smooth curve, one array per length scale.
+
+    For curves that are not on a circle the last array is that of a random walk, unless `n_modes` is `N_MODES_FACTOR`.
+    """
     spreads = []
     if is_circular:
         orders = np.repeat(np.arange(1, n_modes // 2 + 1 + n_modes % 2), 2)
@@ -112,7 +121,7 @@ def smooth_curve_sigmas(is_circular: bool, n_modes: int) -> tuple[Floats, ...]:
 
 
 def function_column(sightings: Sightings, covariate: str, function_name: str, constant: float) -> Floats:
-    """Function (n, 1) of a covariate and a constant."""
+    """Column (n, 1) of a named function of a covariate with a constant, with an rms of one."""
     x = sightings.quantities[covariate]
     if function_name == PLAY_FUNCTION:
         slack = play_operator(x[sightings.measurement_order], constant)
@@ -127,9 +136,10 @@ def function_column(sightings: Sightings, covariate: str, function_name: str, co
 
 
 def play_operator(values: Floats, slack: float) -> Floats:
-    """Output (n,) of a play operator for a sequence (n,): it moves once the input has moved by the slack `slack`.
+    """Output (n,) of a play operator for a sequence of inputs (n,).
 
-    The operator of mechanical hysteresis (Krasnosel'skii and Pokrovskii, Systems with hysteresis, 1989).
+    The output stays constant until the input differs from it by `slack`, and then follows at this distance. This is the
+    operator of mechanical hysteresis (Krasnosel'skii and Pokrovskii, Systems with hysteresis, 1989).
     """
     output = np.empty_like(values)
     now = float(values[0]) if len(values) else 0.0
@@ -142,9 +152,10 @@ def play_operator(values: Floats, slack: float) -> Floats:
 def linear_field_columns(
     sightings: Sightings, names: Sequence[str], centre_targets: Sequence[str], *, is_quadratic: bool
 ) -> Floats:
-    """Constant and coordinates relative to the centre of some or all targets (n, 4).
+    """Columns of a field that varies across the hall: a constant and three scaled coordinates, (n, 4).
 
-    With `is_quadratic` also products (n, 10).
+    If `is_quadratic`, also the products of the coordinates, (n, 10). The coordinates are the covariates `names`,
+    relative to the mean over pointings to `centre_targets`, by default to all targets.
     """
     place = np.stack([sightings.quantities[name] for name in names], axis=1)
     ids = [i for name in centre_targets for i in sightings.target_indices[name]]
@@ -158,7 +169,7 @@ def linear_field_columns(
 
 
 def first_order_lag(sightings: Sightings, covariate: str, time_constant: float) -> Floats:
-    """Columns (n, 2): a covariate after a first-order lag with a time constant [s], and how far it is behind."""
+    """Columns (n, 2): a covariate after a first-order lag with a time constant [s], and the covariate minus this."""
     x = sightings.quantities[covariate]
     x = np.abs(x) if covariate.startswith(MEMORY_PREFIXES) else x - x.mean()
     slow = lagged_values(x, sightings, time_constant)
@@ -166,7 +177,10 @@ def first_order_lag(sightings: Sightings, covariate: str, time_constant: float) 
 
 
 def lagged_values(x: Floats, sightings: Sightings, memory: float) -> Floats:
-    """Values (n,) of a quantity (n,) after a first-order lag with a time constant [s], at its first value before."""
+    """Values (n,) of a quantity (n,) after a first-order lag with time constant `memory` [s].
+
+    Before the first pointing the quantity counts as constant.
+    """
     rows = sightings.measurement_order
     share = -np.expm1(-np.diff(sightings.time[rows], prepend=sightings.time[rows[0]]) / memory)
     slow = np.empty_like(x)
@@ -178,12 +192,12 @@ def lagged_values(x: Floats, sightings: Sightings, memory: float) -> Floats:
 
 
 def group_means(columns: Floats, groups: Ints) -> Floats:
-    """Mean (n, k) of columns (n, k) over the pointings with the same group number (n,)."""
+    """Mean (n, k) of columns (n, k) over all pointings of the same group; `groups` (n,) are their indices."""
     is_member = indicator_columns(groups, np.unique(groups)) > 0
     means: Floats = is_member @ ((is_member.T @ columns) / is_member.sum(axis=0)[:, None])
     return means
 
 
 def indicator_columns(group_indices: Ints, ids: Ints | Sequence[int]) -> Floats:
-    """Indicator columns (n, k): 1 where `group_indices` (n,) equals the id (k,)."""
+    """Indicator columns (n, k): 1 for pointings whose group index (n,) equals the index of the column (k,), else 0."""
     return (group_indices[:, None] == np.asarray(ids)).astype(np.float64)

@@ -1,6 +1,6 @@
-"""Empirical law: a response that depends on a regressor at a place, as an effect; and short formulas for it.
+"""Empirical law: an observable or constant that depends on a regressor at some stations or targets.
 
-Laws are tested, refitted and plotted like the effects of the catalogue.
+Laws have the same interface as the physical effects of the catalogue.
 """
 
 from __future__ import annotations
@@ -38,32 +38,34 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 MAX_INDEPENDENT_TARGETS = 12
-"""Largest number of targets in a group whose motions may differ from each other."""
+"""Largest number of targets in a group for which a law with separate motions of the targets is tried."""
 FACE_SIGN_REGRESSOR = scalar_regressor("face", "power")
-"""Regressor with the sign of the face: an elevation error proportional to it is the vertical index."""
+"""Regressor with the sign of the face, +1 or -1. An elevation error proportional to it is an error of the vertical
+index.
+"""
 MAX_PIECE_POSITIONS = 41
-"""Largest number of values of a covariate at which steps and ramps are tried."""
+"""Largest number of values of a covariate at which a search tries steps and ramps."""
 PER_SETUP_RESPONSE_KINDS = ("reading", "instrument", "circle", "stand")
-"""Kinds of responses that may differ between set-ups in size."""
+"""Kinds of responses whose errors may have different sizes in different set-ups."""
 MAX_SWITCH_EDGES = 60
-"""Largest number of values of a covariate at which a switch is tried."""
+"""Largest number of values of a covariate at which a search lets a switch turn on or off."""
 MAX_REFINED_PIECES = 4
-"""Largest number of steps and ramps of a law that a local search moves."""
+"""Largest number of steps and ramps of a law up to which a local search moves them."""
 PIECE_MOVE_GAPS = 6
-"""Number of gaps between covariate values by which a step or ramp moves in a refinement; also the smallest distance
-between two of them, since a few pointings do not determine a law."""
+"""Largest number of gaps between values of the covariate by which a local search moves a step or ramp. It is also the
+smallest number of gaps between two steps, because a few pointings do not determine a law."""
 MAGNITUDE_SEARCH_FUNCTIONS = (
     *("decay", "fading", "relaxing", "saturated", "lagging", "hysteresis", "saw", "slack", "within", "stuck"),
     *(TIME_DECAY_FUNCTION, POINTING_DECAY_FUNCTION),
 )
-"""Functions and kinds whose constant is first determined to within a factor."""
+"""Functions, and kinds of regressors, whose constant a local search multiplies by fixed factors."""
 LATCH_THRESHOLD_STEPS = np.array([-0.06, -0.02, 0.02, 0.06])
-"""Moves of the thresholds of a latch, as fractions of the span of its covariate."""
+"""Changes of the thresholds of a latch that a local search tries, as fractions of the covariate's span."""
 
 
 @dataclass(frozen=True)
 class EmpiricalLaw(CandidateEffect):
-    """Empirical law: a response that depends on a regressor, optionally at some stations or targets only."""
+    """Empirical law: an observable or constant (response) that depends on a regressor, at some places or everywhere."""
 
     stations: tuple[str, ...] = ()
     """Names of the stations at which the law acts; empty for all."""
@@ -80,16 +82,16 @@ class EmpiricalLaw(CandidateEffect):
     is_per_setup: bool = False
     """True if each set-up has separate coefficients."""
     direction: tuple[float, ...] = ()
-    """Ratio of the components of the response, in each set-up of `is_per_setup`: unit vector (c,) or (c S,).
+    """Fixed ratio of the c components of the response: unit vector (c,), or (c S,) for S separate set-ups.
 
-    The components then share one set of coefficients; empty where each has its own.
+    All components then share one set of coefficients. If it is empty, each component has separate coefficients.
     """
 
     name = "unknown"
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Coefficients, one per component of the response, set-up and column of the regressor, with priors."""
+        """Coefficients with priors, one per component of the response, separate set-up and column of the regressor."""
         spread = self.regressor.coefficient_sigmas[self.scale_index] * self.response.plausible_size
         spreads = spread * np.sqrt(self.components) if self.direction else np.tile(spread, self.components)
         return tuple(
@@ -99,7 +101,7 @@ class EmpiricalLaw(CandidateEffect):
 
     @property
     def components(self) -> int:
-        """Number of components of the response, at all set-ups if they differ by set-up."""
+        """Number of components of the response, times the number of set-ups if they have separate coefficients."""
         return len(self.response.component_names) * (len(self.stations) if self.is_per_setup else 1)
 
     @property
@@ -121,9 +123,9 @@ class EmpiricalLaw(CandidateEffect):
     def change_along_direction(
         self, component_changes: Floats, sightings: Sightings, rows: Ints | None = None
     ) -> Floats:
-        """Change (r, ..., 1) of readings along the law's direction from that by each component (r, ..., c).
+        """Change (r, ..., 1) of readings per unit along `direction`, from the changes (r, ..., c) by each component.
 
-        The pointings of the readings are `rows` (r,), all in order if None; without a direction nothing is changed.
+        Without a direction these are returned. `rows` (r,) are the indices of the pointings, by default all in order.
         """
         if not self.direction:
             return component_changes
@@ -139,9 +141,9 @@ class EmpiricalLaw(CandidateEffect):
         return along[..., None]
 
     def columns(self, sightings: Sightings) -> Floats:
-        """Regressor columns (n, k) of each component of the response, zero at other places.
+        """Columns (n, k) of the regressor at each pointing, zero at places where the law does not act.
 
-        (n, S k) for separate set-ups whose ratio is not fixed.
+        If S set-ups have separate coefficients and no `direction`, there are k columns for each, (n, S k).
         """
         columns = self.regressor.columns(sightings, acts_on_targets=self.response.kind == "target")
         columns = columns * self.row_weights(sightings)[:, None]
@@ -154,11 +156,11 @@ class EmpiricalLaw(CandidateEffect):
 
     @property
     def depends_on_fixed_region(self) -> bool:
-        """True if it follows a region of the hall at all times."""
+        """True if the law depends on a region of the hall during the whole measurement."""
         return self.regressor.region is not None
 
     def without_switch(self) -> EmpiricalLaw:
-        """The law of a region without its switch."""
+        """Law without the switch that limits a region to a part of the time; the law itself if it has none."""
         first, *others = self.regressor.factors or (self.regressor,)
         gated = first.region is not None and [f.kind for f in others] == ["switch"]
         return replace(self, regressor=first) if gated else self
@@ -174,51 +176,53 @@ class EmpiricalLaw(CandidateEffect):
         return self.regressor.hall_region.bounded_axes if self.regressor.hall_region else ""
 
     def centred_at(self, centre: tuple[float, ...]) -> EmpiricalLaw:
-        """Copy of the law with another region."""
+        """Copy of the law with its region of the hall centred at `centre` [m]."""
         region = self.regressor.hall_region
         if region is None:
             return self
         return replace(self, regressor=self.regressor.with_region(replace(region, centre=centre)))
 
     def neighbours(self, sightings: Sightings) -> list[EmpiricalLaw]:
-        """Variants of the law with a frequency, step, constant or region slightly changed, for a local search."""
-        driver = self.regressor
-        if driver.kind in ("wave", "cycle"):
-            step = 2 * np.pi * WAVE_RATE_STEP / float(np.ptp(sightings.quantities[driver.covariates[0]]))
-            rates = driver.constant + step * np.linspace(-0.9, 0.9, 19)
-            return [replace(self, regressor=replace(driver, constant=float(r))) for r in rates if r > 0]
+        """Variants of the law for a local search: one constant, step, frequency or region is changed a little."""
+        regressor = self.regressor
+        if regressor.kind in ("wave", "cycle"):
+            step = 2 * np.pi * WAVE_RATE_STEP / float(np.ptp(sightings.quantities[regressor.covariates[0]]))
+            rates = regressor.constant + step * np.linspace(-0.9, 0.9, 19)
+            return [replace(self, regressor=replace(regressor, constant=float(r))) for r in rates if r > 0]
         if self._movable_steps is not None:
             return self._with_moved_pieces(sightings, self._movable_steps)
-        if driver.hall_region is not None:
-            near = any(f.kind == "near" for f in (driver, *driver.factors))
-            moved = [r for r in driver.hall_region.neighbours() if not near or contains_several_targets(r, sightings)]
-            return [replace(self, regressor=driver.with_region(region)) for region in moved]
-        if driver.function in MAGNITUDE_SEARCH_FUNCTIONS or driver.kind in MAGNITUDE_SEARCH_FUNCTIONS:
-            sizes = [driver.constant * scale for scale in (0.6, 0.8, 1.25, 1.7)]
-            return [replace(self, regressor=replace(driver, constant=size)) for size in sizes]
-        if driver.kind == "latch":
+        if regressor.hall_region is not None:
+            near = any(f.kind == "near" for f in (regressor, *regressor.factors))
+            moved = [
+                r for r in regressor.hall_region.neighbours() if not near or contains_several_targets(r, sightings)
+            ]
+            return [replace(self, regressor=regressor.with_region(region)) for region in moved]
+        if regressor.function in MAGNITUDE_SEARCH_FUNCTIONS or regressor.kind in MAGNITUDE_SEARCH_FUNCTIONS:
+            sizes = [regressor.constant * scale for scale in (0.6, 0.8, 1.25, 1.7)]
+            return [replace(self, regressor=replace(regressor, constant=size)) for size in sizes]
+        if regressor.kind == "latch":
             return self._with_moved_thresholds(sightings)
-        if driver.function == FIXED_COUNT_RESET_FUNCTION:
-            return [replace(self, regressor=replace(driver, constant=driver.constant + k)) for k in (-1.0, 1.0)]
+        if regressor.function == FIXED_COUNT_RESET_FUNCTION:
+            return [replace(self, regressor=replace(regressor, constant=regressor.constant + k)) for k in (-1.0, 1.0)]
         return []
 
     def _with_moved_thresholds(self, sightings: Sightings) -> list[EmpiricalLaw]:
         """Laws with one threshold of the latch moved."""
-        driver = self.regressor
-        steps = np.ptp(sightings.quantities[driver.covariates[0]]) * LATCH_THRESHOLD_STEPS
-        neighbours = [replace(driver, constant=driver.constant + float(step)) for step in steps]
-        neighbours += [replace(driver, latch_release=driver.latch_release + float(step)) for step in steps]
+        regressor = self.regressor
+        steps = np.ptp(sightings.quantities[regressor.covariates[0]]) * LATCH_THRESHOLD_STEPS
+        neighbours = [replace(regressor, constant=regressor.constant + float(step)) for step in steps]
+        neighbours += [replace(regressor, latch_release=regressor.latch_release + float(step)) for step in steps]
         return [replace(self, regressor=d) for d in neighbours if d.latch_release < d.constant]
 
     @property
     def _movable_steps(self) -> Regressor | None:
-        """Steps and ramps, or switch, whose edges a local search moves; with a region of the hall that is moved."""
+        """Steps, ramps or switch that a local search moves; None if there are none, or if it moves a region instead."""
         several = [f for f in (self.regressor, *self.regressor.factors) if f.kind in ("pieces", "switch")]
         few = [f for f in several if f.kind == "switch" or len(f.factors) <= MAX_REFINED_PIECES]
         return few[0] if few and self.regressor.hall_region is None else None
 
     def _with_moved_pieces(self, sightings: Sightings, steps: Regressor) -> list[EmpiricalLaw]:
-        """Laws with one step or ramp moved to another gap between the values of its covariate."""
+        """Laws with one step or ramp moved to another gap between values of the covariate, or with another lag."""
         x = np.unique(sightings.quantities[steps.covariates[0]][self.row_weights(sightings) > 0])
         gaps = np.searchsorted(x, [piece.constant for piece in steps.factors])
         laws = []
@@ -234,14 +238,14 @@ class EmpiricalLaw(CandidateEffect):
         return laws + [self._with_factor(steps, replace(steps, constant=time)) for time in _other_lags(steps)]
 
     def _with_factor(self, old_factor: Regressor, new_factor: Regressor) -> EmpiricalLaw:
-        """Copy of the law with its regressor, or a factor of it, replaced."""
+        """Copy of the law in which `new_factor` replaces the regressor, or a factor of it, that equals `old_factor`."""
         if self.regressor == old_factor:
             return replace(self, regressor=new_factor)
         factors = tuple(new_factor if factor == old_factor else factor for factor in self.regressor.factors)
         return replace(self, regressor=replace(self.regressor, factors=factors))
 
     def candidate_formulas(self, sightings: Sightings) -> list[EmpiricalLaw]:
-        """Short formulas that may replace a smooth law."""
+        """Laws with a formula with at most one constant, which may replace the smooth curve of this law."""
         if self.regressor.kind == "smooth":
             short = short_regressors(sightings, self.regressor.covariates[0])
             return [replace(self, regressor=regressor, scale_index=0) for regressor in short]
@@ -257,15 +261,15 @@ class EmpiricalLaw(CandidateEffect):
         return [replace(self, regressor=regressor, scale_index=0) for regressor in products]
 
     def candidate_forms(self, sightings: Sightings) -> dict[str, list[list[EmpiricalLaw]]]:
-        """Forms that the law may have, by kind, each with its scales: the curve, short formulas, a finer curve."""
-        driver, forms = self.regressor, {"curve": [self], "formula": self.candidate_formulas(sightings)}
-        if driver.kind == "smooth":
-            n_modes = N_MODES_FINE if driver.constant > N_MODES_FACTOR else N_MODES_DEFAULT
-            forms["fine"] = [replace(self, regressor=smooth_regressor(driver.covariates[0], n_modes))]
+        """Alternative forms of the law by kind, each a list of laws that differ in the length scale only."""
+        regressor, forms = self.regressor, {"curve": [self], "formula": self.candidate_formulas(sightings)}
+        if regressor.kind == "smooth":
+            n_modes = N_MODES_FINE if regressor.constant > N_MODES_FACTOR else N_MODES_DEFAULT
+            forms["fine"] = [replace(self, regressor=smooth_regressor(regressor.covariates[0], n_modes))]
         if MIN_GROUP_TARGETS <= len(self.targets) <= MAX_INDEPENDENT_TARGETS and self.response.kind == "target":
-            forms["members"] = [replace(self, regressor=driver.per_target(self.targets), scale_index=0)]
-        if driver.kind == "wave":
-            forms["cycle"] = [replace(self, regressor=replace(driver, kind="cycle"))]
+            forms["members"] = [replace(self, regressor=regressor.per_target(self.targets), scale_index=0)]
+        if regressor.kind == "wave":
+            forms["cycle"] = [replace(self, regressor=replace(regressor, kind="cycle"))]
         return {
             kind: [[replace(law, scale_index=k) for k in range(len(law.regressor.coefficient_sigmas))] for law in laws]
             for kind, laws in forms.items()
@@ -273,7 +277,7 @@ class EmpiricalLaw(CandidateEffect):
         }
 
     def candidate_pieces(self, sightings: Sightings) -> list[Regressor]:
-        """Steps and ramps that may replace a smooth regressor."""
+        """Single steps and ramps, from which a sum may replace the smooth regressor of this law."""
         curved = [f for f in (self.regressor, *self.regressor.factors) if f.kind == "smooth"]
         if len(curved) != 1:
             return []
@@ -284,25 +288,22 @@ class EmpiricalLaw(CandidateEffect):
         return [scalar_regressor(name, function, float(edge)) for function in ("step", "ramp") for edge in edges]
 
     def with_pieces(self, steps: Sequence[Regressor]) -> EmpiricalLaw:
-        """Copy of the law with steps and ramps in place of its smooth regressor."""
-        made, driver = piecewise_regressor(steps), self.regressor
-        if driver.kind == "product":
-            made = replace(driver, factors=tuple(made if f.kind == "smooth" else f for f in driver.factors))
+        """Copy of the law with a sum of steps and ramps in place of its smooth regressor."""
+        made, regressor = piecewise_regressor(steps), self.regressor
+        if regressor.kind == "product":
+            made = replace(regressor, factors=tuple(made if f.kind == "smooth" else f for f in regressor.factors))
         return replace(self, regressor=made, scale_index=0)
 
     @property
     def switched_factor(self) -> Regressor | None:
-        """Curve or wave that a switch of the same covariate may replace; None if there is none.
-
-        It is the regressor itself, or the factor of a product that depends on time.
-        """
+        """Regressor, or factor depending on time, that a switch of its covariate may replace; None if there is none."""
         if self.regressor.kind in ("smooth", "wave"):
             return self.regressor
         replaced = (f for f in self.regressor.factors if f.kind in ("smooth", "wave") and f.covariates == ("time",))
         return next(replaced, None) if self.regressor.kind == "product" else None
 
     def candidate_switch_times(self, sightings: Sightings) -> list[Regressor]:
-        """Values of the covariate at which a switch may act; times for a law that depends on a region of the hall."""
+        """Steps at the values of the covariate where a switch may turn on or off; times for a law of a region."""
         replaced = self.switched_factor
         if replaced is None and not self.depends_on_fixed_region:
             return []
@@ -312,15 +313,15 @@ class EmpiricalLaw(CandidateEffect):
         return [scalar_regressor(name, "step", float(edge)) for edge in 0.5 * (x[1:] + x[:-1])]
 
     def with_steps(self, steps: Sequence[Regressor]) -> EmpiricalLaw:
-        """Copy of the law with an amount of its own after each of several steps."""
+        """Copy of the law with a sum of steps, each with a separate coefficient, as its regressor or a factor of it."""
         return replace(self, regressor=self._regressor_with_gate(piecewise_regressor(steps)), scale_index=0)
 
     def with_switch(self, edges: Sequence[Regressor]) -> EmpiricalLaw:
-        """Copy of the law with a switch as its regressor, or as the first factor of it."""
+        """Copy of the law with a switch that turns on and off at `edges`, as its regressor or a factor of it."""
         return replace(self, regressor=self._regressor_with_gate(switch_regressor(edges)), scale_index=0)
 
     def _regressor_with_gate(self, gate: Regressor) -> Regressor:
-        """Regressor with a gate in place of the factor that it replaces; that of a region is multiplied by it."""
+        """Regressor with `gate` (steps or a switch) in place of `switched_factor`; a region's is multiplied by it."""
         if self.depends_on_fixed_region:
             return Regressor("product", factors=(self.regressor, gate))
         others = [f for f in self.regressor.factors if f != self.switched_factor]
@@ -329,61 +330,70 @@ class EmpiricalLaw(CandidateEffect):
     def equivalent_index_law(self, sightings: Sightings) -> EmpiricalLaw:
         """Law of the vertical index that is equivalent to this law of the elevation; the law itself if there is none.
 
-        It is equivalent if the error changes sign with the face, or is constant on a single face.
+        A law is equivalent if its error changes sign with the face. With readings on one face only, it is equivalent if
+        it depends on time or on columns of the recording alone.
         """
         if self.response.name != "elevation":
             return self
         index = replace(RESPONSES_BY_NAME["vertical index"][0], plausible_size=self.response.plausible_size)
-        driver = self.regressor
-        names = {*driver.covariates, *(n for f in driver.factors for n in f.covariates)}
+        regressor = self.regressor
+        names = {*regressor.covariates, *(n for f in regressor.factors for n in f.covariates)}
         single_face = not np.ptp(sightings.face)
         if single_face and names <= {*CLOCK_COVARIATES, *sightings.covariates}:
             return replace(self, response=index)
-        face, *rest = driver.factors or (driver, CONSTANT_REGRESSOR)
+        face, *rest = regressor.factors or (regressor, CONSTANT_REGRESSOR)
         is_index = face == FACE_SIGN_REGRESSOR and len(rest) == 1
         return replace(self, response=index, regressor=rest[0]) if is_index else self
 
     def per_setup(self, sightings: Sightings) -> EmpiricalLaw | None:
-        """Law with separate coefficients for each set-up; None if that is not possible."""
+        """Law with separate coefficients for each set-up; None for laws for which this is not defined."""
         stations = tuple(sightings.station_names)
-        confined = len(self.stations) > 1 or self.targets or self.instruments
-        once = self.regressor.kind in ("product", "amounts") or self.response.kind not in PER_SETUP_RESPONSE_KINDS
-        if confined or once or len(stations) < 2:
+        is_restricted = len(self.stations) > 1 or self.targets or self.instruments
+        is_unsuitable = (
+            self.regressor.kind in ("product", "amounts") or self.response.kind not in PER_SETUP_RESPONSE_KINDS
+        )
+        if is_restricted or is_unsuitable or len(stations) < 2:
             return None
         return replace(self, stations=stations, is_per_setup=True) if len(stations) <= MAX_SEPARATE_SETUPS else None
 
     def law_at_largest_effect(
         self, mean: Floats, covariance: Floats, sightings: Sightings
     ) -> tuple[EmpiricalLaw, Floats, Floats, Floats]:
-        """Law at the set-up of its largest effect, main direction (c,), coefficients (c, k) and their covariance.
+        """Law restricted to the set-up where its effect is largest, with its main direction and coefficients there.
 
-        For components with different units the main direction is one of the components.
+        Returns the law, the unit vector (c,) of the direction with the largest effect, the coefficients (c, k) of its c
+        components and k columns, and their covariance (c, k, c, k). For components with different units the direction
+        is one of the components. `mean` and `covariance` are those of all coefficients of this law [SI].
         """
-        ways, k = len(self.response.component_names), self.regressor.n_columns
+        n_components, k = len(self.response.component_names), self.regressor.n_columns
         if self.direction:
             ratios = np.array(self.direction)
             mean = np.kron(ratios, mean).astype(np.float64)
             covariance = np.kron(np.outer(ratios, ratios), covariance).astype(np.float64)
-        shape = (ways, len(mean) // (ways * k), k)
+        shape = (n_components, len(mean) // (n_components * k), k)
         means, spread = mean.reshape(shape), covariance.reshape(*shape, *shape)
         columns = self.regressor.columns(sightings)
         if self.is_per_setup:
             rows = [sightings.station == sightings.station_names.index(name) for name in self.stations]
             size = [float(np.sum((columns[r] @ means[:, i].T) ** 2)) for i, r in enumerate(rows)]
-        top = int(np.argmax(size)) if self.is_per_setup else 0
+        largest = int(np.argmax(size)) if self.is_per_setup else 0
         law = self
         if self.is_per_setup:
-            law = replace(self, stations=(self.stations[top],), is_per_setup=False, direction=())
-        moved = columns[law.row_weights(sightings) > 0] @ means[:, top].T
+            law = replace(self, stations=(self.stations[largest],), is_per_setup=False, direction=())
+        moved = columns[law.row_weights(sightings) > 0] @ means[:, largest].T
         moved = moved - moved.mean(axis=0) if self.regressor.kind != "constant" else moved
-        way = np.linalg.svd(moved, full_matrices=False)[2][0]
-        way = np.eye(ways)[np.argmax(np.sum(moved**2, axis=0))] if self.response.component_units else way
-        way = way * np.sign(way[np.argmax(np.abs(way))])
-        return law, way, means[:, top], spread[:, top, :, :, top, :]
+        main_direction = np.linalg.svd(moved, full_matrices=False)[2][0]
+        main_direction = (
+            np.eye(n_components)[np.argmax(np.sum(moved**2, axis=0))]
+            if self.response.component_units
+            else main_direction
+        )
+        main_direction = main_direction * np.sign(main_direction[np.argmax(np.abs(main_direction))])
+        return law, main_direction, means[:, largest], spread[:, largest, :, :, largest, :]
 
 
 def _other_lags(steps: Regressor) -> list[float]:
-    """Time constants [s] of the lag of a switch in time, other than its own."""
+    """Time constants [s] that a local search tries for the lag of a switch in time; empty for other regressors."""
     if steps.kind != "switch" or steps.covariates != ("time",):
         return []
     return [0.0, *(steps.constant * s for s in (0.6, 1.7))] if steps.constant else list(LAG_TIME_CONSTANTS)

@@ -1,4 +1,4 @@
-"""Names of catalogue effects that laws are equivalent to, such as `index-drift` for a decaying vertical index."""
+"""Names of the catalogue effects that laws are equivalent to, such as `index-drift` for a decaying vertical index."""
 
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressors import CLOCK_COVARIATES, Regressor
@@ -12,48 +12,49 @@ CATALOGUE_NAMES = {
 }
 """Catalogue effect by response and covariate, for laws with an equivalent in the catalogue."""
 TIME_FUNCTIONS_OF_MOVED_TARGET = ("step", "power", "decay")
-"""Functions of time of a target's position that are a step or a creep, which the catalogue contains."""
+"""Functions of time that describe a target's position in the effect `target-moved`: a step, steady or decaying
+motion."""
 CIRCLE_RESPONSES = {"azimuth": ("azimuth",), "elevation": ("elevation", "vertical index")}
-"""Responses of the graduation of a circle, by circle."""
+"""Names of the responses that an error of the graduation changes, by circle."""
 MIN_HARMONIC_PERIODS_PER_TURN = 2.5
-"""Periods per turn from which a wave of a circle is a harmonic of higher than second order; the ordinary calibration
-contains the lower orders."""
+"""Periods per turn above which a wave in the angle of a circle is called a harmonic. The ordinary calibration contains
+waves with one and two periods per turn."""
 MIN_GRADUATION_PERIODS_PER_TURN = 20.0
-"""Periods per turn from which a wave of a circle is an error of the graduation."""
+"""Periods per turn above which a wave in the angle of a circle is called an interpolation error of the encoder."""
 
 
 def catalogue_name(law: EmpiricalLaw) -> str:
-    """Catalogue name of a law; `unknown` if there is none."""
-    driver, carrier = law.regressor, law.response.name
+    """Name of the catalogue effect that a law is equivalent to; `unknown` if there is none."""
+    regressor, response_name = law.regressor, law.response.name
     if (
-        driver.kind == "wave"
-        and carrier in CIRCLE_RESPONSES.get(driver.covariates[0], ())
-        and driver.constant > MIN_HARMONIC_PERIODS_PER_TURN
+        regressor.kind == "wave"
+        and response_name in CIRCLE_RESPONSES.get(regressor.covariates[0], ())
+        and regressor.constant > MIN_HARMONIC_PERIODS_PER_TURN
     ):
         return (
             "encoder-interpolation"
-            if driver.constant > MIN_GRADUATION_PERIODS_PER_TURN
-            else f"{driver.covariates[0]}-harmonic"
+            if regressor.constant > MIN_GRADUATION_PERIODS_PER_TURN
+            else f"{regressor.covariates[0]}-harmonic"
         )
-    if driver.kind == "wave" and carrier == "distance" and driver.covariates == ("distance",):
+    if regressor.kind == "wave" and response_name == "distance" and regressor.covariates == ("distance",):
         return "range-cyclic"
-    if driver.kind == "constant" and carrier == "distance" and not law.targets:
+    if regressor.kind == "constant" and response_name == "distance" and not law.targets:
         return "reflector-constant" if len(law.stations) == 1 else "range-offset"
     if (
-        carrier == "place of targets"
+        response_name == "place of targets"
         and len(law.targets) == 1
-        and driver.covariates == ("time",)
-        and _is_step_or_creep(driver)
+        and regressor.covariates == ("time",)
+        and _is_step_or_creep(regressor)
     ):
         return "target-moved"
-    name = CATALOGUE_NAMES.get((carrier, "".join(driver.covariates)), law.name)
-    if law.instruments and name == "refractivity-drift":  # the air is of all
+    name = CATALOGUE_NAMES.get((response_name, "".join(regressor.covariates)), law.name)
+    if law.instruments and name == "refractivity-drift":  # all instruments share the air
         return law.name
-    return name if driver.function in ("decay", "power") else law.name
+    return name if regressor.function in ("decay", "power") else law.name
 
 
 def _is_step_or_creep(regressor: Regressor) -> bool:
-    """True for a single step in time, or a steady or fading motion."""
+    """True for a regressor of time that describes a single step, or a steady or decaying motion."""
     if regressor.kind == "pieces":
         return len(regressor.factors) == 1 and _is_step_or_creep(regressor.factors[0])
     return regressor.function in TIME_FUNCTIONS_OF_MOVED_TARGET

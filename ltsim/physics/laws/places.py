@@ -12,37 +12,41 @@ from ltsim.core.arrays import Ints
 from ltsim.scene.sightings import Sightings
 
 NEIGHBOUR_GROUP_SIZES = (3, 6)
-"""Numbers of nearest targets that may move together with a target."""
+"""Numbers of nearest neighbours with which a target forms a candidate group."""
 HEIGHT_WEIGHT = 5.0
-"""Weight of heights in the clustering by levels: a fifth of the room's height is equivalent to surfaces at 60 deg."""
+"""Weight of heights in the clustering of targets by height and surface. A difference of a fifth of the hall's extent
+then counts as much as normals that differ by 60 deg."""
 MIN_GROUP_TARGETS = 3
-"""Smallest number of targets in a group, and of targets outside it."""
+"""Smallest number of targets in a group, and smallest number of targets that are not in it."""
 
 
 @dataclass(frozen=True)
 class LawPlace:
-    """Place of a law: names of set-ups or targets, and their pointings."""
+    """Place at which a law acts: names of set-ups, targets or instruments, and the pointings there."""
 
     stations: tuple[str, ...]
     targets: tuple[str, ...]
     rows: Ints
-    """Row numbers of the pointings at this place."""
+    """Row indices of the pointings at this place."""
     instruments: tuple[str, ...] = ()
 
 
 def rows_by_name(names: Sequence[str], members: Ints) -> Iterator[tuple[str, Ints]]:
-    """Pairs of name and pointings, for names that have pointings."""
+    """Pairs of a name and the row indices of its pointings, for each name with pointings.
+
+    `members` (n,) is the index in `names` of each pointing.
+    """
     rows = ((name, np.flatnonzero(members == i)) for i, name in enumerate(names))
     return (pair for pair in rows if len(pair[1]))
 
 
 def station_names_of_rows(sightings: Sightings, rows: Ints) -> tuple[str, ...]:
-    """Names of the set-ups of some pointings."""
+    """Names of the set-ups at the pointings `rows`."""
     return tuple(sightings.station_names[k] for k in np.unique(sightings.station[rows]))
 
 
 def instrument_places(sightings: Sightings, names: Sequence[str]) -> tuple[LawPlace, ...]:
-    """Places of several instruments, each with all set-ups of one."""
+    """Places of laws of single instruments, each with all set-ups of one; empty if there is only one instrument."""
     places = tuple(
         LawPlace(station_names_of_rows(sightings, rows), (), rows, (name,))
         for name, rows in rows_by_name(names, sightings.instrument)
@@ -51,19 +55,19 @@ def instrument_places(sightings: Sightings, names: Sequence[str]) -> tuple[LawPl
 
 
 def target_clusters(sightings: Sightings) -> set[tuple[int, ...]]:
-    """Groups of related targets: by position, and by the surface or level on which they are mounted.
+    """Groups of related targets, as sorted indices: by position, by surface, and by height and surface.
 
-    The groups are the branches of three cluster trees (average linkage); a surface is identified by the normals of its
-    nests.
+    The groups are the branches of three cluster trees (average linkage). Nests with similar normals count as mounted on
+    the same surface.
     """
     if len(sightings.target_points) < 2 * MIN_GROUP_TARGETS:
         return set()
-    look = np.nan_to_num(sightings.nest_normals) * np.ptp(sightings.target_points, axis=0).max()
+    scaled_normals = np.nan_to_num(sightings.nest_normals) * np.ptp(sightings.target_points, axis=0).max()
     groups = set()
     for features in (
         sightings.target_points,
-        np.hstack([sightings.target_points, look]),
-        np.hstack([sightings.target_points[:, 2:] * HEIGHT_WEIGHT, look]),
+        np.hstack([sightings.target_points, scaled_normals]),
+        np.hstack([sightings.target_points[:, 2:] * HEIGHT_WEIGHT, scaled_normals]),
     ):
         tree = [[t] for t in range(len(features))]
         for first, second in linkage(features, "average")[:, :2].astype(int):
@@ -73,7 +77,7 @@ def target_clusters(sightings: Sightings) -> set[tuple[int, ...]]:
 
 
 def neighbour_groups(sightings: Sightings) -> set[tuple[int, ...]]:
-    """Groups of a target and its nearest neighbours."""
+    """Groups of each target and its nearest neighbours, as sorted indices."""
     near = [
         np.argsort(np.linalg.norm(sightings.target_points - point, axis=1), kind="stable")
         for point in sightings.target_points
@@ -82,7 +86,7 @@ def neighbour_groups(sightings: Sightings) -> set[tuple[int, ...]]:
 
 
 def connected_groups(sightings: Sightings, lengths: Iterable[tuple[str, str]]) -> set[tuple[int, ...]]:
-    """Groups of targets that are connected by reference lengths, such as on a gauge."""
+    """Groups of targets, as indices, that are connected by reference lengths, such as the targets of a gauge."""
     index = {name: i for i, name in enumerate(sightings.target_names)}
     pairs = [(index[a], index[b]) for a, b in lengths if a in index and b in index]
     if not pairs:
@@ -94,7 +98,7 @@ def connected_groups(sightings: Sightings, lengths: Iterable[tuple[str, str]]) -
 
 
 def group_places(sightings: Sightings, target_groups: set[tuple[int, ...]]) -> Iterator[LawPlace]:
-    """Places for groups of targets, with the pointings to them."""
+    """Places of laws of groups of targets, each with the pointings to the group."""
     for members in sorted(target_groups):
         rows = np.flatnonzero(np.isin(sightings.target, members))
         if len(rows):

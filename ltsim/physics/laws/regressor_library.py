@@ -1,8 +1,9 @@
-"""Library of regressors: base quantities, and a few operators on the order of measurement that are applied to them.
+"""Library of regressors: base quantities, and operators that use the order of measurement.
 
-Base quantities are those of a pointing, the clock, and the additional columns of the recording. The operators are:
-previous value, change since then, sum of changes or of their magnitudes, first-order lag, separate amount per station
-or per previous target. Each operator, and each product, multiplies the prior odds by `OPERATOR_ODDS`.
+Base quantities are the readings and places of a pointing, the time, and the additional columns of the recording. The
+operators are: value at the previous pointing, change since then, accumulated changes, first-order lag, and a separate
+amount per station or per previous target. Each operator, and each product, multiplies the prior odds by
+`OPERATOR_ODDS`.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -36,7 +37,7 @@ from ltsim.scene.sightings import Sightings
 RAW_READING_NAMES = ("azimuth", "elevation", "distance")
 """Names of the three raw readings as covariates."""
 BASE_COVARIATES = (*RAW_READING_NAMES, "time", "station-time", "height", "bearing", "x", "y")
-"""Covariates that need no memory of earlier pointings."""
+"""Covariates that do not depend on earlier pointings."""
 _CIRCLE_COVARIATES = ("circle", "vertical-circle")
 _NEST_COVARIATES = ("incidence", "nest-direction")
 _SIGN_COVARIATES = ("face", "approach-azimuth", "approach-elevation", "parity", "seating-parity", "repeat")
@@ -93,42 +94,43 @@ COVARIATES_BY_KIND: dict[str, tuple[str, ...]] = {
     "reflector": ("time", "lapse", "last-target", *_SIGN_COVARIATES[3:], *_NEST_COVARIATES),
     "air": CLOCK_COVARIATES,
 }
-"""Covariates that each kind of response can depend on, in addition to columns of the recording. A wall does not depend
-on the pointing of a tracker, but its stand does, because a head is not balanced exactly and the floor yields under the
-operator.
+"""Covariates that each kind of response can depend on, in addition to columns of the recording. The position of a wall
+cannot depend on where a tracker points. That of a stand can, because a head is not balanced exactly and the floor
+yields under the operator.
 """
 MIN_EFFECTIVE_TARGETS = 2.5
-"""Smallest effective number of targets near a position."""
+"""Smallest effective number of targets in a region for a law of the targets near it. With fewer, the error is that of a
+single target."""
 NEARNESS_REGION_SHAPES = ("xyz", "xy")
-"""Shapes of the regions for nearness of targets."""
+"""Shapes of the regions for laws that depend on the distance of targets from a position."""
 TEMPORARY_REGION_SHAPES = ("xy", "x", "y", "z")
-"""Shapes of the regions that may act for a part of the work."""
+"""Shapes of the regions that may act during a part of the measurement."""
 TIME_PART_COUNTS, MIN_DISTINCT_TIMES = (2, 4), 12
-"""Smallest number of distinct times with which a recording is divided into parts."""
+"""Smallest number of distinct times for which a search divides a recording into parts in time."""
 DECAY_TIME_FRACTIONS = np.array([0.03, 0.1, 0.3, 1.0])
-"""Time constants of decays, as fractions of a clock's span; every time constant in between is within a factor of two of
-one.
+"""Time constants of decays that a search tries, as fractions of the span of the time. Each time constant in between
+differs by less than a factor of two from one of them.
 """
 HYSTERESIS_HALF_WIDTHS = np.array([0.05, 0.15, 0.3])
-"""Half-widths of hysteresis loops, as fractions of a covariate's span."""
+"""Half-widths of hysteresis loops that a search tries, as fractions of the covariate's span."""
 DEAD_BAND_QUANTILES = (0.15, 0.3, 0.5)
-"""Limits of dead bands, as quantiles of the sizes of the moves."""
+"""Limits of dead bands that a search tries, as quantiles of the sizes of an axis' motions."""
 LAG_TIME_CONSTANTS = (60.0, 300.0, 1000.0, 3000.0)
-"""Time constants [s] of lags that are tried: of detectors, instrument parts, stands, walls and floors."""
+"""Time constants [s] of lags that a search tries: of detectors, instrument parts, stands, walls and floors."""
 MIN_SEPARATE_SETUPS, MAX_SEPARATE_SETUPS, MAX_SEPARATE_TARGETS = 3, 12, 60
-"""Largest number of targets with separate values."""
+"""Largest number of targets up to which each may have a separate amount."""
 MAX_GROUP_STEP_TIMES = 12
-"""Largest number of times at which a step of a group is tried; the best one is refined."""
+"""Number of times at which a search tries a step of a group of targets. The best step is refined afterwards."""
 WAVE_RATE_STEP = 0.6
-"""Step between the rates tried for a wave, in cycles over the covariate's span, so that every rate
-is near a tried one.
+"""Distance between the frequencies of waves that a search tries, in cycles over the covariate's span. Each frequency is
+then close enough to one of them.
 """
 MAX_WAVE_CYCLES, MIN_POINTINGS_PER_CYCLE = 60, 8
-"""Smallest number of pointings per cycle of a wave."""
+"""Smallest number of pointings per cycle of a wave that a search tries."""
 MIN_COVARIATE_SPREAD = 1e-12
-"""Spread [rad, m, s] of a quantity below which it counts as constant: equal elevations differ by rounding alone."""
+"""Span [rad, m, s] of a covariate up to which it counts as constant, because equal elevations differ by rounding."""
 OPERATOR_ODDS = 1.0 / 3.0
-"""Factor on the prior odds for each operator or second factor: odds of one in three that it occurs."""
+"""Factor on the prior odds of a regressor for each operator and each further factor."""
 OPERATOR_COUNTS = {
     "constant": 0,
     "sign": 0,
@@ -151,16 +153,16 @@ OPERATOR_COUNTS = {
     "room": 1,
     "product": 2,
 }
-"""Number of operators, and of factors beyond one, of each kind of regressor."""
+"""Number of operators and further factors of each kind of regressor, the exponent of `OPERATOR_ODDS`."""
 
 
 def additional_columns(sightings: Sightings) -> list[str]:
-    """Additional columns of the recording that vary."""
+    """Names of the additional columns of the recording whose values vary."""
     return [name for name, values in sightings.covariates.items() if np.nanstd(values) > 0]
 
 
 def _varying_covariates(sightings: Sightings, covariates: Iterable[str]) -> list[str]:
-    """Names of the quantities that vary in these sightings."""
+    """Names of the given covariates that vary in these sightings and are known."""
     has_nests, faces = np.isfinite(sightings.incidence).any(), np.ptp(sightings.face) > 0
     asked = [
         n for n in covariates if (has_nests or n not in _NEST_COVARIATES) and (faces or n not in _CIRCLE_COVARIATES)
@@ -170,7 +172,7 @@ def _varying_covariates(sightings: Sightings, covariates: Iterable[str]) -> list
 
 
 def is_admissible(response_kind: str, regressor: Regressor, sightings: Sightings) -> bool:
-    """True if a regressor can cause changes of a kind of response; readings may depend on every regressor."""
+    """True if a response of a given kind can depend on a regressor. A reading can depend on every regressor."""
     names = [*regressor.covariates, *(n for f in regressor.factors if f.kind != "field" for n in f.covariates)]
     return response_kind == "reading" or all(
         n in COVARIATES_BY_KIND[response_kind] or operator_input(n) in sightings.covariates for n in names
@@ -178,7 +180,7 @@ def is_admissible(response_kind: str, regressor: Regressor, sightings: Sightings
 
 
 def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -> dict[str, list[Regressor]]:
-    """All regressors that are tried, by kind; smooth ones with `n_modes` eigenfunctions."""
+    """Regressors that a search tries, by kind; smooth regressors have `n_modes` eigenfunctions."""
     s, columns = sightings, additional_columns(sightings)
     base = _varying_covariates(s, (*BASE_COVARIATES, *columns, *_CIRCLE_COVARIATES, *_NEST_COVARIATES))
     before = _varying_covariates(s, (*MEMORY_COVARIATES, *(f"{how}-{name}" for how in OPERATORS for name in columns)))
@@ -233,7 +235,7 @@ def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -
 
 
 def dead_band_regressors(sightings: Sightings) -> list[Regressor]:
-    """Drivers that act at short moves of an axis alone: what a drive or a contact does not follow."""
+    """Regressors that are zero for long motions of an axis: a drive or contact that does not follow short motions."""
     return [
         scalar_regressor(name, how, float(k))
         for name in _varying_covariates(sightings, ("move-azimuth", "move-elevation"))
@@ -244,12 +246,12 @@ def dead_band_regressors(sightings: Sightings) -> list[Regressor]:
 
 
 def contains_several_targets(region: HallRegion, sightings: Sightings) -> bool:
-    """True if several targets are in a region: with one alone the error belongs to that target."""
+    """True if the effective number of targets in a region is above `MIN_EFFECTIVE_TARGETS`."""
     return region.n_effective_targets(sightings) > MIN_EFFECTIVE_TARGETS
 
 
 def temporary_region_regressors(sightings: Sightings, function: str = "") -> Iterator[Regressor]:
-    """Regressors of regions of the hall that act in one part of the work."""
+    """Iterator over regressors of regions of the hall that act during one part of the measurement."""
     time, regions = np.unique(sightings.time), candidate_regions(sightings, TEMPORARY_REGION_SHAPES)
     if len(time) < MIN_DISTINCT_TIMES or not regions:
         return
@@ -265,7 +267,7 @@ def temporary_region_regressors(sightings: Sightings, function: str = "") -> Ite
 
 
 def single_target_regressors(sightings: Sightings) -> list[Regressor]:
-    """Regressors of single targets: functions of time, or of additional columns of the recording."""
+    """Regressors for laws of single targets: functions of time, or of additional columns of the recording."""
     names = _varying_covariates(sightings, ("time", *additional_columns(sightings)))
     straight = [scalar_regressor(name, "power") for name in names]
     return [
@@ -276,7 +278,7 @@ def single_target_regressors(sightings: Sightings) -> list[Regressor]:
 
 
 def target_group_regressors(sightings: Sightings) -> dict[str, list[Regressor]]:
-    """Regressors of a group of targets: joint motion, sudden or gradual, different at each set-up, or a tilt."""
+    """Regressors for motions of a group of targets, by kind: sudden, gradual, different at each set-up, or a tilt."""
     local, each, steps = single_target_regressors(sightings), visits(sightings, 2), _step_regressors(sightings)
     return {
         "constant": [CONSTANT_REGRESSOR],
@@ -293,7 +295,7 @@ def target_group_regressors(sightings: Sightings) -> dict[str, list[Regressor]]:
 
 
 def _step_regressors(sightings: Sightings) -> list[Regressor]:
-    """Steps in time, at pauses spread evenly over the measurement."""
+    """Regressors of steps in time, at `MAX_GROUP_STEP_TIMES` times spread evenly over the pointings."""
     clock = np.unique(sightings.time)
     if len(clock) < MAX_GROUP_STEP_TIMES:
         return []
@@ -302,24 +304,25 @@ def _step_regressors(sightings: Sightings) -> list[Regressor]:
 
 
 def _seating_parity_differs(sightings: Sightings) -> bool:
-    """True if seatings and pointings alternate differently."""
+    """True if the parity of the seatings differs from the parity of the pointings, up to its sign."""
     parity, seating = (sightings.quantities[name] for name in ("parity", "seating-parity"))
     return abs(float(parity @ seating)) < len(parity)
 
 
 def visits(sightings: Sightings, min_setups: int) -> list[Regressor]:
-    """Regressor with a separate amount for each set-up; none for fewer than `min_setups`, and for many."""
+    """Regressor with an amount per set-up; an empty list for too few (`min_setups`) or too many set-ups."""
     count = len(np.unique(sightings.station))
     return [group_amounts_regressor("station", count)] if min_setups <= count <= MAX_SEPARATE_SETUPS else []
 
 
 def _per_previous_target_regressors(sightings: Sightings) -> list[Regressor]:
+    """Regressor with a separate amount for each previous target, as a list; empty for too many targets."""
     count = len(sightings.target_names)
     return [group_amounts_regressor("last-target", count)] if 1 < count <= MAX_SEPARATE_TARGETS else []
 
 
 def lag_regressors(sightings: Sightings, covariates: Iterable[str]) -> list[Regressor]:
-    """Regressors that depend on quantities through a first-order lag."""
+    """Regressors that depend on covariates through a first-order lag, with each time constant."""
     varying = _varying_covariates(sightings, covariates)
     return [
         Regressor("lagging", (name,), constant=t)
@@ -330,7 +333,7 @@ def lag_regressors(sightings: Sightings, covariates: Iterable[str]) -> list[Regr
 
 
 def product_regressors(sightings: Sightings) -> Iterator[Regressor]:
-    """Products of two regressors: a sign or change with a curve, two curves, separate curves per instrument."""
+    """Iterator over products of two regressors, such as two curves, or the sign of the face and a curve."""
     names = _varying_covariates(
         sightings, (*BASE_COVARIATES[:7], *additional_columns(sightings), *_CIRCLE_COVARIATES, *_NEST_COVARIATES)
     )
@@ -346,7 +349,7 @@ def product_regressors(sightings: Sightings) -> Iterator[Regressor]:
             for name in names
         )
     weights = [scalar_regressor("distance", "power"), scalar_regressor("elevation", "power")]
-    for name in _varying_covariates(sightings, ACCUMULATED_ROTATIONS):  # heat that the drives leave
+    for name in _varying_covariates(sightings, ACCUMULATED_ROTATIONS):  # heat from the drives
         fading = [
             state_regressor(name, how, k)
             for name, how, k in candidate_states(sightings, (name,))
@@ -355,7 +358,7 @@ def product_regressors(sightings: Sightings) -> Iterator[Regressor]:
         yield from (Regressor("product", factors=(heat, weight)) for heat in fading for weight in weights)
     weights += (
         [smooth_regressor("lapse", N_MODES_FACTOR)] if np.ptp(sightings.quantities["lapse"]) > 0 else []
-    )  # a move is forgotten
+    )  # the effect of a motion may decay
     for move in _varying_covariates(sightings, [f"move-{name}" for name in RAW_READING_NAMES]):
         lengths = (scalar_regressor(move, how) for how in ("abs", "power"))
         yield from (Regressor("product", factors=(length, weight)) for length in lengths for weight in weights)
@@ -370,7 +373,7 @@ def product_regressors(sightings: Sightings) -> Iterator[Regressor]:
 
 
 def wave_rates(sightings: Sightings, covariate: str, max_cycles: float) -> Floats:
-    """Rates of waves in a quantity with up to `max_cycles` cycles over its span."""
+    """Angular frequencies [rad per unit] of waves in a covariate, with 1 to `max_cycles` cycles over its span."""
     span = float(np.ptp(sightings.quantities[covariate]))
     return 2 * np.pi * np.arange(1.0, max_cycles, WAVE_RATE_STEP) / span if span > MIN_COVARIATE_SPREAD else np.zeros(0)
 
@@ -380,7 +383,7 @@ def wave_regressors(
     covariates: Sequence[str] = ("time", *RAW_READING_NAMES, "x", "y", "z", "station-time", *ACCUMULATED_ROTATIONS),
     n_parts: int = 1,
 ) -> Iterator[Regressor]:
-    """Waves in some quantities; each of the parts `n_parts` gets an equal fraction of the pointings."""
+    """Iterator over waves in some covariates, with frequencies that each of `n_parts` of the pointings can resolve."""
     max_waves = min(len(sightings) / MIN_POINTINGS_PER_CYCLE, MAX_WAVE_CYCLES) / n_parts
     for name in covariates:
         for rate in wave_rates(sightings, name, max_waves):
@@ -388,8 +391,9 @@ def wave_regressors(
 
 
 N_SLOW_RATES = 18
-"""Number of rates of waves, the slowest ones, that are tried with targets."""
+"""Number of frequencies of waves in time, from the lowest, that a search tries for motions of targets."""
 
 
 def _slow_wave_regressors(sightings: Sightings) -> list[Regressor]:
+    """Waves in time with the `N_SLOW_RATES` lowest frequencies."""
     return list(wave_regressors(sightings, ("time",)))[:N_SLOW_RATES]

@@ -1,4 +1,4 @@
-"""Regressors: functions on which a response may depend, each as a few columns over the pointings with a prior."""
+"""Regressors: functions on which a response may depend, each as a few columns with a row per pointing, and a prior."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ FILE_NAMES_OF_COVARIATES = {
     "nest-direction": "incidence",
     "air_temperature_c": "temperature",
 }
-"""Names of covariates in files, for those with another name here."""
+"""Names of covariates in files, by their names in this package, where the names differ."""
 
 
 OPERATOR_INPUTS = ("azimuth", "elevation", "distance", "target")
@@ -56,13 +56,13 @@ OPERATOR_INPUTS = ("azimuth", "elevation", "distance", "target")
 
 
 def operator_input(covariate: str) -> str:
-    """Quantity to which an operator on the order of measurement is applied."""
+    """Covariate without the prefix of its operator, such as `azimuth` for `last-azimuth`."""
     how, _, base = covariate.partition("-")
     return base if base and f"{how}-" in MEMORY_PREFIXES else covariate
 
 
 def covariate_file_names(covariates: Iterable[str]) -> tuple[str, ...]:
-    """Names of covariates as in files; previous motions of the head are called approach."""
+    """Names of covariates in files. Covariates that depend on previous motions of the head are called `approach`."""
     memory = {
         name
         for name in covariates
@@ -126,10 +126,11 @@ class Regressor:
     """Lower threshold of a latch."""
 
     def columns(self, sightings: Sightings, *, acts_on_targets: bool = False) -> Floats:
-        """Columns (n, k) over the pointings, each with an rms of about one.
+        """Columns (n, k), one row per pointing, each column with an rms of about one.
 
-        Coordinates refer to one moment: an object that is `acts_on_targets` has them at the start of the measurement,
-        or while a column of the recording is zero. Without such a moment they are the mean over the measurement.
+        Coordinates of targets need a reference state. If the law `acts_on_targets`, the columns are therefore zero at
+        the start of the measurement, or while the column of the recording that it depends on is zero. Without such a
+        state their mean is zero.
         """
         columns = self._unreduced_columns(sightings, acts_on_targets)
         if not acts_on_targets or self.kind in ("constant", "field", "amounts", "product"):
@@ -138,7 +139,7 @@ class Regressor:
         return scaled_to_unit_rms(columns) if self.kind == "simple" else columns
 
     def _is_at_reference(self, sightings: Sightings) -> Bools:
-        """Flags (n,) of the pointings at which moving objects have their reference coordinates."""
+        """Flags (n,) of the pointings at which targets that move have their reference coordinates."""
         full_mask = np.ones(len(sightings), dtype=bool)
         name = "".join(self.covariates)
         if name == "time" and self.kind in ("simple", "pieces"):
@@ -147,6 +148,7 @@ class Regressor:
         return x == np.nanmin(x) if has_natural_zero(x) else full_mask
 
     def _unreduced_columns(self, sightings: Sightings, acts_on_targets: bool) -> Floats:
+        """Columns (n, k) of `columns` before the subtraction of their reference values."""
         name = "".join(self.covariates[:1])
         if self.region is not None:
             return scaled_to_unit_rms(self._region_column(self.region, sightings)[:, None])
@@ -179,19 +181,22 @@ class Regressor:
         return self._product_columns(sightings, acts_on_targets)
 
     def _state_column(self, sightings: Sightings, name: str) -> Floats:
-        """State or latch (n,) of each set-up."""
+        """Value (n,) of the state or latch at each pointing, minus its mean."""
         if self.kind == "latch":
             return latched(sightings, name, self.constant, self.latch_release)
         return state_column(sightings, name, self.function, self.constant)
 
     def _region_column(self, region: HallRegion, sightings: Sightings) -> Floats:
-        """Path (n,) [m] in a region, its lever [m], or the nearness of the targets."""
+        """Values (n,) of a regressor of a region: path lengths [m], levers [m], or weights of the targets."""
         if self.kind == "near":
             return region.target_weights(sightings)
         return region.levers(sightings) if self.function == LEVER_FUNCTION else region.path_lengths(sightings)
 
     def _group_indices(self, sightings: Sightings) -> tuple[Ints, Ints]:
-        """Index (n,) of the station, instrument or target of each pointing, and the indices (k,) with an amount."""
+        """Index (n,) of the group of each pointing, and indices (k,) of the groups with a separate amount.
+
+        Groups are stations, instruments, targets or previous targets.
+        """
         if self.covariates == ("station",):
             return sightings.station, np.unique(sightings.station)
         if self.covariates == ("instrument",):
@@ -203,6 +208,7 @@ class Regressor:
         return sightings.target, np.array(ids) if ids else all_targets
 
     def _product_columns(self, sightings: Sightings, acts_on_targets: bool) -> Floats:
+        """Columns (n, k) of a product: all products of the columns of its factors."""
         product = np.ones((len(sightings), 1))
         for factor in self.factors:
             part = factor.columns(sightings, acts_on_targets=acts_on_targets)
@@ -215,9 +221,9 @@ class Regressor:
 
     @property
     def is_per_instrument(self) -> bool:
-        """True if each instrument has a separate curve about its mean.
+        """True if each instrument has a separate curve with a mean of zero.
 
-        Constants belong to the ordinary calibration.
+        The mean of an instrument belongs to the constants of its ordinary calibration.
         """
         return any(factor.covariates == ("instrument",) for factor in self.factors)
 
@@ -258,17 +264,17 @@ class Regressor:
         return replace(self, region=region, covariates=tuple(region.bounded_axes))
 
     def centred_on(self, targets: tuple[str, ...]) -> Regressor:
-        """Copy of the regressor with a field centred on some targets."""
+        """Copy of the regressor in which the origin of a field is the centre of `targets`."""
         if all(f.kind != "field" for f in self.factors):
             return self
         factors = tuple(replace(f, centre_targets=targets) if f.kind == "field" else f for f in self.factors)
         return replace(self, factors=factors)
 
     def per_target(self, targets: tuple[str, ...]) -> Regressor:
-        """Copy of the regressor with separate amounts for some targets."""
-        followed = [f for f in self.factors or (self,) if f.kind != "field"]
-        each = group_amounts_regressor("target", len(targets), targets)
-        return Regressor("product", factors=(*followed, each))
+        """Product of this regressor without a field, and separate amounts for each of `targets`."""
+        other_factors = [f for f in self.factors or (self,) if f.kind != "field"]
+        separate_amounts = group_amounts_regressor("target", len(targets), targets)
+        return Regressor("product", factors=(*other_factors, separate_amounts))
 
     @property
     def n_columns(self) -> int:
@@ -277,7 +283,7 @@ class Regressor:
 
     @property
     def covariate_labels(self) -> tuple[str, ...]:
-        """Covariates that it depends on, as named in files."""
+        """Names in files of the covariates on which the regressor depends."""
         names = [*self.covariates, *(name for factor in self.factors for name in factor.covariates)]
         return covariate_file_names(names)
 
@@ -289,24 +295,30 @@ COORDINATE_COVARIATES = ("x", "y", "z")
 
 
 def with_position_dependence(regressors: Sequence[Regressor], polynomial_order: int) -> list[Regressor]:
-    """Regressors whose amount may vary linearly or quadratically across the room."""
-    grows = Regressor("field", COORDINATE_COVARIATES, constant=polynomial_order)
-    return [Regressor("product", factors=(driver, grows)) for driver in regressors]
+    """Products of each regressor and a field: the amount varies across the room.
+
+    The variation is linear for `polynomial_order` 1 and quadratic for 2.
+    """
+    field = Regressor("field", COORDINATE_COVARIATES, constant=polynomial_order)
+    return [Regressor("product", factors=(regressor, field)) for regressor in regressors]
 
 
 def scalar_regressor(covariate: str, function: str, constant: float = 1.0) -> Regressor:
-    """Regressor with one column."""
+    """Regressor with one column, a function of one covariate and a constant."""
     return Regressor("simple", (covariate,), function, constant)
 
 
 LEVER_FUNCTION = "lever"
-"""Function name of a passage whose parts deflect a line of sight: a deflection at a point moves the end of the line in
-proportion to the remaining length, so that the direction changes by the remaining fraction.
+"""Name of the function of a passage that deflects a line of sight. A deflection at a point moves the end of the line in
+proportion to the length that follows, so that the measured direction changes by the fraction of the line that follows.
 """
 
 
 def passage_regressor(region: HallRegion, function: str = "") -> Regressor:
-    """Regressor with the length of the line of sight in a region of the hall, or its lever."""
+    """Regressor with the length of the line of sight in a region of the hall.
+
+    With the function `LEVER_FUNCTION` each part of this length is weighted by the fraction of the line that follows.
+    """
     return Regressor("passage", tuple(region.bounded_axes), function, region=region)
 
 
@@ -316,33 +328,33 @@ def nearness_regressor(region: HallRegion) -> Regressor:
 
 
 def state_regressor(covariate: str, function: str, constant: float) -> Regressor:
-    """State of each set-up that accumulates the changes of a quantity."""
+    """Regressor with a state of each set-up, which accumulates the changes of a covariate (`laws.states`)."""
     return Regressor("state", (covariate,), function, constant)
 
 
 def latch_regressor(covariate: str, set_threshold: float, release_threshold: float) -> Regressor:
-    """Regressor that switches on above one threshold of a quantity and off below another."""
+    """Regressor that switches on above one threshold of a covariate and off below another."""
     return Regressor("latch", (covariate,), constant=set_threshold, latch_release=release_threshold)
 
 
 def group_amounts_regressor(group_kind: str, n_groups: int, targets: tuple[str, ...] = ()) -> Regressor:
-    """Separate amounts for each `station`, `instrument`, `target` or `last-target`.
+    """Regressor with a separate amount for each `station`, `instrument`, `target` or `last-target`.
 
-    Optionally for some targets only.
+    If `targets` is given, only these targets have an amount.
     """
     return Regressor("amounts", (group_kind,), constant=n_groups, centre_targets=targets)
 
 
 def piecewise_regressor(steps: Sequence[Regressor]) -> Regressor:
-    """Sum of steps and ramps of one covariate, with independent sizes."""
+    """Regressor that is a sum of steps and ramps of one covariate, each with a separate coefficient."""
     return Regressor("pieces", steps[0].covariates, constant=len(steps), factors=tuple(steps))
 
 
 def switch_regressor(edge_regressors: Sequence[Regressor]) -> Regressor:
-    """Regressor that is alternately on and off between the given steps, starting with on."""
+    """Regressor that is 1 after the first step, 0 after the second, 1 after the third, and so on."""
     return Regressor("switch", edge_regressors[0].covariates, factors=tuple(edge_regressors))
 
 
 def smooth_regressor(covariate: str, n_modes: int = N_MODES_DEFAULT) -> Regressor:
-    """Smooth regressor (Gaussian process) of a covariate."""
+    """Regressor that is a smooth curve (Gaussian process) in a covariate, with `n_modes` eigenfunctions."""
     return Regressor("smooth", (covariate,), constant=n_modes)

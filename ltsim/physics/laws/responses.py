@@ -1,8 +1,8 @@
-"""Responses: quantities of the forward model that may change, and the derivatives of readings with respect to them.
+"""Responses: quantities of the measurement that an unknown cause may change, and the resulting changes of readings.
 
-They are the instrument's constants along the kinematic chain, rotation and translation of a stand, coordinates of
-targets, air, reflector and, if no physical quantity explains a mismatch, a reading itself. A motion in space in any
-direction is one response, not three.
+They are constants of the instrument, rotation and translation of a stand, coordinates of targets, air and reflectors.
+If no physical quantity explains a mismatch, the response is a reading itself. A motion in space is one response with
+three components.
 """
 
 from collections.abc import Callable
@@ -27,12 +27,12 @@ from ltsim.scene.sightings import Sightings
 
 PLAUSIBLE_ANGLE_ERROR, PLAUSIBLE_LENGTH_ERROR = 2 * ARCSECOND, 10 * MICROMETRE
 PLAUSIBLE_SCALE_ERROR, PLAUSIBLE_MOTION = 2 * PPM, 30 * MICROMETRE
-"""Plausible motion [m] of walls and floors."""
+"""Plausible size [m] of motions of walls and floors, the prior standard deviation of their coefficients."""
 
 
 @dataclass(frozen=True)
 class Response:
-    """Quantity of the forward model, such as the vertical index, that an effect changes.
+    """Quantity of the measurement, such as the vertical index, that an effect or law changes.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Response:
     plausible_size: float
     """Plausible size of a change [SI]."""
     observables: tuple[str, ...] = ()
-    """Observables that the response changes; empty if the geometry decides."""
+    """Observables that the response mainly changes; empty if this depends on the geometry."""
     kind: str = "instrument"
     """Part of the measurement that changes: instrument, stand, target, air or reflector."""
     component_names: tuple[str, ...] = ("",)
@@ -88,7 +88,7 @@ _SLOT_RESPONSES = {
     "beam-vertical": Response("vertical beam offset", "um", PLAUSIBLE_LENGTH_ERROR, ("elevation",)),
     "beam-tilt": Response("beam tilt", "urad", PLAUSIBLE_ANGLE_ERROR, ("azimuth",)),
 }
-"""Responses that are slots of the kinematic chain."""
+"""Responses that are errors in a slot of the kinematic chain, by slot."""
 _ECCENTRICITY_RESPONSES = {
     Response(
         f"{effect.observables[0]} eccentricity",
@@ -100,7 +100,7 @@ _ECCENTRICITY_RESPONSES = {
     ): effect
     for effect in (AzimuthEccentricity(), ElevationEccentricity())
 }
-"""Responses of circles whose centre is off their axis."""
+"""Responses of circles whose centre is not on their axis, each with the effect of the catalogue for its derivatives."""
 _READING_RESPONSES = tuple(
     Response(
         name,
@@ -135,7 +135,7 @@ _RANGE_SCALE = Response("range scale", "ppm", PLAUSIBLE_SCALE_ERROR, ("distance"
 
 
 def constants_of_slot(slot: str) -> tuple[str, ...]:
-    """Constants of the ordinary calibration that act on a slot of the chain."""
+    """Names of the constants of the ordinary calibration that act on a slot of the kinematic chain."""
     return tuple(
         p.name for e in BASELINE_EFFECTS for p, t in zip(e.parameters, e.terms, strict=True) if t == SlotTerm(slot)
     )
@@ -146,7 +146,7 @@ VARIED_CONSTANTS = (
     | {response.name: tuple(p.name for p in effect.parameters) for response, effect in _ECCENTRICITY_RESPONSES.items()}
     | {"distance": constants_of_slot("range"), _RANGE_SCALE.name: ("range-scale",)}
 )
-"""Constants of the ordinary calibration that a response varies, by response."""
+"""Names of the constants of the ordinary calibration that each response changes, by the name of the response."""
 _STAND_TILT = Response("lean of the stand", "urad", PLAUSIBLE_ANGLE_ERROR, (), "stand", ("about x", "about y"))
 _STAND_POSITION = Response("place of the stand", "um", PLAUSIBLE_MOTION, (), "stand", ("along x", "along y", "along z"))
 _TARGET_POSITION = Response("place of targets", "um", PLAUSIBLE_MOTION, (), "target", ("along x", "along y", "along z"))
@@ -161,38 +161,44 @@ _LEVEL = Response(
 
 
 def _reading_design(sightings: Sightings, observable: str) -> Floats:
+    """Change (n, 3, 1) of the raw readings per unit of a correction of one observable."""
     return design_from_front_face_corrections(sightings, **{observable: np.ones(len(sightings))})[:, :, None]
 
 
 def _joint_design(sightings: Sightings, response: Response) -> Floats:
-    ways = [
+    """Change (n, 3, c) of the raw readings per unit of each of c observables, scaled to the response's components."""
+    component_designs = [
         scale * _reading_design(sightings, name)
         for name, scale in zip(response.observables, response.component_scales, strict=True)
     ]
-    return np.concatenate(ways, axis=2)
+    return np.concatenate(component_designs, axis=2)
 
 
 def _slot_design(sightings: Sightings, slot: str) -> Floats:
+    """Change (n, 3, 1) of the raw readings per unit of the error in a slot of the kinematic chain."""
     return sightings.slot_responses[slot][:, :, None]
 
 
 def _range_scale_design(sightings: Sightings) -> Floats:
+    """Change (n, 3, 1) of the raw readings per unit of the range scale."""
     return design_from_front_face_corrections(sightings, distance=sightings.range_)[:, :, None]
 
 
 def _nest_normal_design(sightings: Sightings) -> Floats:
+    """Change (n, 3, 1) of the raw readings per unit of a motion of the targets along the normals of their nests."""
     normal = np.nan_to_num(sightings.nest_normals[sightings.target])
     return design_from_displacements(sightings, normal[:, :, None])
 
 
 def _vertex_design(sightings: Sightings) -> Floats:
+    """Change (n, 3, 3) of the raw readings per unit of a displacement of the reflectors' vertices along their axes."""
     return design_from_displacements(sightings, reflector_axes(sightings))
 
 
 def _displacement_towards_instrument(sightings: Sightings) -> Floats:
-    """Change of the readings per unit of a horizontal motion of the reflectors towards the instrument."""
-    way = sightings.station_positions[sightings.station] - sightings.target_points[sightings.target]
-    level = way * [1.0, 1.0, 0.0]
+    """Change (n, 3, 1) of the raw readings per unit of a horizontal motion of the reflectors towards the instrument."""
+    back_sight = sightings.station_positions[sightings.station] - sightings.target_points[sightings.target]
+    level = back_sight * [1.0, 1.0, 0.0]
     return design_from_displacements(
         sightings, (level / np.maximum(np.linalg.norm(level, axis=1), 1e-9)[:, None])[:, :, None]
     )
@@ -203,6 +209,7 @@ ResponseDesign = Callable[[Sightings], Floats]
 
 
 def _response_registry() -> dict[str, tuple[Response, ResponseDesign]]:
+    """Responses by name, each with its function of `ResponseDesign`."""
     derivatives: list[tuple[Response, ResponseDesign]] = [
         *((response, partial(_reading_design, observable=response.name)) for response in _READING_RESPONSES),
         *((response, partial(_joint_design, response=response)) for response in _JOINT_RESPONSES),
@@ -223,14 +230,14 @@ def _response_registry() -> dict[str, tuple[Response, ResponseDesign]]:
 RESPONSES_BY_NAME = _response_registry()
 """Responses by name, each with the function for the change (n, 3, c) of the raw readings per unit of each component."""
 _RESPONSES_NEEDING_NESTS = {_TARGET_HEIGHT.name, _REFLECTOR_VERTEX.name}
-"""Names of the responses that exist only where the directions of the nests are declared."""
+"""Names of the responses that need declared normals of the nests."""
 
 
 def response_designs(sightings: Sightings) -> dict[str, tuple[Response, Floats]]:
-    """Responses by name with their designs (n, 3, c), without duplicates.
+    """Responses by name, each with the change (n, 3, c) of the raw readings per unit of its c components.
 
-    On a single face, for example, the vertical index equals the elevation. A moving target and a moving stand have
-    equal designs but different regressors.
+    Responses with equal changes are listed once: on a single face, for example, the vertical index equals the
+    elevation. A moving stand is listed in addition to a moving target, because their regressors differ.
     """
     designs: dict[str, tuple[Response, Floats]] = {}
     nests = bool(np.isfinite(sightings.nest_normals).any())

@@ -1,4 +1,4 @@
-"""Short regressors: functions with one constant that may replace a curve in the same covariate."""
+"""Functions with at most one constant that may replace a smooth curve of the same covariate in a law."""
 
 from collections.abc import Iterator, Sequence
 
@@ -10,32 +10,39 @@ from ltsim.physics.laws.regressors import CLOCK_COVARIATES, Regressor, scalar_re
 from ltsim.scene.sightings import Sightings
 
 ANGULAR_COVARIATES = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
-"""Angles whose sines, cosines and tangents are tried."""
+"""Angles whose sines, cosines and tangents a search tries."""
 SAW_PERIODS = np.array([1.0, 0.5, 0.25, 0.125])
-"""Periods of saw-tooth functions, as fractions of a covariate's span."""
+"""Periods of saw-tooth functions that a search tries, as fractions of the covariate's span."""
 SPAN_FRACTIONS = np.array([0.05, 0.15, 0.5])
-"""Constants of decays and saturations, as fractions of a covariate's span."""
+"""Constants of decays, saturations and dead bands that a search tries, as fractions of the covariate's span."""
 
 
 def short_regressors(sightings: Sightings, name: str, *, reduced: bool = False) -> Iterator[Regressor]:
-    """Short regressors in a covariate; fewer (`reduced`) if several covariates are tried together."""
+    """Iterator over functions of the covariate `name` with at most one constant.
+
+    The list is shorter if `reduced`, for products of functions of several covariates.
+    """
     times = SPAN_FRACTIONS * float(np.ptp(sightings.quantities[name]))
     circular = name in CIRCULAR_COVARIATES
     if circular:
         for order in range(1, 4 if reduced else 7):
             yield Regressor("wave", (name,), constant=float(order))
-    tried: list[tuple[str, Sequence[float] | Floats]] = [] if circular and reduced else [("power", (1.0, 2.0))]
+    function_constants: list[tuple[str, Sequence[float] | Floats]] = (
+        [] if circular and reduced else [("power", (1.0, 2.0))]
+    )
     if name in ANGULAR_COVARIATES and not (circular and reduced):
-        tried += [("sin", (1.0, 2.0, 3.0)), ("cos", (1.0, 2.0, 3.0)), ("tan", (1.0,))]
-    tried += [("decay", times)] if name == "lapse" else []
+        function_constants += [("sin", (1.0, 2.0, 3.0)), ("cos", (1.0, 2.0, 3.0)), ("tan", (1.0,))]
+    function_constants += [("decay", times)] if name == "lapse" else []
     if not reduced:
-        tried.append(("saw", SAW_PERIODS * float(np.ptp(sightings.quantities[name]))))
-        tried.append(("power", (3.0, -1.0) if name == "distance" else (3.0,)))
-        tried += [("decay", times)] if name in CLOCK_COVARIATES else []
-        tried += [("relaxing", times)] if name in (*CLOCK_COVARIATES, "lapse") else []
-        tried += [("abs", (1.0,)), ("saturated", times), ("fading", times)] if name.startswith("move-") else []
-        tried += [("within", times), ("stuck", times)] if name.startswith("move-") else []
-        tried += [("slack", times)] if name.startswith(("move-", "wound-")) else []
-    for function, constants in tried:
+        function_constants.append(("saw", SAW_PERIODS * float(np.ptp(sightings.quantities[name]))))
+        function_constants.append(("power", (3.0, -1.0) if name == "distance" else (3.0,)))
+        function_constants += [("decay", times)] if name in CLOCK_COVARIATES else []
+        function_constants += [("relaxing", times)] if name in (*CLOCK_COVARIATES, "lapse") else []
+        function_constants += (
+            [("abs", (1.0,)), ("saturated", times), ("fading", times)] if name.startswith("move-") else []
+        )
+        function_constants += [("within", times), ("stuck", times)] if name.startswith("move-") else []
+        function_constants += [("slack", times)] if name.startswith(("move-", "wound-")) else []
+    for function, constants in function_constants:
         for constant in constants:
             yield scalar_regressor(name, function, float(constant))

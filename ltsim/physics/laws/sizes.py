@@ -21,12 +21,13 @@ class DisplayedSize(NamedTuple):
 def displayed_sizes(
     law: EmpiricalLaw, sightings: Sightings, coefficients: Floats, covariance: Floats
 ) -> tuple[DisplayedSize, ...]:
-    """Sizes of a law: amplitude and phase of a wave, a constant, or range and rms of a curve over the pointings.
+    """Sizes of a law: a constant, the amplitude and phase of a wave, or the rms and swing of a curve.
 
-    For a motion in space all components are given, at the set-up with the largest motion. The coefficients have a
-    `coefficients` (k,) and a `covariance` (k, k) [SI].
+    The swing is the change between the pointings with the largest and the smallest value. For a motion in space all
+    components are listed, at the set-up with the largest motion. `coefficients` (k,) are those of the law, with their
+    `covariance` (k, k) [SI].
     """
-    law, way, means, spread = law.law_at_largest_effect(coefficients, covariance, sightings)
+    law, main_direction, means, spread = law.law_at_largest_effect(coefficients, covariance, sightings)
     ways = law.response.component_names
     if law.regressor.kind == "constant":
         name = "" if law.response.component_units else law.response.name
@@ -44,7 +45,7 @@ def displayed_sizes(
         return amplitude, DisplayedSize("phase", phase, min(turn, 180.0), "deg")
     columns = law.columns(sightings)[law.row_weights(sightings) > 0]
     amounts = columns @ means.T
-    values = amounts @ way
+    values = amounts @ main_direction
     gap = columns[int(np.argmax(values))] - columns[int(np.argmin(values))]
     swings = (
         _displayed_size(law, f"swing {w}", float(gap @ means[i]), float(gap @ spread[i, :, i] @ gap), i)
@@ -54,10 +55,11 @@ def displayed_sizes(
         return tuple(swings)
     rms = float(np.sqrt(np.mean(np.sum(amounts**2, axis=1))))
     slope = np.einsum("nc,nk->ck", amounts, columns) / max(rms * len(amounts), 1e-300)
-    felt = _displayed_size(law, "rms", rms, float(np.einsum("ck,ckdl,dl->", slope, spread, slope)))
-    return felt, *swings
+    rms_size = _displayed_size(law, "rms", rms, float(np.einsum("ck,ckdl,dl->", slope, spread, slope)))
+    return rms_size, *swings
 
 
 def _displayed_size(law: EmpiricalLaw, name: str, value: float, variance: float, component: int = 0) -> DisplayedSize:
+    """Size of a component of the law's response in its display unit, from value and variance [SI]."""
     unit, factor = law.response.display_unit_of(component)
     return DisplayedSize(name.strip(), float(value) * factor, float(np.sqrt(max(variance, 0.0))) * factor, unit)

@@ -1,10 +1,11 @@
 """States of a set-up: quantities that accumulate over pointings, decay, and are reset by events.
 
-In the order of measurement of a set-up a state is s_i = k_i s_(i-1) + u_i. The input u_i is the change of a quantity
-that adds up (the clock, the number of pointings, the ways that the axes have turned); k_i is 1, less than 1 if the
-state decays with time or with the number of pointings, and 0 if an event resets it: a change of face or of the target,
-an axis that turns back, a pause, a long move, every so many pointings. A latch is set when a quantity rises above one
-threshold and reset when it falls below another (a relay; Krasnosel'skii and Pokrovskii, Systems with hysteresis, 1989).
+In the order of measurement of a set-up a state is s_i = k_i (s_(i-1) + u_i). The input u_i is the change of a quantity
+since the previous pointing: the time, the number of pointings, or the accumulated rotation of an axis. The factor k_i
+is 1 for a plain sum. It is less than 1 if the state decays with time or with the number of pointings, and 0 if an event
+resets it. Such events are a change of face or of the target, an axis that turns back, a pause, a long motion, or a
+fixed number of pointings. A latch is set when a quantity rises above one threshold and reset when it falls below
+another (a relay; Krasnosel'skii and Pokrovskii, Systems with hysteresis, 1989).
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -18,10 +19,10 @@ from ltsim.scene.sightings import Sightings
 STATE_INPUTS = ("station-time", "count", "work-azimuth", "work-elevation", "work-distance", "wound-azimuth")
 """Quantities whose changes accumulate in a state."""
 RESET_EVENTS = ("face", "seating", "azimuth", "elevation")
-"""Changes that reset a state: of the face, of the target, of the direction of an axis."""
+"""Names of events that reset a state: a change of the face, of the target, of the direction in which an axis turns."""
 RESET_LIMIT_QUANTITIES = ("pause", "slew", "tip")
-"""Quantities of a pointing that reset a state above a limit: time since the previous pointing, motion in azimuth,
-motion in elevation.
+"""Names of quantities that reset a state if they exceed a limit: the time since the previous pointing, the motion in
+azimuth, and the motion in elevation.
 """
 TIME_DECAY_FUNCTION = "fades"
 """Name of the function of a state that decays with time."""
@@ -30,27 +31,27 @@ POINTING_DECAY_FUNCTION = "forgets"
 FIXED_COUNT_RESET_FUNCTION = "every"
 """Name of the function of a state that is reset after a fixed number of pointings."""
 RESET_LIMIT_QUANTILES = (0.6, 0.8, 0.92)
-"""Limits that are tried, as quantiles of the quantity."""
+"""Limits of `RESET_LIMIT_QUANTITIES` that a search tries, as quantiles of the quantity."""
 STATE_DECAY_TIME_FRACTIONS = (0.03, 0.1, 0.3)
-"""Time constants of decaying states, as fractions of the duration of a set-up."""
+"""Time constants of decaying states that a search tries, as fractions of the median duration of a set-up."""
 DECAY_POINTINGS = (2.0, 4.0, 8.0)
-"""Numbers of pointings in which a state decays by a factor of e."""
+"""Numbers of pointings that a search tries for the decay of a state by a factor of e."""
 FIXED_COUNT_INPUTS = ("station-time", "count")
 """Inputs of states that are reset after a fixed number of pointings."""
 RESET_COUNTS = range(3, 31)
-"""Numbers of pointings after which a state is reset."""
+"""Numbers of pointings between resets of a state that a search tries."""
 LATCH_QUANTILES = (0.2, 0.35, 0.5, 0.65, 0.8)
-"""Thresholds of latches that are tried, as quantiles of the quantity."""
+"""Thresholds of latches that a search tries, as quantiles of the quantity."""
 MIN_RESETS = 2
-"""Smallest number of resets within set-ups: a state with fewer is nearly the sum itself."""
+"""Smallest number of resets within set-ups for which a search tries a state. With fewer it is nearly a plain sum."""
 MIN_RELATIVE_STATE_SPAN = 1e-6
-"""Smallest span of a state, relative to that of its input; below it the state is noise of the readings."""
+"""Span of a state divided by the span of its input up to which the state counts as constant, and is not tried."""
 StateKey = tuple[str, str, float]
 """Key of a state: input, function, and constant (a limit, a time constant [s], or a number of pointings)."""
 
 
 def candidate_states(sightings: Sightings, inputs: Sequence[str]) -> list[StateKey]:
-    """All states that are tried with some inputs; their columns are cached with the sightings."""
+    """Keys of the states that a search tries with the given inputs. Their columns are cached with the sightings."""
     functions = list(_state_functions(sightings))
     states = [
         (name, how, k)
@@ -64,27 +65,34 @@ def candidate_states(sightings: Sightings, inputs: Sequence[str]) -> list[StateK
 
 
 def _state_functions(sightings: Sightings) -> Iterator[tuple[str, float]]:
-    """Functions of the memory of a state (decay or reset) with their constants that differ in these sightings."""
-    stay = float(np.median([np.ptp(sightings.time[sightings.station == s]) for s in np.unique(sightings.station)]))
-    yield from ((TIME_DECAY_FUNCTION, stay * share) for share in STATE_DECAY_TIME_FRACTIONS if stay > 0.0)
+    """Iterator over functions of a state (a kind of decay or of reset) and their constants.
+
+    Functions with too few or too many resets in these sightings are omitted.
+    """
+    setup_duration = float(
+        np.median([np.ptp(sightings.time[sightings.station == s]) for s in np.unique(sightings.station)])
+    )
+    yield from (
+        (TIME_DECAY_FUNCTION, setup_duration * share) for share in STATE_DECAY_TIME_FRACTIONS if setup_duration > 0.0
+    )
     yield from ((POINTING_DECAY_FUNCTION, number) for number in DECAY_POINTINGS)
-    offered = [(f"after {name}", 1.0) for name in RESET_EVENTS]
+    reset_functions = [(f"after {name}", 1.0) for name in RESET_EVENTS]
     for name in RESET_LIMIT_QUANTITIES:
         x = _limit_quantity(sightings, name)
-        offered += (
+        reset_functions += (
             [(f"after {name}", float(k)) for k in np.unique(np.quantile(x[x > 0.0], RESET_LIMIT_QUANTILES))]
             if x.any()
             else []
         )
-    offered += [(FIXED_COUNT_RESET_FUNCTION, float(number)) for number in RESET_COUNTS]
-    for how, k in offered:
-        releases = int(_is_reset(sightings, how, k).sum())
-        if MIN_RESETS <= releases < len(sightings) - len(np.unique(sightings.station)) - MIN_RESETS:
+    reset_functions += [(FIXED_COUNT_RESET_FUNCTION, float(number)) for number in RESET_COUNTS]
+    for how, k in reset_functions:
+        n_resets = int(_is_reset(sightings, how, k).sum())
+        if MIN_RESETS <= n_resets < len(sightings) - len(np.unique(sightings.station)) - MIN_RESETS:
             yield how, k
 
 
 def state_column(sightings: Sightings, covariate: str, function_name: str, constant: float) -> Floats:
-    """State (n,) less its mean."""
+    """Value (n,) of a state at each pointing, minus its mean."""
     key: StateKey = covariate, function_name, constant
     _cache_states(sightings, [key])
     values: Floats = sightings.derived_cache[key]
@@ -92,7 +100,10 @@ def state_column(sightings: Sightings, covariate: str, function_name: str, const
 
 
 def latch_column(sightings: Sightings, covariate: str, set_threshold: float, release_threshold: float) -> Floats:
-    """Latch (n,), 1 if a quantity was above one threshold later than below the other, else 0, less its mean."""
+    """Value (n,) of a latch at each pointing, minus its mean.
+
+    The latch is 1 if the quantity was last above the upper threshold, and 0 if it was last below the lower one.
+    """
     x, rows = sightings.quantities[covariate], sightings.order_by_setup
     event = np.where(x > set_threshold, 1.0, np.where(x < release_threshold, 0.0, np.nan))[rows]
     first = sightings.previous_rows[rows] < 0
@@ -106,7 +117,7 @@ def latch_column(sightings: Sightings, covariate: str, set_threshold: float, rel
 
 
 def latch_thresholds(sightings: Sightings, covariates: Iterable[str]) -> list[tuple[str, float, float]]:
-    """Quantities with pairs of thresholds, the upper one first, for which some pointings lie between them."""
+    """Latches that a search tries: covariate, upper threshold and lower threshold."""
     latches = []
     for name in covariates:
         thresholds = np.unique(np.quantile(sightings.quantities[name], LATCH_QUANTILES))
@@ -115,45 +126,45 @@ def latch_thresholds(sightings: Sightings, covariates: Iterable[str]) -> list[tu
 
 
 def _limit_quantity(sightings: Sightings, function_name: str) -> Floats:
-    """Quantity (n,) to which a limit applies."""
+    """Quantity (n,) of each pointing with a name of `RESET_LIMIT_QUANTITIES`, as absolute value [s, rad]."""
     quantity = {"pause": "lapse", "slew": "move-azimuth", "tip": "move-elevation"}[function_name]
     return np.abs(sightings.quantities[quantity])
 
 
 def _is_reset(sightings: Sightings, function_name: str, constant: float) -> Bools:
     """Flags (n,) of the pointings at which a state is reset, except the first one of a set-up."""
-    came = sightings.previous_rows >= 0
-    before = np.where(came, sightings.previous_rows, 0)
+    has_previous = sightings.previous_rows >= 0
+    before = np.where(has_previous, sightings.previous_rows, 0)
     name = function_name.removeprefix("after ")
     if function_name in (TIME_DECAY_FUNCTION, POINTING_DECAY_FUNCTION):
         return np.zeros(len(sightings), dtype=bool)
     if function_name == FIXED_COUNT_RESET_FUNCTION:
-        return came & (np.remainder(sightings.quantities["count"], round(constant)) == 0.0)
+        return has_previous & (np.remainder(sightings.quantities["count"], round(constant)) == 0.0)
     if name in RESET_LIMIT_QUANTITIES:
-        return came & (_limit_quantity(sightings, name) > constant)
+        return has_previous & (_limit_quantity(sightings, name) > constant)
     changing = {
         "face": sightings.face,
         "seating": sightings.target,
         "azimuth": sightings.approach_signs[:, 0],
         "elevation": sightings.approach_signs[:, 1],
     }[name]
-    return np.asarray(came & (changing != changing[before]))
+    return np.asarray(has_previous & (changing != changing[before]))
 
 
 def _cache_states(sightings: Sightings, states: Sequence[StateKey]) -> None:
-    """Computation of several states (n,) together, cached with the sightings."""
+    """Computation of several states together; each (n,), minus its mean, is cached with the sightings."""
     states = [key for key in states if key not in sightings.derived_cache]
     if not states:
         return
     rows = sightings.order_by_setup
     inputs = {name: _increments(sightings, name)[rows] for name in {name for name, _, _ in states}}
     factors = {key: _remaining_fraction(sightings, *key)[rows] for key in {(how, k) for _, how, k in states}}
-    added = np.stack([inputs[name] for name, _, _ in states], axis=1)
+    increments = np.stack([inputs[name] for name, _, _ in states], axis=1)
     factor = np.stack([factors[how, k] for _, how, k in states], axis=1)
-    values = np.empty_like(added)
+    values = np.empty_like(increments)
     now = np.zeros(len(states))
     for i in range(len(rows)):
-        now = factor[i] * (now + added[i])
+        now = factor[i] * (now + increments[i])
         values[i] = now
     values -= values.mean(axis=0)
     for key, column in zip(states, values.T, strict=True):
@@ -162,16 +173,16 @@ def _cache_states(sightings: Sightings, states: Sequence[StateKey]) -> None:
 
 
 def _increments(sightings: Sightings, covariate: str) -> Floats:
-    """Change (n,) of a quantity since the previous pointing of the set-up, 0 for its first."""
+    """Change (n,) of a covariate since the previous pointing of the set-up; 0 for the first pointing."""
     x = sightings.quantities[covariate]
     return np.where(sightings.previous_rows >= 0, x - x[sightings.previous_rows], 0.0)
 
 
 def _remaining_fraction(sightings: Sightings, function_name: str, constant: float) -> Floats:
-    """Remaining fraction (n,) of a state at each pointing: 0 at a reset."""
-    came = (sightings.previous_rows >= 0).astype(np.float64)
+    """Factor k (n,) of a state at each pointing: the fraction that remains, 0 at a reset and at the first pointing."""
+    has_previous = (sightings.previous_rows >= 0).astype(np.float64)
     if function_name == TIME_DECAY_FUNCTION:
-        return came * np.exp(-sightings.quantities["lapse"] / constant)
+        return has_previous * np.exp(-sightings.quantities["lapse"] / constant)
     if function_name == POINTING_DECAY_FUNCTION:
-        return came * np.exp(-1.0 / constant)
-    return came * ~_is_reset(sightings, function_name, constant)
+        return has_previous * np.exp(-1.0 / constant)
+    return has_previous * ~_is_reset(sightings, function_name, constant)

@@ -1,4 +1,4 @@
-"""Variance functions: changes of the noise that are not in the catalogue, and errors that repeat."""
+"""Variance functions: changes of the noise that are not in the catalogue, and errors that repeated pointings share."""
 
 from dataclasses import dataclass
 
@@ -12,15 +12,18 @@ from ltsim.scene.regions import HallRegion
 from ltsim.scene.sightings import Sightings
 
 REPETITION_KINDS = REPEATS_PER_FACE, REPEATS_IN_BOTH_FACES = ("in each face", "in both faces")
-"""Kind of repetition: the same error in all pointings of a station to a target."""
+"""Kinds of repetition: pointings of a station to a target have the same error in each face, or in both faces."""
 
 
 MIN_RELATIVE_PATH = 0.05
-"""Fraction of the longest path through a region below which a line of sight counts as outside."""
+"""Path of a line of sight through a region, divided by the longest such path. Up to it the line counts as outside."""
 
 
 def noise_groups(sightings: Sightings, group_kind: str) -> tuple[tuple[str, ...], Ints]:
-    """Names of all targets, stations, or pointings (``row 1``), and the index (n,) of the one of each pointing."""
+    """Names of the groups with separate noise, and the index (n,) of the group of each pointing.
+
+    The groups are stations, targets, or single pointings with names such as ``row 1``.
+    """
     if group_kind == "reading":
         return tuple(f"row {i + 1}" for i in range(len(sightings))), np.arange(len(sightings))
     if group_kind == "station":
@@ -29,22 +32,20 @@ def noise_groups(sightings: Sightings, group_kind: str) -> tuple[tuple[str, ...]
 
 
 def noise_covariate(sightings: Sightings, covariate: str) -> Floats:
-    """Covariate (n,) that noise depends on: of moves and other memories their size."""
+    """Covariate (n,) on which noise depends; the absolute value for covariates of earlier pointings."""
     values: Floats = sightings.quantities[covariate]
     return np.abs(values) if covariate.startswith(MEMORY_PREFIXES) else values
 
 
 @dataclass(frozen=True)
 class VarianceFunction(NoiseSignature):
-    """Variance function: noise of some observables that depends on a covariate, or differs by target.
+    """Variance function: noise of some observables that depends on a covariate, or differs by target or station.
 
-    Not in the catalogue.
-
-    variance = sigma^2 (1 + value * pattern), the pattern running from 0 to 1 over the network. Each of its
-    `group_names` (targets, stations or readings) has a separate value, and with `per_observable` one for each
-    observable. For a `region` of the hall the pattern is the length of the line of sight in it. With a `covariate_band`
-    the pattern is 1 from its first to its second value of the covariate, round the circle for directions, from its
-    third to its fourth and so on, and 0 elsewhere. Both may hold: the covariate of the band is the first.
+    variance = sigma^2 (1 + value * pattern), with a pattern from 0 to 1 over the pointings. Each of `group_names`
+    (targets, stations or readings) has a separate value, and with `per_observable` also each observable. For a `region`
+    of the hall the pattern is the length of the line of sight in it, divided by the longest. With a `covariate_band`
+    the pattern is 1 if the first covariate is between the first and second limit, the third and fourth, and so on, and
+    0 elsewhere. With a region and a band the pattern is the product of both.
     """
 
     observables: tuple[str, ...] = OBSERVABLES
@@ -55,7 +56,7 @@ class VarianceFunction(NoiseSignature):
     decreases: bool = False
     """True if the noise decreases with the covariate."""
     repetition: str = ""
-    """Kind of repetition of the error; empty for independent errors."""
+    """Kind of repetition of the error, one of `REPETITION_KINDS`; empty for independent errors."""
     group_kind: str = ""
     """Kind of the groups with separate noise: target, station or pointing; empty for common noise."""
     group_names: tuple[str, ...] = ()
@@ -69,7 +70,7 @@ class VarianceFunction(NoiseSignature):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Sizes: one, or one per group if the noise differs by group."""
+        """Added variances: one, or one per group if the noise differs by group."""
         kinds = [f"-{name}" for name in self.observables] if self.per_observable else [""]
         names = [f"added-variance{kind} at {name}" for name in self.group_names for kind in kinds]
         return tuple(
@@ -79,17 +80,17 @@ class VarianceFunction(NoiseSignature):
 
     @property
     def response_text(self) -> str:
-        """Response: a reading for errors that repeat, the noise otherwise."""
+        """Response for users: an observable for errors that recur in it, otherwise `noise`."""
         return self.observables[0] if self.repetition and len(self.observables) == 1 else "noise"
 
     @property
     def regressor_text(self) -> str:
-        """Regressor on which the variance depends, as text."""
+        """Text of the covariates or groups on which the variance depends."""
         return "station and target" if self.repetition else self.group_kind or " ".join(self.covariates)
 
     @property
     def text(self) -> str:
-        """Text of the variance function."""
+        """Description of the change of the noise, for users."""
         if self.repetition:
             again = ", in both faces" if self.repetition == REPEATS_IN_BOTH_FACES else ""
             return f"errors without a visible law that recur when a target is measured again{again}"
@@ -133,7 +134,7 @@ class VarianceFunction(NoiseSignature):
         return self._variance_plus_fraction(sigma, values[0] * pattern)
 
     def is_in_band(self, sightings: Sightings) -> Bools:
-        """Pointings (n,) within the band of the covariate."""
+        """Flags (n,) of the pointings whose covariate is within the band."""
         name = self.covariates[0]
         x = noise_covariate(sightings, name)
         inside = np.zeros(len(x), dtype=bool)
@@ -145,7 +146,7 @@ class VarianceFunction(NoiseSignature):
         return inside
 
     def _variance_plus_fraction(self, sigma: Floats, added_variance: Floats) -> Floats:
-        """Variance (n, 3) with an added fraction (n,) in its observables."""
+        """Variance (n, 3) after an increase by a fraction (n,) of itself in the observables of this function."""
         acts = [float(o in self.observables) for o in OBSERVABLES]
         grown: Floats = sigma**2 * (1.0 + added_variance[:, None] * np.array(acts))
         return grown

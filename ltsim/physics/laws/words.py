@@ -1,4 +1,4 @@
-"""Text form of laws, such as ``exp(-station-time / 8 min)``, and its parser."""
+"""Text form of laws, such as ``exp(-station-time / 8 min)``, and the parser of this text."""
 
 import itertools
 import re
@@ -33,7 +33,7 @@ ANGLE_COVARIATES = ("azimuth", "bearing", "circle", "elevation", "nest-direction
 TIME_COVARIATES = (*CLOCK_COVARIATES, "lapse")
 """Covariates that are times, displayed in minutes or seconds."""
 COVARIATES_IN_METRES = ("distance", "height", "move-distance", "last-distance", "x", "y", "z")
-"""Covariates that are displayed in metres; other sets name those in degrees, minutes and seconds."""
+"""Covariates that are displayed in metres or millimetres."""
 COVARIATE_PHRASES = {
     "parity": "the parity of the order (every other pointing)",
     "seating-parity": "the parity of the seatings (every other target)",
@@ -41,7 +41,7 @@ COVARIATE_PHRASES = {
     "target": "the target",
     "last-target": "the target before",
 }
-"""Phrases for covariates whose name is not a phrase."""
+"""Phrases for covariates whose name is not understood in a sentence."""
 GROUP_KINDS = ("station", "target", "last-target")
 """Kinds of objects that may have separate amounts."""
 REGRESSOR_TEMPLATES: dict[tuple[str, str, float | None], str] = {
@@ -79,8 +79,8 @@ REGRESSOR_TEMPLATES: dict[tuple[str, str, float | None], str] = {
     ("simple", "saturated", None): "saturation({x}, half at {value})",
     ("simple", "hysteresis", None): "hysteresis of {x} (half-width {value})",
     ("simple", "slack", None): "{x} beyond a slack of {value}",
-    ("simple", "within", None): "{x} up to {value}",
-    ("simple", "stuck", None): "the sign of {x} up to {value}",
+    ("simple", "within", None): "{x} for sizes up to {value}",
+    ("simple", "stuck", None): "the sign of {x} for sizes up to {value}",
     ("simple", "saw", None): "a saw tooth in {x} with a period of {value}",
     ("simple", "step", None): "step({x} above {value})",
     ("simple", "ramp", None): "ramp({x} from {value})",
@@ -88,8 +88,8 @@ REGRESSOR_TEMPLATES: dict[tuple[str, str, float | None], str] = {
     ("simple", "power", None): "{x}^{k}",
     ("simple", "power", 1.0): "{x}",
 }
-"""Phrase for a kind of regressor, its function and its constant (None: any). In it x is a covariate, k the constant,
-and value a constant or a period with its unit.
+"""Phrase for a regressor by its kind, function and constant; None stands for any constant. In the phrase x is a
+covariate, k the constant, and value the constant or a period with its unit.
 """
 CONSTANT_UNIT_COVARIATE = {
     "lagging": "time",
@@ -98,34 +98,32 @@ CONSTANT_UNIT_COVARIATE = {
     "after slew": "move-azimuth",
     "after tip": "move-elevation",
 }
-"""Covariate whose unit the constant of a regressor has, by kind or function."""
+"""Covariate that has the same unit as the constant of a regressor, by kind or function of the regressor."""
 MIN_DISPLAYED = {"min": 2.0, "m": 1.0}
-"""Smallest displayed value of a unit that has a smaller one: 90 s, but 2 min; 400 mm, but 1 m."""
-PER_SETUP_SUFFIX = ", in its own way at each set-up"
-"""Suffix of the regressor of a law with separate coefficients for each set-up."""
+"""Value below which the smaller unit is displayed: 90 s, but 2 min; 400 mm, but 1 m."""
+PER_SETUP_SUFFIX = ", separately at each set-up"
+"""Suffix of the text of a law with separate coefficients for each set-up."""
 RATIO = ", components in the ratio {values}"
-"""Suffix of the regressor of a law whose components have a fixed ratio."""
-PER_INSTRUMENT_SUFFIX = ", another at each instrument"
-"""Suffix of a product whose other factor is separate for each instrument."""
+"""Suffix of the text of a law whose components have a fixed ratio."""
+PER_INSTRUMENT_SUFFIX = ", separately for each instrument"
+"""Suffix of the text of a regressor that has separate coefficients for each instrument."""
 SWITCH_TEMPLATE = "a switch of {x}, on from {spans}"
 """Template of the text form of a switch."""
 SWITCH_LAG = ", followed with a lag of {value}"
 START_TEXT = "the start"
-"""Text form of the start of a span that began before the first pointing."""
+"""Text for the start of an interval that began before the first pointing."""
 FACTOR_SEPARATORS = {"product": " times ", "pieces": ", "}
-"""Separators of the parts of a combined regressor, by its kind."""
-
-
+"""Separators between the texts of the factors of a product, and of the steps and ramps of a sum."""
 REGION_PHRASES = {
     ("passage", ""): "the path through",
     ("passage", LEVER_FUNCTION): "the lever of the path through",
     ("near", ""): "the nearness of targets to",
 }
-"""Phrase before a region, by kind of regressor and its function."""
+"""Phrase before the text of a region, by kind and function of the regressor."""
 
 
 def covariate_value_text(covariate: str, value: float, *, clock: bool = True) -> str:
-    """Text of a covariate's value with its unit; without a `clock`, time is given in rows."""
+    """Text of a covariate's value [SI] with its display unit; times are in rows for a recording without a `clock`."""
     units = _display_units(covariate, clock)
     *larger, last = units
     unit = next((u for u in larger if abs(value) >= MIN_DISPLAYED[u] * units[u]), last)
@@ -134,7 +132,7 @@ def covariate_value_text(covariate: str, value: float, *, clock: bool = True) ->
 
 
 def _display_units(covariate: str, clock: bool) -> dict[str, float]:
-    """Units of display of a covariate [SI], the larger one first."""
+    """Display units of a covariate with their sizes in SI, the larger unit first."""
     if covariate.endswith((*ANGLE_COVARIATES, "incidence")):
         return {"deg": np.pi / 180.0}
     if covariate in TIME_COVARIATES:
@@ -168,7 +166,7 @@ def regressor_text(regressor: Regressor, *, clock: bool = True) -> str:
 
 
 def _switch_text(regressor: Regressor, *, clock: bool) -> str:
-    """Text form of a switch: the spans in which it is on; the first may have no start and the last no end."""
+    """Text form of a switch: the intervals in which it is on, of which the first and the last may be unbounded."""
     name = regressor.covariates[0]
     values = [covariate_value_text(name, factor.constant, clock=clock) for factor in regressor.factors]
     if regressor.factors[0].constant == -np.inf:
@@ -183,7 +181,7 @@ def _switch_text(regressor: Regressor, *, clock: bool) -> str:
 
 
 def law_suffix(law: EmpiricalLaw) -> str:
-    """Text after the regressor of a law: separate coefficients for each set-up, ratio of the components."""
+    """Text after the regressor of a law: that set-ups have separate coefficients, and the ratio of components."""
     ratio = RATIO.format(values=" / ".join(f"{value:.4g}" for value in law.direction)) if law.direction else ""
     return (PER_SETUP_SUFFIX if law.is_per_setup else "") + ratio
 
@@ -235,41 +233,41 @@ def parse_law(
     stations: tuple[str, ...] = (),
     targets: tuple[str, ...] = (),
 ) -> EmpiricalLaw:
-    """Law from its response and the text form of its regressor (see `regressor_text`), at some places.
+    """Law from the name of its response and the text form of its regressor, at the given places or everywhere.
 
-    Raises ModelError.
+    Raises ModelError for an unknown response and for a text that `regressor_text` cannot produce.
     """
     if response_name not in RESPONSES_BY_NAME:
         raise ModelError(f"there is no response called '{response_name}'; responses are {', '.join(RESPONSES_BY_NAME)}")
     ratio = _RATIO.fullmatch(regressor_text)
     direction = tuple(map(float, ratio["values"].split(" / "))) if ratio else ()
     regressor_text = ratio["words"] if ratio else regressor_text
-    driver, each = (
+    regressor, is_per_setup = (
         parse_regressor(regressor_text.removesuffix(PER_SETUP_SUFFIX), recording),
         regressor_text.endswith(PER_SETUP_SUFFIX),
     )
-    if each and (stations or targets):
+    if is_per_setup and (stations or targets):
         raise ModelError(f"'{regressor_text}' applies to all set-ups, not to {', '.join((*stations, *targets))}")
-    owned = [f for f in (driver, *driver.factors) if f.covariates == ("target",)]
-    driver = Regressor("product", factors=(driver,)) if owned == [driver] else driver
-    if not targets and owned:
+    target_factors = [f for f in (regressor, *regressor.factors) if f.covariates == ("target",)]
+    regressor = Regressor("product", factors=(regressor,)) if target_factors == [regressor] else regressor
+    if not targets and target_factors:
         raise ModelError(
             f"'{regressor_text}' applies to targets, which follow the law: "
             f"{response_name} ~ {regressor_text}:TARGET,TARGET"
         )
-    if targets or any(factor.kind == "wave" for factor in driver.factors):  # a group tilts, the whole may bend
+    if targets or any(factor.kind == "wave" for factor in regressor.factors):  # linear for a group, quadratic for all
         orders = {COORDINATE_COVARIATES: 1.0, ("target",): float(len(targets))}
         factors = (
             replace(f, centre_targets=targets, constant=orders[f.covariates]) if f.covariates in orders else f
-            for f in driver.factors
+            for f in regressor.factors
         )
-        driver = replace(driver, factors=tuple(factors))
+        regressor = replace(regressor, factors=tuple(factors))
     law = EmpiricalLaw(
-        recording.stations if each else stations,
+        recording.stations if is_per_setup else stations,
         targets,
         RESPONSES_BY_NAME[response_name][0],
-        driver,
-        is_per_setup=each,
+        regressor,
+        is_per_setup=is_per_setup,
     )
     if direction and len(direction) != law.components:
         raise ModelError(
@@ -279,9 +277,9 @@ def parse_law(
 
 
 def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFAULT) -> Regressor:
-    """Regressor from its text form, the inverse of `regressor_text`; `n_modes` applies to a smooth one.
+    """Regressor from its text form, the inverse of `regressor_text`; a smooth regressor has `n_modes` eigenfunctions.
 
-    Raises ModelError.
+    Raises ModelError for a text that is not a regressor of the recording.
     """
     factors, steps = text.split(FACTOR_SEPARATORS["product"]), _STEP_SEPARATOR.split(text)
     if text.endswith(PER_INSTRUMENT_SUFFIX):
@@ -322,8 +320,8 @@ def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFA
             or (name in GROUP_KINDS) != (kind == "amounts")
         ):
             continue
-        many = len(np.unique(recording.station)) if name == "station" else len(recording.targets)
-        k = constant or {"smooth": n_modes, "field": 2.0, "amounts": many}.get(kind, 1.0 if kind == "state" else 0.0)
+        count = len(np.unique(recording.station)) if name == "station" else len(recording.targets)
+        k = constant or {"smooth": n_modes, "field": 2.0, "amounts": count}.get(kind, 1.0 if kind == "state" else 0.0)
         if "k" in groups or "value" in groups:
             k = _parse_constant(
                 text,
@@ -343,8 +341,8 @@ def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFA
     )
 
 
-def _parse_switch(words: str, match: re.Match[str], recording: Recording) -> Regressor:
-    """Switch from its text form; raises ModelError."""
+def _parse_switch(law_text: str, match: re.Match[str], recording: Recording) -> Regressor:
+    """Switch from its text form; raises ModelError for unordered or invalid values."""
     name, edges, lag = match["x"], list[Regressor](), 0.0
     is_covariate = name in {*READING_COVARIATES, *recording.regressor_covariates}
     ends = [end for span in match["spans"].split(", ") for end in span.split(" to ")]
@@ -354,32 +352,32 @@ def _parse_switch(words: str, match: re.Match[str], recording: Recording) -> Reg
             continue
         value = re.fullmatch(_PLACEHOLDER_PATTERNS["value"], text)
         if value is None or not is_covariate:
-            raise ModelError(f"'{words}': expected words such as '{TEXT_FORM_EXAMPLES[-1]}'")
+            raise ModelError(f"'{law_text}': expected words such as '{TEXT_FORM_EXAMPLES[-1]}'")
         edges.append(
-            scalar_regressor(name, "step", _parse_constant(words, name, value.groupdict(), recording.has_clock))
+            scalar_regressor(name, "step", _parse_constant(law_text, name, value.groupdict(), recording.has_clock))
         )
     if any(edge.constant >= later.constant for edge, later in itertools.pairwise(edges)):
-        raise ModelError(f"'{words}': expected times that increase")
+        raise ModelError(f"'{law_text}': expected times that increase")
     if match["value"]:
-        lag = _parse_constant(words, "time", {"value": match["value"], "unit": match["unit"]}, recording.has_clock)
+        lag = _parse_constant(law_text, "time", {"value": match["value"], "unit": match["unit"]}, recording.has_clock)
     return replace(switch_regressor(edges), constant=lag)
 
 
-def _parse_latch(words: str, match: re.Match[str], recording: Recording) -> Regressor:
-    """Latch from its text form; raises ModelError."""
+def _parse_latch(law_text: str, match: re.Match[str], recording: Recording) -> Regressor:
+    """Latch from its text form; raises ModelError for unordered or invalid thresholds."""
     name, thresholds = match["x"], []
     for text in (match["above"], match["below"]):
         value = re.fullmatch(_PLACEHOLDER_PATTERNS["value"], text)
         if value is None or name not in {*READING_COVARIATES, *recording.regressor_covariates}:
-            raise ModelError(f"'{words}': expected words such as '{TEXT_FORM_EXAMPLES[-2]}'")
-        thresholds.append(_parse_constant(words, name, value.groupdict(), recording.has_clock))
+            raise ModelError(f"'{law_text}': expected words such as '{TEXT_FORM_EXAMPLES[-2]}'")
+        thresholds.append(_parse_constant(law_text, name, value.groupdict(), recording.has_clock))
     if thresholds[1] >= thresholds[0]:
-        raise ModelError(f"'{words}': expected a release below the threshold that sets it")
+        raise ModelError(f"'{law_text}': expected a release threshold below the set threshold")
     return latch_regressor(name, thresholds[0], thresholds[1])
 
 
 def _parse_region(text: str, match: re.Match[str]) -> HallRegion:
-    """Region from its text form; raises ModelError."""
+    """Region of the hall from its text form; raises ModelError for missing coordinates or a width of zero."""
     axes = next(axes for axes, shape in REGION_SHAPES.items() if shape == match["shape"])
     centre = dict(_COORDINATE_PATTERN.findall(match["at"]))
     if "".join(centre) != axes or float(match["width"]) <= 0.0:
@@ -389,7 +387,7 @@ def _parse_region(text: str, match: re.Match[str]) -> HallRegion:
 
 
 def _parse_constant(text: str, covariate: str, groups: Mapping[str, str], clock: bool) -> float:
-    """Number in a text form, in SI."""
+    """Constant [SI] in the text form of a regressor; raises ModelError for a unit that its covariate cannot have."""
     if "k" in groups:
         return float(groups["k"])
     units, unit = _display_units(covariate, clock), groups["unit"]

@@ -1,4 +1,4 @@
-"""Construction of a tracker: a kinematic chain with error parameters, exact in both directions."""
+"""Construction of a tracker: a kinematic chain with error parameters, which converts readings to points and back."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -38,9 +38,9 @@ from ltsim.recordings.recording import Recording
 MAX_NEWTON_STEPS = 12
 """Largest number of Newton steps in the inversion of the kinematic chain."""
 NEWTON_TOLERANCE = 1e-14
-"""Residual [m, rad] at which the inversion of the kinematic chain ends."""
+"""Size of a Newton step [m, rad] below which the inversion of the kinematic chain ends."""
 LAST_STEP_RESIDUAL = 1e-11
-"""Residual [m, rad] from which one more step with the exact derivative converges to rounding."""
+"""Size of a Newton step [m, rad] below which one more step, with the exact derivative, has rounding errors only."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Construction:
     parameters: tuple[Parameter, ...]
     """Error parameters of the instrument."""
     terms: tuple[SlotTerm, ...]
-    """Contributions of the parameters, one term each: slot and basis."""
+    """Terms of the parameters, one per parameter: the slot of the chain that it acts on, and its basis function."""
 
     @property
     def n_parameters(self) -> int:
@@ -61,16 +61,16 @@ class Construction:
 
     @cached_property
     def parameter_names(self) -> tuple[str, ...]:
-        """Names of the parameters in the order of the vector."""
+        """Names of the parameters in the order of their values."""
         return tuple(p.name for p in self.parameters)
 
     def instrument_parameter_names(self, instruments: Sequence[str]) -> tuple[str, ...]:
-        """Names (I p) of the parameters of all instruments: ``beam-tilt@NAME`` if there are several."""
+        """Names of the p parameters of each of I instruments, (I p,): ``beam-tilt@NAME`` with several instruments."""
         marks = [f"@{name}" if name and len(instruments) > 1 else "" for name in instruments]
         return tuple(name + mark for mark in marks for name in self.parameter_names)
 
     def index(self, name: str) -> int:
-        """Index of a parameter in the vector."""
+        """Index of a parameter among `parameters`."""
         if name not in self.parameter_names:
             raise unknown_name("instrument parameter", name, self.parameter_names)
         return self.parameter_names.index(name)
@@ -83,20 +83,19 @@ class Construction:
 
     @cached_property
     def _chain_with_reading_slots(self) -> tuple[KinematicChain, tuple[str, ...]]:
-        """Chain with slots on all motions that depend on a reading, and the names of these slots."""
-        still, chain, slots = np.zeros((1, 3)), list(self.kinematic_chain), []
+        """Chain with a slot on each motion that depends on a reading, and these slots for range, azimuth, elevation."""
+        zero_reading, chain, slots = np.zeros((1, 3)), list(self.kinematic_chain), []
         for column in range(3):
-            moved = np.eye(3)[[column]]
-            motions = self.kinematic_chain
-            driven = (m.nominal is not None and m.nominal(moved)[0] != m.nominal(still)[0] for m in motions)
-            place = list(driven).index(True)
-            motion = self.kinematic_chain[place]
+            unit_reading = np.eye(3)[[column]]
+            motions, functions = self.kinematic_chain, [m.nominal for m in self.kinematic_chain]
+            place = [f is not None and f(unit_reading)[0] != f(zero_reading)[0] for f in functions].index(True)
+            motion = motions[place]
             slots.append(motion.slot or f"reading-{column}")
             chain[place] = replace(motion, slot=slots[-1])
         return tuple(chain), tuple(slots)
 
     def basis_values(self, readings: Floats) -> Floats:
-        """Value (n, p) of each parameter's basis at raw readings (n, 3)."""
+        """Value (n, p) of the basis function of each parameter at raw readings (n, 3)."""
         bases = np.ones((len(self.terms), len(readings)))
         for k, term in self._reading_dependent_terms:
             bases[k] = term.basis(readings)
@@ -108,7 +107,7 @@ class Construction:
         return [(k, term) for k, term in enumerate(self.terms) if term.basis is not constant_basis]
 
     def slot_errors(self, readings: Floats, values: Floats) -> dict[str, Floats]:
-        """Error (n,), or a common number, of each slot; `values` (p,), or (n, p) with a row per pointing [SI]."""
+        """Error of each slot [m or rad], (n,) or one number, for parameters (p,), or (n, p) by pointing [SI]."""
         amounts: dict[str, Floats] = {}
         for term, value in zip(self.terms, values.T, strict=True):
             amount = value if term.basis is constant_basis else term.basis(readings) * value
@@ -116,6 +115,7 @@ class Construction:
         return amounts
 
     def _slot_amounts(self, bases: Floats, values: Floats) -> dict[str, Floats]:
+        """Error (n,) of each slot from the values (n, p) of the basis functions and the parameters."""
         amounts: dict[str, Floats] = {}
         for term, amount in zip(self.terms, (bases * values).T, strict=True):
             amounts[term.slot] = amounts[term.slot] + amount if term.slot in amounts else amount
@@ -126,15 +126,15 @@ class Construction:
         return point_of_readings(self.kinematic_chain, readings, self.slot_errors(readings, values))
 
     def linearise(self, readings: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
-        """Point (n, 3), its derivative with respect to the raw readings (n, 3, 3) and to the parameters (n, 3, p).
+        """Point (n, 3) [m], and its derivatives by the raw readings (n, 3, 3) and by the parameters (n, 3, p).
 
-        The derivative with respect to the readings neglects that the bases depend on them (relative 1e-5, the size of
-        the errors); Newton's and Gauss-Newton iterations correct for that.
+        The derivative by the readings neglects that the basis functions depend on them, with a relative error of 1e-5.
+        The iterations that use it converge nevertheless.
         """
-        (chain, driven), bases = self._chain_with_reading_slots, self.basis_values(readings)
-        slots = {term.slot for term in self.terms} | set(driven)
+        (chain, slots_of_readings), bases = self._chain_with_reading_slots, self.basis_values(readings)
+        slots = {term.slot for term in self.terms} | set(slots_of_readings)
         p, by_slot = point_and_derivatives(chain, readings, self._slot_amounts(bases, values), slots)
-        by_reading = np.stack([by_slot[slot] for slot in driven], axis=2)
+        by_reading = np.stack([by_slot[slot] for slot in slots_of_readings], axis=2)
         if not self.terms:
             return p, by_reading, np.zeros((len(readings), 3, 0))
         by_value = np.stack([by_slot[term.slot] for term in self.terms], axis=2)
@@ -147,11 +147,10 @@ class Construction:
         return raw
 
     def _invert_chain(self, points: Floats, face: Ints, values: Floats, tolerance: float) -> Floats:
-        """Raw readings (n, 3) of points, azimuths unwrapped, with a residual below `tolerance`.
+        """Raw readings (n, 3) of points (n, 3) [m], with errors below `tolerance` [m, rad]; azimuths may exceed pi.
 
-        Newton's method with the derivative of an ideal tracker reduces the residual in each step by the relative size
-        of the errors (1e-5), so that three steps reach rounding. Steps decrease by a constant ratio; a step that would
-        be below `tolerance` is omitted.
+        Each Newton step, with the derivative of an ideal tracker, reduces the error by a factor of about 1e-5. Steps
+        decrease by a constant ratio, and a step that would be below `tolerance` is omitted.
         """
         polar = to_polar(points)
         raw = to_face(polar, face)
@@ -168,7 +167,7 @@ class Construction:
         return raw
 
     def readings_and_design(self, points: Floats, face: Ints, values: Floats) -> tuple[Floats, Floats, Floats]:
-        """Results of `readings` and of `reading_design` at the same points, computed together."""
+        """Raw readings (n, 3) of points (n, 3) [m], with derivatives by point (n, 3, 3) and parameters (n, 3, p)."""
         raw = self._invert_chain(points, face, values, LAST_STEP_RESIDUAL)
         reached, by_reading, by_value = self.linearise(raw, values)
         by_point: Floats = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
@@ -177,14 +176,14 @@ class Construction:
         return raw, by_point, -by_point @ by_value
 
     def reading_design(self, readings: Floats, values: Floats) -> tuple[Floats, Floats]:
-        """Derivative of the raw readings with respect to the local point (n, 3, 3) and to the parameters (n, 3, p)."""
+        """Derivatives of raw readings by the point in the instrument frame (n, 3, 3), and by parameters (n, 3, p)."""
         _, by_reading, by_value = self.linearise(readings, values)
         by_point = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
         return by_point, -by_point @ by_value
 
 
 def misalignment_construction(effects: Iterable[SlotEffect] = BASELINE_EFFECTS) -> Construction:
-    """Geometric-misalignment construction with the parameters of `effects` (default: all 16)."""
+    """Geometric-misalignment construction with the parameters of `effects`; by default with all 16 parameters."""
     chosen = tuple(effects)
     return Construction(
         "misalignment",
@@ -200,8 +199,7 @@ UNIT_AND_SIGMA_BY_PRIOR_KIND: dict[str, tuple[str, float]] = {
     "range_offset": ("um", 10 * MICROMETRE),
     "range_scale": ("ppm", 2 * PPM),
 }
-"""Unit and prior sigma of a parameter by the kind of specification that applies to it."""
-
+"""Display unit and prior standard deviation [SI] of a parameter, by the kind of specification that applies to it."""
 COEFFICIENT_SUFFIXES = ("c", "sin", "cos", "sin2", "cos2", "sin3", "cos3", "sin4", "cos4")
 """Names of the coefficients of a rotary joint's error function."""
 DH_JOINT_ERRORS = ("eX", "eY", "eZ", "dX", "dY", "dZ")
@@ -222,11 +220,12 @@ DH_MISALIGNMENTS: dict[str, PriorKind] = {
     "T.dZ_0": "range_offset",
     "T.dZ_1": "range_scale",
 }
-"""D-H coefficients that represent the misalignments of a source in the head, with the specification that applies to
-each.
+"""D-H coefficients that represent the misalignments of a tracker with its source in the head, and the kind of
+specification that applies to each.
 """
 
 _RANGE_SCALE_LENGTH = 5.0
+"""Range [m] at which the coefficients of all degrees of the range polynomials have equal prior contributions."""
 
 
 def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: float = 0.05) -> Construction:
@@ -239,8 +238,9 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
     degree : int
         Degree of the range axis' polynomials in d.
     unphysical_sigma : float
-        Prior sigma of the coefficients beyond the physical set, as a share of 5 um or 1 arcsec: they are a
-        penalised remainder, not free parameters: most of them repeat others (`kinematics.dh`).
+        Prior standard deviation of the coefficients that are not in `DH_MISALIGNMENTS`, divided by 5 um or 1 arcsec.
+        These coefficients have no physical cause, and most of them repeat others (`kinematics.dh`). The prior keeps
+        them near zero.
 
     Notes
     -----
@@ -269,7 +269,7 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
 
 
 def _joint_basis(column: int, basis_number: int) -> BasisFunction:
-    """Basis number k of a joint's error function: 1, sin x, cos x, sin 2x, cos 2x, ..."""
+    """Basis function of the series 1, sin x, cos x, sin 2x, cos 2x, and so on, with x the reading in a column."""
     order = (basis_number + 1) // 2
     return HarmonicBasis("sin" if basis_number % 2 else "cos", column, order) if basis_number else constant_basis
 
@@ -283,18 +283,16 @@ SHARED_EFFECTS: tuple[SlotEffect, ...] = (
     AzimuthEccentricity(),
     AzimuthSecondOrder(),
 )
-"""Effects that a tracker with the source in the head and one with a steering mirror have in common; they act on the
-same slots of another chain.
-"""
+"""Effects that occur in trackers with the source in the head and with a steering mirror, on slots of the same names."""
 MIRROR_PARAMETERS: tuple[tuple[str, PriorKind, HarmonicBasis | None, str], ...] = (
     ("mirror-offset", "offset", None, "mirror in front of the transit axis, along its normal"),
     ("mirror-tilt", "angle", None, "mirror turned left, its plane not along the transit axis"),
     ("cover-forward", "offset", None, "beam forward of the standing axis, turning with the head"),
     ("cover-left", "offset", None, "beam left of the standing axis, turning with the head"),
-    ("beam-x", "offset", None, "beam beside the standing axis, along x of the base"),
-    ("beam-y", "offset", None, "beam beside the standing axis, along y of the base"),
-    ("beam-tilt-x", "angle", None, "beam leans about x of the base"),
-    ("beam-tilt-y", "angle", None, "beam leans about y of the base"),
+    ("beam-x", "offset", None, "distance of the beam from the standing axis, along x of the base"),
+    ("beam-y", "offset", None, "distance of the beam from the standing axis, along y of the base"),
+    ("beam-tilt-x", "angle", None, "tilt of the beam about x of the base"),
+    ("beam-tilt-y", "angle", None, "tilt of the beam about y of the base"),
     (
         "elevation-eccentricity-cos",
         "angle",
@@ -305,8 +303,9 @@ MIRROR_PARAMETERS: tuple[tuple[str, PriorKind, HarmonicBasis | None, str], ...] 
     ("elevation-second-order-cos", "angle", HarmonicBasis("cos", 2, 1.0), "cosine of twice the mirror's angle"),
     ("elevation-second-order-sin", "angle", HarmonicBasis("sin", 2, 1.0), "sine of twice the mirror's angle"),
 )
-"""Misalignments of mirror, axes, cover plate and beam, each with its slot of `kinematics.steering_mirror`; their bases
-are functions of the circle that rotates with the mirror, at half the rate of the reading.
+"""Misalignments of mirror, axes, cover plate and beam: name, kind of prior, harmonic of the elevation, description. A
+parameter without a harmonic acts on the slot with its name in `kinematics.steering_mirror`. Harmonics are functions of
+the mirror's angle, which is half the raw elevation.
 """
 
 
@@ -332,10 +331,11 @@ CONSTRUCTION_FACTORIES: dict[str, Callable[[], Construction]] = {
     "steering-mirror": steering_mirror_construction,
     "ideal": ideal_construction,
 }
+"""Functions that create each construction with its default orders, by the name of the construction."""
 
 
 def make_construction(name: str, max_order: int | None = None, degree: int | None = None) -> Construction:
-    """Construction by its name; for a D-H chain with the given orders.
+    """Construction with a given name; a D-H chain has harmonics up to `max_order` and range polynomials of `degree`.
 
     Raises ModelError for an unknown name, for orders of another construction, and for an order out of bounds.
     """
@@ -353,12 +353,12 @@ def make_construction(name: str, max_order: int | None = None, degree: int | Non
 
 
 def construction_with_orders(name: str, max_order: int, degree: int) -> Construction:
-    """Construction by its name, with orders that apply to the D-H chain only."""
+    """Construction with a given name; `max_order` and `degree` apply to the D-H chain and are ignored for others."""
     return dh_construction(max_order, degree) if name == "dh" else make_construction(name)
 
 
 def construction_for_parameters(name: str, parameters: Iterable[str]) -> Construction:
-    """Construction by its name; a D-H chain with the orders that the names of its `parameters` need."""
+    """Construction with a given name that has all `parameters`: a D-H chain gets the orders that their names need."""
     if name != "dh":
         return make_construction(name)
     ends = [p.rpartition("_") for p in parameters]
@@ -374,12 +374,12 @@ def construction_for_parameters(name: str, parameters: Iterable[str]) -> Constru
 @cache
 def all_parameter_names() -> frozenset[str]:
     """Names of the parameters of all constructions, with the highest orders of the D-H chain."""
-    built = (
+    constructions = (
         misalignment_construction(),
         steering_mirror_construction(),
         dh_construction(MAX_HARMONIC_ORDER, MAX_POLYNOMIAL_DEGREE),
     )
-    return frozenset(name for construction_ in built for name in construction_.parameter_names)
+    return frozenset(name for construction_ in constructions for name in construction_.parameter_names)
 
 
 def construction_of_design(design: str) -> Construction:
@@ -388,9 +388,9 @@ def construction_of_design(design: str) -> Construction:
 
 
 def declared_construction(recording: Recording) -> Construction:
-    """Construction of a recording by the declared origin of the beam in its instruments.
+    """Construction of a recording's instruments, by the origin of their beam that the set-up declares.
 
-    Raises NetworkError for instruments of both designs, because their parameters differ.
+    Raises NetworkError for a recording with instruments of both designs, because their parameters differ.
     """
     designs = {name: recording.setup.instrument_of(name).construction for name in recording.stations}
     if len(set(designs.values())) > 1:

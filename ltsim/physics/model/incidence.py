@@ -1,7 +1,8 @@
 """Incidence errors of reflectors in fixed nests, estimated with the network under a prior.
 
-Without a bench test the prior is that of the effect `smr-incidence`, for which the paper's reflector is typical. A test
-conditions that prior. The parameters are independent errors in standard deviations of the remaining uncertainty.
+Without a bench test the prior is that of the effect `smr-incidence`, for which the paper's reflector is typical. With a
+bench test the prior is the posterior given this test. The parameters are independent errors with a standard deviation
+of one.
 """
 
 from __future__ import annotations
@@ -22,17 +23,18 @@ from ltsim.recordings.setup import BenchTest
 from ltsim.scene.sightings import Sightings
 
 INCIDENCE_EFFECT = SmrIncidence()
-"""Effect that gives the range error over the angle of incidence."""
+"""Effect with the range error as a function of the angle of incidence."""
 MIN_BENCH_SIGMA = 1e-3 * MICROMETRE
-"""Smallest standard deviation of an error in a bench test: a tenth of the resolution of interferometers."""
+"""Smallest standard deviation [m] of an error in a bench test: a tenth of the resolution of interferometers. Smaller
+declared values are replaced by it."""
 
 
 @dataclass(frozen=True)
 class IncidenceErrors(Signature):
-    """Incidence error of one reflector: mean from its bench test plus k independent errors."""
+    """Range error of one reflector by angle of incidence: the mean from its bench test plus k independent errors."""
 
     reflector: str
-    """Name of the reflector; empty if the recording names none."""
+    """Name of the reflector; empty if the recording has no names of reflectors."""
     reflector_weights: Floats
     """Weights (n,): 1 for pointings to the reflector, 0 for others."""
     mean_parameters: Floats
@@ -42,7 +44,7 @@ class IncidenceErrors(Signature):
 
     @property
     def name(self) -> str:
-        """Name of the law."""
+        """Name of the signature."""
         return "incidence-errors"
 
     @property
@@ -53,7 +55,7 @@ class IncidenceErrors(Signature):
         ) * self.covariance_root.shape[1]
 
     def smr_incidence_parameters(self, values: Floats) -> Floats:
-        """Parameters (p, ...) [SI] of `smr-incidence` for errors (k, ...)."""
+        """Parameters (p, ...) [SI] of the effect `smr-incidence` for independent errors (k, ...)."""
         change: Floats = np.tensordot(self.covariance_root, values, 1)
         return change + self.mean_parameters.reshape(-1, *[1] * (change.ndim - 1))
 
@@ -71,21 +73,22 @@ class IncidenceErrors(Signature):
         )
 
     def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings by the mean and errors (k,)."""
+        """Change (n, 3) of the raw readings by the mean and by independent errors (k,)."""
         return design_from_front_face_corrections(
             sightings, distance=self._range_error_design(sightings) @ self.smr_incidence_parameters(values)
         )
 
 
 def incidence_errors(recording: Recording) -> tuple[IncidenceErrors, ...]:
-    """Incidence error of every reflector that was in a fixed nest with a known normal."""
+    """Incidence errors of a recording, one per reflector that was in a fixed nest with a known normal."""
     return tuple(_incidence_errors_by_reflector(recording))
 
 
 def incidence_shift(recording: Recording, sightings: Sightings, reflectors: Mapping[str, Floats]) -> Floats:
     """Change (n, 3) of the readings by the incidence errors of reflectors.
 
-    `reflectors` gives the parameters (p,) [SI] of `smr-incidence` by the name of the reflector; others have no error.
+    `reflectors` has the parameters (p,) [SI] of the effect `smr-incidence` by the name of the reflector. Reflectors
+    that are not in it have no error.
     """
     names = np.array(smr_names(recording))
     by_law = INCIDENCE_EFFECT.design(sightings)
@@ -96,6 +99,7 @@ def incidence_shift(recording: Recording, sightings: Sightings, reflectors: Mapp
 
 
 def _incidence_errors_by_reflector(recording: Recording) -> Iterator[IncidenceErrors]:
+    """Iterator over the incidence errors of `incidence_errors`."""
     setups = [recording.target_setup(name) for name in recording.targets]
     nests = np.array([not setup.reaimed and setup.nest_normal is not None for setup in setups], dtype=bool)
     fixed = nests[recording.target]
@@ -109,14 +113,17 @@ def _incidence_errors_by_reflector(recording: Recording) -> Iterator[IncidenceEr
 
 
 def incidence_prior_from_bench_test(test: BenchTest | None) -> tuple[Floats, Floats]:
-    """Mean (p,) and root (p, p) of the covariance of the parameters of `smr-incidence`, given a bench test."""
+    """Mean (p,) of the parameters of `smr-incidence` [SI] given a bench test, and root R (p, p) of their covariance.
+
+    The covariance is R R'. Without a bench test the mean is zero and the covariance is that of the prior.
+    """
     mean, root = np.zeros(len(INCIDENCE_EFFECT.parameters)), np.diag(INCIDENCE_EFFECT.size_scales)
     if test is None:
         return mean, root
     angle, error, sigma = (np.array(column) for column in (test.angle_deg, test.error_um, test.sigma_um))
     middle_index = int(np.argmin(np.abs(angle)))
-    positive = np.where(angle < 0.0, np.pi, 0.0) + test.direction_deg * DEGREE
-    terms = -SmrIncidence.error_derivatives(np.abs(angle) * DEGREE, positive)
+    direction = np.where(angle < 0.0, np.pi, 0.0) + test.direction_deg * DEGREE
+    terms = -SmrIncidence.error_derivatives(np.abs(angle) * DEGREE, direction)
     is_used = np.arange(len(angle)) != middle_index
     spread = np.maximum(sigma[is_used, None] * MICROMETRE, MIN_BENCH_SIGMA)
     sensitivity = (terms - terms[middle_index])[is_used] @ root / spread

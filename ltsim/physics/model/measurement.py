@@ -1,4 +1,4 @@
-"""Forward model: scene, construction and effects give predicted readings and their derivatives."""
+"""Forward model: predicted readings and their derivatives from the network's state, the construction and effects."""
 
 import itertools
 from dataclasses import dataclass, replace
@@ -41,7 +41,7 @@ def sightings_of(recording: Recording, state: NetworkState) -> Sightings:
 
 
 def _sightings_with_rotated_nests(recording: Recording, state: NetworkState, nest_rotation: Floats) -> Sightings:
-    """Sightings as of `sightings_of`, with nest normals rotated by `nest_rotation` (3, 3)."""
+    """Sightings of `sightings_of`, with nest normals rotated by `nest_rotation` (3, 3)."""
     return Sightings(
         station=recording.station,
         target=recording.target,
@@ -73,7 +73,10 @@ def plumb_directions(recording: Recording) -> Floats:
 
 
 def with_plumb_lines(recording: Recording, position: Floats) -> Recording:
-    """Recording with the plumb lines of a sphere at levelled stations (S, 3), if its set-up is `curved`."""
+    """Recording whose levelled stations have the plumb lines of a spherical earth, if its set-up is `curved`.
+
+    `position` (S, 3) [m] are the positions of the stations. Declared plumb lines are not replaced.
+    """
     if not recording.setup.curved:
         return recording
     stations = dict(recording.setup.stations)
@@ -86,6 +89,7 @@ def with_plumb_lines(recording: Recording, position: Floats) -> Recording:
 
 
 def _unit_vectors(directions: list[tuple[float, float, float]]) -> Floats:
+    """Unit vectors (n, 3) along the given directions."""
     vectors = np.array(directions, dtype=np.float64).reshape(-1, 3)
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
@@ -93,21 +97,28 @@ def _unit_vectors(directions: list[tuple[float, float, float]]) -> Floats:
 def reflector_offsets(recording: Recording) -> Floats | None:
     """Offset (n, 3) [m] of each pointing's reflector from the mark of its target; None if all offsets are 0.
 
-    An instrument height of a single pointing is included, less that of the set-up, which is part of the station's
-    position.
+    If the instrument height of a pointing differs from that of the set-up, the difference is subtracted. The height of
+    the set-up is part of the station's position.
     """
     instrument, target = recording.heights()
-    usual = [recording.station_setup(name).instrument_height_mm * MILLIMETRE for name in recording.stations]
-    height = target - (instrument - np.array(usual)[recording.station])
-    lift = height[:, None] * plumb_directions(recording)[recording.station] if np.any(height) else None
-    off = smr_radius_offsets(recording)
-    return off if lift is None else lift if off is None else lift + off
+    setup_heights = [recording.station_setup(name).instrument_height_mm * MILLIMETRE for name in recording.stations]
+    height = target - (instrument - np.array(setup_heights)[recording.station])
+    height_offset = height[:, None] * plumb_directions(recording)[recording.station] if np.any(height) else None
+    radius_offset = smr_radius_offsets(recording)
+    return (
+        radius_offset
+        if height_offset is None
+        else height_offset
+        if radius_offset is None
+        else height_offset + radius_offset
+    )
 
 
 def smr_radius_offsets(recording: Recording) -> Floats | None:
-    """Part (n, 3) [m] of the offset due to SMRs of other radii than the reference, along the normals of their nests.
+    """Offset (n, 3) [m] of the reflector's centre due to an SMR with another radius than the reference SMR.
 
-    The normals are in the frame of the set-up; `adjust` refuses a network in another frame.
+    The offset is along the normal of the nest, in the frame of the set-up. It is None if all radii are equal. `adjust`
+    refuses a network in another frame.
     """
     excess = excess_radii(recording)
     return None if excess is None else excess[:, None] * np.nan_to_num(_nest_normals(recording))[recording.target]
@@ -123,42 +134,45 @@ class MeasurementModel:
 
     @cached_property
     def head_heights(self) -> tuple[HeadHeights, ...]:
-        """Heights of heads as unknowns, if the set-up gives their standard deviation."""
+        """Errors of the heights of instruments and reflectors, if the set-up declares their standard deviation."""
         return head_heights(self.recording, plumb_directions(self.recording))
 
     @cached_property
     def incidence_errors(self) -> tuple[IncidenceErrors, ...]:
-        """Incidence errors of reflectors in fixed nests; none if `effects` estimate them without a prior."""
+        """Incidence errors of reflectors in fixed nests; none if `effects` contain them already."""
         free = any(isinstance(effect, SmrIncidence) and not effect.place_text for effect in self.effects)
         return () if free or not has_plan(self.recording) else incidence_errors(self.recording)
 
     @property
     def incidence_columns(self) -> tuple[slice, ...]:
-        """Slices of the additional parameters (q,) that belong to each of `incidence_errors`."""
+        """Slice of the q additional parameters that belongs to each of `incidence_errors`."""
         first = self.n_effect_parameters + sum(len(heads.parameters) for heads in self.head_heights)
         boundaries = first + np.cumsum([0, *(len(error.parameters) for error in self.incidence_errors)])
         return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(boundaries))
 
     def incidence_parameters_by_reflector(self, parameters: Floats) -> dict[str, Floats]:
-        """Parameters (p, ...) [SI] of `smr-incidence` of each reflector by name, for values (q, ...)."""
+        """Parameters (p, ...) [SI] of the effect `smr-incidence` of each reflector, by its name.
+
+        `parameters` (q, ...) are the values of all additional parameters.
+        """
         columns = zip(self.incidence_errors, self.incidence_columns, strict=True)
         return {error.reflector: error.smr_incidence_parameters(parameters[at]) for error, at in columns}
 
     @cached_property
     def centring_errors(self) -> tuple[CentringErrors, ...]:
-        """Centring errors of the targets that the set-up declares; the last nuisance errors."""
+        """Centring errors of the targets, as declared in the set-up; their parameters are last."""
         return centring_errors(self.recording)
 
     @property
     def centring_columns(self) -> tuple[slice, ...]:
-        """Slices of the additional parameters (q,) that belong to each of `centring_errors`."""
+        """Slice of the q additional parameters that belongs to each of `centring_errors`."""
         sizes = [len(errors.parameters) for errors in self.centring_errors]
         boundaries = self.n_extra_parameters - sum(sizes) + np.cumsum([0, *sizes])
         return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(boundaries))
 
     @cached_property
     def nuisance_errors(self) -> tuple[Signature, ...]:
-        """Nuisance errors with a prior: heights of heads, reflectors, shared errors, refraction, centring."""
+        """Nuisance errors with a prior: heights, incidence on reflectors, shared errors, refraction, centring."""
         return (
             *self.head_heights,
             *self.incidence_errors,
@@ -174,7 +188,7 @@ class MeasurementModel:
 
     @property
     def n_extra_parameters(self) -> int:
-        """Number q of additional parameters, of effects and nuisance errors."""
+        """Number q of additional parameters: those of effects and of nuisance errors."""
         return sum(len(effect.parameters) for effect in self.extra_effects)
 
     @property
@@ -183,20 +197,21 @@ class MeasurementModel:
         return sum(len(effect.parameters) for effect in self.effects)
 
     def _instrument_values(self, state: NetworkState) -> Floats:
+        """Instrument parameters at a state: (p,) for one instrument, otherwise (n, p) by pointing [SI]."""
         if len(state.instrument_parameters) == 1:
             return state.instrument_parameters[0]
         return state.instrument_parameters[self.recording.instrument]
 
     @cached_property
     def _static_sightings(self) -> Sightings:
-        """Sightings without geometry, collected once; nest normals on the floor plan."""
+        """Sightings without geometry, computed once; nest normals are in the frame of the floor plan."""
         stations, targets = len(self.recording.stations), len(self.recording.targets)
         none = np.zeros((stations, 3)), np.tile(np.eye(3), (stations, 1, 1)), np.zeros((targets, 3))
         return _sightings_with_rotated_nests(self.recording, NetworkState(*none, np.zeros((0, 0))), np.eye(3))
 
     @cached_property
     def _horizontal_distance_flags(self) -> Bools | None:
-        """Flags of horizontal distances; None if there are none."""
+        """Flags (n,) of horizontal distances; None if there are none."""
         flat = self.recording.is_horizontal
         return flat if flat.any() else None
 
@@ -206,15 +221,16 @@ class MeasurementModel:
         return self._with_effect_data(geometry, state, self._instrument_readings(geometry, state))
 
     def _with_effect_data(self, geometry: Sightings, state: NetworkState, readings: Floats) -> Sightings:
-        """Sightings with the data that effects need: nest normals in the network frame, the instrument's readings."""
+        """Sightings with the data that effects need: nest normals in the network frame, and raw readings (n, 3)."""
         turn = plan_rotation(self.recording, state.station_positions, state.station_rotations)
         return replace(geometry, nest_normals=geometry.nest_normals @ turn.T, encoder_readings=readings)
 
     def _instrument_readings(self, geometry: Sightings, state: NetworkState) -> Floats:
+        """Raw readings (n, 3) of the instrument with its errors, without additional effects."""
         return self.construction.readings(geometry.local_points, geometry.face, self._instrument_values(state))
 
     def geometry(self, state: NetworkState) -> Sightings:
-        """Sightings at `state`, without the data that only effects need."""
+        """Sightings at `state`, without the data that only additional effects need."""
         return self._static_sightings.with_geometry(
             state.station_positions, state.station_rotations, state.target_points
         )
@@ -226,7 +242,7 @@ class MeasurementModel:
         return np.concatenate([effect.design(sightings) for effect in self.extra_effects], axis=2)
 
     def extra_change(self, sightings: Sightings, parameters: Floats) -> Floats:
-        """Change (n, 3) of the readings by all additional parameters at values (q,)."""
+        """Change (n, 3) of the readings by all additional parameters with values (q,) [SI]."""
         return self._signatures_change(self.extra_effects, sightings, parameters)
 
     def effects_change(self, sightings: Sightings, parameters: Floats) -> Floats:
@@ -238,7 +254,10 @@ class MeasurementModel:
         return incidence_shift(self.recording, sightings, self.incidence_parameters_by_reflector(parameters))
 
     def _signatures_change(self, signatures: tuple[Signature, ...], sightings: Sightings, parameters: Floats) -> Floats:
-        """Change (n, 3) of the readings by the given signatures, which are the first of the additional ones."""
+        """Change (n, 3) of the readings by `signatures`, which are the first of `extra_effects`.
+
+        `parameters` (q,) are the values of all additional parameters.
+        """
         change = np.zeros((len(sightings), 3))
         for signature, values in zip(signatures, self._values_by_effect(parameters), strict=False):
             change += signature.reading_change(sightings, values)
@@ -258,13 +277,13 @@ class MeasurementModel:
         return raw_readings
 
     def _values_by_effect(self, parameters: Floats) -> list[Floats]:
-        """Values of each additional effect; 0 for those that a state does not hold."""
+        """Parameter values of each additional effect; zeros if `parameters` has fewer than q values."""
         sizes = [len(effect.parameters) for effect in self.extra_effects]
         all_values = np.pad(parameters, (0, sum(sizes) - len(parameters)))
         return np.split(all_values, np.cumsum(sizes)[:-1]) if sizes else []
 
     def linearise(self, state: NetworkState) -> Prediction:
-        """Predicted readings and their derivatives by poses, targets, instrument and additional effects."""
+        """Predicted readings at `state`, and their derivatives with respect to all unknowns."""
         sightings = self.geometry(state)
         values = self._instrument_values(state)
         raw, by_point, by_instrument = self.construction.readings_and_design(
@@ -289,9 +308,9 @@ class MeasurementModel:
 
 
 def reduce_to_horizontal(readings: Floats, derivatives: tuple[Floats, ...], is_horizontal: Bools) -> None:
-    """Reduction of slope distances, and of their derivatives, to the horizontal, in place.
+    """Reduction of slope distances, and of their derivatives, to horizontal distances, in place.
 
-    `is_horizontal` (n,) marks the rows of the readings (n, 3) to reduce.
+    `is_horizontal` (n,) flags the rows of the readings (n, 3) and of each derivative (n, 3, k) to reduce.
     """
     range_, level = readings[is_horizontal, 0], readings[is_horizontal, 2]
     cosine = np.cos(level)
@@ -304,11 +323,12 @@ def reduce_to_horizontal(readings: Floats, derivatives: tuple[Floats, ...], is_h
 
 
 MAX_AXIS_SPREAD = 5 * DEGREE
-"""Largest spread of the axes of instruments on tripods [rad]; its cosine is compared with the length of their mean."""
+"""Largest angle [rad] between the standing axes of instruments and their mean direction up to which all are upright.
+Its cosine is compared with the length of the mean of their unit vectors."""
 MIN_PLAN_POSITIONS = 3
 """Smallest number of approximate station positions that determine the rotation from floor plan to network frame."""
 PLAN_DIRECTION_ACCURACY = 3 * DEGREE
-"""Accuracy [rad] of directions on a floor plan: frames that agree within it are considered equal."""
+"""Accuracy [rad] of directions on a floor plan. A smaller rotation between floor plan and network counts as none."""
 
 
 def has_plan(recording: Recording) -> bool:
@@ -322,10 +342,9 @@ def has_plan(recording: Recording) -> bool:
 def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> Floats:
     """Rotation (3, 3) from the set-up's frame to the network frame.
 
-    It follows from the approximate positions of three or more stations that are not collinear, otherwise from their
-    yaws. It is the identity with control points, and if the set-up gives neither. Stations are at `station_positions`
-    (S, 3)
-    [m]; `station_rotations` (S, 3, 3) transforms their frames to the network frame.
+    The rotation is computed from the approximate positions of three or more stations that are not collinear, otherwise
+    from their yaws. It is the identity for a set-up with control points, and for one without positions and yaws.
+    `position` (S, 3) [m] and `rotation` (S, 3, 3) are the poses of the stations in the network frame.
     """
     if any(recording.target_setup(name).known_mm is not None for name in recording.targets):
         return np.eye(3)
@@ -341,7 +360,10 @@ def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> F
 def _plan_rotation_from_positions(
     places: list[tuple[float, float, float] | None], position: Floats, rotation: Floats
 ) -> Floats | None:
-    """Rotation from approximate coordinates of three or more stations; levels determine the vertical far better."""
+    """Rotation (3, 3) from the approximate positions of three or more stations; None if they do not determine one.
+
+    For upright instruments the vertical is that of their standing axes, because it is far more accurate.
+    """
     given = [i for i, p in enumerate(places) if p is not None]
     if len(given) < MIN_PLAN_POSITIONS:
         return None
@@ -359,9 +381,11 @@ def _plan_rotation_from_positions(
 
 
 def _plan_rotation_from_yaws(yaws: list[float | None], rotation: Floats) -> Floats | None:
-    """Mean of the rotations that upright stations with these yaws imply."""
-    asked = [r @ rotation_about_z(yaw * DEGREE).T for yaw, r in zip(yaws, rotation, strict=True) if yaw is not None]
-    if not asked:
+    """Mean (3, 3) of the rotations that follow from the yaw [deg] of each upright station; None without yaws."""
+    station_rotations_to_plan = [
+        r @ rotation_about_z(yaw * DEGREE).T for yaw, r in zip(yaws, rotation, strict=True) if yaw is not None
+    ]
+    if not station_rotations_to_plan:
         return None
-    u, _, vt = np.linalg.svd(np.sum(asked, axis=0))
+    u, _, vt = np.linalg.svd(np.sum(station_rotations_to_plan, axis=0))
     return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt

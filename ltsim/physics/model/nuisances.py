@@ -1,6 +1,6 @@
 """Nuisance errors with a prior: heights of heads, errors that several readings share, refraction near the ground.
 
-All are estimated together with the network.
+An adjustment estimates all of them together with the network.
 """
 
 from __future__ import annotations
@@ -28,14 +28,15 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class HeadHeights(Signature):
-    """Errors of the heights of instruments and reflectors above their marks, one parameter per occupation (q)."""
+    """Errors of the heights of instruments and reflectors above their marks, one for each of q occupations."""
 
     sigma: float
     """Standard deviation [m] of each error."""
     occupation_coefficients: Floats
-    """Coefficients (n, q): 1 for pointings to an occupation, -1 for those from it."""
+    """Coefficient of each occupation in each pointing, (n, q): 1 if the reflector stands on it, -1 if the instrument
+    does, otherwise 0."""
     plumb_directions: Floats
-    """Direction of the plumb line, (n, 3)."""
+    """Unit vector of the plumb line at the station of each pointing, (n, 3)."""
 
     @property
     def name(self) -> str:
@@ -55,11 +56,10 @@ class HeadHeights(Signature):
 
 
 def head_heights(recording: Recording, plumb_directions: Floats) -> tuple[HeadHeights, ...]:
-    """Height errors of the heads of a recording that declares their standard deviation.
+    """Errors of heights in a recording; none if its set-up does not declare their standard deviation.
 
-    `plumb_directions` (S, 3) at its stations.
-
-    Cells of the columns `instrument_setup` and `target_setup` name the occupations; an empty cell has none.
+    The columns `instrument_setup` and `target_setup` name the occupations; an empty cell has no height error.
+    `plumb_directions` (S, 3) are unit vectors at the stations.
     """
     sigma = recording.setup.heads_sigma_mm
     if sigma is None:
@@ -67,11 +67,11 @@ def head_heights(recording: Recording, plumb_directions: Floats) -> tuple[HeadHe
     occupations = [recording.labels.get(column, ("",) * len(recording)) for column in OCCUPATION_COLUMNS]
     marks = [recording.targets[t] for t in recording.target]
     ends = [[("", occupation) for occupation in occupations[0]], list(zip(marks, occupations[1], strict=True))]
-    number_of = {key: i for i, key in enumerate(dict.fromkeys(key for end in ends for key in end if key[1]))}
-    if not number_of:
+    index_of_occupation = {key: i for i, key in enumerate(dict.fromkeys(key for end in ends for key in end if key[1]))}
+    if not index_of_occupation:
         return ()
-    rows = np.eye(len(number_of) + 1, len(number_of))
-    at, to = (rows[[number_of.get(key, len(number_of)) for key in end]] for end in ends)
+    rows = np.eye(len(index_of_occupation) + 1, len(index_of_occupation))
+    at, to = (rows[[index_of_occupation.get(key, len(index_of_occupation)) for key in end]] for end in ends)
     return (HeadHeights(sigma * MILLIMETRE, to - at, plumb_directions[recording.station]),)
 
 
@@ -117,14 +117,15 @@ def centring_errors(recording: Recording) -> tuple[CentringErrors, ...]:
 
 @dataclass(frozen=True)
 class SharedErrors(Signature):
-    """Independent errors (q), in standard deviations, that several readings share.
+    """Set of q independent errors, in units of their standard deviations, each of which several readings share.
 
-    Readings with independent noise D and these errors F have the covariance D^2 + F F'. Estimating the errors with the
-    network is equivalent to an adjustment with that covariance.
+    Let D be the standard deviations of the independent noise, and F the changes of the readings by one standard
+    deviation of each error. The readings then have the covariance D^2 + F F'. Estimating the errors with the network is
+    equivalent to an adjustment with that covariance.
     """
 
     reading_changes: Floats
-    """Change of each reading by one standard deviation, (n, 3, q) [m, rad]."""
+    """Change of each reading by one standard deviation of each error, (n, 3, q) [m, rad]."""
     is_horizontal: Bools
     """Flags (n,) of distances that are reduced to the horizontal."""
 
@@ -141,19 +142,20 @@ class SharedErrors(Signature):
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, q) of the raw readings per unit of each error.
 
-        A horizontal distance h = r cos(e) is computed from raw readings, but its error is declared for h: r changes so
-        that h has that error, which also compensates for the error of e.
+        The error of a horizontal distance h = r cos(e) is declared for h, while the design is for the raw range r and
+        elevation e. The change of r is therefore computed so that h has the declared error together with that of e.
         """
-        reach, (range_, _, elevation) = (
+        range_changes, (range_, _, elevation) = (
             self.reading_changes.copy(),
             sightings.instrument_readings[self.is_horizontal].T[:, :, None],
         )
         cosine = np.cos(elevation)
         change = (
-            np.sign(cosine) * reach[self.is_horizontal, 0] + range_ * np.sin(elevation) * reach[self.is_horizontal, 2]
+            np.sign(cosine) * range_changes[self.is_horizontal, 0]
+            + range_ * np.sin(elevation) * range_changes[self.is_horizontal, 2]
         )
-        reach[self.is_horizontal, 0] = change / cosine
-        return reach
+        range_changes[self.is_horizontal, 0] = change / cosine
+        return range_changes
 
 
 def read_shared_errors(recording: Recording) -> tuple[SharedErrors, ...]:
@@ -162,24 +164,25 @@ def read_shared_errors(recording: Recording) -> tuple[SharedErrors, ...]:
     names = list(dict.fromkeys(parts[1] for parts in columns.values()))
     if not names:
         return ()
-    reach = np.zeros((len(recording), len(OBSERVABLES), len(names)))
+    range_changes = np.zeros((len(recording), len(OBSERVABLES), len(names)))
     for name, parts in columns.items():
         k = UNIT_SUFFIXES.index(parts[2])
-        reach[:, k, names.index(parts[1])] = np.nan_to_num(recording.covariates[name]) * SIGMA_UNITS[k]
-    return (SharedErrors(reach, recording.is_horizontal),)
+        range_changes[:, k, names.index(parts[1])] = np.nan_to_num(recording.covariates[name]) * SIGMA_UNITS[k]
+    return (SharedErrors(range_changes, recording.is_horizontal),)
 
 
 @dataclass(frozen=True)
 class Refraction(Signature):
-    """Refraction near the ground with a prior: the coefficient k is the radius of the earth over that of the ray.
+    """Refraction near the ground, with a prior for its coefficient.
 
-    A line of sight of length d starts at the angle k d / 2 R to its chord, so that the target appears higher.
+    The coefficient k is the radius R of the earth divided by the radius of the curved line of sight. A line of sight of
+    length d starts at the angle k d / (2 R) above its chord, so that the target appears higher.
     """
 
     mean_coefficient: float
     """Expected coefficient of refraction."""
     coefficient_sigma: float
-    """Expected coefficient, and its standard deviation."""
+    """Standard deviation of the coefficient of refraction."""
 
     @property
     def name(self) -> str:
@@ -204,6 +207,6 @@ class Refraction(Signature):
 
 
 def refraction_unknown(recording: Recording) -> tuple[Refraction, ...]:
-    """Refraction as an unknown, if the set-up gives its coefficient with a standard deviation."""
+    """Refraction as an unknown, if the set-up declares its coefficient with a standard deviation."""
     given = recording.setup.refraction
     return () if given is None else (Refraction(*given),)

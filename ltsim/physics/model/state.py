@@ -13,12 +13,15 @@ from ltsim.geometry.rotations import from_rotation_vector
 
 @dataclass(frozen=True)
 class NetworkState:
-    """State of a network: all poses, targets and parameters that an adjustment estimates; SI, network frame."""
+    """State of a network: all poses, coordinates and parameters that an adjustment estimates [SI], network frame.
+
+    S stations, T targets, I instruments with p parameters each, q additional parameters.
+    """
 
     station_positions: Floats
-    """Positions of the instruments, (S, 3)."""
+    """Positions of the instruments, (S, 3) [m]."""
     station_rotations: Floats
-    """Instrument frame to network frame, (S, 3, 3)."""
+    """Rotation matrices from instrument frame to network frame, (S, 3, 3)."""
     target_points: Floats
     """Coordinates of the targets, (T, 3)."""
     instrument_parameters: Floats
@@ -29,7 +32,11 @@ class NetworkState:
     def with_increments(
         self, pose_increments: Floats, point_increments: Floats, instrument_increments: Floats, extra_increments: Floats
     ) -> Self:
-        """State after increments; `pose_increments` (S, 6) is translation and rotation vector in the network frame."""
+        """State after increments of all unknowns.
+
+        `pose_increments` (S, 6) are translations [m] and rotation vectors [rad] in the network frame.
+        `point_increments` (T, 3) [m], `instrument_increments` (I, p) and `extra_increments` (q,) are added.
+        """
         return type(self)(
             self.station_positions + pose_increments[:, :3],
             from_rotation_vector(pose_increments[:, 3:]) @ self.station_rotations,
@@ -41,13 +48,15 @@ class NetworkState:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Predicted raw readings (n, 3) and their derivatives.
-
-    The derivatives are by_pose (n, 3, 6), by_target (n, 3, 3), by_instrument (n, 3, p) and by_extra (n, 3, q).
-    """
+    """Predicted raw readings of n pointings, and their derivatives with respect to all unknowns."""
 
     readings: Floats
+    """Raw readings: range [m], azimuth and elevation [rad], (n, 3)."""
     pose_derivatives: Floats
+    """Derivatives with respect to translation and rotation of the station, (n, 3, 6)."""
     target_derivatives: Floats
+    """Derivatives with respect to the coordinates of the target, (n, 3, 3)."""
     instrument_derivatives: Floats
+    """Derivatives with respect to the p instrument parameters, (n, 3, p)."""
     extra_derivatives: Floats
+    """Derivatives with respect to the q additional parameters, (n, 3, q)."""

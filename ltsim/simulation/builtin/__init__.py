@@ -1,4 +1,4 @@
-"""Built-in scenarios: names and files, available without the import of the scenario reader."""
+"""Names and files of the built-in scenarios, without an import of the scenario reader."""
 
 import difflib
 from importlib.resources import files
@@ -15,10 +15,7 @@ def builtin_names() -> tuple[str, ...]:
 
 
 def builtin_path(scenario_name: str) -> Path:
-    """File of a built-in scenario.
-
-    Raises SetupError, with the most similar names, for an unknown name.
-    """
+    """File of a built-in scenario; SetupError with similar names for an unknown name."""
     names = builtin_names()
     if scenario_name not in names:
         near = difflib.get_close_matches(scenario_name, names, n=3, cutoff=0.5) or names
@@ -28,5 +25,5 @@ def builtin_path(scenario_name: str) -> Path:
 
 
 def builtin_text(scenario_name: str) -> str:
-    """Commented file of a built-in scenario, as a template; raises SetupError."""
+    """Text of the file of a built-in scenario, with comments, as a template; raises SetupError."""
     return builtin_path(scenario_name).read_text(encoding="utf-8")

@@ -218,7 +218,7 @@ def test_scatter_of_a_target_is_no_drift_of_the_station() -> None:
     closure = next(item for item in found.items if item.kind == "closure")
     assert recording.targets[5] in closure.targets
     assert recording.targets[0] not in closure.targets
-    assert "the targets cause it" in found.sentence
+    assert "the targets cause this scatter" in found.sentence
 
 
 def test_what_was_not_measured_again_has_no_value() -> None:
@@ -296,7 +296,7 @@ def test_a_level_that_is_off_is_told_by_the_others() -> None:
     found = check(leaning)
     assert ("S2", "level") in kinds(found)
     said = next(item.sentence for item in found.items if item.kind == "level" and item.station == "S2")
-    assert said.startswith("S2: its level deviates from the vertical of the others (29.9 +- 1.")
+    assert said.startswith("S2: its level deviates from the vertical of the other stations (29.9 +- 1.")
 
 
 def test_a_steering_mirror_is_judged_by_its_own_errors() -> None:

@@ -131,7 +131,7 @@ def test_check_gives_the_judgement_of_adjust_where_nothing_but_noise_is_larger(s
         assert "contradicts the other stations" in item.sentence
         return
     assert item.passed == (2.0 * min(adjusted.p_value, 1.0 - adjusted.p_value) >= FAMILY_LEVEL / 4)
-    assert f"sigma0 {adjusted.sigma0:.2f} " in item.sentence
+    assert f"sigma0 is {adjusted.sigma0:.2f}, " in item.sentence
     assert ("noise alone gives this in one of" in item.sentence) == (
         item.passed and adjusted.p_value < GLOBAL_LEVEL / 2
     )
