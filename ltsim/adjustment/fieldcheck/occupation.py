@@ -214,7 +214,7 @@ class StationOccupation:
         return float(np.linalg.norm(points[row] - points[others].mean(axis=0))) if others.any() else float("nan")
 
     def target_point_sigma(self, target: int) -> float:
-        """Standard deviation [m] of the repeated points of a target, rms over the three axes; NaN with fewer than two."""
+        """Standard deviation [m] of a target's repeated points, rms over the three axes; NaN with fewer than two."""
         points = from_polar(self.recording.readings[self.row_mask & np.asarray(self.recording.target == target)])
         points = points[np.isfinite(points).all(axis=1)]
         if len(points) < 2:
