@@ -19,6 +19,7 @@ from ltsim.diagnosis.evidence import log_means_by_group, noise_level_factor, sim
 from ltsim.diagnosis.null_ensemble import NullEnsemble, row_gram
 from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
 from ltsim.physics.effects.effect import Effect, LightPathStage, NoiseEffect
+from ltsim.physics.effects.range_scale import RangeScale
 from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.physics.laws.places import instrument_places
 from ltsim.recordings.recording import OBSERVABLES
@@ -190,12 +191,19 @@ class CatalogueSignatures:
         return values, chance.log_means
 
     def effects_by_family(self) -> list[list[Effect]]:
-        """Effects of each family, without the constants of the ordinary calibration."""
+        """Effects of each family, without the constants of the ordinary calibration other than the scale.
+
+        A network without a known length absorbs the scale completely, and `calibrate` gives the other constants.
+        """
         families: list[list[Effect]] = [[] for _ in self.families]
         for family, effect in zip(self.family_of_effect.tolist(), self.effects, strict=True):
             assert isinstance(effect, Effect)
             families[family].append(effect)
-        return [family for family in families if type(family[0]) not in ORDINARY_CALIBRATION_TYPES]
+        return [
+            family
+            for family in families
+            if isinstance(family[0], RangeScale) or type(family[0]) not in ORDINARY_CALIBRATION_TYPES
+        ]
 
     def family_evidence(self, values: Floats) -> Floats:
         """Log evidence (families, ...) with places and shapes averaged, from that of each effect (h, ...)."""

@@ -167,6 +167,8 @@ def diagnosis_summary(
     n_withheld: int = 0,
 ) -> str:
     """Summary of a diagnosis in a few sentences; `n_withheld` is the number of members that are not reported."""
+    if verdict == "consistent" and not misfit_before.dof:
+        return "The recording cannot be tested: there is no redundancy. Measure targets repeatedly."
     if verdict == "consistent":
         return (
             f"The recording agrees with the model and the declared noise (chi-square {misfit_before.chi2:.0f} for "

@@ -198,8 +198,9 @@ def _missing_hint_error(
     open_: list[tuple[AngleUnit, VerticalKind]], file: object
 ) -> tuple[tuple[AngleUnit, VerticalKind], str]:
     """Error that asks the user to choose between conventions; raises RecordError with the option to type."""
-    choices = " or ".join(f"{v} angles in {a}" for a, v in open_)
-    hints = [f"--hint angle={open_[0][0]}"] if len({a for a, _ in open_}) > 1 else []
+    has_common_unit = len({a for a, _ in open_}) == 1
+    choices = " or ".join(f"{v} angles" if has_common_unit else f"{v} angles in {a}" for a, v in open_)
+    hints = [] if has_common_unit else [f"--hint angle={open_[0][0]}"]
     hints += [f"--hint vertical={open_[0][1]}"] if len({v for _, v in open_}) > 1 else []
     message = f"the angles may be {choices}, and the file does not decide; give {' '.join(hints)}"
     raise RecordError(message, file=file)

@@ -25,7 +25,6 @@ from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
 from ltsim.recordings.files import SourceLocation, decode_head, quoted_text
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import (
-    COMMON_SIGMA_ROLE,
     COORDINATE_ROLES,
     READING_ROLES,
     SIGMA_ROLES,
@@ -35,6 +34,7 @@ from ltsim.recordings.tables.header import (
     title_words_and_unit,
 )
 from ltsim.recordings.tables.sheets import SheetRow, TableSheet, head_rows, read_sheets
+from ltsim.recordings.tables.title_words import COMMON_SIGMA_ROLE
 from ltsim.recordings.xml import XmlNode, band_matrix_entries, parse_xml
 
 AXIS_NAMES = "xyz"

@@ -1,7 +1,7 @@
 """Reader and writer of recordings in any supported format."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 
@@ -24,6 +24,7 @@ from ltsim.recordings.settings import validation_sentence
 from ltsim.recordings.setup import Setup
 from ltsim.recordings.tables import reader as tables
 from ltsim.recordings.tables.cells import has_clock, is_value
+from ltsim.recordings.tables.station_names import UnnamedStationsError
 
 RecordingSource = Recording | str | Path
 """Recording, or the file or folder that contains one."""
@@ -46,7 +47,7 @@ WriteFunction = Callable[[Recording, Path], None]
 class FileFormat:
     """File format: recognition by the first characters, reader, and writer (if there is one).
 
-    `suffixes` decide only between formats that both recognise a file.
+    A format that `has_signature` begins in a way that no other format does; `suffixes` decide between the others.
     """
 
     name: str
@@ -55,12 +56,18 @@ class FileFormat:
     recognises: Callable[[Path, str], bool]
     read: Callable[[Path, Hints], Recording]
     write: WriteFunction | None = None
+    has_signature: bool = False
 
 
 def _make_format(
-    module: ModuleType, name: str, description: str, *suffixes: str, write: WriteFunction | None = None
+    module: ModuleType,
+    name: str,
+    description: str,
+    *suffixes: str,
+    write: WriteFunction | None = None,
+    has_signature: bool = False,
 ) -> FileFormat:
-    return FileFormat(name, description, suffixes, module.recognises, module.read, write)
+    return FileFormat(name, description, suffixes, module.recognises, module.read, write, has_signature)
 
 
 def _is_list_of_points(path: Path, head: str) -> bool:
@@ -70,6 +77,13 @@ def _is_list_of_points(path: Path, head: str) -> bool:
 def _point_list_error(path: Path, hints: Hints) -> Recording:
     listed = coordinates.read_points(path, requires_all=False)
     count, repeated = len(listed.names), listed.n_contradictory_rows
+    if repeated:
+        try:
+            tables.read(path, replace(hints, station=None))
+        except UnnamedStationsError:
+            raise
+        except RecordError:
+            pass  # it is no table of several set-ups
     names = "one name" if count == 1 else f"{count} names"
     if all(has_clock(name) or (is_value(name) and not name.isdigit()) for name in listed.names):
         message = f"this is a table of {count + repeated} positions without point names: a target that moves (a robot, "
@@ -93,8 +107,8 @@ FORMATS: tuple[FileFormat, ...] = (
     _make_format(cern_lgc, "cern-lgc", "input file of CERN's LGC", ".lgc", ".lgc2"),
     _make_format(gama, "gama-local", "input file of GNU Gama", ".gkf", ".xml", write=gama_writer.write),
     _make_format(openindy, "openindy", "OpenIndy project", ".xml"),
-    _make_format(gsi, "gsi", "Leica GSI-8 and GSI-16", ".gsi"),
-    _make_format(sdr, "sdr", "Sokkia SDR20 and SDR33", ".sdr"),
+    _make_format(gsi, "gsi", "Leica GSI-8 and GSI-16", ".gsi", has_signature=True),
+    _make_format(sdr, "sdr", "Sokkia SDR20 and SDR33", ".sdr", has_signature=True),
     _make_format(polar_text, "polar-text", POLAR_TEXT_FORMAT, ".txt", ".dat", ".asc", write=polar_text.write),
     FileFormat("point-list", POINT_LIST_FORMAT, (".txt", ".xyz", ".csv"), _is_list_of_points, _point_list_error),
     _make_format(tables, "table", TABLE_FORMAT, ".csv", ".tsv", ".txt", ".xlsx"),
@@ -173,7 +187,7 @@ def recognise_format(path: Path) -> FileFormat:
     if not fitting:
         formats = "; ".join(f"{f.name} ({f.about})" for f in FORMATS)
         raise RecordError(f"has none of the formats that ltsim reads: {formats}", file=path)
-    return next((f for f in fitting if path.suffix.lower() in f.suffixes), fitting[0])
+    return next((f for f in fitting if f.has_signature or path.suffix.lower() in f.suffixes), fitting[0])
 
 
 def write(recording: Recording, path: Path | str, format: str = "native") -> None:  # noqa: A002

@@ -26,6 +26,7 @@ from ltsim.recordings.files import (
     read_lines,
     write_texts,
 )
+from ltsim.recordings.occupations import check_centring
 from ltsim.recordings.pointings import index_names
 from ltsim.recordings.recording import (
     KIND_COLUMN,
@@ -168,6 +169,7 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, incomplete_tail:
     if not incomplete_tail:
         _require_valid_gauge(recording, folder / SETUP_FILE)
         check_differences(recording, folder / SETUP_FILE)
+        check_centring(recording, folder / SETUP_FILE)
     _require_declared_smrs(recording, folder)
     return recording.replace(notes=_unused_settings_notes(recording))
 

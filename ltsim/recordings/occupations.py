@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Sequence
 
 import numpy as np
 
 from ltsim.core.arrays import Ints
 from ltsim.recordings.centring_errors import CentringUncertainty
-from ltsim.recordings.recording import Recording
+from ltsim.recordings.files import SourceLocation, quoted_text
+from ltsim.recordings.recording import OCCUPATION_COLUMNS, Recording
 
 DAY_COLUMN = "date"
 """Column of a recording with the day of each pointing."""
 DAY_LENGTH_S = 86_400.0
 """Length [s] of a day."""
+MAX_LISTED_NAMES = 12
+"""Largest number of names that a message lists where none is similar."""
 
 
 def days_of_pointings(recording: Recording) -> tuple[str, ...]:
@@ -23,6 +27,24 @@ def days_of_pointings(recording: Recording) -> tuple[str, ...]:
     if not recording.has_clock or np.ptp(recording.time) < DAY_LENGTH_S:
         return ()
     return tuple(f"day {int(day) + 1}" for day in (recording.time - recording.time.min()) // DAY_LENGTH_S)
+
+
+def check_centring(recording: Recording, file: object) -> None:
+    """Check that the recording has the stations, targets and occupations of each table `[[centring]]`.
+
+    Raises RecordError with the nearest names.
+    """
+    for i, entry in enumerate(recording.setup.centring):
+        location = SourceLocation(file, column=f"centring {i + 1}")
+        for key, name, names in entry.unknown_names(recording.stations, recording.targets):
+            near = ", ".join(difflib.get_close_matches(name, names, n=3, cutoff=0.3) or names[:MAX_LISTED_NAMES])
+            raise location.error(f"{key} names '{quoted_text(name)}', which was never measured; did you mean {near}?")
+        has_days = bool(days_of_pointings(recording))
+        if entry.occupation == "day" and not has_days:
+            message = f"occupation = \"day\" needs a column '{DAY_COLUMN}' or times of several days"
+            raise location.error(f"{message}, and the recording has neither")
+        if entry.occupation in OCCUPATION_COLUMNS and entry.occupation not in recording.labels:
+            raise location.error(f'occupation = "{entry.occupation}" needs this column, and the recording has none')
 
 
 def target_occupations(recording: Recording, centring: CentringUncertainty) -> Ints:

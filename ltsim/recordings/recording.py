@@ -262,10 +262,12 @@ class Recording(Result):
         if gauge is not None:
             present = [g for g in gauge.distance if g.from_ in names and g.to in names]
             gauge = gauge.model_copy(update={"distance": tuple(present)})
+        stations = tuple(self.stations[s] for s in station_ids)
+        centring = tuple(filter(None, (entry.restricted_to(stations, names) for entry in self.setup.centring)))
         return dataclasses.replace(
             self,
-            setup=self.setup.model_copy(update={"gauge": gauge}),
-            stations=tuple(self.stations[s] for s in station_ids),
+            setup=self.setup.model_copy(update={"gauge": gauge, "centring": centring}),
+            stations=stations,
             targets=names,
             station=station.astype(np.int64),
             target=target.astype(np.int64),

@@ -310,6 +310,23 @@ def test_a_clean_recording_is_consistent_and_its_diagnosis_is_a_function_of_the_
     assert found.content() == again.content()
 
 
+def test_a_common_scale_is_undetectable_without_a_known_length():
+    recording, _ = network(seed=4)
+    free = recording.replace(setup=recording.setup.model_copy(update={"gauge": None}))
+    for measured, is_hidden in ((free, True), (recording, False)):
+        found = diagnose(measured)
+        assert ("range-scale" in {entry.effect for entry in found.undetectable}) is is_hidden
+        assert ("range-scale" in {entry.effect for entry in found.detectable}) is not is_hidden
+
+
+def test_a_recording_without_redundancy_is_not_said_to_agree():
+    recording, _ = network(seed=4)
+    recording = recording.replace(setup=recording.setup.model_copy(update={"gauge": None}))
+    once = recording.select(recording.station == 0)
+    _, first = np.unique(once.target, return_index=True)
+    assert "cannot be tested: there is no redundancy" in diagnose(once.select(np.sort(first))).summary
+
+
 @pytest.mark.long
 def test_p_values_of_clean_recordings_are_uniform():
     """The false-alarm rate is what it says: six recordings, p-values spread over the unit interval."""

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ltsim.core.errors import RecordError
 from ltsim.core.units import DEGREE, GON
 from ltsim.recordings import Hints, read
 from tests.recordings.samples import outcome, shared
@@ -111,3 +112,39 @@ def test_a_real_file() -> None:
     front, back = recording.readings[recording.face == 1], recording.readings[recording.face == 2]
     assert len(front) == len(back) == 700
     assert abs(np.mean(front[:, 2]) + np.mean(back[:, 2]) - np.pi) < 1e-4
+
+
+def test_codes_of_points_are_no_setups(tmp_path: Path) -> None:
+    code = "*410099+0000000000000012 42....+0000000000000007\n"
+    recording = read(gsi(tmp_path / "n.gsi", GSI16.replace("*110003", code + "*110003")))
+    assert recording.stations == ("BP04", "BP03")
+    assert any("1 blocks are neither" in note for note in recording.notes)
+
+
+def test_coordinates_name_the_setups_and_no_code_does(tmp_path: Path) -> None:
+    text = (
+        "110001+00000001 84..10+00001000 85..10+00002000 86..10+00003000 88..10+00001500\n"
+        "410002+00000012 42....+00000007 43....+00000001\n"
+        "110003+00000A12 21.322+10000000 22.322+10000000 31..00+00012345 87..10+00000100\n"
+    )
+    assert read(gsi(tmp_path / "n.gsi", text)).stations == ("1",)
+
+
+def test_a_circle_that_was_set_anew_is_another_orientation(tmp_path: Path) -> None:
+    lines = ["*410001+0000000000000021 42....+000000000000000S 43....+0000000000001538"]
+    for turn in (0, 4_000_000, 12_345_600):
+        lines += [
+            f"*110002+000000000000000{name} 21.322+{(angle + turn) % 40_000_000:016d} 22.322+0000000010000000 "
+            f"31..00+{distance:016d} 87..10+0000000000001538"
+            for name, angle, distance in (("P", 0, 20_000), ("Q", 9_000_000, 30_000), ("R", 21_000_000, 25_000))
+        ]
+    recording = read(gsi(tmp_path / "n.gsi", "\n".join(lines) + "\n"))
+    assert recording.stations == ("S", "S#2", "S#3")
+    assert [recording.station_setup(name).over for name in recording.stations] == ["S"] * 3
+    assert any("3 orientations at 1 occupations" in note for note in recording.notes)
+
+
+def test_the_file_of_a_level_is_named(tmp_path: Path) -> None:
+    text = "410001+?......1\n110002+000000A1 32...8+00012345 331.08+00123456\n"
+    with pytest.raises(RecordError, match="the file of a level"):
+        read(gsi(tmp_path / "n.gsi", text))

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from ltsim.core.errors import RecordError
+from ltsim.recordings.centring_errors import CentringUncertainty
 from ltsim.recordings.native import read_recording, write_recording
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.settings import read_setup, setup_to_toml
@@ -502,3 +503,28 @@ def test_the_concealed_recordings_survive(tmp_path: Path) -> None:
         recording = read_recording(source)
         write_recording(recording, tmp_path / source.name)
         same(recording, read_recording(tmp_path / source.name), tolerance=0.0)
+
+
+@pytest.mark.parametrize(
+    ("entry", "says"),
+    [
+        ('stations = ["S11"]', "centring 1: stations names 'S11', which was never measured; did you mean S1"),
+        ('targets = ["X9"]', "centring 1: targets names 'X9', which was never measured; did you mean "),
+        ('occupation = "target_setup"', 'occupation = "target_setup" needs this column'),
+        ('occupation = "day"', "occupation = \"day\" needs a column 'date' or times of several days"),
+    ],
+)
+def test_centring_names_what_the_recording_has(tmp_path: Path, entry: str, says: str) -> None:
+    write_recording(workshop(), tmp_path / "rec")
+    file = tmp_path / "rec" / "setup.toml"
+    file.write_text(f"{file.read_text()}\n[[centring]]\nsigma_mm = 0.1\n{entry}\n")
+    with pytest.raises(RecordError, match=re.escape(says)):
+        read_recording(tmp_path / "rec")
+
+
+def test_a_selection_keeps_the_centring_errors_of_its_names() -> None:
+    entries = tuple(CentringUncertainty(sigma_mm=0.1, stations=names) for names in (("S1",), ("S2",), ("S1", "S2"), ()))
+    recording = workshop()
+    recording = recording.replace(setup=recording.setup.model_copy(update={"centring": entries}))
+    chosen = recording.select(recording.station == recording.stations.index("S1"))
+    assert [entry.stations for entry in chosen.setup.centring] == [("S1",), ("S1",), ()]

@@ -84,3 +84,29 @@ def test_wrong_files_get_one_sentence(tmp_path: Path, change: object, says: str)
     with pytest.raises(RecordError) as refused:
         read(written(tmp_path / "a.sdr", change(book("33"))))  # type: ignore[operator]
     assert says in str(refused.value)
+
+
+def test_elevations_from_the_horizon_may_count_round_the_circle(tmp_path: Path) -> None:
+    lines = book("33", zero="2")
+    lines = [line.replace("-5.25000000", "354.75000000") for line in lines]
+    assert any("354.75000000" in line for line in lines)
+    expected = read(written(tmp_path / "a.sdr", book("33", zero="2")))
+    np.testing.assert_allclose(read(written(tmp_path / "b.sdr", lines)).readings, expected.readings, atol=1e-12)
+
+
+def test_corrected_observations_alone_are_refused_with_what_to_export(tmp_path: Path) -> None:
+    lines = [line for line in book("33") if not line.startswith("09F")]
+    with pytest.raises(RecordError, match=r"1 observations that the instrument corrected.*09F1, 09F2"):
+        read(written(tmp_path / "a.sdr", lines))
+
+
+def test_a_last_observation_that_is_cut_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "a.sdr"
+    file.write_text("\n".join(book("33")).rstrip()[:-20])
+    with pytest.raises(RecordError, match="row 11: the last line has no line break and is incomplete"):
+        read(file)
+
+
+@pytest.mark.parametrize("suffix", ["txt", "csv", "dat"])
+def test_the_header_decides_and_not_the_suffix(tmp_path: Path, suffix: str) -> None:
+    assert read(written(tmp_path / f"a.{suffix}", book("33"))).stations == ("1", "2")

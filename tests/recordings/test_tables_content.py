@@ -212,15 +212,14 @@ def test_degrees_minutes_seconds_in_columns_in_marks_and_in_decimals_are_one_ang
         ("C1,C2,76,46,56,141.9394\nC1,C3,0,0,5,323.6861\n", '"station=a,target=b,horizontal=c+d+e[deg],flat=f[m]"'),
         # directions in three columns, zenith angles in one with marks, lengths with the unit in their title
         (
-            "Lieu;Cible;Hz deg;Hz min;Hz sec;Distance zénithale;Longueur (mm)\n"
+            "Loc;Reper;Hz deg;Hz min;Hz sec;Unghi zenital;Longueur (mm)\n"
             "A;P;79;32;20,8;83°29'57,8\";11,9071\nA;Q;189;8;16,9;94°01'53,5\";4,5160\n",
-            '"station=Lieu,target=Cible,horizontal=Hz deg+Hz min+Hz sec[deg],zenith=Distance zénithale[deg],'
+            '"station=Loc,target=Reper,horizontal=Hz deg+Hz min+Hz sec[deg],zenith=Unghi zenital[deg],'
             'distance=Longueur (mm)[mm]"',
         ),
         # a column of marked angles is no distance
         (
-            "Lieu;Cible;a deg;a min;a sec;Distance zénithale\n"
-            "A;P;79;32;20,8;83°29'57,8\"\nA;Q;189;8;16,9;94°01'53,5\"\n",
+            "Loc;Reper;a deg;a min;a sec;Unghi zenital\nA;P;79;32;20,8;83°29'57,8\"\nA;Q;189;8;16,9;94°01'53,5\"\n",
             "no three of them can be two angles and a distance",
         ),
         # point numbers are names, one station's number no face

@@ -214,9 +214,12 @@ class StationOccupation:
         return float(np.linalg.norm(points[row] - points[others].mean(axis=0))) if others.any() else float("nan")
 
     def target_point_sigma(self, target: int) -> float:
-        """Standard deviation [m] of the repeated points of a target, rms over the three axes."""
+        """Standard deviation [m] of a target's repeated points, rms over the three axes; NaN with fewer than two."""
         points = from_polar(self.recording.readings[self.row_mask & np.asarray(self.recording.target == target)])
-        return float(np.sqrt(np.nanmean(np.nanvar(points, axis=0, ddof=1))))
+        points = points[np.isfinite(points).all(axis=1)]
+        if len(points) < 2:
+            return float("nan")
+        return float(np.sqrt(np.mean(np.var(points, axis=0, ddof=1))))
 
     def pointing_removal_tests(self) -> tuple[Floats, Ints]:
         """Decreases (n,) of chi-square by the removal of each of n pointings, and their degrees of freedom (n,).

@@ -344,20 +344,19 @@ class NetworkFit:
             spread[self.is_outlier] = prediction_sigmas(self.problem_with_all_readings, self.solution, self.is_outlier)
         return spread
 
-    def _normalised_misclosure(self, value: ReferenceValue) -> float:
-        """Misclosure of an excluded reference value, in its declared standard deviations."""
-        return float(np.linalg.norm(self.misclosure_of(value) / np.where(value.sigma > 0, value.sigma, np.inf)))
-
     def misclosure_of(self, value: ReferenceValue) -> Floats:
-        """Misclosure (q,) [m, rad] of the q components of an excluded reference value in the adjusted network."""
-        model = replace(self.problem.model, recording=self.network.recording)
+        """Misclosure (q,) [m, rad] of an excluded reference value; 0 at a set-up whose readings are all rejected."""
+        declared, centring = self.network.recording, self.problem.model.recording.setup.centring
+        declared = declared.replace(setup=declared.setup.model_copy(update={"centring": centring}))
+        model = replace(self.problem.model, recording=declared)
         problem = NetworkProblem.from_model(model, reading_mask=self.problem.used_readings)
         if value.kind == "mark":
             station = self.recording.stations.index(value.name)
             over = problem.marks.positions_on_marks(self.state.station_positions, self.state.target_points)
             return np.asarray(self.state.station_positions[station] - over[station])
-        candidates = (*reference_values(problem, self.state), *common_scale(problem, self.state))
-        return next(v.residual for v in candidates if (v.kind, v.name) == (value.kind, value.name))
+        values = (*reference_values(problem, self.state), *common_scale(problem, self.state))
+        same = (v.residual for v in values if (v.kind, v.name) == (value.kind, value.name))
+        return next(same, np.zeros_like(value.sigma))
 
     @property
     def is_gross_reading(self) -> Bools:
@@ -396,5 +395,6 @@ class NetworkFit:
             return log_occam_factor_of_centring(covariance, change.centring.sigma_mm * MILLIMETRE)
         if isinstance(change, ReferenceOmission):
             value = change.reference_value
-            return float(log_occam_factor_of_shift(self._normalised_misclosure(value), len(value.sigma)))
+            in_sigmas = self.misclosure_of(value) / np.where(value.sigma > 0, value.sigma, np.inf)
+            return float(log_occam_factor_of_shift(float(np.linalg.norm(in_sigmas)), len(value.sigma)))
         return 0.0

@@ -1,6 +1,7 @@
 """Field book of a total station: set-ups over points with heights, and pointings from them."""
 
-from dataclasses import dataclass, field
+from collections import Counter
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -8,11 +9,13 @@ import numpy as np
 from ltsim.core.errors import RecordError
 from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.air import NO_AIR_UNCERTAINTY
+from ltsim.recordings.circle_orientations import circle_orientations, zeroed_circle_note
 from ltsim.recordings.curvature import with_earth_curvature
 from ltsim.recordings.files import SourceLocation
 from ltsim.recordings.pointings import (
     NOT_MEASURED,
     Pointing,
+    index_names,
     numbered_name,
     recording_of_pointings,
     separate_constant_heights,
@@ -84,20 +87,23 @@ class FieldBook:
     def make_recording(self, kind: str, *notes: str) -> Recording:
         """Recording with levelled set-ups over points and the noise of a total station.
 
-        `kind` names the format in its notes.
+        `kind` names the format in its notes. Set-ups of one point have one position.
 
         Raises RecordError where nothing was measured.
         """
         if not self.pointings:
             raise RecordError("holds no measurements", file=self.path)
+        turned = self._separate_orientations()
         pointings, _, heights = separate_constant_heights(self.pointings)
-        targets = {p.target for p in pointings}
+        names = dict.fromkeys(p.station for p in pointings)
+        marks = {p.target for p in pointings}
+        marks |= {point for point, count in Counter(self.setups[name][0] for name in names).items() if count > 1}
         stations = {}
-        for name in dict.fromkeys(p.station for p in pointings):
+        for name in names:
             point, height, place = self.setups[name]
             stations[name] = Station(
                 levelled=True,
-                over=point if point in targets else None,
+                over=point if point in marks else None,
                 instrument_height_mm=round(height / MILLIMETRE, 6),
                 position_mm=place,
             )
@@ -108,5 +114,24 @@ class FieldBook:
             stations=stations,
             targets={name: Target(height_mm=height) for name, height in heights.items()},
         )
-        all_notes = [TOTAL_STATION_NOTE.format(reason=f"it is {kind}"), *notes]
+        all_notes = [TOTAL_STATION_NOTE.format(reason=f"it is {kind}"), *turned, *notes]
         return with_earth_curvature(recording_of_pointings(pointings, setup, notes=all_notes, file=self.path))
+
+    def _separate_orientations(self) -> list[str]:
+        """Separation (in place) of the orientations of a circle that was set anew into separate set-ups, with notes."""
+        occupations, occupation = index_names([p.station for p in self.pointings], "station", self.path)
+        _, sight = np.unique([f"{p.station}\n{p.target}\n{p.face}" for p in self.pointings], return_inverse=True)
+        readings = np.array([[p.distance, p.azimuth, p.elevation] for p in self.pointings])
+        orientation = circle_orientations(occupation, sight, readings)
+        if orientation is None:
+            return []
+        keys = list(zip((p.station for p in self.pointings), orientation.tolist(), strict=True))
+        name_by_key: dict[tuple[str, int], str] = {}
+        counts: Counter[str] = Counter()
+        for name, number in dict.fromkeys(keys):
+            point = self.setups[name][0]
+            name_by_key[name, number] = numbered_name(point, counts[point])
+            counts[point] += 1
+        self.setups = {new: self.setups[old] for (old, _), new in name_by_key.items()}
+        self.pointings = [replace(p, station=name_by_key[key]) for p, key in zip(self.pointings, keys, strict=True)]
+        return [zeroed_circle_note(len(name_by_key), len(occupations))]

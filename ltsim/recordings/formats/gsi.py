@@ -1,19 +1,22 @@
 """Format: Leica GSI-8 and GSI-16, measurement blocks of theodolites, total stations and older trackers.
 
 A block is a line of words: two digits of index, four of information, sign, 8 or 16 characters of data. Understood
-are point (11), code (41 with the station's name in 42 and the instrument's height in 43), angles (21, 22), slope and
-horizontal distance (31, 32), heights of target (87) and instrument (88), station coordinates (84 to 86). The format
-fixes the meaning: directions count clockwise, 22 is a zenith angle, the unit stands in every word.
+are point (11), code (41 with the station's name in 42 and the instrument's height in 43, in files without coordinates
+of stations), angles (21, 22), slope and horizontal distance (31, 32), heights of target (87) and instrument (88),
+station coordinates (84 to 86). The format fixes the meaning: directions count clockwise, 22 is a zenith angle, the unit
+stands in every word.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from ltsim.core.errors import RecordError
 from ltsim.core.units import DEGREE, GON, MILLIMETRE
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import SourceLocation, quoted_text, read_lines
@@ -103,22 +106,43 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     if hints.station is not None:
         file.add_setup(hints.station, 0.0, None, SourceLocation(path))
     lines = read_lines(path)
-    last_block = _GsiLine({}, SourceLocation(path))
-    for i, line in enumerate(lines):
-        if line.strip():
-            block = _GsiLine.from_line(line.strip(), SourceLocation(path, i + 1))
-            if i == len(lines) - 1 and block.words.keys() != last_block.words.keys():
-                raise block.where.error("the last line has no line break and is incomplete")
-            _process_block(block, file)
-            last_block = block
+    blocks = [
+        _GsiLine.from_line(line.strip(), SourceLocation(path, i + 1)) for i, line in enumerate(lines) if line.strip()
+    ]
+    if lines[-1].strip() and blocks[-1].words.keys() != (blocks[-2].words.keys() if len(blocks) > 1 else {}):
+        raise blocks[-1].where.error("the last line has no line break and is incomplete")
+    if any(block.has_words("33") for block in blocks) and not any(block.has_words("21") for block in blocks):
+        raise RecordError("is the file of a level: it has staff readings (33) and no directions (21)", file=path)
+    code = _setup_code(blocks)
+    for block in blocks:
+        _process_block(block, file, code)
     notes = [f"{file.skipped} blocks are neither a station nor a measurement and are not used"] if file.skipped else []
     return file.make_recording("a GSI file", *notes)
 
 
-def _process_block(block: _GsiLine, file: FieldBook) -> None:
-    if block.has_words("41", "42"):
+def _setup_code(blocks: Sequence[_GsiLine]) -> str | None:
+    """Code (41) of the blocks that name a set-up, the first with a name and a height; None if no code does.
+
+    Other codes describe points. Where blocks with coordinates name the set-ups, all codes do.
+    """
+    if any(map(_is_station, blocks)):
+        return None
+    for keys in (("41", "42", "43"), ("41", "42")):
+        named = [block.name("41") for block in blocks if block.has_words(*keys)]
+        if named:
+            return named[0]
+    return None
+
+
+def _is_station(block: _GsiLine) -> bool:
+    """True for a block with the coordinates of a station."""
+    return block.has_words("84", "85", "11") and not block.has_words("21")
+
+
+def _process_block(block: _GsiLine, file: FieldBook, setup_code: str | None) -> None:
+    if block.has_words("41", "42") and block.name("41") == setup_code:
         file.add_setup(block.name("42"), block.length("43"), None, block.where)
-    elif block.has_words("84", "85", "11") and not block.has_words("21"):
+    elif _is_station(block):
         x, y, z = (block.length(key) / MILLIMETRE for key in ("84", "85", "86"))
         file.add_setup(block.name("11"), block.length("88"), (x, y, z), block.where)
     elif block.has_words("11") and any(block.has_words(key) for key in ("21", "22", "31", "32")):

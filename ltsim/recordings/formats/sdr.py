@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ltsim.core.errors import RecordError
 from ltsim.core.units import DEGREE, GON, MILLIMETRE, SI_PER_UNIT
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import SourceLocation, quoted_text, read_lines
@@ -84,6 +85,9 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     lines = read_lines(path, replaces_undecodable=True)
     dialect = _Dialect.from_header(lines[0], SourceLocation(path, 1))
     height, from_horizon, skipped = NOT_MEASURED, False, 0
+    shortest = min((len(line.rstrip()) for line in lines[:-1] if line[:4] in OBSERVATION_RECORDS), default=0)
+    if lines[-1][:4] in OBSERVATION_RECORDS and len(lines[-1].rstrip()) < shortest:
+        raise SourceLocation(path, len(lines)).error("the last line has no line break and is incomplete")
     for i, line in enumerate(lines[1:], start=2):
         where, kind = SourceLocation(path, i), line[:2]
         if kind == "01":
@@ -96,6 +100,11 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
             _read_observation(line, dialect, book, where, height=height, from_horizon=from_horizon)
         elif kind == "09":
             skipped += 1
+    if skipped and not book.pointings:
+        message = (
+            f"holds {skipped} observations that the instrument corrected or averaged (such as 09MC), and no raw ones"
+        )
+        raise RecordError(f"{message}; export the readings of each face (09F1, 09F2)", file=path)
     notes = [f"{skipped} observations that the instrument corrected or averaged are not used"] if skipped else []
     return book.make_recording("an SDR file", *notes)
 
@@ -123,7 +132,7 @@ def _read_observation(
         location,
         distance=distance * dialect.length,
         horizontal=horizontal * dialect.angle,
-        zenith=np.pi / 2 - vertical if from_horizon else vertical,
+        zenith=float(np.mod(np.pi / 2 - vertical, 2 * np.pi)) if from_horizon else vertical,
         height=height,
     )
 

@@ -7,6 +7,10 @@ OBSERVATIONS = "export GSI, SDR or a table of the observations (station, point, 
 """Advice for programs of total stations."""
 ARRAYS = "write its arrays to a table, as docs/how-to/own-tracker.md shows in a few lines"
 """Advice for files of numerical programs."""
+DATABASES = "export the observations from its program as a table (SpatialAnalyzer, PolyWorks: reports as text)"
+"""Advice for databases, as the jobs of metrology programs are."""
+WORKBOOKS = "save it as xlsx or CSV"
+"""Advice for workbooks in other formats."""
 
 
 @dataclass(frozen=True)
@@ -23,12 +27,29 @@ def _make_format(name: str, pattern: str, alternative: str = OBSERVATIONS) -> Un
 
 
 UNREAD_FORMATS = (
-    _make_format("a field book in the format M5 or Rec (Trimble, Zeiss)", r"\s*For (?:M5|REC|R[45E])\|Adr"),
+    _make_format("a field book in the format M5 or Rec (Trimble, Zeiss)", r"\s*For[ _](?:M5|REC|R[45E])\|Adr"),
     _make_format("a job in the format JobXML (Trimble)", r"\s*(?:<\?xml[^>]*>\s*)?(?:<!--.*?-->\s*)*<JOBFile\b"),
-    _make_format("a field book in the format RW5 (Carlson)", r"\s*JB,NM|\s*--[^\n]*\n\s*JB,NM"),
-    _make_format("a raw file of Topcon or Ruide", r"\s*(?:GTS-7|GPT-7)\b|\s*JOB\s+[^\n]*\n(?:[^\n]*\n){0,8}?\s*STN\s"),
+    _make_format("a job in the format LandXML", r"\s*(?:<\?xml[^>]*>\s*)?(?:<!--.*?-->\s*)*<LandXML\b"),
+    _make_format("a file of Leica in the format HeXML", r"\s*(?:<\?xml[^>]*>\s*)?(?:<!--.*?-->\s*)*<HexagonXML\b"),
+    _make_format(
+        "a field book in the format RW5 (Carlson)", r"(?:\s*--[^\n]*\n)*\s*(?:JB,NM|MO,AD|OC,OP|BK,OP|LS,H[IR]|SS,OP)"
+    ),
+    _make_format("a raw file of Nikon", r"(?:\s*CO,[^\n]*\n)+?\s*(?:CO,(?:Dist Units|Angle Units)|ST,|MP,|UP,)"),
+    _make_format(
+        "a raw file of Topcon or Ruide",
+        r"\s*(?:GTS|GPT)-\d|\s*_'[^\n]{0,40}_\(|\s*JOB\s+[^\n]*\n(?:[^\n]*\n){0,8}?\s*STN\s",
+    ),
+    _make_format("a field book in the format Geodimeter (JOB, ARE)", r"\s*50=[^\n]*\n(?:\d{1,3}=[^\n]*\n){3}"),
+    _make_format(
+        "input of STAR*NET",
+        r"(?:\s*#[^\n]*\n|\s*\.[A-Za-z][^\n]*\n|\s*C\s[^\n]*\n)*\s*(?:M\s+\S+-\S+-\S+\s|DB\s+\S+\s*\n\s*D[MN]\s)",
+    ),
     _make_format("a field book in the format GEO (GeoEasy)", r"\s*\{\s*\d+\s+[^}]*\}\s*\{\s*\d+\s"),
     _make_format("a file of MATLAB", r"MATLAB 5\.0 MAT-file", ARRAYS),
     _make_format("a JSON array", r"\s*\[\s*[\[{\d\"-]", ARRAYS),
+    _make_format("a JSON object", r"\s*\{\s*\"[^\"\n]*\"\s*:", ARRAYS),
+    _make_format("a database", r"SQLite format 3|\x00\x01\x00\x00Standard (?:Jet|ACE) DB", DATABASES),
+    _make_format("a workbook of Excel 97 (xls)", r"\xd0\xcf\x11\xe0", WORKBOOKS),
+    _make_format("a workbook of OpenDocument (ods)", r"PK.{28}mimetypeapplication/vnd\.oasis", WORKBOOKS),
 )
 """Formats in the order in which they are tried."""

@@ -9,7 +9,13 @@ from ltsim.core.units import LENGTH_UNITS
 from ltsim.recordings.conventions import FULL_CIRCLE_BY_UNIT, AngleUnit
 from ltsim.recordings.files import quoted_text
 from ltsim.recordings.tables import cells
-from ltsim.recordings.tables.header import ANGLE_MARKS, COORDINATE_ROLES, normalised_title, title_words_and_unit
+from ltsim.recordings.tables.header import (
+    ANGLE_MARKS,
+    COORDINATE_ROLES,
+    normalised_title,
+    title_words_and_unit,
+    unknown_unit_sentence,
+)
 from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 from ltsim.recordings.transcription_errors import MAX_CIRCLE_RADIANS, MIN_DISTANCE_MM
 
@@ -37,6 +43,8 @@ def unrecognised_header_sentence(sheet: TableSheet, serves: Callable[[str], bool
     body = [row.fields for row in sample if row.n_values > 1]
     if not body:
         return "contains no row with two or more numbers, so no pointing"
+    if head is not None and (unit_fault := unknown_unit_sentence(head.fields)):
+        return unit_fault
     width = max(map(len, body))
     named = head is not None and len(head.fields) == width
     given = head.fields if head is not None and named else ("",) * width
@@ -45,7 +53,9 @@ def unrecognised_header_sentence(sheet: TableSheet, serves: Callable[[str], bool
     advised = _likely_assignments(titles, [row for row in body if len(row) == width][:MAX_SAMPLE_ROWS])
     advice = next(filter(serves, advised[:MAX_TRIED_ASSIGNMENTS]), None)
     if advice is not None:
-        return f'{header} does not define its columns; define them, for instance --columns "{advice}"'
+        sentence = f'{header} does not define its columns; define them, for instance --columns "{advice}"'
+        is_ambiguous = not named and advice != advised[-1] and serves(advised[-1])
+        return f'{sentence}, or --columns "{advised[-1]}"' if is_ambiguous else sentence
     reason = "no three of them can be two angles and a distance, or coordinates"
     return f"{header} does not define its columns, and {reason}; if they can, define them: {COLUMNS_QUESTION}"
 
@@ -91,7 +101,10 @@ def _likely_assignments(titles: Sequence[str], rows: Sequence[Sequence[str]]) ->
         if len(first) == len(other) or (_is_sexagesimal(first, columns) and _is_sexagesimal(other, columns))
         for circle in ("horizontal" if normalised_title(titles[first[0]]).startswith(("hz", "hor")) else "azimuth",)
         for unit, kind in _possible_conventions(first, other, columns, titles)
-        for length in _distance_columns("distance", [i for i in numbers if i > other[-1]], titles, columns, first)
+        for length in (
+            _distance_columns("distance", [i for i in numbers if i > other[-1]], titles, columns, first)
+            or _distance_columns("distance", [i for i in numbers if i < first[0]][-1:], titles, columns, first)
+        )
     ]
     polar += [
         [f"horizontal={_joined_titles(first, titles)}[deg]", *length]

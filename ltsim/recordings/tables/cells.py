@@ -13,10 +13,14 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
 from ltsim.recordings.files import MAX_NUMBER_LENGTH, NUMBER_PATTERN, is_number
 
-FACE_WORDS = {
-    **dict.fromkeys(("1", "1.0", "i", "f1", "face1", "f", "front", "direct", "d", "l", "left", "links", "cl", "a"), 1),
-    **dict.fromkeys(("2", "2.0", "ii", "f2", "face2", "b", "back", "reverse", "r", "right", "rechts", "cr"), 2),
-}
+FACE_TITLES = (
+    "1 1.0 i f1 face1 facei lage1 lagei 1st f front direct d l left links cl a",
+    "2 2.0 ii f2 face2 faceii lage2 lageii 2nd b back reverse r right rechts cr",
+)
+"""Words for faces 1 and 2."""
+FACE_WORDS = {word: face for face, words in enumerate(FACE_TITLES, start=1) for word in words.split()}
+MISSING_MARKS = frozenset(("-", "--", "---", "----", "-----", "\u2013", "\u2014", "n/a", "N/A", "#N/A"))
+"""Cells without a value, as programs write them."""
 ValueType = TypeVar("ValueType")
 DAY = timedelta(days=1)
 """Time span of a day."""

@@ -1,4 +1,4 @@
-"""Meaning of a header: roles of columns from English and German titles, units in brackets, faces by number."""
+"""Meaning of a header: roles of columns from titles in several languages, units in brackets, faces by number."""
 
 import re
 import unicodedata
@@ -9,7 +9,8 @@ from functools import lru_cache
 
 from ltsim.core.errors import RecordError
 from ltsim.core.units import ANGLE_UNITS, LENGTH_UNITS, SMALL_ANGLE_UNITS, UNITS_BY_SPELLING
-from ltsim.recordings.files import quoted_text
+from ltsim.recordings.files import SourceLocation, quoted_text
+from ltsim.recordings.tables.title_words import COMMON_SIGMA_ROLE, FOREIGN_TITLE_WORDS, TITLE_WORDS
 
 HORIZONTAL_ROLES = ("horizontal", "azimuth")
 VERTICAL_ROLES = ("vertical", "zenith", "elevation")
@@ -24,45 +25,12 @@ SIGMA_ROLES = {
     **{axis: f"sigma_{axis}_mm" for axis in COORDINATE_ROLES},
 }
 """Role of the column with the standard deviation of another column, by the role of that column."""
-COMMON_SIGMA_ROLE = "sigma_mm"
-"""Role of a column with one standard deviation for all three coordinates."""
-TITLE_WORDS = {
-    "station": "station stn st setup standpunkt stp stand standort stationname stationid stationnr stationno "
-    "stationnumber stationpoint stationpointid setuppoint setuppointid standpunktnr standpunktnummer "
-    "standpunktname from fromstn fromstation frompoint frompointid von instrument tracker stationsname "
-    "setupname setupid setupno setupnr setupnumber occupation occupationid aufstellung besetzung",
-    "target": "target point pt name punkt pkt punktnummer punktname pnr pointname pointid pointnumber pointno pointnr "
-    "ptid ptno ptnr ptname targetname targetid feature featurename id to tostn tostation topoint topointid nach "
-    "reflector smr zielpunkt zielpunktnr zielpunktnummer ziel nest nr nummer no",
-    "face": "face f lage kreislage circlelage visierlage",
-    "repeat": "repeat repetition rep wiederholung",
-    "round": "round runde obsset satz set setnumber setno setnr satznummer satznr vollsatz serie series",
-    "horizontal": "hz ha hor horizontal horizontalangle hzangle horizontalrichtung hzrichtung richtung direction "
-    "horizontalwinkel hzwinkel hcircle hzcircle horizontalcircle",
-    "azimuth": "azimuth az azimut azi azimuthangle azimutwinkel",
-    "vertical": "v va vertical verticalangle vertikalwinkel vwinkel vangle vcircle verticalcircle",
-    "zenith": "zenith za zd zen zenithangle zenit zenitwinkel zenitdistanz zenithdistance",
-    "elevation": "elevation el elev elevationangle hohenwinkel hoehenwinkel altitudeangle",
-    "distance": "distance dist d sd slopedist slopedistance slope range r schragdistanz schraegdistanz schragstrecke "
-    "schraegstrecke strecke distanz raumstrecke distance3d sdist",
-    "flat": "hd horizontaldistance horizontaldist horizontalstrecke horizontaldistanz hdist",
-    "x": "x xactual actualx xmeas measx xist istx e east easting rechtswert rw ost ostwert xcoordinate xkoordinate",
-    "y": "y yactual actualy ymeas measy yist isty n north northing hochwert hw nord nordwert ycoordinate ykoordinate",
-    "z": "z zactual actualz zmeas measz zist istz h height hohe hoehe zcoordinate zkoordinate",
-    COMMON_SIGMA_ROLE: "sigma stddev std sigmaxyz",
-    "time": "time zeit timestamp zeitstempel zeitpunkt datetime utc uhrzeit clock clocktime times measuredat",
-    "date": "date datum day tag",
-    "instrument_height_mm": "instrumentheight insthgt insthgtm ih hi fromhgt stationheight instrumentenhohe "
-    "instrumentenhoehe instrumenthohe geratehohe geraetehoehe kippachshohe standpunkthohe",
-    "target_height_mm": "targetheight tohgt th ht hr reflectorheight prismheight rodheight zielhohe zielhoehe "
-    "zielpunkthohe reflektorhohe prismenhohe tafelhohe zh",
-    "instrument_setup": "isetupid instrumentsetup instrumentsetupid",
-    "target_setup": "tsetupid targetsetup targetsetupid",
-    "air_temperature_c": "airtemperature airtemp lufttemperatur",
-    "air_pressure_hpa": "airpressure pressure luftdruck",
-    "relative_humidity_pct": "relativehumidity humidity luftfeuchte luftfeuchtigkeit",
+ROLE_BY_TITLE = {
+    word: role
+    for words in (TITLE_WORDS, *FOREIGN_TITLE_WORDS.values())
+    for role, text in words.items()
+    for word in text.split()
 }
-ROLE_BY_TITLE = {word: role for role, words in TITLE_WORDS.items() for word in words.split()}
 ROLE_UNITS = {
     **dict.fromkeys((*HORIZONTAL_ROLES, *VERTICAL_ROLES), ANGLE_UNITS),
     **dict.fromkeys(
@@ -95,6 +63,8 @@ _SIGMA_TITLE_PATTERN = (
     re.compile(r"([a-z]+?)(?:error|err|sigma|stddev|std|sd)"),
 )
 ANGLE_MARKS = ("°", "'", '"')
+ANGLE_PART_UNITS = ("min", "sec", "'", '"', "m", "s")
+"""Units of minutes and seconds of an angle in columns of their own."""
 PART_ROLE = "part"
 """Role of a column with the minutes or seconds of an angle whose degrees are in an earlier column."""
 _PART_PATTERNS = tuple(
@@ -146,6 +116,9 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
     Coordinates in a table of polar readings are further columns.
     """
     candidates = _join_angle_parts([_column_from_title(place, title) for place, title in enumerate(fields)])
+    roles = {c.role for c in candidates}
+    if _reading_kinds(candidates) == 2 and not roles & {*VERTICAL_ROLES, "x", "y"}:  # Z beside Hz and D is no height
+        candidates = [replace(c, role="vertical") if c.role == "z" and not c.unit else c for c in candidates]
     two_face_roles = {c.role for c in candidates if c.face == 1} & {c.role for c in candidates if c.face == 2}
     polar = _reading_kinds(candidates) > 1
     words = {role: {title_words_and_unit(c.title)[0] for c in candidates if c.role == role} for role in FALLBACK_TITLES}
@@ -229,6 +202,27 @@ def is_header(columns: Sequence[TableColumn]) -> bool:
     return _reading_kinds(columns) > 1 or has_named_coordinates(columns)
 
 
+def unknown_unit_sentence(titles: Sequence[str]) -> str:
+    """Sentence on the first title of a reading whose unit is not known; empty without one."""
+    for title in titles:
+        name, unit = title_words_and_unit(title)
+        units = ROLE_UNITS.get(title_role(name), ())
+        is_polar = title_role(name) in (*HORIZONTAL_ROLES, *VERTICAL_ROLES, *DISTANCE_ROLES)
+        if is_polar and unit and unit not in (*units, *ANGLE_PART_UNITS, *LENGTH_UNITS):
+            wrong = f"the unit '{quoted_text(unit)}' of column '{quoted_text(title)}' is unknown"
+            return f"{wrong}; convert it to one of {', '.join(units)}"
+    return ""
+
+
+def require_readable_units(columns: Sequence[TableColumn], location: SourceLocation) -> None:
+    """Check that no kind of reading is missing because of the unit of its column; raises RecordError."""
+    kinds = {_reading_kind(column.role) for column in columns}
+    others = [c.title for c in columns if not c.role]
+    missing = [title for title in others if _reading_kind(title_role(title_words_and_unit(title)[0])) not in kinds]
+    if sentence := unknown_unit_sentence(missing):
+        raise location.error(sentence)
+
+
 def has_named_coordinates(columns: Sequence[TableColumn]) -> bool:
     """True if the columns include x, y, z of named targets."""
     return {"target", *COORDINATE_ROLES} <= {column.role for column in columns}
@@ -274,7 +268,8 @@ def _column_from_title(place: int, title: str, *, has_face: bool = True) -> Tabl
         face = {"1": 1, "i": 1, "2": 2, "ii": 2}[numbered.group(2).lower()] if role else 0
     if role in ROLE_UNITS and unit and unit not in ROLE_UNITS[role]:
         # surveyors' lists have heights in a column called elevation
-        role, face = ("z" if role == "elevation" and unit in LENGTH_UNITS else ""), 0
+        is_zenith = name == "z" and unit in ANGLE_UNITS
+        role, face = "zenith" if is_zenith else "z" if role == "elevation" and unit in LENGTH_UNITS else "", 0
     return TableColumn(place, title, role, unit, face)
 
 

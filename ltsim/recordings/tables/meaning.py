@@ -34,7 +34,6 @@ from ltsim.recordings.pointings import index_names
 from ltsim.recordings.recording import SIGMA_COLUMNS
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import (
-    COMMON_SIGMA_ROLE,
     COORDINATE_ROLES,
     DISTANCE_ROLES,
     HEIGHT_ROLES,
@@ -44,6 +43,7 @@ from ltsim.recordings.tables.header import (
     TableColumn,
 )
 from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, apply_exactly, to_floats
+from ltsim.recordings.tables.title_words import COMMON_SIGMA_ROLE
 from ltsim.recordings.transcription_errors import MIN_DISTANCE_MM
 
 FULL_CIRCLE_DEG = 360
@@ -52,6 +52,8 @@ QUARTER_CIRCLE_DEG = 90
 """Quarter circle [deg]."""
 HEIGHT_RANGE_M = (0.2, 3.0)
 """Range [m] of heights of instruments and targets above their marks, which distinguishes metres from millimetres."""
+PLAUSIBLE_HEIGHTS = (("m", 0.2, 5.0), ("mm", 100.0, 5000.0))
+"""Ranges of heights above marks, by unit: as a length in the other unit they are below 5 mm or above 100 m."""
 MAX_AMBIGUOUS_MM = 1000.0
 """Longest distance [mm] up to which a distance without unit could be in metres."""
 MAX_COMMON_FRAME_DIFFERENCE_M = 2e-3
@@ -93,8 +95,17 @@ class ColumnInterpretation:
         ]
         return np.stack(polar, axis=1) * [MILLIMETRE, DEGREE, DEGREE]
 
-    def unit_of(self, role: str) -> str:
-        """Unit of the reading to which a column of sigmas or heights without unit belongs."""
+    def unit_of(self, role: str, values: Floats) -> str:
+        """Unit of a column of sigmas or heights (n,) without unit: that of its reading.
+
+        Heights that are implausible in this unit and plausible in the other of metres and millimetres are in that one.
+        """
+        if role in HEIGHT_ROLES and self.length_unit in ("m", "mm"):
+            sizes = np.abs(values[np.isfinite(values) & (values != 0)])
+            height = float(np.median(sizes)) if len(sizes) else 0.0
+            for unit, low, high in PLAUSIBLE_HEIGHTS:
+                if unit != self.length_unit and low < height < high:
+                    return unit
         return {"sigma_azimuth_arcsec": self.horizontal_unit, "sigma_elevation_arcsec": self.vertical_unit}.get(
             role, self.length_unit
         )

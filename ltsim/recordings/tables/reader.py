@@ -12,6 +12,7 @@ from ltsim.recordings.air import NO_AIR_UNCERTAINTY
 from ltsim.recordings.conventions import NO_HINTS, Hints, rough_poses
 from ltsim.recordings.curvature import with_earth_curvature
 from ltsim.recordings.files import MAX_TEXT_LENGTH, quoted_text
+from ltsim.recordings.occupations import check_centring
 from ltsim.recordings.pointings import NOT_MEASURED, PointingColumns, declares_noise, recording_of_columns
 from ltsim.recordings.recording import HEIGHT_COLUMNS, KIND_COLUMN, OCCUPATION_COLUMNS, SIGMA_COLUMNS, Recording
 from ltsim.recordings.settings import read_setup
@@ -19,6 +20,7 @@ from ltsim.recordings.setup import Instrument, Setup
 from ltsim.recordings.specification import NO_NOISE_NOTE, TOTAL_STATION, TOTAL_STATION_NOTE
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import DISTANCE_ROLES, ROLE_UNITS, TableColumn, has_named_coordinates
+from ltsim.recordings.tables.heights import with_heights_of_setups
 from ltsim.recordings.tables.meaning import ColumnInterpretation, interpret_readings, sigmas_from_coordinates
 from ltsim.recordings.tables.packed_angles import with_unpacked_angles
 from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, decimal_places, indices_by_value
@@ -134,6 +136,8 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
     require_station_names(table, readings, path)
     if setup is not None:
         recording = assemble_recording(table, meaning, readings, setup, hints, path)
+        if not hints.incomplete_tail:
+            check_centring(recording, _setup_path(path, hints))
         return recording.replace(
             notes=(f"noise and set-ups are read from {_setup_path(path, hints)}", *recording.notes)
         )
@@ -153,16 +157,19 @@ def assemble_recording(
     covariates, labels, further = _additional_columns(table, interpretation)
     turns = covariates.get(SIGMA_COLUMNS[1], nothing) * ARCSECOND
     is_total_station = bool(total_station_reason(table, interpretation, readings))
-    same_place, rounds = split_occupations(table, readings, turns, is_total_station=is_total_station)
+    has_circle = is_total_station or table.column(("horizontal",)) is not None
+    same_place, rounds = split_occupations(table, readings, turns, has_circle=has_circle)
     upright = is_total_station and table.column(("elevation",)) is None
     setup, over = with_setups_over_marks(table, setup, readings, rounds=same_place, levelled=upright)
     faces, reduced = _pointing_faces(table, readings)
     times, started, timed = pointing_times(table, hints)
     if started and not setup.started:
         setup = setup.model_copy(update={"started": started})
+    covariates, empty_heights = with_heights_of_setups(table, covariates)
     height = np.stack([covariates.get(name, nothing) for name in HEIGHT_COLUMNS], axis=1) * MILLIMETRE
     unused = heights_not_applied(table, readings, height)
     if unused:
+        empty_heights = []
         covariates = {name: column for name, column in covariates.items() if name not in HEIGHT_COLUMNS}
         sigma_mm = setup.heads_sigma_mm or HEAD_HEIGHT_SIGMA_MM
         setup = setup.model_copy(update={"heads_sigma_mm": sigma_mm, "curved": True})
@@ -170,7 +177,8 @@ def assemble_recording(
     if timed and table.column(("date",)) is not None:  # a text where it is no clock
         labels["date"] = printed.moment
     if "flat" in printed.numbers:
-        labels[KIND_COLUMN] = ["horizontal" if digits else "" for digits in printed.numbers["flat"].tolist()]
+        slope = printed.digits_of_roles(("distance",))
+        labels[KIND_COLUMN] = np.where((printed.numbers["flat"] != b"") & (slope == b""), "horizontal", "").tolist()
     remarks = [
         table.notes,
         interpretation.notes,
@@ -179,6 +187,7 @@ def assemble_recording(
         reduced,
         timed,
         further,
+        empty_heights,
         unused,
         _unread_lines_note(table),
     ]
@@ -250,14 +259,14 @@ def _additional_columns(
     numeric = {title: numbers for title, numbers in converted.items() if numbers is not None}
     used_titles = words | {c.title for c in values if "_" in c.role and c.title in numeric}
     names = {c.title: c.role if c.title in used_titles else c.title for c in columns}
-    covariates = {names[title]: column for title, column in numeric.items()}
+    covariates = {names[title]: column for title, (column, _) in numeric.items()}
     labels = {
         names[title]: column for title, column in table.pointings.additional_cells.items() if title not in numeric
     }
     with_units = {c.title for c in columns if c.role in HEIGHT_COLUMNS or c.role.startswith("sigma_")}
     units = [
         f"'{quoted_text(c.title)}' is interpreted as {c.role}"
-        + ("" if c.unit else f", in {_column_unit(c, interpretation)} as its reading")
+        + ("" if c.unit else f", in {numeric[c.title][1]}{_unit_reason(c.role, numeric[c.title][1], interpretation)}")
         for c in columns
         if c.title in with_units and c.title in numeric
     ]
@@ -269,37 +278,37 @@ def _additional_columns(
     )
 
 
-def _column_unit(column: TableColumn, interpretation: ColumnInterpretation) -> str:
-    return column.unit or interpretation.unit_of(column.role)
+def _unit_reason(role: str, unit: str, interpretation: ColumnInterpretation) -> str:
+    """Reason for the unit of a column that states none."""
+    of_reading = role not in HEIGHT_COLUMNS or unit == interpretation.length_unit
+    return " as its reading" if of_reading else f": {interpretation.length_unit}, as of its reading, is implausible"
 
 
 def _covariate_values(
     column: TableColumn, pointings: PrintedPointings, interpretation: ColumnInterpretation
-) -> Floats | None:
-    """Numbers of a column in the unit of its role, NaN for an empty cell; None for a text column."""
+) -> tuple[Floats, str] | None:
+    """Numbers of a column in the unit of its role, NaN for an empty cell, and its unit; None for a text column."""
     texts = pointings.additional_cells.get(column.title, [])
     if not any(texts):
         return None
-    values = cells.plain_numbers(texts) if not any(pointings.grouping) else None
-    if values is not None:
-        return values * _unit_factor(column, interpretation)
-    numbers = np.full(len(texts), NOT_MEASURED)
-    for i, (text, grouping) in enumerate(zip(texts, pointings.grouping, strict=True)):
-        if text:
-            number = cells.parse_quantity(text, grouping)
-            if number is None:
-                return None
-            numbers[i] = number
-    return numbers * _unit_factor(column, interpretation)
-
-
-def _unit_factor(column: TableColumn, interpretation: ColumnInterpretation) -> float:
-    """Factor from the unit of a column of standard deviations or heights to the unit of its role."""
+    bare_texts, cell_unit = cells.split_common_unit(texts) if column.role in ROLE_UNITS else (texts, "")
+    numbers = cells.plain_numbers(bare_texts) if not any(pointings.grouping) else None
+    if numbers is None:
+        numbers = np.full(len(texts), NOT_MEASURED)
+        for i, (text, grouping) in enumerate(zip(bare_texts, pointings.grouping, strict=True)):
+            if text and text not in cells.MISSING_MARKS:
+                number = cells.parse_quantity(text, grouping)
+                if number is None and column.role in HEIGHT_COLUMNS:
+                    message = f"found '{quoted_text(texts[i])}', expected a height, with the same unit in all cells"
+                    raise pointings.source_location(i).error(message, quoted_text(column.title))
+                if number is None:
+                    return None
+                numbers[i] = number
+    unit = cell_unit or column.unit or interpretation.unit_of(column.role, numbers)
     wanted = column.role.rpartition("_")[2]
-    if wanted not in ("mm", "arcsec"):
-        return 1.0
-    unit = _column_unit(column, interpretation)
-    return float(unit_ratio(unit, wanted)) if unit in (*ROLE_UNITS[column.role], "dms") else 1.0
+    if wanted in ("mm", "arcsec") and unit in (*ROLE_UNITS[column.role], "dms"):
+        numbers = numbers * float(unit_ratio(unit, wanted))
+    return numbers, unit
 
 
 def _unread_lines_note(table: PointingTable) -> list[str]:

@@ -8,7 +8,7 @@ of a moving target (a robot, a T-MAC).
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from itertools import product
+from itertools import groupby, product
 from operator import add, sub
 
 import numpy as np
@@ -17,13 +17,13 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.notation import listing
 from ltsim.core.units import EARTH_RADIUS
+from ltsim.recordings.circle_orientations import circle_orientations, zeroed_circle_note
 from ltsim.recordings.files import MAX_RECORDING_NAME_LENGTH, quoted_text
 from ltsim.recordings.pointings import numbered_name
 from ltsim.recordings.recording import OCCUPATION_COLUMNS
 from ltsim.recordings.setup import EXACT_LEVEL_ARCSEC, Setup, Station
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import COORDINATE_ROLES, HEIGHT_ROLES, HORIZONTAL_ROLES, VERTICAL_ROLES
-from ltsim.recordings.tables.orientations import circle_orientations
 from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, indices_by_value, to_floats
 
 MAX_SAME_PLACE_RATIO = 3e-4
@@ -96,6 +96,14 @@ def _position_tolerance(role: str, max_distance: float, lengths: float) -> float
 
 MAX_NAMES_IN_SETUP_NOTE = 4
 """Largest number of names that a note on set-ups lists."""
+OCCUPATION_NAMES = (
+    ("instrument_setup", "set-up"),
+    ("date", "day"),
+    ("instrument_height_mm", "height of the instrument"),
+)
+"""Columns that number occupations, in the order in which they are used, and their names in a note."""
+MIN_ROWS_OF_OCCUPATION = 3
+"""Smallest number of rows with one height of the instrument that is an occupation."""
 MIN_CLOSED_LINES = 4
 """Smallest number of lines measured in both directions for a test of the heights over marks."""
 MAX_CLOSURE_RATIO = 0.5
@@ -107,6 +115,8 @@ MIN_CIRCLE_ROTATION = 1e-3
 MIN_ROTATION_SIGMAS = 6.0
 """Smallest difference of directions, in their standard deviations (if given), that counts as a rotation of the circle.
 """
+MAX_UNAPPLIED_CLOSURE_M = 0.2
+"""Largest median closure [m] without heights at which these can be left out: earth curvature of lines of 1.3 km."""
 MAX_CLOSURE_M = 0.02
 """Largest closure [m] of lines measured to and fro between heads on forced centring; lines over marks differ by
 decimetres.
@@ -173,13 +183,13 @@ def normalised_name(name: str) -> str:
 
 
 def split_occupations(
-    table: PointingTable, readings: Floats, sigma: Floats, *, is_total_station: bool
+    table: PointingTable, readings: Floats, sigma: Floats, *, has_circle: bool
 ) -> tuple[set[str], list[str]]:
     """Separation (in place) of the occupations of one mark, and of rounds with a rotated circle, into separate set-ups.
 
     An occupation has one identifier in a column of set-ups or, without such a column, one day in a column of dates.
     `sigma` (n,) [rad] are standard deviations of the azimuths, NaN if not given. Without a column of rounds, the
-    directions of a total station show where its circle was set anew.
+    directions of an instrument that `has_circle` to set show where that was done.
 
     Returns the names of set-ups at the position of others (rounds of one occupation), and notes.
     """
@@ -193,7 +203,7 @@ def split_occupations(
         turned = _has_rotated_circle(table, of_occupation, of_round, readings[:, 1], sigma)
         if turned:
             distinct, code = [(*occupations[i], name) for i, name in by_round], of_round
-    elif is_total_station:
+    elif has_circle:
         _, sight = indices_by_value(zip(of_occupation.tolist(), pointings.target, pointings.face, strict=True))
         orientations = circle_orientations(of_occupation, sight, readings)
         if orientations is not None:
@@ -211,7 +221,7 @@ def split_occupations(
     pointings.station = [names[i] for i in code.tolist()]
     notes = []
     if len(occupations) > len(marks):
-        by = "set-up" if table.column(("instrument_setup",)) is not None else "day"
+        by = next((name for role, name in OCCUPATION_NAMES if table.column((role,)) is not None), "")
         notes.append(f"{len(occupations)} occupations of {len(marks)} marks, by {by}, are separate set-ups")
     if turned:
         of = f" of {len(occupations)} occupations" if len(occupations) > len(marks) else ""
@@ -219,10 +229,7 @@ def split_occupations(
             f"the circle was turned between rounds: {len(names)} rounds{of} are separate set-ups over their marks"
         )
     if orientations is not None:
-        notes.append(
-            f"the circle was set anew between repeated pointings: {len(names)} orientations at {len(occupations)} "
-            "occupations are separate set-ups at the same positions"
-        )
+        notes.append(zeroed_circle_note(len(names), len(occupations)))
     rounds = Counter(key[:2] for key in distinct)
     is_split = turned or orientations is not None
     return {n for key, n in zip(distinct, names, strict=True) if rounds[key[:2]] > 1} if is_split else set(), notes
@@ -234,9 +241,30 @@ def _occupation_numbers(table: PointingTable) -> list[str]:
     if column is not None:
         return printed.texts(column.title)
     if table.column(("date",)) is None:
-        return [""] * len(printed)
+        return _numbers_by_height(table)
     days = {moment: "" if cells.has_clock(moment) else moment for moment in {*printed.moment}}
     return [days[moment] for moment in printed.moment]
+
+
+def _numbers_by_height(table: PointingTable) -> list[str]:
+    """Occupation of each pointing by the height of the instrument, which is constant within an occupation.
+
+    A mark has one occupation if a height holds for few of its rows, or returns: a wrong height is no occupation.
+    """
+    column = table.column(("instrument_height_mm",))
+    numbers = [""] * len(table.pointings)
+    rows_by_mark: dict[str, list[int]] = {}
+    for row, mark in enumerate(table.mark if column is not None else ()):
+        rows_by_mark.setdefault(mark, []).append(row)
+    heights = table.pointings.texts(column.title) if column is not None else []
+    for rows in rows_by_mark.values():
+        runs = [list(run) for _, run in groupby((row for row in rows if heights[row]), key=heights.__getitem__)]
+        is_occupation = len({heights[run[0]] for run in runs}) == len(runs) > 1
+        if is_occupation and min(map(len, runs)) >= MIN_ROWS_OF_OCCUPATION:
+            for number, run in enumerate(runs, start=1):
+                for row in run:
+                    numbers[row] = str(number)
+    return numbers
 
 
 def _has_rotated_circle(
@@ -354,6 +382,8 @@ def heights_not_applied(table: PointingTable, readings: Floats, height: Floats) 
     mean = {line: np.mean(rises, axis=0) for line, rises in lines.items()}
     misses = np.abs([mean[a, b] + mean[b, a] for a, b in mean if a < b and (b, a) in mean]).reshape(-1, 2)
     if len(misses) < MIN_CLOSED_LINES:
+        return []
+    if np.median(misses[:, 0]) > MAX_UNAPPLIED_CLOSURE_M:
         return []
     for kind in (np.median, np.max):
         without, applied = kind(misses, axis=0)

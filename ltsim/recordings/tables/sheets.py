@@ -236,13 +236,14 @@ def _split_fields(line: str, separator: str) -> tuple[str, ...]:
     """Fields of one line; CSV quotes are removed."""
     if separator == " ":
         return tuple(line.split())
-    if '"' in line:
+    plain_fields = tuple(map(str.strip, line.split(separator)))
+    if '"' in line and any('"' in text and text != '"' for text in plain_fields):  # a sign of seconds is no quote
         try:
             fields = next(csv.reader([line], delimiter=separator, strict=True), [])
             return tuple(field.strip() for field in fields)
         except csv.Error:
             pass  # an inch or second sign, no quotes
-    return tuple(map(str.strip, line.split(separator)))
+    return plain_fields
 
 
 def table_rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:

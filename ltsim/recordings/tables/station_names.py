@@ -18,10 +18,15 @@ MIN_ROWS_PER_SETUP = 3
 """Smallest mean number of rows of a value in a column of station names."""
 
 
+class UnnamedStationsError(RecordError):
+    """Error for a table whose set-ups are named by a column with an unknown title."""
+
+
 def require_station_names(table: PointingTable, readings: Floats, file: object) -> None:
     """Check that a table without stations is from one set-up: ranges and elevations of each target must agree.
 
-    Raises RecordError with the additional column of texts or numbers that names the set-ups, if there is one.
+    Raises UnnamedStationsError with the additional column of texts or numbers that names the set-ups, if there is one,
+    otherwise RecordError.
     """
     if not table.nameless:
         return
@@ -45,14 +50,16 @@ def require_station_names(table: PointingTable, readings: Floats, file: object) 
         if names:
             count, _, title = min(names)
             message = f"{fault}; column '{quoted_text(title)}' has {count} values: give --columns \"station={title}\""
-        else:
-            message = f"{fault}, so it has several set-ups; add a column station (or give --hint station=NAME for one)"
+            raise UnnamedStationsError(message, file=file)
+        message = f"{fault}, so it has several set-ups; add a column station (or give --hint station=NAME for one)"
         raise RecordError(message, file=file)
 
 
 def _median_spread(values: Floats, groups: Ints) -> float:
     """Median over the groups with several finite values (n,) of their largest difference; 0 without such a group."""
     finite = np.isfinite(values)
+    if not finite.any():
+        return 0.0
     order = np.lexsort((values[finite], groups[finite]))
     values, groups = values[finite][order], groups[finite][order]
     first = np.flatnonzero(np.diff(groups, prepend=-1))

@@ -24,6 +24,7 @@ from ltsim.adjustment.identification.model_changes import apply_corrections_and_
 from ltsim.adjustment.identification.nominal_offsets import usual_smr_text
 from ltsim.adjustment.identification.screen import _distance_trial_hypotheses
 from ltsim.adjustment.identification.selection import _refine_motion_time
+from ltsim.adjustment.reference_values import ReferenceValue, reference_values
 from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import fit_robust_state
 from ltsim.core.arrays import Floats, Ints
@@ -34,6 +35,7 @@ from ltsim.physics.effects.motions import exact_station_change, exact_target_cha
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.model.construction import declared_construction, misalignment_construction
 from ltsim.physics.model.measurement import sightings_of
+from ltsim.recordings.centring_errors import CentringUncertainty
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Target
 from tests.families import family
@@ -320,3 +322,22 @@ def test_another_smr_at_a_station_comes_before_the_noise_that_it_leaves(size: fl
     assert ("away from" in first.sentence) == (size > 0)
     assert [test.kind for test in others if test.accepted and test.kind != "outlier"] in ([], ["noise-level"])
     assert sentence in lt.check(recording).sentence
+
+
+def test_a_reference_value_of_a_set_up_without_readings_has_no_misclosure() -> None:
+    fit = NetworkFit.from_start(FitInput(hall()[0], misalignment_construction()))
+    assert fit is not None
+    sigma = np.full(2, 1e-5)
+    value = ReferenceValue("level", "S2", "", sigma, np.zeros(2))  # the network has no row for it
+    np.testing.assert_array_equal(fit.misclosure_of(value), np.zeros(2))
+
+
+def test_misclosures_in_a_network_with_estimated_centring_errors() -> None:
+    recording = hall()[0]
+    centring = (CentringUncertainty(sigma_mm=0.01, stations=("S2",)),)
+    declared = recording.replace(setup=recording.setup.model_copy(update={"centring": centring}))
+    fit = NetworkFit.from_start(FitInput(declared, misalignment_construction()))
+    assert fit is not None
+    value = next(v for v in reference_values(fit.problem, fit.state) if v.kind == "point")
+    found = replace(fit, network=replace(fit.network, recording=recording)).misclosure_of(value)
+    np.testing.assert_allclose(found, fit.misclosure_of(value), atol=1e-15)

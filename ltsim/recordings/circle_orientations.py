@@ -1,6 +1,6 @@
 """Orientations of the horizontal circle within an occupation, from the readings alone.
 
-A surveyor may set the circle anew before each round. In a table without a column of rounds, repeated pointings show it:
+A surveyor may set the circle anew before each round. In a file that does not number rounds, repeated pointings show it:
 from one row on, the directions to all targets differ from the earlier ones by one angle, at equal distances.
 """
 
@@ -43,6 +43,14 @@ def circle_orientations(occupation: Ints, sight: Ints, readings: Floats) -> Ints
         local = np.searchsorted(rows, first_row[code[rows]])
         orientation[rows] = _orientations_of_occupation(local.tolist(), rotation[rows].tolist())
     return orientation if orientation.any() else None
+
+
+def zeroed_circle_note(n_orientations: int, n_occupations: int) -> str:
+    """Note on occupations whose circle was set anew."""
+    return (
+        f"the circle was set anew between repeated pointings: {n_orientations} orientations at {n_occupations} "
+        "occupations are separate set-ups at the same positions"
+    )
 
 
 def _orientations_of_occupation(first_row: list[int], rotation: list[float]) -> list[int]:

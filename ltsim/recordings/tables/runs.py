@@ -1,0 +1,176 @@
+"""Runs of rows below one header, converted to columns of pointings at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from sys import intern
+
+import numpy as np
+
+from ltsim.recordings.files import MAX_TEXT_LENGTH, SourceLocation, quoted_text
+from ltsim.recordings.tables import cells
+from ltsim.recordings.tables.header import (
+    DISTANCE_ROLES,
+    HORIZONTAL_ROLES,
+    READING_ROLES,
+    ROLE_UNITS,
+    VERTICAL_ROLES,
+    TableColumn,
+)
+from ltsim.recordings.tables.printed import Digits, PrintedPointings, join_pointings, to_digits
+from ltsim.recordings.tables.sheets import SheetRow, TableSheet
+
+MAX_READING_MAGNITUDE = 10**9
+"""Magnitude below which all readings must be, in any unit."""
+
+
+@dataclass
+class HeaderRun:
+    """Rows below one header, by column: line numbers, cells, and the station of the block for rows that name none."""
+
+    line: list[int] = field(default_factory=list)
+    fields: list[tuple[str, ...]] = field(default_factory=list)
+    station: list[str] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+    def add_row(self, row: SheetRow, station: str) -> None:
+        """Addition of a row."""
+        self.line.append(row.line)
+        self.fields.append(row.fields)
+        self.station.append(station)
+
+    def single_rows(self) -> Iterator[HeaderRun]:
+        """Runs with one row each."""
+        for line, fields, station in zip(self.line, self.fields, self.station, strict=True):
+            yield HeaderRun([line], [fields], [station])
+
+
+class RunReader:
+    """Reader of the rows below one header of a sheet. `nameless` and `cell_units` are those of `PointingTable`."""
+
+    def __init__(self, sheet: TableSheet, columns: Sequence[TableColumn]) -> None:
+        self.sheet, self.columns = sheet, columns
+        self.faces = (1, 2) if any(c.face for c in columns) else (0,)
+        self.nameless = False
+        self.cell_units: dict[str, str] = {}
+
+    def read(self, run: HeaderRun) -> PrintedPointings:
+        """Pointings of rows; a row that names no station has the station of its block.
+
+        Raises RecordError for a wrong cell: the first one in a run of one row, any one in a longer run.
+        """
+        width = len(self.columns)
+        padded = [fields if len(fields) == width else pad_cells(fields, width) for fields in run.fields]
+        table = list(zip(*padded, strict=True))
+        if self.faces == (0,):
+            return self._pointings_of_face(0, run, table)
+        pointings = join_pointings([self._pointings_of_face(face, run, table) for face in self.faces])
+        angles = pointings.digits_of_roles((*HORIZONTAL_ROLES, *VERTICAL_ROLES)) != b""
+        by_row = np.arange(2 * len(run)).reshape(2, -1).T.ravel()
+        return pointings.take(by_row[angles[by_row]].tolist())
+
+    def _pointings_of_face(self, face: int, run: HeaderRun, table: Sequence[Sequence[str]]) -> PrintedPointings:
+        """Pointings, one per row, from the columns of one face (0: the only face) and the common columns."""
+        columns = [c for c in self.columns if c.face in (0, face)]
+        text = {c.role: table[c.position] for c in reversed(columns) if c.role}
+        nothing = ("",) * len(run)
+        stations = [name or block for name, block in zip(text.get("station", nothing), run.station, strict=True)]
+        self.nameless |= "" in stations
+        faces = self._faces(text["face"], run.line) if "face" in text else [0] * len(run)
+        numbers: dict[str, Digits] = {}
+        for c in columns:
+            if c.role in READING_ROLES:
+                digits = self._numbers(c.texts(table), c, run.line)
+                filled = digits != b""
+                if filled.any():
+                    before = numbers.get(c.role)
+                    numbers[c.role] = digits if before is None else np.where(filled, digits, before)
+        further = {c.title: self._texts(table[c.position], run.line) for c in columns if c.is_additional}
+        return PrintedPointings(
+            [self.sheet.file] * len(run),
+            run.line,
+            [intern(name or "S1") for name in stations],
+            list(map(intern, text.get("target", nothing))),
+            [face] * len(run) if face else faces,
+            _joined_cells(text.get("date"), text.get("time")) or [*nothing],
+            _joined_cells(text.get("date"), text.get("round")) or [*nothing],
+            [self.sheet.thousands_separator] * len(run),
+            numbers,
+            further,
+        )
+
+    def _faces(self, texts: Sequence[str], lines: Sequence[int]) -> list[int]:
+        """Faces in the file; 0 for an empty cell."""
+        faces = {text: cells.parse_face(text) if text else 0 for text in {*texts}}
+        for text, line in zip(texts, lines, strict=True) if None in faces.values() else ():
+            if faces[text] is None:
+                raise self._place(line).error(f"found '{quoted_text(text)}', expected 1 or 2", "face")
+        return [faces[text] or 0 for text in texts]
+
+    def _numbers(self, texts: Sequence[str], column: TableColumn, lines: Sequence[int]) -> Digits:
+        """Digits (n,) of a column of readings: the cells if all are plain numbers, otherwise each cell converted."""
+        texts = ["" if text in cells.MISSING_MARKS else text for text in texts]
+        values = cells.plain_numbers(texts) if column.unit != "dms" and not self.sheet.thousands_separator else None
+        lower_bound = 0.0 if column.role in DISTANCE_ROLES else -np.inf
+        if values is not None and not np.any((np.abs(values) >= MAX_READING_MAGNITUDE) | (values <= lower_bound)):
+            return to_digits(texts)
+        numbers, unit = cells.split_common_unit(texts)
+        if unit in ROLE_UNITS[column.role] and column.unit in ("", unit):
+            texts = numbers
+        elif not column.unit and any(map(cells.is_sexagesimal, texts)):
+            unit = "deg"
+        else:
+            unit = ""
+        if unit and self.cell_units.setdefault(column.title, unit) != unit:
+            what = f"found '{quoted_text(texts[0])}' in {unit}, expected one unit in all cells"
+            raise self._place(lines[0]).error(what, quoted_text(column.title))
+        return to_digits(
+            [self._number(text, column, line) if text else "" for text, line in zip(texts, lines, strict=True)]
+        )
+
+    def _number(self, text: str, column: TableColumn, line: int) -> str:
+        """Digits of the number in one cell."""
+        packed = column.unit == "dms"
+        number = cells.parse_packed_degrees(text) if packed else cells.parse_value(text, self.sheet.thousands_separator)
+        location = self._place(line)
+        if packed and number is None:
+            what = "degrees, minutes and seconds, such as 33°12'07.5\" or 33.12075"
+            raise location.error(f"found '{quoted_text(text)}', expected {what}", quoted_text(column.title))
+        if number is None or not abs(number) < MAX_READING_MAGNITUDE:
+            raise location.error(f"found '{quoted_text(text)}', expected a number", quoted_text(column.title))
+        if column.role in DISTANCE_ROLES and not number > 0:
+            what = f"found {quoted_text(text)}, expected a distance above 0, or an empty cell without one"
+            raise location.error(what, quoted_text(column.title))
+        return str(number)
+
+    def _texts(self, texts: Sequence[str], lines: Sequence[int]) -> list[str]:
+        """Cells of an additional column; equal texts are stored once."""
+        distinct = dict.fromkeys(texts)
+        joined_text = "".join(distinct)
+        if (
+            not joined_text.isprintable()
+            or "<" in joined_text
+            or ">" in joined_text
+            or max(map(len, distinct)) > MAX_TEXT_LENGTH
+        ):
+            for text, line in zip(texts, lines, strict=True):
+                self._place(line).text(text)
+        return list(map(intern, texts)) if 2 * len(distinct) < len(texts) else list(texts)
+
+    def _place(self, line: int) -> SourceLocation:
+        return SourceLocation(self.sheet.file, line)
+
+
+def pad_cells(fields: Sequence[str], width: int) -> Sequence[str]:
+    """Cells of a row, extended with empty ones to the width of the header."""
+    return (*fields[:width], *[""] * (width - len(fields)))
+
+
+def _joined_cells(first: Sequence[str] | None, second: Sequence[str] | None) -> list[str] | None:
+    """Cells of two columns joined by a blank; None if the table has neither column."""
+    if first is None or second is None:
+        return list(first or second or ()) or None
+    return [" ".join(filter(None, pair)) for pair in zip(first, second, strict=True)]

@@ -1,0 +1,144 @@
+"""Words of the titles of columns, by role: English and German, and the usual ones of other languages.
+
+Words are without blanks, accents and signs, as `normalised_title` writes them (`ł` and `ø`, which have no accent, are
+left out there).
+"""
+
+COMMON_SIGMA_ROLE = "sigma_mm"
+"""Role of a column with one standard deviation for all three coordinates."""
+TITLE_WORDS = {
+    "station": "station stn st setup standpunkt stp stand standort stationname stationid stationnr stationno "
+    "stationnumber stationpoint stationpointid setuppoint setuppointid standpunktnr standpunktnummer "
+    "standpunktname from fromstn fromstation frompoint frompointid von instrument instrumentname "
+    "tracker trackername device deviceid devicename stationsname setupname setupid setupno setupnr "
+    "setupnumber occupation occupationid aufstellung besetzung",
+    "target": "target point pt name punkt pkt punktnummer punktname pnr pointname pointid pointnumber pointno "
+    "pointnr ptid ptno ptnr ptname targetname targetid feature featurename id to tostn tostation "
+    "topoint topointid nach reflector smr zielpunkt zielpunktnr zielpunktnummer ziel nest nr nummer no",
+    "face": "face f lage kreislage circlelage visierlage",
+    "repeat": "repeat repetition rep wiederholung",
+    "round": "round runde obsset satz set setnumber setno setnr satznummer satznr vollsatz serie series",
+    "horizontal": "hz ha hor horizontal horizontalangle hzangle horizontalrichtung hzrichtung richtung direction "
+    "horizontalwinkel hzwinkel hcircle hzcircle horizontalcircle bearing",
+    "azimuth": "azimuth az azimut azi azimuthangle azimutwinkel",
+    "vertical": "v va vertical verticalangle vertikalwinkel vwinkel vangle vcircle verticalcircle",
+    "zenith": "zenith za zd zen zenithangle zenit zenitwinkel zenitdistanz zenithdistance",
+    "elevation": "elevation el elev elevationangle hohenwinkel hoehenwinkel altitudeangle",
+    "distance": "distance dist d sd slopedist slopedistance slope range r schragdistanz schraegdistanz "
+    "schragstrecke schraegstrecke strecke distanz raumstrecke distance3d sdist",
+    "flat": "hd horizontaldistance horizontaldist horizontalstrecke horizontaldistanz hdist",
+    "x": "x xactual actualx xmeas measx xist istx e east easting rechtswert rw ost ostwert xcoordinate xkoordinate",
+    "y": "y yactual actualy ymeas measy yist isty n north northing hochwert hw nord nordwert ycoordinate ykoordinate",
+    "z": "z zactual actualz zmeas measz zist istz h height hohe hoehe zcoordinate zkoordinate",
+    COMMON_SIGMA_ROLE: "sigma stddev std sigmaxyz",
+    "time": "time zeit timestamp zeitstempel zeitpunkt datetime utc uhrzeit clock clocktime times measuredat",
+    "date": "date datum day tag",
+    "instrument_height_mm": "instrumentheight heightofinstrument insthgt insthgtm ih hi fromhgt stationheight "
+    "instrumentenhohe instrumentenhoehe instrumenthohe geratehohe geraetehoehe "
+    "kippachshohe standpunkthohe",
+    "target_height_mm": "targetheight heightoftarget heightofprism heightofreflector tohgt th ht hr "
+    "reflectorheight prismheight rodheight zielhohe zielhoehe zielpunkthohe reflektorhohe "
+    "prismenhohe tafelhohe zh",
+    "instrument_setup": "isetupid instrumentsetup instrumentsetupid",
+    "target_setup": "tsetupid targetsetup targetsetupid",
+    "air_temperature_c": "airtemperature airtemp lufttemperatur",
+    "air_pressure_hpa": "airpressure pressure luftdruck",
+    "relative_humidity_pct": "relativehumidity humidity luftfeuchte luftfeuchtigkeit",
+}
+"""English and German words by role."""
+FOREIGN_TITLE_WORDS = {
+    "French": {
+        "station": "stationne pointstation pointstationne",
+        "target": "pointvise visee vise cible",
+        "horizontal": "anglehorizontal anglehz lecturehz lecturehorizontale directionhorizontale gisement",
+        "vertical": "anglevertical lectureverticale",
+        "zenith": "anglezenithal distancezenithale",
+        "distance": "distanceinclinee distanceoblique distancesuivantpente distancepente",
+        "flat": "distancehorizontale distancereduite",
+        "instrument_height_mm": "hauteurinstrument hauteurdelinstrument hauteurappareil hauteurstation",
+        "target_height_mm": "hauteurprisme hauteurduprisme hauteurcible hauteurvoyant hauteurreflecteur",
+    },
+    "Spanish and Portuguese": {
+        "station": "estacion puntoestacion puntodeestacion estacao",
+        "target": "punto puntovisado puntoobservado objetivo ponto pontovisado alvo",
+        "horizontal": "angulohorizontal lecturahorizontal",
+        "azimuth": "acimut",
+        "vertical": "angulovertical lecturavertical",
+        "zenith": "angulocenital distanciacenital cenital angulozenital distanciazenital",
+        "distance": "distanciageometrica distanciainclinada distancia",
+        "flat": "distanciahorizontal distanciareducida",
+        "date": "fecha",
+        "time": "hora",
+        "instrument_height_mm": "alturainstrumento alturadelinstrumento alturadeinstrumento alturadoinstrumento "
+        "alturaaparato",
+        "target_height_mm": "alturaprisma alturadelprisma alturadeprisma alturadoprisma alturareflector alturaobjetivo",
+    },
+    "Italian": {
+        "station": "stazione puntostazione puntodistazione",
+        "target": "puntocollimato puntobattuto bersaglio",
+        "horizontal": "angoloorizzontale angoloazimutale letturaorizzontale direzioneorizzontale orizzontale",
+        "vertical": "angoloverticale letturaverticale",
+        "zenith": "angolozenitale distanzazenitale zenitale",
+        "distance": "distanzainclinata distanza",
+        "flat": "distanzaorizzontale distanzaridotta",
+        "instrument_height_mm": "altezzastrumento altezzadellostrumento altezzastazione",
+        "target_height_mm": "altezzaprisma altezzadelprisma altezzamira altezzasegnale",
+    },
+    "Dutch": {
+        "station": "standplaats opstelpunt opstelling",
+        "target": "richtpunt doelpunt",
+        "horizontal": "horizontalehoek hzhoek horizontalerichting",
+        "vertical": "verticalehoek",
+        "zenith": "zenithoek zenitafstand",
+        "distance": "schuineafstand afstand",
+        "flat": "horizontaleafstand",
+        "instrument_height_mm": "instrumenthoogte",
+        "target_height_mm": "prismahoogte reflectorhoogte",
+    },
+    "Swedish and Danish": {
+        "station": "uppstallning stationspunkt opstilling",
+        "target": "siktpunkt sigtepunkt",
+        "horizontal": "horisontalvinkel horisontalriktning horisontalretning riktning retning",
+        "vertical": "vertikalvinkel",
+        "zenith": "zenitvinkel zenitdistans",
+        "distance": "lutandelangd lutandeavstand skraafstand avstand afstand",
+        "flat": "horisontellangd horisontalavstand horisontalafstand",
+        "instrument_height_mm": "instrumenthojd stationshojd instrumenthojde instrumenthjde",
+        "target_height_mm": "prismahojd reflektorhojd signalhojd prismehojde prismehjde",
+    },
+    "Polish": {
+        "station": "stanowisko",
+        "target": "celowana punktcelowany",
+        "horizontal": "kathoryzontalny katpoziomy kierunek",
+        "vertical": "katpionowy katwertykalny",
+        "zenith": "katzenitalny odlegosczenitalna",
+        "distance": "odlegloscskosna odlegoscskosna",
+        "flat": "odlegloscpozioma odlegoscpozioma",
+        "instrument_height_mm": "wysokoscinstrumentu",
+        "target_height_mm": "wysokoscpryzmatu wysokosclustra wysokoscustra wysokosccelu wysokoscsygnau",
+    },
+    "Czech and Slovak": {
+        "station": "stanovisko stanoviste",
+        "target": "bod cil ciel",
+        "horizontal": "smer vodorovnysmer vodorovnyuhel vodorovnyuhol",
+        "vertical": "svislyuhel zvislyuhol",
+        "zenith": "zenitovyuhel zenituhel zenitovyuhol zenitovavzdalenost",
+        "distance": "sikmadelka sikmavzdalenost sikmadlzka",
+        "flat": "vodorovnadelka vodorovnavzdalenost vodorovnadlzka",
+        "instrument_height_mm": "vyskapristroje vyskastroje vyskapristroja",
+        "target_height_mm": "vyskacile vyskaciela vyskahranolu",
+    },
+    "Hungarian": {
+        "station": "allaspont",
+        "target": "pont pontszam iranyzottpont",
+        "horizontal": "vizszintesirany vizszintesszog iranyertek",
+        "zenith": "zenitszog",
+        "elevation": "magassagiszog",
+        "distance": "ferdetavolsag",
+        "flat": "vizszintestavolsag",
+        "time": "ido",
+        "instrument_height_mm": "muszermagassag",
+        "target_height_mm": "jelmagassag prizmamagassag",
+    },
+}
+"""Words of other languages by role."""
