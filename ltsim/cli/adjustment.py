@@ -28,7 +28,10 @@ if TYPE_CHECKING:
     from ltsim.recordings import Recording
 
 MIN_REPORTED_READING_CHANGE = 0.005
-"""Smallest change of readings [um, arcsec] that `correct` reports: half of the last digit."""
+"""Threshold of the largest change of a reading [um for distances, arcsec for angles].
+
+Below it `correct` says that no correction was applied. It is half of the last digit that is printed for an angle.
+"""
 CorrectedRecordingOption = Annotated[
     Path, typer.Option("--out", metavar="REC2", help="Folder of the corrected recording."), RECORDING_OUTPUT
 ]
@@ -106,18 +109,20 @@ def correct(
     if instrument.correction is not None:
         terminal.print_notes(instrument.correction.sentences)
     write_outputs({out: partial(lt.write, corrected_recording)}, force=force)
-    change = corrected_recording.readings - recording.readings
-    change[:, 1:] = wrap_angle(change[:, 1:])
-    max_changes = np.nanmax(np.abs(change), axis=0, initial=0.0) / [MICROMETRE, ARCSECOND, ARCSECOND]
+    reading_changes = corrected_recording.readings - recording.readings
+    reading_changes[:, 1:] = wrap_angle(reading_changes[:, 1:])
+    max_changes = np.nanmax(np.abs(reading_changes), axis=0, initial=0.0) / [MICROMETRE, ARCSECOND, ARCSECOND]
     keys = ("distance_um", "azimuth_arcsec", "elevation_arcsec")
     terminal.print_json(
         {"pointings": len(recording), "largest_change": dict(zip(keys, max_changes.tolist(), strict=True))}
     )
     distance, azimuth, elevation = max_changes
-    sizes = f"up to {distance:.1f} um in distance, {azimuth:.2f} arcsec in azimuth, {elevation:.2f} arcsec in elevation"
-    phrase = f"{len(recording)} pointings corrected by {sizes}"
+    largest_changes_text = (
+        f"up to {distance:.1f} um in distance, {azimuth:.2f} arcsec in azimuth, {elevation:.2f} arcsec in elevation"
+    )
+    correction_sentence = f"{len(recording)} pointings corrected by {largest_changes_text}"
     terminal.print_text(
-        phrase
+        correction_sentence
         if np.any(max_changes >= MIN_REPORTED_READING_CHANGE)
         else "no correction was applied: the readings do not change"
     )
@@ -142,10 +147,10 @@ def evaluate(
 
     terminal.check_overwrite(Criteria)
     recording = reading.read_and_report(source, terminal)
-    gross = screen_gross_errors(recording).is_gross_pointing
-    if gross.any():
-        rows = ", ".join(str(i + 1) for i in gross.nonzero()[0][:12])
-        terminal.print_notes([f"{gross.sum()} pointings are gross errors and are not used (rows {rows})"])
+    is_gross = screen_gross_errors(recording).is_gross_pointing
+    if is_gross.any():
+        rows = ", ".join(str(i + 1) for i in is_gross.nonzero()[0][:12])
+        terminal.print_notes([f"{is_gross.sum()} pointings are gross errors and are not used (rows {rows})"])
     input_calibration = None if calibration is None else read_calibration_with_notes(terminal, calibration)
     _write_and_print_criteria(terminal, lt.evaluate(recording, input_calibration))
 
@@ -179,25 +184,31 @@ def _run_estimation(
     terminal: ResultTerminal,
     options: dict[str, Any],
 ) -> None:
-    """Common part of `adjust` and `calibrate`: fit, writing and output; each replaces only its own earlier results."""
+    """Common part of `adjust` and `calibrate`: estimation, writing and output of the result.
+
+    Without --force each command replaces only earlier results of the same command.
+    """
     from ltsim.adjustment.joint import COVARIANCE_FILE
     from ltsim.calibration.calibration import Calibration
     from ltsim.calibration.files import write_calibration
     from ltsim.calibration.schema import RESIDUALS_TABLE, TARGETS_TABLE
 
-    adjust_only = estimator is lt.adjust
-    names = (TARGETS_TABLE.file, COVARIANCE_FILE, RESIDUALS_TABLE.file)
+    is_adjustment = estimator is lt.adjust
+    companion_names = (TARGETS_TABLE.file, COVARIANCE_FILE, RESIDUALS_TABLE.file)
     terminal.check_overwrite(
-        Calibration, *names, is_of_same_command=lambda result: (result.method == "adjustment") == adjust_only
+        Calibration,
+        *companion_names,
+        is_of_same_command=lambda result: (result.method == "adjustment") == is_adjustment,
     )
     recording = reading.read_and_report(source, terminal)
-    with terminal.show_progress("adjusting" if adjust_only else "calibrating"):
+    with terminal.show_progress("adjusting" if is_adjustment else "calibrating"):
         result = estimator(recording, **options)
     result = write_calibration(result, terminal.out) if terminal.out else result
     terminal.print_result(result, notes=result.notes)
 
 
 def _write_and_print_criteria(terminal: ResultTerminal, criteria: Criteria) -> None:
+    """Output of criteria on the terminal and, if a folder is given, in its file."""
     criteria = terminal.write_result(criteria)
     terminal.print_json(criteria.content())
     terminal.print_text(criteria.table().text())
@@ -221,8 +232,8 @@ HeldOutOption = Annotated[
     bool | None,
     typer.Option(
         "--held-out/--no-held-out",
-        help="5-fold cross-validation: five searches without one fifth of the readings, which they predict; "
-        "default: for small recordings.",
+        help="Compute the held-out error by 5-fold cross-validation: each of five searches predicts the fifth of the "
+        "readings that it does not use. Default: only for small recordings.",
     ),
 ]
 
@@ -294,11 +305,11 @@ def history(
     from ltsim.reports.sections import result_section
 
     terminal.check_overwrite(History, "history.svg")
-    open_files: dict[str, Calibration | Recording] = {}
+    source_by_label: dict[str, Calibration | Recording] = {}
     for source in sources:
-        open_files |= _calibrations_or_recordings(terminal, source, reading, each_set_up=each_set_up)
+        source_by_label |= _calibrations_or_recordings(terminal, source, reading, each_set_up=each_set_up)
     with terminal.show_progress("calibrating"):
-        content = lt.history(open_files, **options)
+        content = lt.history(source_by_label, **options)
 
     def history_picture() -> dict[str, str]:
         from ltsim.reports.figures.parameters import history_figure
@@ -306,15 +317,15 @@ def history(
 
         return {"history.svg": svg_text(history_figure(content.labels, content.determined_parameters))}
 
-    paths = terminal.write_result(content, history_picture)
-    terminal.print_result(paths)
+    written_history = terminal.write_result(content, history_picture)
+    terminal.print_result(written_history)
     return 1 if fail_on_change and result_section(content).assessment == "bad" else 0
 
 
 def _calibrations_or_recordings(
     terminal: Terminal, source: Path, reading: ReadingOptions, *, each_set_up: bool
 ) -> dict[str, Calibration | Recording]:
-    """Calibrations or recordings by label; with `each_set_up`, one recording per set-up."""
+    """Calibrations or recordings of a path, by label; with `each_set_up`, one recording per set-up."""
     from ltsim.calibration.calibration import Calibration
 
     file = Calibration.FILE

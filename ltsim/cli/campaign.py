@@ -28,7 +28,10 @@ if TYPE_CHECKING:
 
 
 MAX_BATCH_SOLVER_DIFFERENCE = 1e-3
-"""Largest allowed difference [sigma] of the batch solver from the full one."""
+"""Largest allowed difference [sigma] between estimates of the batch solver and of the full solver.
+
+A larger difference on a verified trial gives exit status 1.
+"""
 
 
 CampaignFileArgument = Annotated[
@@ -62,7 +65,7 @@ def campaign(
 
     If levels, trials or statistics were added to the file, --resume computes only what is missing.
 
-    Exit status 1 if the batch solver differs from the full one by more than 0.001 sigma on a verified trial.
+    Exit status 1 if the batch solver differs from the full solver by more than 0.001 sigma on a verified trial.
 
     Example: ltsim campaign --show > mine.toml; ltsim campaign mine.toml --jobs 2
     """
@@ -72,7 +75,7 @@ def campaign(
     if file is None:
         raise SetupError("ltsim campaign needs a FILE; ltsim campaign --show prints a template")
     require_packages()
-    # Slow imports, which no other verb should wait for.
+    # Slow imports, which no other command should wait for.
     from ltsim.campaigns.campaign import WorkerSettings, run_campaign
     from ltsim.campaigns.results import CampaignResults
     from ltsim.campaigns.spec import load_campaign
@@ -82,22 +85,24 @@ def campaign(
     workers = WorkerSettings(*(options.pop(name) for name in ("jobs", "backend", "scheduler")))
     folder = out or file.with_suffix("")
     settings, scenarios = load_campaign(file, options["changes"])
-    total = settings.trials * len(settings.methods) * len(scenarios)
+    n_trials = settings.trials * len(settings.methods) * len(scenarios)
     terminal.print_note_on_compilation()
     try:
-        with terminal.show_progress("trials", total) as advance:
+        with terminal.show_progress("trials", n_trials) as advance:
             outcome = run_campaign(file, folder, progress=advance, workers=workers, force=force, **options)
     except KeyboardInterrupt:
-        finished = len(CampaignFolder(folder).shards())
-        raise StoppedError(f"{finished} finished shards remain in {folder}; continue with --resume") from None
+        n_finished_files = len(CampaignFolder(folder).shards())
+        raise StoppedError(
+            f"{n_finished_files} finished files of rows remain in {folder}; continue with --resume"
+        ) from None
     results = CampaignResults(folder)
     summary = results.summary()
     write_text(folder / "summary.csv", results.table("summary").csv())
     for note in outcome.notes:
         terminal.print_note(note)
     terminal.print_json(summary)
-    suffix = f", {outcome.n_existing_shards} were finished before" if outcome.n_existing_shards else ""
-    terminal.print_text(f"{outcome.n_computed_shards} shards written to {folder}{suffix}\n")
+    existing_text = f", {outcome.n_existing_shards} existed already" if outcome.n_existing_shards else ""
+    terminal.print_text(f"{outcome.n_computed_shards} files of rows written to {folder}{existing_text}\n")
     if not terminal.is_silent:
         terminal.print_text(campaign_section(folder).terminal_text())
         terminal.print_text(f"\nall statistics: {folder / 'summary.csv'}; a page: ltsim report {folder}")
@@ -112,10 +117,10 @@ def campaign(
 
 
 def solver_difference_sentence(cell_end: dict[str, Any], results: CampaignResults) -> str:
-    """Sentence for exit status 1: cell, difference and limit."""
+    """Sentence on a cell whose batch solver differs too much from the full solver: cell, difference and limit."""
     cell = results.manifest.cells[cell_end["cell"]].label
     return (
-        f"cell {cell_end['cell'] + 1} ({cell}), {cell_end['method']}: the batch solver differs from the full one by "
+        f"cell {cell_end['cell'] + 1} ({cell}), {cell_end['method']}: the batch solver differs from the full solver by "
         f"up to {cell_end['largest_difference_sigma']:.2g} sigma on {cell_end['checked']} verified trials, "
         f"limit {MAX_BATCH_SOLVER_DIFFERENCE:g}; "
         'set solver = "single" for the method to use the full solver'
@@ -142,7 +147,7 @@ JunitFileOption = Annotated[
 ERROR_ORIGIN_TEXTS = {"drawn": "drawn from the prior", "stated": "given by the scenario"}
 """Origin of the injected errors in words, by `errors` of a recovery."""
 MIN_PARALLEL_TRIALS = 100
-"""Number of trials below which one process is faster than several."""
+"""Number of trials below which one process is used by default, since it is faster than several."""
 
 
 def recover(
@@ -155,10 +160,11 @@ def recover(
 ) -> None:
     """Check that injected instrument errors are recovered: simulate, calibrate and compare with the truth, many times.
 
-    Errors are those of the scenario, or drawn from the prior if it gives none. The checks: z-scores of every parameter
-    (standard normal for drawn errors; for given errors not wider, with the nominal coverage), chi-square, targets and
-    stations. Exit status 1 if a check fails, or if a parameter of your calibrator has neither sigma nor tolerance and
-    cannot be checked. Writes recovery.json and trials.csv to --out.
+    The instrument errors are those of the scenario; if the scenario gives none, they are drawn from the prior. The
+    checks test the z-scores of every parameter, chi-square, targets and stations. For drawn errors the z-scores must be
+    standard normal; for given errors they must not be wider and must have the nominal coverage. Exit status 1
+    if a check fails, or if a parameter of your calibrator has neither sigma nor tolerance and cannot be checked. Writes
+    recovery.json and trials.csv to --out.
 
     Example: ltsim recover paper-workshop --trials 1000 --jobs 2
     """
@@ -184,33 +190,36 @@ def recover(
         streams.write_line(sentence, sys.stderr)
     if not result.passed:
         raise typer.Exit(1)
-    by_chance = f" (a correct model fails this check in {100 * FALSE_ALARM_RATE:.0f} % of runs)"
-    rate = "" if result.tolerances or len(result.unchecked) == len(result.parameters) else by_chance
-    done = f"{result.trials} trials, errors {ERROR_ORIGIN_TEXTS[result.errors]}"
-    terminal.print_text(f"{done}: {result.verdict_text()}{rate}")
+    chance_text = f" (a correct model fails this check in {100 * FALSE_ALARM_RATE:.0f} % of runs)"
+    false_alarm_text = "" if result.tolerances or len(result.unchecked) == len(result.parameters) else chance_text
+    trials_text = f"{result.trials} trials, errors {ERROR_ORIGIN_TEXTS[result.errors]}"
+    terminal.print_text(f"{trials_text}: {result.verdict_text()}{false_alarm_text}")
 
 
 def junit_xml(result: Recovery, suite_name: str) -> str:
-    """The checks as JUnit XML: one test case per check, with value and limits; the run time is divided evenly."""
+    """JUnit XML of the checks of a recovery: one test case per check, with its value and limits.
+
+    The run time is divided evenly among the test cases.
+    """
     checks, unchecked = result.checks, result.unchecked
     failed, seconds = len(result.failed_checks()), result.arrays.run_time
     seconds_text = f"{seconds / len(checks):.3f}"
     n_failures = 0 if result.allow_unchecked else len(unchecked)
-    counts = {
+    suite_counts = {
         "tests": str(len(checks) + len(unchecked)),
         "failures": str(failed + n_failures),
         "errors": "0",
         "skipped": str(len(unchecked) - n_failures),
         "time": f"{seconds:.3f}",
     }
-    root = Element("testsuite", {"name": f"ltsim recover {suite_name}", **counts})
+    root = Element("testsuite", {"name": f"ltsim recover {suite_name}", **suite_counts})
     for check in checks:
         case = SubElement(
             root, "testcase", classname=f"recover.{check.subject}", name=check.statistic, time=seconds_text
         )
-        inside = SubElement(case, "properties")
+        properties = SubElement(case, "properties")
         for name in ("value", "low", "high"):
-            SubElement(inside, "property", name=name, value=f"{getattr(check, name):.6g}")
+            SubElement(properties, "property", name=name, value=f"{getattr(check, name):.6g}")
         if not check.passed:
             SubElement(case, "failure", message=result.failure_reason(check)).text = check.sentence()
     for name in unchecked:

@@ -43,8 +43,8 @@ AcceptanceFileArgument = Annotated[
 ]
 ShowTemplateOption = Annotated[bool, typer.Option("--show", help="Print a commented template, and stop.")]
 BenchTableArgument = Annotated[Path, typer.Argument(metavar="FILE", help="A table of angle_deg,length_um,probe_um.")]
-POLL_INTERVAL = 1.0
-"""Interval [s] between two checks of the files of a growing recording."""
+POLL_INTERVAL_S = 1.0
+"""Time [s] between two looks at the files of a growing recording."""
 
 
 def check(
@@ -67,17 +67,17 @@ def check(
     from ltsim.adjustment.fieldcheck.result import TWO_FACE_TABLE
 
     terminal.check_overwrite(Check, TWO_FACE_TABLE.file, "check.svg")
-    limit = mpe_of(mpe)
+    mpe_limit = mpe_of(mpe)
 
-    def look() -> Check:
-        return lt.check(reading.read(source, is_growing=True), mpe=limit, **options)
+    def run_check() -> Check:
+        return lt.check(reading.read(source, is_growing=True), mpe=mpe_limit, **options)
 
     if watch:
-        watch_recording(terminal, look, wait_for_changes(source))
+        watch_recording(terminal, run_check, wait_for_changes(source))
         return 0
     recording = reading.read_and_report(source, terminal)
     with terminal.show_progress("checking"):
-        result = lt.check(recording, mpe=limit, **options)
+        result = lt.check(recording, mpe=mpe_limit, **options)
     if terminal.out is not None:
         from ltsim.reports.style import svg_text  # most checks draw nothing
 
@@ -87,67 +87,77 @@ def check(
 
 
 def mpe_of(text: str | None) -> tuple[float, float] | None:
-    """Limit `A,B` in um and um/m as numbers; raises RecordError unless A > 0 and B >= 0. None if not given."""
+    """Limit of two-face differences as numbers A [um] and B [um/m], from the text `A,B`; None if not given.
+
+    Raises RecordError unless A > 0 and B >= 0.
+    """
     if text is None:
         return None
-    pieces = [part.strip() for part in text.split(",")]
-    if len(pieces) != 2 or not all(is_number(part) and float(part) >= 0 for part in pieces) or not float(pieces[0]) > 0:
+    limit_texts = [part.strip() for part in text.split(",")]
+    if (
+        len(limit_texts) != 2
+        or not all(is_number(part) and float(part) >= 0 for part in limit_texts)
+        or not float(limit_texts[0]) > 0
+    ):
         raise RecordError(f"--mpe is {text}, expected A,B in um and um/m, for instance 20,6")
-    return float(pieces[0]), float(pieces[1])
+    return float(limit_texts[0]), float(limit_texts[1])
 
 
 def wait_for_changes(source: Path) -> Iterator[None]:
     """Iterator that yields at once and then whenever a file of the recording has changed."""
-    last_state: tuple[tuple[str, int, int], ...] | None = None
+    last_states: tuple[tuple[str, int, int], ...] | None = None
     while True:
-        now = _file_states(source)
-        if now != last_state:
-            last_state = now
+        states = _file_states(source)
+        if states != last_states:
+            last_states = states
             yield
-        time.sleep(POLL_INTERVAL)
+        time.sleep(POLL_INTERVAL_S)
 
 
 def _file_states(source: Path) -> tuple[tuple[str, int, int], ...]:
+    """Name, size [byte] and time of change [ns] of each file of a recording."""
     files = sorted(source.iterdir()) if source.is_dir() else [source]
-    state = []
+    states = []
     for file in files:
         try:
             status = file.stat()
         except OSError:
             continue  # replaced between listing and looking
-        state.append((file.name, status.st_size, status.st_mtime_ns))
-    return tuple(state)
+        states.append((file.name, status.st_size, status.st_mtime_ns))
+    return tuple(states)
 
 
 def watch_recording(terminal: Terminal, run_check: Callable[[], Check], changes: Iterator[None]) -> None:
     """Repeated check of a growing recording, with reports of changes: new failures, and the return to go.
 
-    A file that cannot be read or checked yet is tried again at the next step; each reason is reported once.
+    A recording that cannot be read or checked yet is tried again after the next change of its files. Each reason is
+    printed once.
     """
-    reported_texts: set[tuple[str, str, tuple[str, ...]]] = set()
-    reasons: set[str] = set()
+    reported_failures: set[tuple[str, str, tuple[str, ...]]] = set()
+    reported_reasons: set[str] = set()
     for _ in changes:
         try:
             result = run_check()
         except (RecordError, NetworkError) as problem:
             reason = re.sub(r"\d+", "", str(problem))  # the same reason in another row is not repeated
-            if reason not in reasons:
+            if reason not in reported_reasons:
                 terminal.print_note(f"waiting: {problem}")
-            reasons.add(reason)
+            reported_reasons.add(reason)
             continue
-        reasons.clear()
+        reported_reasons.clear()
         failed = [item for item in result.items if not item.passed]
         for item in failed:
-            if _item_key(item) not in reported_texts:
+            if _item_key(item) not in reported_failures:
                 terminal.print_unbuffered(f"{len(result.arrays.recording)} pointings: NO-GO {item.sentence}", bell=True)
-        if (reported_texts and not failed) or not reported_texts.union(map(_item_key, failed)):
+        if (reported_failures and not failed) or not reported_failures.union(map(_item_key, failed)):
             terminal.print_unbuffered(f"{len(result.arrays.recording)} pointings: {result.sentence}")
-        reported_texts = set(map(_item_key, failed))
+        reported_failures = set(map(_item_key, failed))
         if streams.is_reader_gone():
             return
 
 
 def _item_key(item: CheckItem) -> tuple[str, str, tuple[str, ...]]:
+    """Station, kind and targets of a test, by which repeated failures are recognised."""
     return item.station, item.kind, item.targets
 
 
@@ -177,8 +187,8 @@ def accept(file: AcceptanceFileArgument = None, show: ShowTemplateOption = False
 def bench(file: BenchTableArgument, *, terminal: ResultTerminal, **options: Any) -> None:
     """Estimate a reflector's range error over the angle of incidence from its bench test, with uncertainty.
 
-    The table turns the reflector; the first harmonic of the probe is the eccentricity, which is removed from the
-    lengths. Writes bench.json to --out.
+    In the bench test a rotary table turns the reflector. The first harmonic of the probe readings is the eccentricity
+    of the reflector on the table; it is removed from the lengths. Writes bench.json to --out.
 
     Example: ltsim bench my-reflector.csv --out my-reflector
     """
@@ -215,7 +225,7 @@ def compare(
     terminal: ResultTerminal,
     **options: Any,
 ) -> int:
-    """Report the points that moved between two recordings, their displacements, and the smallest detectable ones.
+    """Report the points that moved between two recordings, with displacements and detection limits.
 
     Lists of coordinates with covariance can be compared too: adjustment results of gama-local, or CSV tables with a
     NAME.covariance.csv in the same folder.
@@ -228,9 +238,10 @@ def compare(
     from ltsim.recordings.coordinates import is_coordinate_file
 
     terminal.check_overwrite(Comparison, DISPLACEMENTS_TABLE.file)
-    lists = is_coordinate_file(source) or is_coordinate_file(second)
+    has_coordinate_lists = is_coordinate_file(source) or is_coordinate_file(second)
     first, later = (
-        _coordinates_or_path(p, terminal) if lists else reading.read_and_report(p, terminal) for p in (source, second)
+        _coordinates_or_path(p, terminal) if has_coordinate_lists else reading.read_and_report(p, terminal)
+        for p in (source, second)
     )
     with terminal.show_progress("comparing"):
         comparison = lt.compare(first, later, **options)
@@ -287,15 +298,18 @@ def uncertainty(
     comparison = None if against is None else normalised_errors_of_files(content, read_result(against, Uncertainty))
     tables = [content.table(name) for name in ("results", "budget")]
     content = terminal.write_result(content, lambda: {table.file: table.csv() for table in tables})
-    answer = content.content()
+    json_content = content.content()
     if comparison is not None:
-        answer["against"] = [{"result": name, "E_n": value} for name, value in comparison]
-    terminal.print_json(answer)
+        json_content["against"] = [{"result": name, "E_n": value} for name, value in comparison]
+    terminal.print_json(json_content)
     terminal.print_text("\n" + result_section(content).terminal_text())
     if comparison is not None:
-        head, rows = ["result", "E_n", ""], [[n, f"{v:.2f}", "" if abs(v) <= 1 else "differs"] for n, v in comparison]
+        headings, rows = (
+            ["result", "E_n", ""],
+            [[n, f"{v:.2f}", "" if abs(v) <= 1 else "differs"] for n, v in comparison],
+        )
         text = (
-            f"Against the other results (|E_n| up to 1 agrees):\n{align_columns(head, rows)}"
+            f"Comparison with the other file (results agree if |E_n| is at most 1):\n{align_columns(headings, rows)}"
             if comparison
             else NO_COMMON_RESULT_TEXT
         )
@@ -307,18 +321,21 @@ def uncertainty(
 def _recording_of_tasks(
     terminal: Terminal, tasks: Tasks, file: Path, seed: int, *, source_is_in_file: bool
 ) -> Recording | EpochCoordinates | Path:
-    """Recording of the tasks (simulated for a scenario), or a list of coordinates."""
+    """Data that the tasks evaluate: a recording, a simulated recording of a scenario, or a list of coordinates.
+
+    `source_is_in_file` is True if the task file names the source; its path is then relative to that file.
+    """
     from ltsim.recordings.coordinates import is_coordinate_file
 
     name = tasks.source
-    place = file.parent / name if source_is_in_file else Path(name)
-    if name in builtin_names() or place.suffix == ".toml":
-        chosen = name if name in builtin_names() else place
-        recording, _ = lt.simulate(chosen, seed=seed)
+    source_path = file.parent / name if source_is_in_file else Path(name)
+    if name in builtin_names() or source_path.suffix == ".toml":
+        scenario = name if name in builtin_names() else source_path
+        recording, _ = lt.simulate(scenario, seed=seed)
         terminal.print_text(f"scenario {name}, simulated with seed {seed}")
         return recording
-    if not place.exists():
-        raise SetupError(f"{file}: source is {place}, which is neither a recording nor a scenario")
-    if is_coordinate_file(place):
-        return _coordinates_or_path(place, terminal)
-    return ReadingOptions().read_and_report(place, terminal)
+    if not source_path.exists():
+        raise SetupError(f"{file}: source is {source_path}, which is neither a recording nor a scenario")
+    if is_coordinate_file(source_path):
+        return _coordinates_or_path(source_path, terminal)
+    return ReadingOptions().read_and_report(source_path, terminal)

@@ -24,7 +24,8 @@ LABEL_WIDTH = 13
 CONVENTIONS_TEXT = (
     "Delta is truth - reading. az counts counter-clockwise, el from the horizontal plane, d is the range; f is +1 on\n"
     "face 1 and -1 on face 2; D_r, D_t, D_v are lengths along the beam, to its left and upward. Two numbers, as in\n"
-    "0.46 / 0.95, are correlations of the residuals in the reference workshop in one face and in two."
+    "0.46 / 0.95, are correlations between the residuals that two effects cause in the reference workshop, for\n"
+    "measurements in one face and in two faces."
 )
 """Definition of the symbols in the equations of the catalogue."""
 
@@ -43,34 +44,36 @@ def effects(name: EffectNameArgument = None, *, terminal: Terminal) -> None:
         return
     terminal.print_json([catalogue_entry_json(effect) for effect in CATALOGUE])
     group = ""
-    rows = [[effect.name, _title_and_cause(effect)] for effect in CATALOGUE]
-    width = max(len(name) for name, _ in rows)
-    for (name, about), listed in zip(rows, CATALOGUE.entries.values(), strict=True):
-        if listed.group != group:
-            group = listed.group
-            terminal.print_text(f"\n{group}" if name != rows[0][0] else group)
+    name_and_text_rows = [[effect.name, _title_and_cause(effect)] for effect in CATALOGUE]
+    width = max(len(name) for name, _ in name_and_text_rows)
+    for (name, text), registration in zip(name_and_text_rows, CATALOGUE.entries.values(), strict=True):
+        if registration.group != group:
+            group = registration.group
+            terminal.print_text(f"\n{group}" if name != name_and_text_rows[0][0] else group)
         terminal.print_text(
-            f"  {name:<{width}}  {about}" + (f" [{listed.provider}]" if listed.provider != BUILTIN_ORIGIN else "")
+            f"  {name:<{width}}  {text}"
+            + (f" [{registration.provider}]" if registration.provider != BUILTIN_ORIGIN else "")
         )
-    terminal.print_text(f"\n{len(rows)} effects. Details of an effect: ltsim effects NAME")
+    terminal.print_text(f"\n{len(name_and_text_rows)} effects. Details of an effect: ltsim effects NAME")
 
 
 def _title_and_cause(effect: type[Effect]) -> str:
+    """Title and physical cause of an effect, from its catalogue entry."""
     entry = catalogue_entry(effect)
     return f"{entry.title}: {entry.cause_description}"
 
 
 def catalogue_entry_json(effect: type[Effect]) -> dict[str, Any]:
     """Catalogue entry of an effect as data for JSON."""
-    listed, about = CATALOGUE.entries[effect.name], catalogue_entry(effect)
+    registration, entry = CATALOGUE.entries[effect.name], catalogue_entry(effect)
     return {
         "name": effect.name,
-        "group": listed.group,
-        "origin": listed.provider,
-        "title": about.title,
-        "cause": about.cause_description,
-        "law": about.equation,
-        **{name.lower().replace(" ", "_"): text for name, text in about.sections()},
+        "group": registration.group,
+        "origin": registration.provider,
+        "title": entry.title,
+        "cause": entry.cause_description,
+        "law": entry.equation,
+        **{name.lower().replace(" ", "_"): text for name, text in entry.sections()},
         "stage": effect.stage.name.lower(),
         "scope": effect.scope,
         "observables": list(effect.observables),
@@ -98,23 +101,24 @@ def catalogue_entry_json(effect: type[Effect]) -> dict[str, Any]:
     }
 
 
-def _to_display_unit(value: float, shape_parameter: ShapeParameter) -> float:
-    return value / SI_PER_UNIT[shape_parameter.unit]
+def _to_display_unit(si_value: float, shape_parameter: ShapeParameter) -> float:
+    """Value of a shape parameter in the unit in which it is displayed."""
+    return si_value / SI_PER_UNIT[shape_parameter.unit]
 
 
 def catalogue_entry_text(effect: type[Effect]) -> str:
     """Catalogue entry of an effect as text."""
-    about, listed = catalogue_entry(effect), CATALOGUE.entries[effect.name]
+    entry, registration = catalogue_entry(effect), CATALOGUE.entries[effect.name]
     lines = [
-        f"{effect.name}: {about.title} ({listed.group})",
+        f"{effect.name}: {entry.title} ({registration.group})",
         "",
-        f"{about.cause_description[0].upper()}{about.cause_description[1:]}.",
+        f"{entry.cause_description[0].upper()}{entry.cause_description[1:]}.",
     ]
-    lines += ["", about.equation, ""]
-    sections = [*about.sections(), ("Acts on", ", ".join(effect.observables)), ("Scope", effect.scope)]
+    lines += ["", entry.equation, ""]
+    sections = [*entry.sections(), ("Acts on", ", ".join(effect.observables)), ("Scope", effect.scope)]
     sections += [("Stage", effect.stage.name.lower())]
     sections += [("Depends on", ", ".join(effect.covariates))] if effect.covariates else []
-    sections += [("Comes from", listed.provider)] if listed.provider != BUILTIN_ORIGIN else []
+    sections += [("Comes from", registration.provider)] if registration.provider != BUILTIN_ORIGIN else []
     for name, text in sections:
         lines += textwrap.wrap(
             f"{name:<{LABEL_WIDTH}}{text}", TEXT_WIDTH, subsequent_indent=" " * LABEL_WIDTH, break_on_hyphens=False

@@ -38,8 +38,8 @@ def example_text(name: str) -> str:
     if name == "workshop.toml":
         return builtin_text("paper-workshop")
     package = files("ltsim")
-    place = package / "campaigns" / "example.toml" if name == "campaign.toml" else package / "examples" / name
-    return place.read_text(encoding="utf-8")
+    file = package / "campaigns" / "example.toml" if name == "campaign.toml" else package / "examples" / name
+    return file.read_text(encoding="utf-8")
 
 
 def examples(

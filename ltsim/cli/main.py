@@ -30,7 +30,7 @@ UNWRITABLE_OUTPUT_ERRNOS = (
 # Typer brings its own copy of click or the library's, by version; its errors are reached through a public one.
 UsageError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
-# To add a verb: a function of its name in one of these modules, and one line here.
+# To add a command: a function of its name in one of these modules, and one line here.
 COMMANDS = {
     "demo": ("simulate", "simulate, calibrate, repeat, inject and diagnose a fault; one page"),
     "examples": ("examples", "sample data and commented files, copied into a folder"),
@@ -56,7 +56,7 @@ COMMANDS = {
     "bench": ("check", "range error of a reflector against incidence, from a bench test"),
     "view": ("view", "show the workshop in 3D"),
 }
-"""Module and help line of each command."""
+"""Module in `ltsim.cli` and help line of each command."""
 TYPER_SETTINGS: dict[str, Any] = {
     "pretty_exceptions_enable": False,
     "rich_markup_mode": None,
@@ -86,9 +86,9 @@ class CommandGroup(TyperGroup):
         """Command by its name; None for an unknown name."""
         if cmd_name not in COMMANDS:
             return None
-        verb = typer.Typer(add_completion=False, **TYPER_SETTINGS)
-        verb.command(cmd_name)(typer_command(cmd_name, command_function(cmd_name)))
-        return typer.main.get_command(verb)
+        command_app = typer.Typer(add_completion=False, **TYPER_SETTINGS)
+        command_app.command(cmd_name)(typer_command(cmd_name, command_function(cmd_name)))
+        return typer.main.get_command(command_app)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Help with one line per command."""
@@ -169,12 +169,13 @@ def _report_failure(error: Exception) -> int:
 def _usage_error_sentence(error: Any) -> str:
     """Sentence on wrong usage, with the command that prints help."""
     context = getattr(error, "ctx", None)
-    place = context.command_path if context is not None else "ltsim"
+    command = context.command_path if context is not None else "ltsim"
     message = str(error.format_message()).rstrip(".")
-    return f"{place}: {message}; see {place} --help" if message else f"see {place} --help"
+    return f"{command}: {message}; see {command} --help" if message else f"see {command} --help"
 
 
 def _report_invalid_input(message: str) -> int:
+    """Exit status after invalid input or wrong usage; prints the error as one line."""
     streams.write_line("error: " + " ".join(message.split()), sys.stderr)
     return INVALID_INPUT_STATUS
 

@@ -7,6 +7,7 @@ import inspect
 import re
 import tomllib
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
@@ -89,17 +90,17 @@ def hints_from_texts(pairs: list[str] | None, columns: str | None = None, *, is_
     """Hints from `KEY=VALUE` texts; raises RecordError for an invalid key or value."""
     from ltsim.recordings import Hints
 
-    given: dict[str, Any] = {}
-    kinds = {name: kind for name, kind in get_type_hints(Hints).items() if name not in ("columns", "incomplete_tail")}
+    values: dict[str, Any] = {}
+    types = {name: kind for name, kind in get_type_hints(Hints).items() if name not in ("columns", "incomplete_tail")}
     for pair in pairs or []:
         key, _, value = pair.partition("=")
-        if key not in kinds or not value:
-            raise RecordError(f"--hint {pair}: expected KEY=VALUE with a key among {', '.join(kinds)}")
-        choices = get_args(get_args(kinds[key])[0])  # of `Literal[...] | None`
+        if key not in types or not value:
+            raise RecordError(f"--hint {pair}: expected KEY=VALUE with a key among {', '.join(types)}")
+        choices = get_args(get_args(types[key])[0])  # of `Literal[...] | None`
         if choices and value not in choices:
             raise RecordError(f"--hint {pair}: {key} can be {' or '.join(choices)}")
-        given[key] = Path(value) if key in ("points", "setup") else value
-    return Hints(**given, columns=columns, incomplete_tail=is_growing)
+        values[key] = Path(value) if key in ("points", "setup") else value
+    return Hints(**values, columns=columns, incomplete_tail=is_growing)
 
 
 @dataclass(frozen=True)
@@ -127,7 +128,7 @@ class ReadingOptions:
 
 @dataclass(frozen=True)
 class ControlledReadingOptions(ReadingOptions):
-    """Options for reading a recording with control points."""
+    """Options for reading a recording, with control points."""
 
     control: ControlFileOption = None
 
@@ -154,30 +155,31 @@ class FramedReadingOptions(ControlledReadingOptions):
 
 
 def typer_command(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-    """Function for Typer: groups of options expanded, `**options` replaced by parameters of public functions.
+    """Function with the parameters that Typer turns into options: one per field of a dataclass of options.
 
-    These are the parameters of `lt.NAME`, or of the functions in the annotation of `**options`, each optionally
-    followed by the parameters to use; parameters that the verb declares itself are skipped.
+    `**options` becomes the keyword parameters of `lt.NAME`. Texts in its annotation name other public functions, each
+    with the parameters to use (default all). Parameters that the command declares itself are not repeated.
     """
     hints = get_type_hints(function, include_extras=True)
     groups: dict[str, Any] = {key: group for key, group in hints.items() if is_dataclass(group)}
     declared = inspect.signature(function).parameters
-    single: list[inspect.Parameter] = []
-    taken: list[FunctionOption] = []
+    parameters: list[inspect.Parameter] = []
+    api_options: list[FunctionOption] = []
     for key, parameter in declared.items():
         if key in groups:
-            kinds = get_type_hints(groups[key], include_extras=True)
-            single += [_keyword_parameter(f.name, kinds[f.name], f.default) for f in fields(groups[key])]
+            types = get_type_hints(groups[key], include_extras=True)
+            parameters += [_keyword_parameter(f.name, types[f.name], f.default) for f in fields(groups[key])]
         elif parameter.kind is parameter.VAR_KEYWORD:
-            sources = [text.split() for text in get_args(hints[key])[1:]] or [[name]]
-            taken = [
-                o for source, *wanted in sources for o in function_options(source, wanted) if o.name not in declared
+            functions = [text.split() for text in get_args(hints[key])[1:]] or [[name]]
+            api_options = [
+                o for api_name, *names in functions for o in function_options(api_name, names) if o.name not in declared
             ]
         else:
-            single.append(_keyword_parameter(key, hints[key], parameter.default))
-    outputs = list(_output_options(single))
-    at = next((i for i, p in enumerate(single) if p.name in ("out", *ReadingOptions.__dataclass_fields__)), len(single))
-    single[at:at] = [option.typer_parameter for option in taken]
+            parameters.append(_keyword_parameter(key, hints[key], parameter.default))
+    outputs = list(_output_options(parameters))
+    following = ("out", *ReadingOptions.__dataclass_fields__)  # the options of the function come before these
+    index = next((i for i, p in enumerate(parameters) if p.name in following), len(parameters))
+    parameters[index:index] = [option.typer_parameter for option in api_options]
 
     def run(**values: Any) -> Any:
         places = ((flag, values[name], output) for name, flag, output in outputs if values[name] is not None)
@@ -186,22 +188,22 @@ def typer_command(name: str, function: Callable[..., Any]) -> Callable[..., Any]
             raise SetupError("--json prints to standard output, which is closed; open it, or omit --json")
         for key, group in groups.items():
             values[key] = group(**{f.name: values.pop(f.name) for f in fields(group)})
-        return function(**values | {option.name: option.argument_value(values[option.name]) for option in taken})
+        return function(**values | {option.name: option.argument_value(values[option.name]) for option in api_options})
 
     run.__doc__ = function.__doc__
-    run.__annotations__ = {parameter.name: parameter.annotation for parameter in single}
-    run.__signature__ = inspect.Signature(single)  # type: ignore[attr-defined]
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     return run
 
 
 def _output_options(parameters: list[inspect.Parameter]) -> Iterator[tuple[str, str, OutputPlace]]:
-    """Options and arguments for outputs: name, spelling and annotation."""
+    """Name, flag (or placeholder of an argument) and check of each parameter that names an output."""
     for option in parameters:
-        marks: list[Any] = [mark for mark in get_args(option.annotation)[1:] if isinstance(mark, OutputPlace)]
-        if marks:
-            declared: Any = get_args(option.annotation)[1]
-            flags = [word for word in (declared.default, *(declared.param_decls or ())) if str(word).startswith("--")]
-            yield option.name, flags[0] if flags else declared.metavar, marks[0]
+        places: list[Any] = [item for item in get_args(option.annotation)[1:] if isinstance(item, OutputPlace)]
+        if places:
+            info: Any = get_args(option.annotation)[1]
+            flags = [word for word in (info.default, *(info.param_decls or ())) if str(word).startswith("--")]
+            yield option.name, flags[0] if flags else info.metavar, places[0]
 
 
 def _keyword_parameter(name: str, annotation: Any, default: Any) -> inspect.Parameter:
@@ -211,7 +213,7 @@ def _keyword_parameter(name: str, annotation: Any, default: Any) -> inspect.Para
 PYTHON_ONLY = ("advise", "allow_repeated", "geometry", "about", "format", "hints", "callbacks")
 """Parameters of public functions that are not made into options."""
 MAX_MAPPING_NUMBER = 1e12
-"""Largest magnitude of a number in an option that is a mapping."""
+"""Largest magnitude of a number in an option NAME=NUMBER; a larger number is refused."""
 SHORT_FLAGS = {"trials": "-n", "jobs": "-j"}
 """Short spelling of an option, by the name of its parameter."""
 METAVARIABLES = {"prior": "FILE|none", "with_effects": "EFFECT[:WHERE,...]", "calibrator": "'CMD {recording} {out}'"}
@@ -246,7 +248,7 @@ MAPPING_OPTIONS: dict[str, tuple[str, str, Callable[[str], Any]]] = {
     "changes": ("KEY=VALUE", "KEY=VALUE, such as work.faces=2", _parse_toml_value),
     "move": ("STATION=X,Y[,Z[,YAW]]", MOVE_SYNTAX, _parse_place),
 }
-"""Options that are mappings: metavar, text for the error message, parser of a value."""
+"""Options that are mappings: placeholder in the help, form in the error message, parser of a value."""
 
 
 @dataclass(frozen=True)
@@ -277,18 +279,18 @@ class FunctionOption:
 
     @property
     def is_name_list(self) -> bool:
-        """True if the value is a comma-separated list of names."""
+        """True if the option takes a comma-separated list of names."""
         return not self.is_repeatable and "Sequence[str]" in self.annotation
 
     @property
     def typer_parameter(self) -> inspect.Parameter:
         """The option as a parameter for Typer."""
-        words = [self.flag, *([SHORT_FLAGS[self.name]] if self.name in SHORT_FLAGS else [])]
+        flags = [self.flag, *([SHORT_FLAGS[self.name]] if self.name in SHORT_FLAGS else [])]
         kind: Any = float if "float" in self.annotation else int if "int" in self.annotation else str
         metavar = MAPPING_OPTIONS[self.name][0] if self.name in MAPPING_OPTIONS else METAVARIABLES.get(self.name)
         if self.annotation.startswith("bool"):
             kind = bool
-            words = words if self.default is False else [f"{self.flag}/--no-{self.flag[2:]}"]
+            flags = flags if self.default is False else [f"{self.flag}/--no-{self.flag[2:]}"]
         elif self.choices:
             kind, metavar = str, f"[{'|'.join(self.choices)}]"
         elif self.is_name_list:
@@ -300,9 +302,9 @@ class FunctionOption:
         default = self.default
         if self.is_repeatable or default is None or default == ():
             kind, default = (list[str] if self.is_repeatable else kind) | None, None
-        complete = (lambda: self.choices) if self.choices else None
+        completion = (lambda: self.choices) if self.choices else None
         parser = bounded_parser(self.name) if self.name in ARGUMENT_BOUNDS else None
-        option = typer.Option(*words, help=self.help, metavar=metavar, autocompletion=complete, parser=parser)
+        option = typer.Option(*flags, help=self.help, metavar=metavar, autocompletion=completion, parser=parser)
         return _keyword_parameter(self.name, Annotated[kind, option], default)
 
     def argument_value(self, command_line_value: Any) -> Any:
@@ -318,18 +320,16 @@ class FunctionOption:
         return tuple(command_line_value) if self.is_repeatable else command_line_value
 
     def _parse_pair(self, text: str) -> tuple[str, Any]:
-        _, form, read = MAPPING_OPTIONS[self.name]
+        _, expected_form, parse = MAPPING_OPTIONS[self.name]
         key, _, value = (part.strip() for part in text.partition("="))
-        try:
+        with suppress(ValueError):
             if key and value:
-                return key, read(value)
-        except ValueError:
-            pass
-        raise SetupError(f"{self.flag} {text}: expected {form}")
+                return key, parse(value)
+        raise SetupError(f"{self.flag} {text}: expected {expected_form}")
 
 
 def function_options(function_name: str, parameter_names: list[str]) -> list[FunctionOption]:
-    """Keyword parameters of a public function, or the `parameter_names` ones.
+    """Options for the keyword parameters of a public function; only for `parameter_names` unless they are empty.
 
     The source is parsed, not imported, so that help is fast.
     """
@@ -338,7 +338,7 @@ def function_options(function_name: str, parameter_names: list[str]) -> list[Fun
     meanings = dict(_documented_parameters(inspect.cleandoc(ast.get_docstring(node) or "")))
     options = []
     for argument, default in zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True):
-        name, kind = argument.arg, ast.unparse(argument.annotation or ast.Constant("str"))
+        name, annotation = argument.arg, ast.unparse(argument.annotation or ast.Constant("str"))
         value = _constant_value(tree, default.id) if isinstance(default, ast.Name) else default
         if (
             (parameter_names and name not in parameter_names)
@@ -346,11 +346,11 @@ def function_options(function_name: str, parameter_names: list[str]) -> list[Fun
             or not isinstance(value, ast.Constant | ast.Tuple)
         ):
             continue
-        of, text = meanings[name]
+        docstring_type, text = meanings[name]
         if other := re.search(r"[Aa]s of `(\w+)`", text):
-            like = {option.name: option for option in function_options(other[1], [name])}
-            of, text = like[name].docstring_type, like[name].help
-        options.append(FunctionOption(name, kind, ast.literal_eval(value), text.replace("`", ""), of))
+            referenced_options = {option.name: option for option in function_options(other[1], [name])}
+            docstring_type, text = referenced_options[name].docstring_type, referenced_options[name].help
+        options.append(FunctionOption(name, annotation, ast.literal_eval(value), text.replace("`", ""), docstring_type))
     return options
 
 
@@ -360,7 +360,7 @@ def _module_syntax_tree(module: str) -> ast.Module:
 
 
 def _constant_value(tree: ast.Module, name: str) -> ast.expr | None:
-    """Value of a constant that a module of ltsim defines or imports from another one."""
+    """Syntax tree of the value of a constant that a module of ltsim defines or imports; None if it is missing."""
     for node in tree.body:
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == name:
             return node.value
@@ -374,10 +374,10 @@ def _documented_parameters(docstring: str) -> Iterator[tuple[str, tuple[str, str
     section = re.search(r"Parameters\n-+\n(.*?)(?:\n\n\S[^\n]*\n-+\n|\Z)", docstring, re.DOTALL)
     entries = re.split(r"\n(?=\S)", section[1]) if section else []
     for entry in entries:
-        head, _, text = entry.partition("\n")
-        names, _, of = head.partition(" : ")
+        heading, _, text = entry.partition("\n")
+        names, _, docstring_type = heading.partition(" : ")
         for name in names.split(","):
-            yield name.strip(), (of, " ".join(text.split()))
+            yield name.strip(), (docstring_type, " ".join(text.split()))
 
 
 def with_axes_of_frame(recording: Recording, frame: Path) -> Recording:
@@ -390,9 +390,9 @@ def with_axes_of_frame(recording: Recording, frame: Path) -> Recording:
     if frame.exists() and str(frame) not in builtin_names():
         if frame.suffix.lower() != ".toml":
             return with_axes_of_points(recording, read_points(frame, requires_all=False).by_name, str(frame))
-        named = read_toml(frame, "frame")
-        if {"origin", "x_axis", "xy_plane"} <= named.keys():
-            return with_axes_of_three(recording, *(str(named[key]) for key in ("origin", "x_axis", "xy_plane")))
+        frame_table = read_toml(frame, "frame")
+        if {"origin", "x_axis", "xy_plane"} <= frame_table.keys():
+            return with_axes_of_three(recording, *(str(frame_table[key]) for key in ("origin", "x_axis", "xy_plane")))
     from ltsim.simulation.scenario import load_scenario
     from ltsim.simulation.workshop import planned_layout
 

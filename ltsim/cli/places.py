@@ -1,11 +1,11 @@
-"""Output files and folders, checked before a verb begins: write permission, and files that would be replaced.
+"""Output files and folders, checked before a command begins: write permission, and files that would be replaced.
 
 Without --force a command writes only to a folder that is new, empty or written by ltsim, and replaces only unmodified
-files of the same command. A recording, or a file that holds no mark of its command, is never replaced by another
-content: it stays if its content is the one to be written (`write_outputs`).
+files of the same command. An existing recording, or a file without a mark of ltsim, is never replaced by other
+content; it stays unchanged if it already has the content to be written (`write_outputs`).
 
-An option or argument for an output has an `OutputPlace` in its annotation; `typer_command` applies its rule before it
-calls the command.
+An option or argument for an output has an `OutputPlace` in its annotation; `typer_command` calls the check of the
+`OutputPlace` before the command.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ LTSIM_FILE_PATTERN = re.compile(rf'"?format"? ?[:=] ?"ltsim-|{re.escape(GENERATO
 
 @dataclass(frozen=True)
 class OutputPlace:
-    """Annotation of an option or argument that names an output file or folder."""
+    """Annotation of an option or argument that names an output file or folder, with its check."""
 
     check: Callable[[Path, bool], None]
     """Function (path, force) that raises RecordError if the output cannot be written or, without `force`, would replace
@@ -48,18 +48,23 @@ class OutputPlace:
 
 
 def check_outputs(outputs: Iterable[tuple[str, Path, OutputPlace]], *, force: bool) -> None:
-    """Check of the outputs by their rules; raises RecordError, and SetupError for two options with the same path."""
-    names: dict[str, str] = {}
+    """Check of outputs, each given by its option, path and `OutputPlace`.
+
+    Raises RecordError if a check fails, and SetupError if two options have the same path.
+    """
+    option_by_path: dict[str, str] = {}
     for name, path, output in outputs:
         output.check(path, force)
-        place = os.path.realpath(path)
-        if place in names and not is_device(path):
-            raise SetupError(f"{names[place]} and {name} both name {path}; choose different paths")
-        names[place] = name
-    for place, name in names.items():
-        folder = str(Path(place).parent)
-        if folder in names and Path(place).name in _result_file_names():
-            raise SetupError(f"{name}: a result of {names[folder]} could overwrite {place}; choose another name")
+        real_path = os.path.realpath(path)
+        if real_path in option_by_path and not is_device(path):
+            raise SetupError(f"{option_by_path[real_path]} and {name} both name {path}; choose different paths")
+        option_by_path[real_path] = name
+    for real_path, name in option_by_path.items():
+        folder = str(Path(real_path).parent)
+        if folder in option_by_path and Path(real_path).name in _result_file_names():
+            raise SetupError(
+                f"{name}: a result of {option_by_path[folder]} could overwrite {real_path}; choose another name"
+            )
 
 
 def _result_file_names() -> set[str]:
@@ -83,7 +88,7 @@ def check_overwrite(
     """Check that a result and its companion files replace only an older result of the same command; raises RecordError.
 
     The folder (None for no output) must be new, empty or contain only folders and files written by ltsim; `force`
-    permits any content. `is_of_same_command` tells whether an existing result is from this command, if several commands
+    permits any content. `is_of_same_command` returns True for an existing result of this command, if several commands
     write the same file.
     """
     if folder is None:
@@ -99,12 +104,15 @@ def check_overwrite(
 def _is_replaceable(
     folder: Path, model: type[ResultFile], existing_names: list[str], is_of_same_command: Callable[[Any], bool]
 ) -> bool:
+    """True if this command wrote the existing files and no one was changed since."""
     from ltsim.recordings.result_file import read_result
 
     try:
         result = read_result(folder, model)
-        written = bool(result.files or result.recording) and is_of_same_command(result)
-        return written and all(result.is_ltsim_file(folder, name) for name in existing_names if name != model.FILE)
+        is_of_this_command = bool(result.files or result.recording) and is_of_same_command(result)
+        return is_of_this_command and all(
+            result.is_ltsim_file(folder, name) for name in existing_names if name != model.FILE
+        )
     except RecordError:
         return False
 
@@ -134,7 +142,7 @@ def check_recording_folder(folder: Path, force: bool) -> None:
 
 
 def write_outputs(outputs: Mapping[Path, Callable[[Path], Any]], *, force: bool) -> list[Any]:
-    """Values of the functions that write recordings and files to paths, in order.
+    """Values that the functions in `outputs` return, each of which writes a recording or file to its path, in order.
 
     An existing recording or file stays if it has the same content, and is replaced only with `force`. If one of them
     has another content, nothing is written: raises RecordError.
@@ -147,20 +155,21 @@ def write_outputs(outputs: Mapping[Path, Callable[[Path], Any]], *, force: bool)
 
 
 class _SameContent(NamedTuple):
-    """Value of the function that writes a content which exists already."""
+    """Mark of an output that exists already with the content to be written."""
 
     returned_value: Any
+    """Value that the writing function returned."""
 
 
 def _compare_content(path: Path, write: Callable[[Path], Any]) -> _SameContent | None:
-    """Value of `write` if the recording or file exists with the same content, None if it does not exist.
+    """Mark with the value of `write` if the output exists with the same content; None if the output does not exist.
 
     Raises RecordError for another content.
     """
     if not os.path.lexists(path) or is_device(path):
         return None
-    with TemporaryDirectory() as place:
-        copy = Path(place) / path.name
+    with TemporaryDirectory() as temporary_folder:
+        copy = Path(temporary_folder) / path.name
         try:
             returned_value = write(copy)
         except RecordError as problem:
@@ -184,9 +193,9 @@ def check_empty_folder(folder: Path, force: bool) -> None:
     """Check that the folder is new or empty; raises RecordError."""
     check_writable(folder, folder=True)
     if folder.is_dir() and not force:
-        taken = sorted(p.name for p in folder.iterdir())
-        if taken:
-            _raise_occupied_folder(folder, taken)
+        existing_names = sorted(p.name for p in folder.iterdir())
+        if existing_names:
+            _raise_occupied_folder(folder, existing_names)
 
 
 def check_new_file(file: Path, force: bool) -> None:
@@ -254,14 +263,14 @@ def _raise_occupied_folder(folder: Path, existing_names: list[str]) -> None:
 
 
 COMPARED_FILE_OUTPUT = OutputPlace(check_compared_file)
-"""Output file that `write_outputs` writes if it is new."""
+"""Check of an output file whose content `write_outputs` compares with an existing file."""
 FILE_OUTPUT = OutputPlace(check_new_file)
-"""Output file that must be new, or a page of ltsim."""
+"""Check of an output file that must be new, or replace a page or an unmodified XML file of ltsim."""
 RECORDING_OUTPUT = OutputPlace(check_recording_folder)
-"""Output folder for a recording without other files, which `write_outputs` writes if it is new."""
+"""Check of an output folder for a recording, which must not contain files of other programs."""
 EMPTY_FOLDER_OUTPUT = OutputPlace(check_empty_folder)
-"""Output folder that must be new or empty."""
+"""Check of an output folder that must be new or empty."""
 COMMAND_CHECKED_OUTPUT = OutputPlace(lambda folder, force: check_writable(folder, folder=True))
-"""Output folder whose command checks the files that it replaces."""
+"""Check that an output folder can be written to; the command checks the files that it would replace."""
 FILE_OR_FOLDER_OUTPUT = OutputPlace(lambda path, force: check_writable(path, folder=path.is_dir()))
-"""Output file or folder, depending on other options."""
+"""Check that an output can be written to, which is a file or a folder depending on other options."""

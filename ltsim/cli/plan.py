@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -56,7 +56,7 @@ WithoutOption = Annotated[
     ),
 ]
 BEST_LAYOUT_FILE = "best-so-far.toml"
-"""Name of the file of the best layout during a search."""
+"""Name of the scenario file with the best layout so far, which exists only during a search."""
 FLOOR_PLAN_FILE = "floor.png"
 """Name of the picture of the floor plan."""
 TRADE_OFF_FILE = "tradeoff.png"
@@ -116,8 +116,8 @@ def plan(
         )
     if without is not None:
         return _print_station_alternatives(terminal, source, lt.station_alternatives(source, without))
-    nowhere = terminal.as_json or bool(changes)
-    folder = out if out is not None or nowhere else Path(f"plan-{Path(source).stem}")
+    writes_no_files = terminal.as_json or bool(changes)
+    folder = out if out is not None or writes_no_files else Path(f"plan-{Path(source).stem}")
     check_overwrite(
         folder,
         Plan,
@@ -125,14 +125,15 @@ def plan(
         force=force,
     )
     if changes:
-        with terminal.show_progress("judging the layout"):
-            made = lt.plan(source, move=changes)
+        with terminal.show_progress("evaluating the layout"):
+            plan_result = lt.plan(source, move=changes)
     else:
-        made = _search_plan(terminal, source, folder, {"jobs": jobs, **options})
-    return _write_and_print_plan(terminal, made, folder)
+        plan_result = _search_plan(terminal, source, folder, {"jobs": jobs, **options})
+    return _write_and_print_plan(terminal, plan_result, folder)
 
 
 def _print_station_alternatives(terminal: Terminal, source: str, alternatives: Sequence[StationAlternative]) -> None:
+    """Output of other places for a station, and of the command that takes the best one."""
     terminal.print_json(
         [
             {
@@ -158,7 +159,7 @@ def _print_station_alternatives(terminal: Terminal, source: str, alternatives: S
 
 
 def _search_plan(terminal: Terminal, source: str, folder: Path | None, search_options: dict[str, Any]) -> Plan:
-    """The plan of a search; the best layout so far is printed and written during the search."""
+    """Plan from a search for a layout; during the search the best layout so far is printed and written."""
     from ltsim.planning.layout_scenario import copy_cad_files, with_layout
     from ltsim.planning.making import SearchCallbacks
     from ltsim.planning.result import load_plan_and_scenario
@@ -170,26 +171,27 @@ def _search_plan(terminal: Terminal, source: str, folder: Path | None, search_op
     for body in placed_obstacles(scenario):
         terminal.print_text(body.description)
 
-    def keep(survey: PlannedSurvey) -> None:
+    def write_best_layout(survey: PlannedSurvey) -> None:
         if folder is not None:
-            stored, cad = copy_cad_files(with_layout(scenario, survey))
+            stored_scenario, cad_files = copy_cad_files(with_layout(scenario, survey))
             try:
-                write_texts(folder, {**cad, BEST_LAYOUT_FILE: scenario_to_toml(stored)})
+                write_texts(folder, {**cad_files, BEST_LAYOUT_FILE: scenario_to_toml(stored_scenario)})
             except RecordError as problem:
                 terminal.print_note(f"the best layout so far was not written: {problem}")
 
     with terminal.show_progress("searching layouts", 100) as advance:
-        made = lt.plan(
+        plan_result = lt.plan(
             source,
             **search_options,
-            callbacks=SearchCallbacks(_percent_callback(advance), terminal.print_unbuffered, keep),
+            callbacks=SearchCallbacks(_percent_callback(advance), terminal.print_unbuffered, write_best_layout),
         )
     if folder is not None:
         (folder / BEST_LAYOUT_FILE).unlink(missing_ok=True)
-    return made
+    return plan_result
 
 
 def _write_and_print_plan(terminal: Terminal, plan_result: Plan, folder: Path | None) -> None:
+    """Output of a plan on the terminal and, if a folder is given, as files with tables and pictures."""
     from ltsim.planning.result import write_plan
 
     with terminal.show_progress("writing tables, pictures and the work order"):
@@ -221,19 +223,20 @@ def _picture_files(plan_result: Plan) -> dict[str, bytes]:
     )
 
 
-def _percent_callback(advance_bar: Any) -> Any:
-    """Progress callback that converts fractions into steps of a bar of 100."""
-    done = 0
+def _percent_callback(advance_bar: Callable[[int], None]) -> Callable[[str, float], None]:
+    """Callback (task, fraction) that moves a progress bar of 100 steps to a completed fraction, 0 to 1."""
+    done_percent = 0
 
-    def report(_task: str, fraction: float) -> None:
-        nonlocal done
-        advance_bar(int(100 * fraction) - done)
-        done = int(100 * fraction)
+    def advance_to(_task: str, fraction: float) -> None:
+        nonlocal done_percent
+        advance_bar(int(100 * fraction) - done_percent)
+        done_percent = int(100 * fraction)
 
-    return report
+    return advance_to
 
 
 def _effect_names(effect_list: str | None) -> tuple[str, ...]:
+    """Names of effects from a comma-separated list; raises SetupError for fewer than two different names."""
     if effect_list is None:
         return ()
     names = tuple(name.strip() for name in effect_list.split(","))
@@ -251,26 +254,29 @@ def _propose_next_measurement(
     site: str | None,
     result_folder: Path | None,
 ) -> None:
+    """Output of measurements that separate the given effects, by default those that a diagnosis cannot separate."""
     from ltsim.diagnosis.detectability import ambiguous_explanations
     from ltsim.recordings.result_file import write_result
 
     terminal.print_text(recording.headline)
     summary = ""
-    modelled: tuple[Signature, ...] = ()
+    modelled_effects: tuple[Signature, ...] = ()
     if not effect_names:
         with terminal.show_progress("diagnosing"):
             diagnosis = lt.diagnose(recording)
         summary = diagnosis.summary
         terminal.print_text(summary)
-        effect_names, modelled = ambiguous_explanations(diagnosis)
+        effect_names, modelled_effects = ambiguous_explanations(diagnosis)
     with terminal.show_progress("trying further measurements", 200) as advance:
-        reports: dict[str, Any] = {}
+        callback_by_task: dict[str, Any] = {}
         content = lt.next_measurement(
             recording,
             between=effect_names,
-            with_effects=modelled,
+            with_effects=modelled_effects,
             site=site,
-            progress=lambda task, fraction: reports.setdefault(task, _percent_callback(advance))(task, fraction),
+            progress=lambda task, fraction: callback_by_task.setdefault(task, _percent_callback(advance))(
+                task, fraction
+            ),
         )
     content = content.model_copy(update={"diagnosis": summary})
     if result_folder is not None:

@@ -73,7 +73,10 @@ InjectedValuesFileOption = Annotated[
     COMPARED_FILE_OUTPUT,
 ]
 DetectionCurveOption = Annotated[
-    bool, typer.Option("--curve", help="Inject it at six strengths; report the fractions detected, located and named.")
+    bool,
+    typer.Option(
+        "--curve", help="Inject the effect at six strengths; report how often it is detected, located and named."
+    ),
 ]
 
 
@@ -100,13 +103,13 @@ def simulate(
         raise SetupError("ltsim simulate needs --out REC, the folder of the recording; --show prints the scenario")
     from ltsim.simulation.truth import nominal_csv
 
-    recording, true = lt.simulate(scenario, **options, geometry="per-trial" if per_trial else "shared")
-    table = nominal_csv(true) if nominal is not None else ""
+    recording, simulated_truth = lt.simulate(scenario, **options, geometry="per-trial" if per_trial else "shared")
+    nominal_points_csv = nominal_csv(simulated_truth) if nominal is not None else ""
     outputs: dict[Path, Callable[[Path], None]] = {out: partial(lt.write, recording)}
     if truth is not None:
-        outputs[truth] = partial(lt.write, true)
+        outputs[truth] = partial(lt.write, simulated_truth)
     if nominal is not None:
-        outputs[nominal] = partial(write_text, text=table)
+        outputs[nominal] = partial(write_text, text=nominal_points_csv)
     write_outputs(outputs, force=force)
     terminal.print_notes(recording.notes)
     terminal.print_json({"pointings": len(recording), "stations": len(recording.stations), **options})
@@ -115,7 +118,7 @@ def simulate(
 
 
 def _complete_scenario_text(scenario: str) -> str:
-    """Text of a scenario with all keys: a commented file unchanged, any other completed."""
+    """Text of a scenario with all keys: a built-in commented file unchanged, any other with its defaults added."""
     text = builtin_text(scenario) if scenario in builtin_names() else ""
     if text and "\nbase = " not in text:
         return text
@@ -147,32 +150,41 @@ def inject(
         if file is not None:
             check_new_file(file, force)
         del options["noncentrality"]
-        return _run_injection_curve(terminal, reading.read_and_report(source, terminal), causes, file, options)
+        return _run_injection_curve(terminal, reading.read_and_report(source, terminal), causes[0], file, options)
     if out is None:
         raise ModelError("ltsim inject needs --out REC2, the folder of the recording, or --curve")
     check_recording_folder(out, force)
     recording = reading.read_and_report(source, terminal)
     del options["injections"]
-    made, injected = lt.inject(recording, *causes, **options)
-    outputs: dict[Path, Callable[[Path], None]] = {out: partial(lt.write, made)}
+    injected_recording, injected_values = lt.inject(recording, *causes, **options)
+    outputs: dict[Path, Callable[[Path], None]] = {out: partial(lt.write, injected_recording)}
     if truth is not None:
-        outputs[truth] = partial(write_text, text=json.dumps(injected.to_json(), indent=1, allow_nan=False) + "\n")
+        outputs[truth] = partial(
+            write_text, text=json.dumps(injected_values.to_json(), indent=1, allow_nan=False) + "\n"
+        )
     write_outputs(outputs, force=force)
-    terminal.print_json({"pointings": len(made), "injected": len(injected.injected_effects), "seed": options["seed"]})
+    terminal.print_json(
+        {
+            "pointings": len(injected_recording),
+            "injected": len(injected_values.injected_effects),
+            "seed": options["seed"],
+        }
+    )
     if truth is None:
-        terminal.print_text(repr(injected))
+        terminal.print_text(repr(injected_values))
     terminal.print_text(f"written to {out}" + (f", injected values to {truth}" if truth else ""))
     return None
 
 
 def _run_injection_curve(
-    terminal: Terminal, recording: Recording, causes: list[str], file: Path | None, options: dict[str, Any]
+    terminal: Terminal, recording: Recording, effect_text: str, file: Path | None, options: dict[str, Any]
 ) -> None:
+    """Detection curve of one effect, printed and, if a file is given, written as CSV."""
     with terminal.show_progress("injecting and diagnosing"):
-        power = lt.injection_curve(recording, causes[0], **options)
-    table = power.table()
-    terminal.print_json({"background": list(power.background_effects), "curve": table.json()})
-    terminal.print_text(power._lines()[0])
+        detection_curve = lt.injection_curve(recording, effect_text, **options)
+    table = detection_curve.table()
+    terminal.print_json({"background": list(detection_curve.background_effects), "curve": table.json()})
+    terminal.print_text(detection_curve._lines()[0])
     terminal.print_text(table.text())
     if file is not None:
         write_text(file, table.csv())
@@ -187,7 +199,7 @@ DEMO_EFFECTS: tuple[dict[str, Any], ...] = tuple(
     {"name": "smr-offset", "stations": [station], "values": {"radius-difference": size}}
     for station, size in (("S2", 0.2), ("S3", -0.25), ("S4", 0.25), ("S5", -0.2))
 )
-"""Effects that the demonstration may inject: an SMR of another radius, at a station drawn by the seed."""
+"""Effects of which the demonstration injects one, drawn by the seed: at one station the radius of the SMR differs."""
 
 DEMO_TITLE = "Demonstration: a fault is injected into a simulated workshop, and diagnosed"
 """Title of the page of the demonstration."""
@@ -219,22 +231,22 @@ def demo(
     Example: ltsim demo --out ltsim-demo
     """
     require_packages()
-    for name, place in DEMO_OUTPUTS.items():
-        place.check(out / name, True)
+    for name, output_rule in DEMO_OUTPUTS.items():
+        output_rule.check(out / name, True)
     outcomes = []
     terminal.print_note_on_compilation()
     for number, (title, step) in enumerate(DEMO_STEPS.items(), start=1):
-        began = time.perf_counter()
+        start_time = time.perf_counter()
         with terminal.show_progress(title):
             outcome = step(out, options["seed"])
-        spent = time.perf_counter() - began
-        terminal.print_text(f"{number}. {title} ({spent:.1f} s)\n   {outcome}")
-        outcomes.append({"step": title, "outcome": outcome, "seconds": round(spent, 2)})
+        duration_s = time.perf_counter() - start_time
+        terminal.print_text(f"{number}. {title} ({duration_s:.1f} s)\n   {outcome}")
+        outcomes.append({"step": title, "outcome": outcome, "seconds": round(duration_s, 2)})
     terminal.print_json({"folder": str(out), "steps": outcomes})
 
 
 def simulate_workshop(demo_folder: Path, seed: int) -> str:
-    """Measure the paper's workshop with a drawn instrument."""
+    """Simulate a recording of the paper's workshop, write it with its truth, and return its size in words."""
     recording, truth = lt.simulate("paper-workshop", seed=seed)
     lt.write(recording, demo_folder / "workshop" / "recording")
     lt.write(truth, demo_folder / "workshop" / "truth.json")
@@ -245,7 +257,7 @@ def simulate_workshop(demo_folder: Path, seed: int) -> str:
 
 
 def calibrate_workshop(demo_folder: Path, seed: int) -> str:
-    """Calibrate that recording."""
+    """Calibrate the recording of `simulate_workshop`, write the result, and return its summary."""
     from ltsim.reports.sections import result_section
 
     recording, _ = lt.simulate("paper-workshop", seed=seed)
@@ -255,7 +267,7 @@ def calibrate_workshop(demo_folder: Path, seed: int) -> str:
 
 
 def diagnose_injected_effect(demo_folder: Path, seed: int) -> str:
-    """Inject an effect into another recording and diagnose it."""
+    """Inject an effect into a second recording, diagnose the recording, and return effect and diagnosis in words."""
     from ltsim.core.randomness import stream
     from ltsim.physics.effects import title_of
 
@@ -269,7 +281,10 @@ def diagnose_injected_effect(demo_folder: Path, seed: int) -> str:
 
 
 def run_demo_campaign(demo_folder: Path, seed: int) -> str:
-    """Repeat the calibration on many drawn instruments, by the network and by the paper's distances."""
+    """Run a campaign that calibrates 500 drawn instruments with two methods, and return its summary.
+
+    The methods are the network adjustment and the paper's method of distances between reflectors.
+    """
     from ltsim.reports.sections.campaign import campaign_section
 
     write_texts(demo_folder, {"campaign.toml": DEMO_CAMPAIGN.format(seed=seed)})
@@ -279,16 +294,16 @@ def run_demo_campaign(demo_folder: Path, seed: int) -> str:
 
 
 def write_demo_page(demo_folder: Path, seed: int) -> str:
-    """Put everything on one page."""
+    """Write one report page about all results of the demonstration, and return its address in words."""
     return f"open {lt.report(demo_folder, title=DEMO_TITLE, about={'instrument': 'simulated'})}"
 
 
 DEMO_STEPS: dict[str, Callable[[Path, int], str]] = {
     "simulate the paper's workshop": simulate_workshop,
-    "calibrate it": calibrate_workshop,
-    "repeat that on 500 drawn instruments, two methods side by side": run_demo_campaign,
-    "inject a fault into another recording, and diagnose it": diagnose_injected_effect,
-    "write one page about it": write_demo_page,
+    "calibrate the instrument from this recording": calibrate_workshop,
+    "repeat the calibration on 500 drawn instruments, with two methods": run_demo_campaign,
+    "inject a fault into another recording, and diagnose this recording": diagnose_injected_effect,
+    "write one page about all results": write_demo_page,
 }
 """Steps of the demonstration in order: title and function, which returns the outcome in words."""
 DEMO_OUTPUTS = {
@@ -300,4 +315,4 @@ DEMO_OUTPUTS = {
     "campaign": COMMAND_CHECKED_OUTPUT,
     "report.html": FILE_OUTPUT,
 }
-"""Outputs of the steps, checked before the first step."""
+"""Output files and folders of the steps with the rules by which they are checked before the first step."""

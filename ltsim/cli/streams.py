@@ -11,9 +11,9 @@ from typing import IO
 from ltsim.core.errors import printable
 
 _CLOSED_AT_START: set[int] = set()
-"""Numbers of the standard streams that were closed when the process started."""
+"""File descriptors of the standard streams that were closed when the process started."""
 _DROPPED_STREAMS: set[int] = set()
-"""Numbers of the standard streams whose further output is discarded."""
+"""File descriptors of the standard streams whose further output is discarded."""
 
 
 def prepare_streams() -> None:
@@ -22,12 +22,12 @@ def prepare_streams() -> None:
     A closed stream is replaced by the null device, so that no other file takes its number. Characters that the encoding
     lacks are printed as escapes. Warnings are shown only with `-W` or PYTHONWARNINGS.
     """
-    for number, name in enumerate(("stdin", "stdout", "stderr")):
+    for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
-            _CLOSED_AT_START.add(number)
-            nowhere = Path(os.devnull).open("r+", encoding="utf-8")  # noqa: SIM115  # takes the lowest free number
-            os.set_inheritable(nowhere.fileno(), True)
-            setattr(sys, name, nowhere)
+            _CLOSED_AT_START.add(descriptor)
+            null_device = Path(os.devnull).open("r+", encoding="utf-8")  # noqa: SIM115  # takes the lowest free number
+            os.set_inheritable(null_device.fileno(), True)
+            setattr(sys, name, null_device)
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
@@ -47,7 +47,7 @@ def is_reader_gone() -> bool:
 
 
 def write_line(text: str, stream: IO[str]) -> None:
-    """Output of a text with control characters replaced; raises OSError if standard output cannot be written."""
+    """Output of a line whose control characters are replaced; raises OSError if standard output cannot be written."""
     with _discard_when_lost(stream):
         print(printable(text), file=stream)
 
@@ -61,7 +61,10 @@ def flush_streams() -> None:
 
 @contextmanager
 def _discard_when_lost(stream: IO[str]) -> Iterator[None]:
-    """Context that discards further output of a stream whose reader is gone, or of a failing standard error."""
+    """Context after which a stream discards its output, if its reader is gone or standard error cannot be written.
+
+    Raises OSError if standard output cannot be written for another reason.
+    """
     try:
         yield
     except OSError as problem:
@@ -73,6 +76,6 @@ def _discard_when_lost(stream: IO[str]) -> Iterator[None]:
 def discard_output(stream: IO[str]) -> None:
     """Redirection of a stream to the null device, so that Python does not fail at exit."""
     _DROPPED_STREAMS.add(stream.fileno())
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, stream.fileno())
-    os.close(nowhere)
+    null_device = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null_device, stream.fileno())
+    os.close(null_device)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 ResultFileType = TypeVar("ResultFileType", bound="ResultFile")
 PROGRESS_DELAY_S = 10.0
-"""Time [s] after which a pipe receives a line of progress."""
+"""Time [s] from the start of a task to the first printed line of progress, if standard error is no terminal."""
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")]
 
 
@@ -39,12 +39,12 @@ class Terminal:
         return self.quiet or self.as_json
 
     def print_text(self, text: str = "") -> None:
-        """Output of a line of text, unless silent."""
+        """Output of a line of text on standard output; nothing is printed with `--quiet` or `--json`."""
         if not self.is_silent:
             streams.write_line(text, sys.stdout)
 
     def print_always(self, text: str) -> None:
-        """Output that is printed even if silent: a file to edit, an address."""
+        """Output of a text that was requested, such as a template or an address; it is printed also with `--quiet`."""
         streams.write_line(text.removesuffix("\n"), sys.stdout)
 
     def print_unbuffered(self, text: str, *, bell: bool = False) -> None:
@@ -60,19 +60,19 @@ class Terminal:
             streams.write_line(text, sys.stderr)
 
     def print_note_on_compilation(self) -> None:
-        """Output of the time that the solver of campaigns takes to compile, if it has not been compiled."""
+        """Output of a remark on the compilation time of the campaign solver, if the solver is not compiled yet."""
         from ltsim.campaigns.kernels import is_compiled  # slow to import
 
         if not is_compiled():
             self.print_note("First campaign on this machine: compiling the solver takes about 10 s.")
 
     def print_notes(self, notes: Iterable[str]) -> None:
-        """Output of notes on standard error: interpretations of ambiguous input, and missing data."""
+        """Output of notes on standard error, such as the interpretation of an ambiguous file."""
         for note in notes:
             self.print_note(f"note: {note}")
 
     def print_result(self, content: ResultFile, result_folder: Path | None = None, notes: Iterable[str] = ()) -> None:
-        """Output of a result: as JSON, or as the text of its section of the page without figures."""
+        """Output of a result as JSON, or as the text of the section that the report page has for the result."""
         self.print_json(content.content())
         if not self.is_silent:
             from ltsim.reports.sections import result_section  # slow to import
@@ -95,20 +95,20 @@ class Terminal:
     def show_progress(self, task_text: str, n_steps: int | None = None) -> Iterator[Callable[[int], None]]:
         """Progress bar on standard error, or occasional lines in a pipe; yields a function that counts steps."""
         if self.quiet or not sys.stderr.isatty():
-            done = [0]
+            n_done_steps = [0]
             with self._print_progress_lines(
-                lambda: task_text if n_steps is None else f"{task_text}: {done[0]} of {n_steps}"
+                lambda: task_text if n_steps is None else f"{task_text}: {n_done_steps[0]} of {n_steps}"
             ):
-                yield lambda steps: done.__setitem__(0, done[0] + steps)
+                yield lambda steps: n_done_steps.__setitem__(0, n_done_steps[0] + steps)
             return
         from rich.console import Console  # imported here: a twentieth of a second that few commands need
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-        counted = () if n_steps is None else (MofNCompleteColumn(), TimeRemainingColumn())
-        columns = (TextColumn("{task.description}"), BarColumn(), *counted)
-        with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-            task = bar.add_task(task_text, total=n_steps)
-            yield lambda steps: bar.advance(task, steps)
+        count_columns = () if n_steps is None else (MofNCompleteColumn(), TimeRemainingColumn())
+        columns = (TextColumn("{task.description}"), BarColumn(), *count_columns)
+        with Progress(*columns, console=Console(stderr=True), transient=True) as progress_bar:
+            task = progress_bar.add_task(task_text, total=n_steps)
+            yield lambda steps: progress_bar.advance(task, steps)
 
     @contextmanager
     def _print_progress_lines(self, progress_text: Callable[[], str]) -> Iterator[None]:
@@ -116,21 +116,21 @@ class Terminal:
         if self.quiet:
             yield
             return
-        began, done = time.monotonic(), threading.Event()
+        start_time, is_finished = time.monotonic(), threading.Event()
 
-        def tell() -> None:
-            wait = PROGRESS_DELAY_S
-            while not done.wait(wait):
-                wait = time.monotonic() - began
-                self.print_note(f"{progress_text()} ({wait:.0f} s)")
+        def print_lines() -> None:
+            wait_s = PROGRESS_DELAY_S
+            while not is_finished.wait(wait_s):
+                wait_s = time.monotonic() - start_time
+                self.print_note(f"{progress_text()} ({wait_s:.0f} s)")
                 streams.flush_streams()
 
-        thread = threading.Thread(target=tell, daemon=True)
+        thread = threading.Thread(target=print_lines, daemon=True)
         thread.start()
         try:
             yield
         finally:
-            done.set()
+            is_finished.set()
             thread.join()
 
 
@@ -151,13 +151,17 @@ class ResultTerminal(Terminal):
         *companion_names: str,
         is_of_same_command: Callable[[Any], bool] = lambda result: True,
     ) -> None:
-        """Check that a result and its companion files would not replace other files; raises RecordError."""
+        """Check that a result and its companion files would replace only older results of the same command.
+
+        `is_of_same_command` returns True for an existing result of this command, if several commands write the same
+        kind of file. Raises RecordError.
+        """
         check_overwrite(self.out, model, companion_names, force=self.force, is_of_same_command=is_of_same_command)
 
     def write_result(
         self, content: ResultFileType, companion_contents: Callable[[], Mapping[str, str | bytes]] = dict
     ) -> ResultFileType:
-        """Result after it was written with its companion files; unchanged if no folder was given."""
+        """Result with the digests of its companion files, after all were written; unchanged if no folder was given."""
         from ltsim.recordings.result_file import write_result
 
         return content if self.out is None else write_result(self.out, content, companion_contents())

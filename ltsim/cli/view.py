@@ -98,19 +98,20 @@ def view(
         )
     with terminal.show_progress("drawing the workshop"):
         source = place if reading == FramedReadingOptions() else reading.read(Path(place))
-        shown = lt.view(source, **options)
+        scene_view = lt.view(source, **options)
         if png is not None:
-            shown.write_png(png)
+            scene_view.write_png(png)
         if html is not None:
-            shown.write_html(html)
+            scene_view.write_html(html)
     for file in (png, html):
         if file is not None:
             terminal.print_text(f"written to {file}")
     if png is None and html is None:
-        shown.show()
+        scene_view.show()
 
 
 def _serve_planner(terminal: Terminal, plan: str, result_folder: Path, port: int, *, force: bool) -> None:
+    """Serve the page on which the stations of a plan are moved by hand, until Ctrl-C."""
     from ltsim.planning.layout_scenario import PLAN_FILE, SCENARIO_FILE
     from ltsim.reports.board.board import MovableLayout
     from ltsim.reports.board.server import PlannerRequests, serve_planner
@@ -118,7 +119,7 @@ def _serve_planner(terminal: Terminal, plan: str, result_folder: Path, port: int
     for name in (SCENARIO_FILE, PLAN_FILE):
         check_new_file(result_folder / name, force)
     with terminal.show_progress("reading the plan"):
-        access = PlannerRequests(MovableLayout.from_plan(plan), result_folder)
+        requests = PlannerRequests(MovableLayout.from_plan(plan), result_folder)
 
     def announce(address: str) -> None:
         terminal.print_always(address)
@@ -127,7 +128,7 @@ def _serve_planner(terminal: Terminal, plan: str, result_folder: Path, port: int
         if _has_display():
             webbrowser.open(address)
 
-    serve_planner(access, announce, port)
+    serve_planner(requests, announce, port)
 
 
 def _has_display() -> bool:
