@@ -1,4 +1,4 @@
-"""Report as data: sections of facts, tables, pictures and a scene, rendered to HTML or text.
+"""Content of a report before it becomes HTML or text: sections with key figures, tables, pictures and 3D views.
 
 Pictures are drawn only when HTML is written.
 """
@@ -30,13 +30,13 @@ CONTENT_SECURITY_POLICY = (
 Assessment = Literal["good", "caution", "bad", "plain"]
 """Assessment of a result, which determines its colour."""
 WorkshopDetail = Literal["turn", "plan", "none"]
-"""View of the workshop in a section: interactive 3D, floor plan only, or none if another section shows it."""
+"""View of the workshop in a section: `turn` for interactive 3D, `plan` for a floor plan, `none` for no view."""
 MAX_UNFOLDED_ROWS = 30
 """Number of rows above which a table on a page starts folded."""
 MAX_PRINTED_ROWS = 120
 """Number of rows above which a table is not printed on paper (three pages)."""
 MAX_TERMINAL_ROWS = 8
-"""Number of rows of a folded table that a terminal prints."""
+"""Number of rows that a terminal prints of a table which is folded on a page."""
 MAX_TERMINAL_WIDTH = 160
 """Largest width of a table on a terminal [characters]; a wider one is printed as one line per row."""
 
@@ -45,7 +45,7 @@ MAX_TERMINAL_WIDTH = 160
 class ReportContext:
     """Folder and recording of a result, and the level of detail of its section.
 
-    A `is_brief` section leaves residuals to another one.
+    `is_brief` is True if another section shows the residuals.
     """
 
     folder: Path | None = None
@@ -59,13 +59,13 @@ class ReportContext:
 
 
 def assessment_of(is_good: bool) -> Assessment:
-    """Mood `is_good` or `bad` for a flag."""
+    """Assessment `good` for True, `bad` for False."""
     return "good" if is_good else "bad"
 
 
 @dataclass(frozen=True)
 class KeyFigure:
-    """Key figure of a section."""
+    """Key figure of a section: name, value as text, and assessment."""
 
     name: str
     value: str
@@ -74,7 +74,10 @@ class KeyFigure:
 
 @dataclass(frozen=True)
 class TableBlock:
-    """Table of texts; the first `text_columns` columns are flush left; `meanings` explain the header."""
+    """Table whose cells are texts.
+
+    The first `text_columns` columns are flush left, the others flush right; `meanings` explains each heading.
+    """
 
     title: str
     header: Sequence[str]
@@ -84,7 +87,7 @@ class TableBlock:
     marked_rows: frozenset[int] = frozenset()
     meanings: Sequence[str] = ()
     is_foldable: bool = True
-    """True if the table is folded when it is long; False for a table that is the product."""
+    """True if the table is folded when it is long; False for a table that readers need completely."""
     kind: Literal["table"] = "table"
 
     @property
@@ -100,7 +103,10 @@ class TableBlock:
 
 @dataclass(frozen=True)
 class PictureBlock:
-    """Figure or SVG with a caption, which is also its alternative text; drawn on first use."""
+    """Picture with a caption, which is also its alternative text.
+
+    `draw_figure` returns a figure or an SVG text and is called when the page is written.
+    """
 
     title: str
     draw_figure: Callable[[], Figure | str]
@@ -118,7 +124,7 @@ class PictureBlock:
 
 @dataclass(frozen=True)
 class SceneBlock:
-    """3D view: a picture, and the interactive page that it opens."""
+    """3D view: a picture as `data:` URI in `image`, and the interactive HTML page that a click on the picture opens."""
 
     title: str
     image: str
@@ -165,13 +171,12 @@ Block = BulletListBlock | TableBlock | PictureBlock | SceneBlock | NoteBlock | C
 
 @dataclass(frozen=True)
 class Section:
-    """Section of a page: one result of one folder; `summary` is its first sentence.
+    """Section of a page on one result of one folder.
 
-    `simulation_notice` comes before the answer and states that the data are simulated.
-
-    `title` is the title of a page with this section alone; `kind` and `folder` are its heading among others. The first
-    `n_open_blocks` blocks are open, the others are details; the first `n_lead_blocks` blocks are side by side at the
-    head of the page. A terminal prints the first `n_terminal_blocks`, or all.
+    `summary` is its first sentence; `simulation_notice` comes before it if the data are simulated. `title` is the title
+    of a page with this section alone; on a page with several sections `kind` and `folder` are the heading. The first
+    `n_lead_blocks` blocks are side by side at the head of the page. Blocks after the first `n_open_blocks` start
+    folded. A terminal prints the first `n_terminal_blocks` blocks, or all for None.
     """
 
     title: str
@@ -193,7 +198,7 @@ class Section:
     simulation_notice: str = ""
 
     def terminal_text(self) -> str:
-        """Text for a terminal: answer, facts, sentences, tables, next actions."""
+        """Text for a terminal: summary, key figures, sentences, tables and next actions."""
         facts = "; ".join(f"{fact.name}: {fact.value}" for fact in self.key_figures)
         blocks = [self.simulation_notice, self.summary, facts, *map(_block_text, self.blocks[: self.n_terminal_blocks])]
         blocks += (
@@ -204,7 +209,10 @@ class Section:
 
 @dataclass(frozen=True)
 class Document:
-    """Content of the page: header lines, headline `headline`, sentence `summary`, next actions, sections."""
+    """Content of a page: sections, and the title, headline, summary and next actions at its head.
+
+    `header_lines` and `versions` are pairs of name and text.
+    """
 
     title: str
     summary: str
@@ -233,13 +241,13 @@ def _block_text(block: Block) -> str:
 
 
 def _table_text(table: TableBlock) -> str:
-    """Text of a table in columns, or in one line per row if it is too wide."""
+    """Text of a table in columns; one line per row if the table is wider than `MAX_TERMINAL_WIDTH`."""
     text = align_columns(table.header, table.rows, table.text_columns)
     if max(map(len, text.split("\n"))) <= MAX_TERMINAL_WIDTH:
         return text
-    heads = ["" if i < table.text_columns else f"{head}: " for i, head in enumerate(table.header)]
+    headings = ["" if i < table.text_columns else f"{heading}: " for i, heading in enumerate(table.header)]
     rows = (
-        [head + cell for head, cell in zip(heads, row, strict=True) if cell not in ("", MISSING_TEXT)]
+        [heading + cell for heading, cell in zip(headings, row, strict=True) if cell not in ("", MISSING_TEXT)]
         for row in table.rows
     )
     return "\n".join(f"- {'; '.join(row)}" for row in rows)
@@ -253,20 +261,22 @@ def entries_table(
     is_marked: Callable[[Any], bool] | None = None,
     is_foldable: bool = True,
 ) -> list[TableBlock]:
-    """Table of entries of a result file, with meanings and units of their model; empty list without entries.
+    """List with the table of entries of a result file, whose model gives meanings and units; empty without entries.
 
-    A field is `name`, `name=title`, or `name+-sigma` with the field of its standard deviation.
+    Each of `fields` is the name of a field, `name=title`, or `name+-sigma` with the field of the standard deviation.
     """
     rows = list(entries)
     columns: list[results.Column] = []
     for field in fields if rows else ():
-        (name, _, sigma), head = field.partition("=")[0].partition("+-"), field.partition("=")[2]
-        first = getattr(rows[0], name)
-        kind: results.ColumnKind = (
-            "chance" if name == "p_value" else "text" if isinstance(first, str | tuple) else "number"
+        (name, _, sigma), heading = field.partition("=")[0].partition("+-"), field.partition("=")[2]
+        first_value = getattr(rows[0], name)
+        column_kind: results.ColumnKind = (
+            "chance" if name == "p_value" else "text" if isinstance(first_value, str | tuple) else "number"
         )
-        about = descriptions(type(rows[0])).get(name, "")
-        columns.append(results.Column(name, about, kind, sigma=sigma, title=head or {"p_value": "p"}.get(name, "")))
+        meaning = descriptions(type(rows[0])).get(name, "")
+        columns.append(
+            results.Column(name, meaning, column_kind, sigma=sigma, title=heading or {"p_value": "p"}.get(name, ""))
+        )
         columns += [results.Column(sigma)] if sigma else []
     cells = [[_cell_text(getattr(row, column.name)) for column in columns] for row in rows]
     marked_rows = frozenset(i for i, row in enumerate(rows) if is_marked is not None and is_marked(row))
@@ -287,18 +297,18 @@ def table_block(
     marked_rows: frozenset[int] = frozenset(),
     is_foldable: bool = True,
 ) -> list[TableBlock]:
-    """Table of a result as a block, text flush left, numbers flush right; empty list without rows."""
+    """List with the table of a result as a block, text flush left, numbers flush right; empty without rows."""
     if not table.rows:
         return []
-    heads = table.headings
-    words = [next(c.kind == "text" for c in table.columns if c.heading == head) for head in heads]
-    text_columns = words.index(False) if False in words else len(words)
-    meanings = [table.meanings.get(head, "") for head in heads]
-    return [TableBlock(title, heads, table.cells(), text_columns, note, marked_rows, meanings, is_foldable)]
+    headings = table.headings
+    is_text = [next(c.kind == "text" for c in table.columns if c.heading == head) for head in headings]
+    text_columns = is_text.index(False) if False in is_text else len(is_text)
+    meanings = [table.meanings.get(head, "") for head in headings]
+    return [TableBlock(title, headings, table.cells(), text_columns, note, marked_rows, meanings, is_foldable)]
 
 
 def _cell_text(value: Any) -> Any:
-    """Text of a list in one cell."""
+    """Value of a cell; a list becomes a text with commas."""
     if isinstance(value, str) or not isinstance(value, Sequence):
         return value
     return ", ".join(v if isinstance(v, str) else number_text(v) for v in value)

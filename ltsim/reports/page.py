@@ -39,17 +39,17 @@ HEADLINES = {
     ("Network", "plain"): "The instrument's errors are still in the coordinates.",
     ("Diagnosis", "good"): "No error was found.",
     ("Diagnosis", "bad"): "The recording contains an error.",
-    ("History", "good"): "The instrument has not changed.",
+    ("History", "good"): "No change of the instrument was detected.",
     ("History", "bad"): "The instrument has changed.",
     ("Acceptance", "good"): "All errors are within the limits.",
     ("Acceptance", "caution"): "No error is shown to exceed its limit, and not all are shown to be within.",
     ("Acceptance", "bad"): "Some errors exceed the limits.",
     ("Prediction", "good"): "The tracker is likely to pass all tests.",
     ("Prediction", "bad"): "The tracker is likely to fail a test.",
-    ("Comparison", "good"): "No point moved.",
+    ("Comparison", "good"): "No motion of a point was detected.",
     ("Comparison", "bad"): "Points moved.",
 }
-"""Headline of a page by kind of result and verdict."""
+"""Headline of a page by the kind of its first result and the assessment of that result."""
 
 
 PAGE_FILE = "report.html"
@@ -57,14 +57,17 @@ PAGE_FILE = "report.html"
 CAMPAIGN_MANIFEST = "manifest.json"
 """Name of the file that identifies the folder of a campaign."""
 HEADLINE_FILES = ("diagnosis.json", "calibration.json")
-"""Results that determine the headline of a page before all others."""
+"""Result files that come first on a page; the first result of a page determines the headline."""
 UNREADABLE_KIND = "Not readable"
-"""Kind of a section whose folder cannot be read."""
+"""Kind of a section that shows the error of a folder that cannot be read."""
 
 
 @dataclass(frozen=True)
 class PagePart:
-    """Folder, kind and recording of a section; a `is_brief` section leaves details of the recording to another one."""
+    """Result for one section of a page: its folder, its file, and the recording that it was computed from.
+
+    `is_brief` is True if another section shows the residuals of the same recording.
+    """
 
     folder: Path
     result_file: str
@@ -93,8 +96,8 @@ def section_of_part(page_part: PagePart, detail: WorkshopDetail = "none") -> Sec
         return campaign_section(page_part.folder)
     content = read_content(page_part.folder, page_part.result_file)
     recording = read(page_part.recording) if page_part.recording else None
-    made = result_section(content, ReportContext(page_part.folder, recording, detail, page_part.is_brief))
-    return replace(made, measured_on=(content.recording and content.recording.measured) or made.measured_on)
+    section = result_section(content, ReportContext(page_part.folder, recording, detail, page_part.is_brief))
+    return replace(section, measured_on=(content.recording and content.recording.measured) or section.measured_on)
 
 
 def document_of_folder(
@@ -127,7 +130,7 @@ def document_of_folder(
 
 
 def _page_actions(sections: list[Section]) -> list[str]:
-    """Next actions of the section that heads the page, else of the first one with the same verdict."""
+    """Next actions of the first section; if there are none, of the first section with the same assessment."""
     first = sections[0]
     chosen = next((s for s in sections if s.next_actions and s.assessment == first.assessment), first)
     return list(dict.fromkeys(first.next_actions or chosen.next_actions))[:MAX_PAGE_ACTIONS]
@@ -136,13 +139,17 @@ def _page_actions(sections: list[Section]) -> list[str]:
 def _header_lines(page_parts: list[PagePart], sections: list[Section], header: About) -> list[tuple[str, str]]:
     """Header lines (name, text): instrument, date, operator, customer, axes; unknown ones are omitted."""
     folders = dict.fromkeys(part.recording for part in page_parts if part.recording)
-    setups = [read_setup(place / SETUP_FILE) for place in folders if (place / SETUP_FILE).is_file()]
+    setups = [
+        read_setup(recording_folder / SETUP_FILE)
+        for recording_folder in folders
+        if (recording_folder / SETUP_FILE).is_file()
+    ]
     reports = [setup.report for setup in setups if setup.report is not None]
     instruments = "; ".join(
         dict.fromkeys(filter(None, [*(s.instruments_in_words for s in setups), *(s.instrument for s in sections)]))
     )
-    days = ", ".join(dict.fromkeys(s.measured_on[:10] for s in sections if s.measured_on))
-    fallback = {"instrument": instruments, "date": days}
+    dates = ", ".join(dict.fromkeys(s.measured_on[:10] for s in sections if s.measured_on))
+    fallback = {"instrument": instruments, "date": dates}
     lines = []
     for key in About.model_fields:
         values = [getattr(header, key)] if getattr(header, key) else [getattr(entry, key) for entry in reports]
@@ -153,53 +160,62 @@ def _header_lines(page_parts: list[PagePart], sections: list[Section], header: A
 
 
 def _page_parts(folder: Path, recording: Path | None) -> list[PagePart]:
-    inner = sorted((p for p in folder.iterdir() if p.is_dir()), key=lambda p: natural_sort_key(p.name))
+    subfolders = sorted((p for p in folder.iterdir() if p.is_dir()), key=lambda p: natural_sort_key(p.name))
     parts = [
-        PagePart(place, kind, recording or _recording_folder(place, folder))
+        PagePart(result_folder, kind, recording or _recording_folder(result_folder, folder))
         for kind in RESULT_FILES
-        for place in (folder, *inner)
-        if (place / kind).is_file()
+        for result_folder in (folder, *subfolders)
+        if (result_folder / kind).is_file()
     ]
     if not parts:
         raise RecordError(f"the folder contains no results; expected one of {', '.join(RESULT_FILES)}", file=folder)
     digests = [_recording_digest(part) for part in parts]
-    near = {digest: part.recording for digest, part in zip(digests, parts, strict=True) if digest and part.recording}
-    parts = [replace(part, recording=near.get(d, part.recording)) for d, part in zip(digests, parts, strict=True)]
-    used = Counter(part.recording for part in parts)
+    recording_by_digest = {
+        digest: part.recording for digest, part in zip(digests, parts, strict=True) if digest and part.recording
+    }
+    parts = [
+        replace(part, recording=recording_by_digest.get(d, part.recording))
+        for d, part in zip(digests, parts, strict=True)
+    ]
+    n_parts_by_recording = Counter(part.recording for part in parts)
     diagnosed = {part.recording for part in parts if part.result_file == "diagnosis.json"} - {None}
     return [
         replace(
             part,
-            is_brief=used[part.recording] > 1 if part.result_file == OBSERVATIONS_FILE else part.recording in diagnosed,
+            is_brief=n_parts_by_recording[part.recording] > 1
+            if part.result_file == OBSERVATIONS_FILE
+            else part.recording in diagnosed,
         )
         for part in parts
     ]
 
 
 def _part_sections(page_parts: list[PagePart], page_folder: Path) -> Iterator[tuple[PagePart, Section]]:
-    """Parts with their sections; the first recording is shown in 3D, others from above.
+    """Parts of a page with their sections; the first recording is shown in 3D, others from above.
 
-    The recording of a diagnosis alone is also shown from above, unless there is a truth, to keep its page small. A
-    folder in `page_folder` that cannot be read becomes a section with the error, unless it is the only one.
+    All recordings are shown from above if `page_folder` holds a diagnosis and no truth, to keep the page small. A
+    folder in `page_folder` that cannot be read becomes a section with the error, unless it is the only part.
     """
-    shown: set[Path | str | None] = set()
-    flat = (page_folder / "diagnosis.json").is_file() and not (page_folder / TRUTH_FILE).is_file()
+    shown_sources: set[Path | str | None] = set()
+    only_from_above = (page_folder / "diagnosis.json").is_file() and not (page_folder / TRUTH_FILE).is_file()
     for part in page_parts:
         source = part.recording or _recording_digest(part)
-        detail: WorkshopDetail = "none" if source in shown and source else "plan" if shown or flat else "turn"
+        detail: WorkshopDetail = (
+            "none" if source in shown_sources and source else "plan" if shown_sources or only_from_above else "turn"
+        )
         try:
-            made = section_of_part(part, detail)
+            section = section_of_part(part, detail)
         except LtsimError as problem:
             if part.folder == page_folder or len(page_parts) == 1:
                 raise
-            made = Section(part.folder.name, UNREADABLE_KIND, str(problem), "bad")
-        if {block.title for block in made.blocks} & {"Floor plan", "The workshop in 3D"}:
-            shown.add(source)
-        yield part, made
+            section = Section(part.folder.name, UNREADABLE_KIND, str(problem), "bad")
+        if {block.title for block in section.blocks} & {"Floor plan", "The workshop in 3D"}:
+            shown_sources.add(source)
+        yield part, section
 
 
 def _recording_digest(page_part: PagePart) -> str:
-    """Digest of the recording of a part; empty if a result names none."""
+    """Digest of the recording of a part; empty if the result does not contain a digest."""
     try:
         if page_part.result_file == OBSERVATIONS_FILE:
             return recording_digest(read(page_part.folder))
@@ -222,7 +238,7 @@ def page_html(document: Document) -> str:
 
 
 def package_versions() -> list[tuple[str, str]]:
-    """Versions of the packages that made the page."""
+    """Name and version of each package that contributes to the page."""
     entries = [("Python", platform.python_version())]
     for name in ("ltsim", "numpy", "scipy", "matplotlib", "pyvista"):
         try:

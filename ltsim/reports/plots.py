@@ -1,4 +1,4 @@
-"""Figure of each kind of result, for `plot()`."""
+"""Figure of each kind of result, which the method `plot` of the result returns."""
 
 from functools import singledispatch
 from typing import Any, cast
@@ -86,7 +86,7 @@ def _(result: Criteria) -> Figure:
 
 @figure_of.register
 def _(result: Diagnosis) -> Figure:
-    """Figure of a diagnosis: the curve or residuals of the first finding; for a consistent recording its residuals."""
+    """Figure of a diagnosis: curve or residuals of the first finding; without findings, the residuals."""
     before, after = (Residuals.from_adjustment(a) for a in (result.baseline_adjustment, result.final_adjustment))
     for finding in result.findings[:1]:
         draw = finding_figure(finding, before, after)
@@ -136,7 +136,7 @@ def _(result: DetectionCurve) -> Figure:
 
 @figure_of.register
 def _(result: Recovery) -> Figure:
-    """Figure of a recovery: errors of each parameter divided by their declared sigmas (without: by their rms)."""
+    """Figure of a recovery: errors of each parameter divided by the declared sigmas, or by their rms without sigmas."""
     trials = result.arrays
     if not trials.trials_with_result:
         raise ModelError("no trial of this recovery converged; there is no figure")

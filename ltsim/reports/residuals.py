@@ -1,4 +1,4 @@
-"""Residuals for figures: one row per observation, in display units, with covariates."""
+"""Residuals for figures, one row per reading, in display units, with the covariates of the readings."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ NameArray = NDArray[np.str_]
 OBSERVABLE_UNITS = {"distance": "um", "azimuth": "arcsec", "elevation": "arcsec"}
 """Display unit of each observable."""
 DEFAULT_COVARIATES = ("azimuth", "elevation", "distance", "time", "row")
-"""Covariates of every recording; the time is used if there is a clock, otherwise the row."""
+"""Covariates in figures of residuals, as far as the residuals have them; `time` needs a recording with a clock."""
 COVARIATE_UNITS = {"azimuth": "°", "elevation": "°", "distance": "m", "time": "min", "incidence": "°", "row": ""}
 """Display unit of each covariate."""
 
 
 @dataclass(frozen=True)
 class Residuals:
-    """Residuals, observed minus adjusted, one row per observation."""
+    """Residuals (n,), observed minus adjusted reading, with the station, target and covariates of each reading."""
 
     data_row: Ints
-    """Data row of the recording, from 1, (n,)."""
+    """Number of the data row in the recording, counted from 1, (n,)."""
     station: NameArray
     target: NameArray
     """Names of station and target, (n,) each."""
@@ -45,7 +45,7 @@ class Residuals:
     normalised_residual: Floats
     """Normalised residual, standard normal where the model holds, (n,)."""
     redundancy: Floats
-    """Redundancy of each observation, (n,)."""
+    """Redundancy of each reading, (n,), from 0 (not checked by other readings) to 1."""
     covariates: Mapping[str, Floats] = field(default_factory=dict)
     """Covariates by name, (n,) each, in the units of `COVARIATE_UNITS`."""
 
@@ -58,7 +58,7 @@ class Residuals:
         return list(dict.fromkeys(self.station.tolist()))
 
     def is_observable(self, observable: str) -> Bools:
-        """Mask (n,) of the rows of an observable."""
+        """Mask (n,), True for the readings of an observable."""
         return self.observable == OBSERVABLES.index(observable)
 
     @property
@@ -73,30 +73,32 @@ class Residuals:
             return np.asarray(np.abs(self.residual / self.normalised_residual) / np.sqrt(self.redundancy))
 
     def is_at(self, stations: Sequence[str], targets: Sequence[str]) -> Bools:
-        """Mask (n,) of the rows at the given stations and targets; an empty tuple means all."""
-        inside = np.ones(len(self), dtype=np.bool_)
+        """Mask (n,), True for readings from the given stations to the given targets; an empty sequence means all."""
+        mask = np.ones(len(self), dtype=np.bool_)
         for names, column in ((stations, self.station), (targets, self.target)):
             if names:
-                inside &= np.isin(column, list(names))
-        return inside
+                mask &= np.isin(column, list(names))
+        return mask
 
     @classmethod
     def from_table(cls, table: Table, file: Path | None = None) -> Residuals:
         """Residuals of a table `RESIDUALS_TABLE`; raises RecordError for an invalid observable or unit."""
         for column, allowed in (("observable", OBSERVABLES), ("unit", SI_PER_UNIT)):
-            wrong = next((i for i, name in enumerate(table.column(column)) if name not in allowed), None)
-            if wrong is not None:
-                message = f"'{quoted_text(table.column(column)[wrong])}' is not one of {', '.join(allowed)}"
-                raise RecordError(message, file=file, row=wrong + 1, column=column)
+            wrong_row = next((i for i, name in enumerate(table.column(column)) if name not in allowed), None)
+            if wrong_row is not None:
+                message = f"'{quoted_text(table.column(column)[wrong_row])}' is not one of {', '.join(allowed)}"
+                raise RecordError(message, file=file, row=wrong_row + 1, column=column)
         names, units = table.column("observable"), table.column("unit")
-        scale = np.array([SI_PER_UNIT[u] / SI_PER_UNIT[OBSERVABLE_UNITS[o]] for o, u in zip(names, units, strict=True)])
+        unit_factors = np.array(
+            [SI_PER_UNIT[u] / SI_PER_UNIT[OBSERVABLE_UNITS[o]] for o, u in zip(names, units, strict=True)]
+        )
         row, residual, redundancy, w = table.numbers("row", "residual", "redundancy", "w").T
         return cls(
             data_row=row.astype(np.int64),
             station=np.array(table.column("station"), dtype=np.str_),
             target=np.array(table.column("target"), dtype=np.str_),
             observable=np.array([OBSERVABLES.index(name) for name in names], dtype=np.int64),
-            residual=residual * scale,
+            residual=residual * unit_factors,
             normalised_residual=w,
             redundancy=redundancy,
             covariates={"row": row},
@@ -104,18 +106,18 @@ class Residuals:
 
     @classmethod
     def from_adjustment(cls, adjustment: Adjustment) -> Residuals:
-        """Residuals of an adjustment with the geometry of its pointings."""
-        recording, use = adjustment.recording, adjustment.problem.used_readings
-        rows, observable = np.nonzero(use)
+        """Residuals of the used readings of an adjustment, with the geometry of the pointings as covariates."""
+        recording, is_used = adjustment.recording, adjustment.problem.used_readings
+        rows, observable = np.nonzero(is_used)
         unit = np.array([SI_PER_UNIT[OBSERVABLE_UNITS[name]] for name in OBSERVABLES])
         return cls(
             data_row=rows + 1,
             station=np.array(recording.stations, dtype=np.str_)[recording.station[rows]],
             target=np.array(recording.targets, dtype=np.str_)[recording.target[rows]],
             observable=observable,
-            residual=(adjustment.residuals / unit)[use],
-            normalised_residual=adjustment.normalised_residuals[use],
-            redundancy=adjustment.redundancy[use],
+            residual=(adjustment.residuals / unit)[is_used],
+            normalised_residual=adjustment.normalised_residuals[is_used],
+            redundancy=adjustment.redundancy[is_used],
             covariates=_geometric_covariates(adjustment, rows),
         )
 
@@ -125,30 +127,31 @@ class Residuals:
         return cls.from_table(RESIDUALS_TABLE.parse_csv(read_text(file), file), file)
 
     def with_covariates(self, source: Residuals | None) -> Residuals:
-        """The residuals with the covariates of the same observations in `reference`, if given."""
+        """The residuals with the covariates of the same readings in `source`; unchanged if `source` is None."""
         if source is None:
             return self
-        at = self._indices_in(source)
-        covariates = {name: np.append(column, np.nan)[at] for name, column in source.covariates.items()}
+        source_rows = self._indices_in(source)
+        covariates = {name: np.append(column, np.nan)[source_rows] for name, column in source.covariates.items()}
         return replace(self, covariates=covariates)
 
     def normalised_by_noise_of(self, reference: Residuals) -> Residuals:
-        """The residuals, normalised by the standard deviations of `reference`."""
+        """The residuals, normalised by the standard deviations that the same readings have in `reference`."""
         sigma = np.append(reference.sigma, np.nan)[self._indices_in(reference)]
         with np.errstate(divide="ignore", invalid="ignore"):
             return replace(self, normalised_residual=self.residual / (sigma * np.sqrt(self.redundancy)))
 
     def _indices_in(self, reference: Residuals) -> Ints:
-        """Indices (n,) of the same observations in `reference`; -1 if missing."""
-        place = {
+        """Row (n,) of each reading in `reference`, which is identified by data row and observable; -1 if missing."""
+        row_by_key = {
             key: i for i, key in enumerate(zip(reference.data_row.tolist(), reference.observable.tolist(), strict=True))
         }
         keys = zip(self.data_row.tolist(), self.observable.tolist(), strict=True)
-        return np.array([place.get(key, -1) for key in keys], dtype=np.int64)
+        return np.array([row_by_key.get(key, -1) for key in keys], dtype=np.int64)
 
 
 def _geometric_covariates(adjustment: Adjustment, rows: Ints) -> dict[str, Floats]:
-    sightings, clock = adjustment.sightings, adjustment.recording.has_clock
+    """Covariates (n,) by name, of the pointings `rows` (n,), in the units of `COVARIATE_UNITS`."""
+    sightings, has_clock = adjustment.sightings, adjustment.recording.has_clock
     covariates = {
         "azimuth": sightings.azimuth[rows] / DEGREE,
         "elevation": sightings.elevation[rows] / DEGREE,
@@ -157,8 +160,8 @@ def _geometric_covariates(adjustment: Adjustment, rows: Ints) -> dict[str, Float
     incidence = sightings.incidence[rows] / DEGREE
     if np.isfinite(incidence).any():
         covariates["incidence"] = incidence
-    further = {name: column[rows] for name, column in sightings.covariates.items()}
-    order: dict[str, Floats] = (
-        {"time": sightings.time[rows] / 60.0} if clock else {"row": (rows + 1).astype(np.float64)}
+    other_covariates = {name: column[rows] for name, column in sightings.covariates.items()}
+    order_covariate: dict[str, Floats] = (
+        {"time": sightings.time[rows] / 60.0} if has_clock else {"row": (rows + 1).astype(np.float64)}
     )
-    return covariates | order | further
+    return covariates | order_covariate | other_covariates

@@ -21,17 +21,17 @@ WALL_COLOUR = "#D5DBE0"
 FLOOR_COLOUR = "#E3E7EA"
 TRIPOD_LEG_COLOUR = "#5C6166"
 MAX_DRAWN_ARROWS = 300
-"""Largest number of arrows of a scene; the longest are drawn."""
+"""Largest number of arrows of a scene; of more, only the longest are drawn."""
 MAX_METRE_LINES = 200
-"""Largest number of metre lines on the floor; a larger hall has none."""
+"""Largest number of lines at full metres on the floor; a larger hall is drawn without them."""
 MAX_OMITTED_NAMES = 4
 """Largest number of omitted names that the legend lists."""
 MAX_TARGET_LABELS = 60
-"""Largest number of targets whose names are drawn."""
+"""Number of targets above which the names of the targets are not drawn."""
 MAX_FINE_SPHERES = 150
-"""Number of spheres above which they are drawn with fewer facets."""
+"""Number of spheres above which spheres are drawn with fewer facets."""
 MAX_MEDIUM_SPHERES = 600
-"""Number of spheres above which they are drawn with the fewest facets."""
+"""Number of spheres above which spheres are drawn with the fewest facets."""
 SIGHT_COLOUR_MAP = ListedColormap(mpl.colormaps["viridis"](np.linspace(0.0, 0.86, 128)))
 """Colour map of lines of sight."""
 
@@ -40,9 +40,9 @@ vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # suppresses a warning 
 
 @dataclass(frozen=True)
 class SceneLegend:
-    """Legend of a scene: lines of text, and colour bar.
+    """Legend of a scene: lines of text, and the colour bar of the lines of sight.
 
-    `colour_bar` is label, lowest and highest value of the coloured lines; None without them.
+    `colour_bar` is the label, the lowest and the highest value of the colours; None without lines of sight.
     """
 
     lines: tuple[str, ...]
@@ -50,17 +50,17 @@ class SceneLegend:
 
 
 def round_magnification(length: float, drawn_length: float) -> float:
-    """Magnification of `length` to about `drawn_length`: 1, 2 or 5 times a power of ten."""
+    """Round factor (1, 2 or 5 times a power of ten, at least 1) that magnifies `length` to about `drawn_length`."""
     if not length > 0:
         return 1.0
-    ratio = drawn_length / length
-    power = 10.0 ** np.floor(np.log10(ratio))
-    step = max(s for s in (1.0, 2.0, 5.0) if s <= ratio / power * (1 + 1e-9))
-    return float(max(step * power, 1.0))
+    exact_factor = drawn_length / length
+    power = 10.0 ** np.floor(np.log10(exact_factor))
+    mantissa = max(s for s in (1.0, 2.0, 5.0) if s <= exact_factor / power * (1 + 1e-9))
+    return float(max(mantissa * power, 1.0))
 
 
 def magnification_text(magnification: float) -> str:
-    """Text of a magnification."""
+    """Magnification as text, with a space between thousands: `2 000`."""
     return f"{magnification:,.0f}".replace(",", " ")
 
 
@@ -75,7 +75,7 @@ def build_scene(
     off_screen: bool = True,
     camera: Camera | None = None,
 ) -> tuple[pv.Plotter, SceneLegend]:
-    """Plotter with the whole scene, and its legend; size in pixels, `off_screen=False` for a window."""
+    """Plotter with the scene of a workshop, and its legend; `window_size` in pixels, on screen or `off_screen`."""
     plotter = pv.Plotter(off_screen=off_screen, window_size=list(window_size), lighting="three lights")
     plotter.background_color = pv.Color("white")
     _draw_surroundings(plotter, workshop)
@@ -95,7 +95,7 @@ def build_scene(
 
 
 def scene_png(workshop: PlacedWorkshop, *, window_size: tuple[int, int] = (1400, 1000)) -> bytes:
-    """PNG of the scene with its legend."""
+    """PNG of the scene of a workshop, with title, legend and colour bar."""
     plotter, legend = build_scene(workshop, window_size=window_size)
     write_legend(plotter, workshop.title, legend)
     stream = io.BytesIO()
@@ -146,6 +146,7 @@ def write_legend(plotter: pv.Plotter, title: str, legend: SceneLegend) -> None:
 
 
 def _draw_surroundings(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
+    """Draw floor, metre lines, walls and obstacles."""
     z = workshop.floor_height
     corners = np.column_stack([workshop.floor, np.full(len(workshop.floor), z - 0.002)])
     plotter.add_mesh(_polygon_mesh(corners), color=FLOOR_COLOUR, lighting=False, name="floor")
@@ -158,12 +159,12 @@ def _draw_surroundings(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
         plotter.add_mesh(_polygon_mesh(wall), color=WALL_COLOUR, opacity=0.55, lighting=False, name=f"wall-{i}")
     if len(workshop.obstacles):
         corners = workshop.obstacles.reshape(-1, 3)
-        stand = pv.PolyData.from_regular_faces(corners, np.arange(len(corners)).reshape(-1, 3))  # type: ignore[arg-type]
-        plotter.add_mesh(stand, color="#B9A98C", name="obstacles")
+        triangles = pv.PolyData.from_regular_faces(corners, np.arange(len(corners)).reshape(-1, 3))  # type: ignore[arg-type]
+        plotter.add_mesh(triangles, color="#B9A98C", name="obstacles")
 
 
 def _draw_sights(plotter: pv.Plotter, workshop: PlacedWorkshop) -> tuple[str, float, float] | None:
-    """Draw lines of sight, one per pair, coloured by the largest value of the pair; returns the colour bar."""
+    """Draw each line of sight once, coloured by its largest value; returns label, lowest and highest value."""
     sights = workshop.sights
     if sights is None or not len(sights.station):
         return None
@@ -190,20 +191,20 @@ def _draw_sights(plotter: pv.Plotter, workshop: PlacedWorkshop) -> tuple[str, fl
     return sights.label, low, high
 
 
-def _draw_shadow_cones(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> None:
-    """Draw the shadow cone of each station, which its elevation limit hides, and the rims on the floor."""
+def _draw_shadow_cones(plotter: pv.Plotter, workshop: PlacedWorkshop, legend_lines: list[str]) -> None:
+    """Draw the cone below each station that its elevation limit hides, and the rim of the cone on the floor."""
     z = workshop.floor_height
     for k, opening in enumerate(workshop.cone_openings):
         radius = workshop.shadow_radius(opening)
         rims = []
-        for s, place in enumerate(workshop.station_positions):
-            low = np.array([*place[:2], z + 0.004 * (k + 1)])
-            disc = pv.Polygon(center=low, radius=float(radius[s]), normal=(0.0, 0.0, 1.0), n_sides=72)
+        for s, position in enumerate(workshop.station_positions):
+            floor_point = np.array([*position[:2], z + 0.004 * (k + 1)])
+            disc = pv.Polygon(center=floor_point, radius=float(radius[s]), normal=(0.0, 0.0, 1.0), n_sides=72)
             rims.append(disc.extract_feature_edges())
             if k == 0:
-                high = float(place[2] - low[2])
-                how = {"direction": (0.0, 0.0, 1.0), "height": high, "radius": radius[s], "resolution": 72}
-                cone = pv.Cone(center=0.5 * (place + low), capping=False, **how)
+                height = float(position[2] - floor_point[2])
+                shape = {"direction": (0.0, 0.0, 1.0), "height": height, "radius": radius[s], "resolution": 72}
+                cone = pv.Cone(center=0.5 * (position + floor_point), capping=False, **shape)
                 plotter.add_mesh(cone, color=style.RED, opacity=0.13, lighting=False, name=f"cone-{s}")
                 plotter.add_mesh(disc, color=style.ORANGE, opacity=0.30, lighting=False, name=f"shadow-{s}")
         plotter.add_mesh(
@@ -213,8 +214,8 @@ def _draw_shadow_cones(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: lis
             lighting=False,
             name=f"rims-{k}",
         )
-        what = "cone and disc" if k == 0 else "thin circle"
-        lines.append(f"{what}: shadow, opening {opening / DEGREE:.0f}°")
+        drawn_as = "cone and disc" if k == 0 else "thin circle"
+        legend_lines.append(f"{drawn_as}: shadow, opening {opening / DEGREE:.0f}°")
 
 
 def _polygon_mesh(corners: Floats) -> pv.PolyData:
@@ -230,17 +231,18 @@ def _cylinder_mesh(begin: Floats, end: Floats, radius: float) -> pv.PolyData:
 
 
 def ellipsoid_mesh(centres: Floats, axes: Floats) -> pv.PolyData:
-    """Ellipsoids around centres (k, 3) in one mesh; the columns of `axes` (k, 3, 3) are the semi-axes."""
+    """Mesh of k ellipsoids around centres (k, 3); the columns of each matrix in `axes` (k, 3, 3) are the semi-axes."""
     count = len(centres)
-    around, up = (18, 12) if count <= MAX_FINE_SPHERES else (8, 6) if count <= MAX_MEDIUM_SPHERES else (6, 4)
-    unit = pv.Sphere(radius=1.0, theta_resolution=around, phi_resolution=up)
+    facets = (18, 12) if count <= MAX_FINE_SPHERES else (8, 6) if count <= MAX_MEDIUM_SPHERES else (6, 4)
+    unit = pv.Sphere(radius=1.0, theta_resolution=facets[0], phi_resolution=facets[1])
     points = np.einsum("kij,nj->kni", axes, unit.points) + centres[:, None, :]
-    first = len(unit.points) * np.arange(count, dtype=np.int64)[:, None, None]
-    corners: Ints = (np.asarray(unit.regular_faces, dtype=np.int64)[None] + first).reshape(-1, 3)
+    first_corner = len(unit.points) * np.arange(count, dtype=np.int64)[:, None, None]
+    corners: Ints = (np.asarray(unit.regular_faces, dtype=np.int64)[None] + first_corner).reshape(-1, 3)
     return pv.PolyData.from_regular_faces(points.reshape(-1, 3).astype(np.float32), corners)  # type: ignore[arg-type]
 
 
 def _draw_targets(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
+    """Draw targets as spheres, and the lengths between targets of the gauge as lines."""
     gauge = set(workshop.gauge_targets)
     radius = 0.009 * workshop.largest_extent
     for name, colour, chosen in (
@@ -263,51 +265,54 @@ def _draw_targets(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
 
 
 def _draw_stations(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
+    """Draw each station as tripod and tracker head, with an arrow towards azimuth zero."""
     legs, heads, pointers = [], [], []
-    for place, turn in zip(workshop.station_positions, workshop.station_rotations, strict=True):
-        height = max(place[2] - workshop.floor_height, 0.3)
+    for position, axes in zip(workshop.station_positions, workshop.station_rotations, strict=True):
+        height = max(position[2] - workshop.floor_height, 0.3)
         spread = 0.28 * min(height, 2.0)
-        top = place - np.array([0.0, 0.0, 0.22])
+        top = position - np.array([0.0, 0.0, 0.22])
         for angle in np.array([90.0, 210.0, 330.0]) * DEGREE:
-            foot = np.array([*(place[:2] + spread * np.array([np.cos(angle), np.sin(angle)])), workshop.floor_height])
+            foot_xy = position[:2] + spread * np.array([np.cos(angle), np.sin(angle)])
+            foot = np.array([*foot_xy, workshop.floor_height])
             legs.append(_cylinder_mesh(top, foot, 0.018))
-        legs.append(_cylinder_mesh(top, place - np.array([0.0, 0.0, 0.09]), 0.05))
-        heads.append(pv.Cylinder(center=place, direction=turn[:, 1], radius=0.09, height=0.20, resolution=32))
-        end = place + 0.30 * turn[:, 0]
-        pointers.append(_cylinder_mesh(place, end, 0.022))
+        legs.append(_cylinder_mesh(top, position - np.array([0.0, 0.0, 0.09]), 0.05))
+        heads.append(pv.Cylinder(center=position, direction=axes[:, 1], radius=0.09, height=0.20, resolution=32))
+        end = position + 0.30 * axes[:, 0]
+        pointers.append(_cylinder_mesh(position, end, 0.022))
         pointers.append(
-            pv.Cone(center=end + 0.06 * turn[:, 0], direction=turn[:, 0], height=0.12, radius=0.05, resolution=24)
+            pv.Cone(center=end + 0.06 * axes[:, 0], direction=axes[:, 0], height=0.12, radius=0.05, resolution=24)
         )
     plotter.add_mesh(pv.merge(legs), color=TRIPOD_LEG_COLOUR, name="tripods")
     plotter.add_mesh(pv.merge(heads), color=style.INK_COLOUR, name="heads")
     plotter.add_mesh(pv.merge(pointers), color=style.ORANGE, name="azimuth-zero")
 
 
-def _draw_uncertainty_ellipsoids(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> None:
-    """Draw ellipsoids of one sigma around the targets with a round magnification."""
+def _draw_uncertainty_ellipsoids(plotter: pv.Plotter, workshop: PlacedWorkshop, legend_lines: list[str]) -> None:
+    """Draw the one-sigma ellipsoids of the targets with a round magnification, which is added to the legend lines."""
     if workshop.target_covariances is None:
         return
-    spread, axes = np.linalg.eigh(workshop.target_covariances)
-    semi = np.sqrt(np.maximum(spread, 0.0))
-    largest = float(np.median(semi.max(axis=1)))
-    if not largest > 0:
+    variances, axes = np.linalg.eigh(workshop.target_covariances)
+    semi_axes = np.sqrt(np.maximum(variances, 0.0))
+    typical_semi_axis = float(np.median(semi_axes.max(axis=1)))
+    if not typical_semi_axis > 0:
         return
-    scale = round_magnification(largest, 0.035 * workshop.largest_extent)
-    ellipsoids = ellipsoid_mesh(workshop.target_points, axes * (scale * semi)[:, None, :])
+    scale = round_magnification(typical_semi_axis, 0.035 * workshop.largest_extent)
+    ellipsoids = ellipsoid_mesh(workshop.target_points, axes * (scale * semi_axes)[:, None, :])
     plotter.add_mesh(
-        ellipsoids, color=style.SKY, opacity=0.35, name="ellipsoids", smooth_shading=len(semi) <= MAX_FINE_SPHERES
+        ellipsoids, color=style.SKY, opacity=0.35, name="ellipsoids", smooth_shading=len(semi_axes) <= MAX_FINE_SPHERES
     )
-    lines.append(f"pale ellipsoids: 1 sigma of a target, enlarged {magnification_text(scale)} times")
+    legend_lines.append(f"pale ellipsoids: 1 sigma of a target, enlarged {magnification_text(scale)} times")
 
 
-def _draw_correction_arrows(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> None:
+def _draw_correction_arrows(plotter: pv.Plotter, workshop: PlacedWorkshop, legend_lines: list[str]) -> None:
+    """Draw the corrections of the targets as arrows with a round magnification, which is added to the legend lines."""
     if workshop.target_corrections is None:
         return
-    length = np.linalg.norm(workshop.target_corrections, axis=1)
-    if not float(length.max()) > 0:
+    lengths = np.linalg.norm(workshop.target_corrections, axis=1)
+    if not float(lengths.max()) > 0:
         return
-    scale = round_magnification(float(np.percentile(length, 90)), 0.09 * workshop.largest_extent)
-    least = max(1e-3 * float(length.max()), float(np.sort(length)[-MAX_DRAWN_ARROWS:][0]))
+    scale = round_magnification(float(np.percentile(lengths, 90)), 0.09 * workshop.largest_extent)
+    min_drawn_length = max(1e-3 * float(lengths.max()), float(np.sort(lengths)[-MAX_DRAWN_ARROWS:][0]))
     arrows = [
         pv.Arrow(
             start=p,
@@ -319,49 +324,49 @@ def _draw_correction_arrows(plotter: pv.Plotter, workshop: PlacedWorkshop, lines
             shaft_resolution=8,
             tip_resolution=12,
         )
-        for p, c, n in zip(workshop.target_points, workshop.target_corrections, length, strict=True)
-        if n >= least
+        for p, c, n in zip(workshop.target_points, workshop.target_corrections, lengths, strict=True)
+        if n >= min_drawn_length
     ]
     plotter.add_mesh(pv.merge(arrows), color=style.PURPLE, name="corrections")
-    most = f" (the {MAX_DRAWN_ARROWS} largest)" if len(length) > MAX_DRAWN_ARROWS else ""
-    lines.append(f"arrows: correction of a target{most}, enlarged {magnification_text(scale)} times")
+    limit_text = f" (the {MAX_DRAWN_ARROWS} largest)" if len(lengths) > MAX_DRAWN_ARROWS else ""
+    legend_lines.append(f"arrows: correction of a target{limit_text}, enlarged {magnification_text(scale)} times")
 
 
-def _draw_names(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> None:
-    """Draw names facing the camera, stations first; a name that would cover another is omitted and listed."""
+def _draw_names(plotter: pv.Plotter, workshop: PlacedWorkshop, legend_lines: list[str]) -> None:
+    """Draw names facing the camera, stations first; names that would cover others are listed in the legend."""
     eye = np.array(plotter.camera.position)
     axes = _facing_axes(eye - np.array(plotter.camera.focal_point))
-    size, placed, hidden = 0.026 * workshop.largest_extent, list[tuple[Floats, Floats]](), list[str]()
+    size, drawn_boxes, omitted_names = 0.026 * workshop.largest_extent, list[tuple[Floats, Floats]](), list[str]()
     groups = [
         ("station-names", workshop.stations, workshop.station_positions, 0.15 + size, 1.5 * size, style.INK_COLOUR)
     ]
     if len(workshop.targets) <= MAX_TARGET_LABELS:
         groups.append(("target-names", workshop.targets, workshop.target_points, size, size, "#3A4046"))
-    for key, names, places, up, height, colour in groups:
+    for key, names, places, height_above, height, colour in groups:
         words = []
-        for name, place in zip(names, places + np.array([0.0, 0.0, up]), strict=True):
+        for name, place in zip(names, places + np.array([0.0, 0.0, height_above]), strict=True):
             word = _letter_mesh(name, place, axes, height)
             if not word.n_points:  # characters without a glyph
                 continue
             projected = (word.points - eye) @ axes.T
             low, high = (f(projected[:, :2] / -projected[:, 2:], axis=0) for f in (np.min, np.max))
-            if any(np.all((low < top) & (bottom < high)) for bottom, top in placed):
-                hidden.append(name)
+            if any(np.all((low < top) & (bottom < high)) for bottom, top in drawn_boxes):
+                omitted_names.append(name)
             else:
-                placed.append((low, high))
+                drawn_boxes.append((low, high))
                 words.append(word)
         if words:
             plotter.add_mesh(pv.merge(words), color=colour, lighting=False, name=key)
-    if hidden:
-        lines.append(f"omitted names: {listing(hidden, MAX_OMITTED_NAMES)}")
+    if omitted_names:
+        legend_lines.append(f"omitted names: {listing(omitted_names, MAX_OMITTED_NAMES)}")
 
 
 def _facing_axes(direction: Floats) -> Floats:
-    """Axes (3, 3) of a plane perpendicular to a direction: right, up, and outwards."""
-    out = direction / np.linalg.norm(direction)
-    right = np.cross([0.0, 0.0, 1.0] if abs(out[2]) < 1 - 1e-9 else [-1.0, 0.0, 0.0], out)
+    """Unit vectors (3, 3) of a plane perpendicular to a direction (3,): right, up, and the direction itself."""
+    outwards = direction / np.linalg.norm(direction)
+    right = np.cross([0.0, 0.0, 1.0] if abs(outwards[2]) < 1 - 1e-9 else [-1.0, 0.0, 0.0], outwards)
     right /= np.linalg.norm(right)
-    return np.stack([right, np.cross(out, right), out])
+    return np.stack([right, np.cross(outwards, right), outwards])
 
 
 def _letter_mesh(name: str, place: Floats, axes: Floats, height: float) -> pv.PolyData:
@@ -373,7 +378,7 @@ def _letter_mesh(name: str, place: Floats, axes: Floats, height: float) -> pv.Po
 
 
 def _place_camera(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
-    """Place the camera above the open side, looking at the middle."""
+    """Place the camera above the side of the hall without walls, directed at the middle of the hall."""
     low = np.array([*workshop.floor.min(axis=0), workshop.floor_height])
     high = np.array(
         [*workshop.floor.max(axis=0), max(workshop.target_points[:, 2].max(), workshop.station_positions[:, 2].max())]

@@ -38,13 +38,14 @@ body { font-family: system-ui, sans-serif; overflow: hidden; background: #fff; }
 """
 """Style sheet of the page."""
 PAGE_HEAD = f'<meta http-equiv="Content-Security-Policy" content="{CONTENT_SECURITY_POLICY}">'
-"""Elements for the head of the page: content security policy, and the mark of ltsim."""
+"""Elements for the head of the page: content security policy, and the name of ltsim as generator."""
 PAGE_HEAD += '<meta name="generator" content="ltsim">'
 
 
 N_COORDINATE_STEPS = 40_000
-"""Number of coordinate steps across a scene, to which coordinates are rounded for compression;
-invisible on a screen.
+"""Number of steps across a scene to which coordinates are rounded, so that the page compresses well.
+
+A step is smaller than a pixel.
 """
 
 
@@ -57,7 +58,7 @@ def scene_page(workshop: PlacedWorkshop, camera: scene3d.Camera | None = None) -
 
 
 def scene_picture_and_page(workshop: PlacedWorkshop) -> tuple[Image.Image, scene3d.SceneLegend, str]:
-    """Picture, legend and interactive page of one scene."""
+    """Picture, legend and interactive HTML page of the scene of a workshop."""
     plotter, legend = scene3d.build_scene(workshop, window_size=(1200, 860))
     html = _page_html(plotter, workshop, legend)
     scene3d.write_legend(plotter, "", scene3d.SceneLegend((), legend.colour_bar))

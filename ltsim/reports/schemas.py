@@ -1,4 +1,4 @@
-"""Registry of all result files with their models and tables, from which the documentation is made.
+"""Models and tables of all files of ltsim, from which the reference of the files is generated.
 
 ``python -m ltsim.reports.schemas DIR`` writes one JSON Schema (draft 2020-12) per file, and tables.json for the tables.
 """
@@ -53,7 +53,7 @@ RESULT_MODELS: tuple[type[ResultFile], ...] = (
     BenchFile,
     Truth,
 )
-"""Models of the files that verbs write."""
+"""Models of the result files that commands write."""
 
 FILE_MODELS: dict[str, type[BaseModel]] = {
     **{model.FILE: model for model in RESULT_MODELS},

@@ -41,7 +41,7 @@ COLOUR_AFTER = BLUE
 BAND_COLOUR = "#8A8F9440"
 """Colour of interval bands, transparent for light and dark pages."""
 DIVERGING_COLOUR_MAP = "RdBu_r"
-"""Name of the colour map of signed values."""
+"""Name of matplotlib's colour map for values with a sign."""
 TEXT_COLOUR_ON_PALE = "#23282c"
 """Colour of text on a pale cell."""
 TEXT_COLOUR_ON_DEEP = "#fefefe"
@@ -52,7 +52,7 @@ FIGURE_WIDTH = 4.9
 LEGEND_LINE_LENGTH = 75
 """Length of a line of a legend [characters]."""
 LEGEND_HANDLE_LENGTH = 8
-"""Length that the mark of an entry of a legend takes [characters]."""
+"""Width of the line or marker before each label of a legend [characters]."""
 
 _MATPLOTLIB_SETTINGS: dict[Any, Any] = {
     "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial"],
@@ -92,14 +92,14 @@ DrawParameters = ParamSpec("DrawParameters")
 
 
 def with_figure_style(draw: Callable[DrawParameters, Figure]) -> Callable[DrawParameters, Figure]:
-    """Decorator that applies the common settings while a figure is drawn."""
+    """Decorator that applies the settings of this module while a function draws a figure."""
 
     @wraps(draw)
-    def inside(*args: DrawParameters.args, **kwargs: DrawParameters.kwargs) -> Figure:
+    def draw_with_style(*args: DrawParameters.args, **kwargs: DrawParameters.kwargs) -> Figure:
         with mpl.rc_context(_MATPLOTLIB_SETTINGS):
             return draw(*args, **kwargs)
 
-    return inside
+    return draw_with_style
 
 
 class NotebookFigure(Figure):
@@ -115,7 +115,7 @@ def new_figure(height: float, *, layout: Any = "constrained") -> Figure:
 
 
 def new_panel(height: float, *, layout: Any = "constrained") -> tuple[Figure, Axes]:
-    """Empty figure with one panel."""
+    """Empty figure of a height [inch], and its only axes."""
     figure = new_figure(height, layout=layout)
     return figure, figure.subplots()
 
@@ -160,14 +160,14 @@ def unit_text(unit: str) -> str:
 
 
 def set_grid(ax: Axes, *, grid_axis: str = "y") -> None:
-    """Keep grid lines of one direction only ('x', 'y', 'both' or 'none')."""
+    """Show the grid lines of one axis only ('x', 'y', 'both' or 'none')."""
     ax.grid(visible=False)
     if grid_axis != "none":
         ax.grid(visible=True, axis=grid_axis)  # type: ignore[arg-type]
 
 
 def set_category_rows(ax: Axes, names: Sequence[str], *, font_size: float = 8.0) -> Floats:
-    """Set names on the y axis, the first on top; returns their positions."""
+    """Set the names of rows on the y axis, the first on top; returns the positions (n,) of the rows."""
     places = np.arange(len(names), dtype=np.float64)
     ax.set_yticks(places, [shortened_name(name) for name in names], fontsize=font_size)
     ax.set_ylim(len(names) - 0.4, -0.6)
@@ -177,7 +177,7 @@ def set_category_rows(ax: Axes, names: Sequence[str], *, font_size: float = 8.0)
 
 
 def write_at_right(ax: Axes, positions: Floats, texts: Sequence[str]) -> None:
-    """Write texts at the right end of the rows."""
+    """Write a text at the right end of each row, at `positions` (n,) on the y axis."""
     right = ax.secondary_yaxis("right")
     right.set_yticks(positions, [typographic_text(text) for text in texts], fontsize=8)
     right.tick_params(length=0)
@@ -208,6 +208,10 @@ def legend_height(labels: Sequence[str], max_columns: int) -> float:
 
 
 def shortened_name(name: str, max_length: int = 34) -> str:
-    """Name of at most `max_columns` characters, cut in the middle, since names often differ at their ends."""
-    flat, end = " ".join(name.split()), max_length // 2
-    return flat if len(flat) <= max_length else f"{flat[: max_length - 1 - end]}…{flat[-end:]}"
+    """Name of at most `max_length` characters, cut in the middle, since names often differ at their ends."""
+    one_line, n_end_letters = " ".join(name.split()), max_length // 2
+    return (
+        one_line
+        if len(one_line) <= max_length
+        else f"{one_line[: max_length - 1 - n_end_letters]}…{one_line[-n_end_letters:]}"
+    )

@@ -98,8 +98,8 @@ def view(
     check_choice("cad_up", cad_up, ("y", "z"), allow_none=True)
     check_choice("colour", colour, ("incidence", "residual"))
     require(("pyvista", "trame_vtk"), "3D views", "view")
-    shown = _workshop_of(source).with_sights_by(colour)
-    return View(shown if cad is None else workshop_with_cad(shown, Path(cad), cad_unit, cad_up))
+    workshop = _workshop_of(source).with_sights_by(colour)
+    return View(workshop if cad is None else workshop_with_cad(workshop, Path(cad), cad_unit, cad_up))
 
 
 def _workshop_of(source: Recording | Scenario | str | Path) -> PlacedWorkshop:
@@ -158,14 +158,14 @@ def report(
     >>> lt.report("my-recording").name
     'report.html'
     """
-    head = About(**about) if isinstance(about, Mapping) else about
-    behind = None if recording is None else Path(recording)
+    header = About(**about) if isinstance(about, Mapping) else about
+    recording_path = None if recording is None else Path(recording)
     target, content = (
         Path(folder) / PAGE_FILE,
-        document_of_folder(Path(folder), recording=behind, title=title, header=head),
+        document_of_folder(Path(folder), recording=recording_path, title=title, header=header),
     )
-    for unread in content.sections:
-        if unread.kind == UNREADABLE_KIND:
-            tell(unread.summary)
+    for section in content.sections:
+        if section.kind == UNREADABLE_KIND:
+            tell(section.summary)
     write_text(target, page_html(content))
     return target

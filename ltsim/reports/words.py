@@ -1,4 +1,4 @@
-"""Text formatting shared by sections and figures."""
+"""Texts for sections and figures: counts, durations, sentences, the verdict of the global test."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ QUALITY_MEASURES = {
     "targets": ("targets: weighted point error [um]", 1e6),
     "diagnosis": ("effects: found / plausible size", 1.0),
 }
-"""Quality measure of each goal of a plan: name with unit, and factor from SI to that unit."""
+"""Quality measure of each goal of a plan: name with unit, and factor from SI to the displayed unit."""
 
 
 def is_determined(sigma: float | None, prior_sigma: float | None) -> bool:
-    """True if the measurement gives at least half of the information on a parameter: sigma < 0.7 prior sigma."""
+    """True if the readings halve the prior variance of a parameter (sigma < 0.7 prior sigma), or without a prior."""
     return prior_sigma is None or (sigma or 0.0) < 0.7 * prior_sigma
 
 
@@ -40,7 +40,7 @@ def duration_text(seconds: float) -> str:
 
 
 def tracker_presets_text(scenarios: Iterable[Scenario | ScenarioSettings]) -> str:
-    """Presets of the trackers in scenarios, as text."""
+    """Names of the presets of all trackers in scenarios, each once, as text."""
     trackers = [t for s in scenarios for t in (*s.instruments.values(),) or (s.instrument,)]
     return ", ".join(f"preset {name}" for name in dict.fromkeys(t.preset for t in trackers))
 
@@ -62,34 +62,37 @@ def as_sentence(text: str) -> str:
 
 def typographic_text(text: str) -> str:
     """Text with typographic signs: plus-minus, minus, micro, chi, a dash for a missing value."""
-    signs = re.sub(
+    with_signs = re.sub(
         r"\bu(m|rad)\b",
         "µ\\1",
         text.replace("+-", "±").replace("chi2", "χ²").replace("[deg]", "[°]").replace(" %", "\u00a0%"),
     )
-    return "–" if signs == "-" else re.sub(r"(?<![\w.,)\]-])-(?=\.?\d)", "−", signs)
+    return "–" if with_signs == "-" else re.sub(r"(?<![\w.,)\]-])-(?=\.?\d)", "−", with_signs)
 
 
 def global_test_verdict(chi2: float, dof: int, p_value: float | None) -> tuple[bool, str]:
-    """Verdict of the global test at 1 % on each side, and its text; `p_value` is that of a larger chi-square."""
+    """Result of the two-sided global test: True if readings and model agree, and a text without full stop.
+
+    `p_value` is the probability of a larger chi-square.
+    """
     if dof <= 0 or p_value is None or not math.isfinite(p_value):
         return True, "the model cannot be tested, because there is no redundancy"
-    agrees, tested = (
+    agrees, statistic_text = (
         two_sided(p_value) >= AGREEMENT_LEVEL,
         f"(chi2 {chi2:.0f} for {dof}, two-sided {format_p(two_sided(p_value))})",
     )
     if not agrees and p_value > 0.5:
-        return False, f"the scatter of the readings is smaller than the declared noise {tested}"
+        return False, f"the scatter of the readings is smaller than the declared noise {statistic_text}"
     verb = "agree" if agrees else "do not agree"
-    return agrees, f"the readings {verb} with the model and the declared noise {tested}"
+    return agrees, f"the readings {verb} with the model and the declared noise {statistic_text}"
 
 
 def distinct_labels(labels: Sequence[str]) -> tuple[str, ...]:
-    """Labels without their common first words, unless a label would be empty."""
+    """Labels without the words with which all of them begin; unchanged if a label would then be empty."""
     if len(set(labels)) < 2:
         return tuple(labels)
-    shared = takewhile(lambda letters: len(set(letters)) == 1, zip(*labels, strict=False))
-    common = "".join(letters[0] for letters in shared)
+    common_letters = takewhile(lambda letters: len(set(letters)) == 1, zip(*labels, strict=False))
+    common = "".join(letters[0] for letters in common_letters)
     begin = 1 + max(common.rfind(separator) for separator in "_- .")
     short = tuple(label[begin:] for label in labels)
     return short if all(short) else tuple(labels)

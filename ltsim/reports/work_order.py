@@ -54,9 +54,11 @@ def _work_order_blocks(plan: Plan) -> list[Block]:
     faces = "in both faces" if len(survey.faces) == 2 else f"in face {survey.faces[0]}"
     rounds = "once" if survey.repeats == 1 else f"{survey.repeats} rounds"
     for s in stations:
-        again = ", ".join(f"{name} within {limit / MILLIMETRE:.3f} mm" for name, limit in s.repeated_targets.items())
-        head = f"{len(s.target_order)} points {faces}, {rounds}, {duration_text(60 * s.minutes)}"
-        text = f"{head}: {', '.join(s.target_order)}. Again: {again}."
+        repetition_text = ", ".join(
+            f"{name} within {limit / MILLIMETRE:.3f} mm" for name, limit in s.repeated_targets.items()
+        )
+        work_text = f"{len(s.target_order)} points {faces}, {rounds}, {duration_text(60 * s.minutes)}"
+        text = f"{work_text}: {', '.join(s.target_order)}. Again: {repetition_text}."
         blocks.append(NoteBlock(f"{s.name}: order of work", text))
     blocks += _reflector_proposals_block(plan)
     text = (
@@ -70,9 +72,11 @@ def _work_order_blocks(plan: Plan) -> list[Block]:
 
 
 def _reflector_proposals_block(plan: Plan) -> list[Block]:
-    """Proposals to move or add a reflector before the work."""
-    worth = [change for change in plan.reflector_changes if change.do != "remove"]
-    if not worth:
+    """List with a block of proposals to move or add a reflector before the work; empty without proposals."""
+    changes = [change for change in plan.reflector_changes if change.do != "remove"]
+    if not changes:
         return []
-    lines = [f"{c.action_text}: the other points improve by {c.gain_um:.2f} µm, most of all {c.serves}" for c in worth]
+    lines = [
+        f"{c.action_text}: the other points improve by {c.gain_um:.2f} µm, most of all {c.serves}" for c in changes
+    ]
     return [BulletListBlock("Possible improvements: one of these (z from the floor), then plan again", lines)]

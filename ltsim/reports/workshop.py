@@ -24,18 +24,27 @@ from ltsim.simulation.workshop import WorkshopLayout, make_obstacles, make_visib
 ALTERNATIVE_CONE_OPENING = 110.0 * DEGREE
 """Alternative opening of the shadow cone in the paper (section 2.3.2)."""
 MAX_TRACKER_HEIGHT = 3.0
-"""Largest height [m] of a tracker above the floor; a plan with its zero farther below the trackers has no floor."""
+"""Largest height [m] of the lowest target or tracker above z = 0 of a plan at which the floor is drawn at z = 0.
+
+If all are higher, the floor is drawn at the lowest target. The value is above the height of a tracker on its tripod.
+"""
 MIN_WALL_NORMAL_COMPONENT = 0.25
-"""Smallest component of a nest's normal across its wall, dimensionless."""
+"""Threshold of the component of a nest's unit normal perpendicular to a wall, above which the nest belongs to the wall.
+
+Dimensionless, a choice for drawing: normals up to 75 degrees from the perpendicular are accepted.
+"""
 MAX_WALL_DEPTH_DIFFERENCE = 0.2
-"""Largest difference in depth [m] of the nests of one wall."""
+"""Largest distance [m] of a nest from the rearmost target at which the nest belongs to the wall behind that target."""
 FLOOR_MARGIN = 0.4
 """Margin [m] of the floor around stations and targets."""
 
 
 @dataclass(frozen=True)
 class DrawnSights:
-    """Lines of sight (n,) with values; `label` is name and unit of the value."""
+    """Lines of sight to draw: index of station and target, and the value (n,) that determines the colour.
+
+    `label` is name and unit of the value.
+    """
 
     station: Ints
     target: Ints
@@ -50,18 +59,18 @@ class PlacedWorkshop(ValueEquality):
     title: str
     stations: tuple[str, ...]
     station_positions: Floats
-    """Positions of the stations, (S, 3) [m]."""
+    """Positions of the S stations, (S, 3) [m]."""
     station_rotations: Floats
-    """Instrument frame to this frame, (S, 3, 3)."""
+    """Rotation matrix from the instrument frame to this frame of each station, (S, 3, 3)."""
     targets: tuple[str, ...]
     target_points: Floats
     nest_normals: Floats = field(default_factory=lambda: np.zeros((0, 3)))
-    """Normals of the fixed nests, (T, 3); NaN for a re-aimed reflector."""
+    """Unit normals of the nests of the T targets, (T, 3); NaN for a reflector that is turned to each station."""
     floor: Floats = field(default_factory=lambda: np.zeros((0, 2)))
-    """Outline of the floor, (k, 2) [m]."""
+    """Corners of the floor, (k, 2) [m]."""
     floor_height: float = 0.0
     walls: Floats = field(default_factory=lambda: np.zeros((0, 4, 3)))
-    """Corners of the walls, (W, 4, 3) [m]."""
+    """Corners of the W walls, (W, 4, 3) [m]."""
     gauge_pairs: tuple[tuple[int, int], ...] = ()
     """Pairs of targets with a reference length."""
     elevation_min: float = -55.0 * DEGREE
@@ -71,9 +80,9 @@ class PlacedWorkshop(ValueEquality):
     target_corrections: Floats | None = None
     """Change of the targets by a calibration or a finding, (T, 3) [m]; None if unknown."""
     obstacles: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
-    """Corners of the triangles of obstacles, (k, 3, 3)."""
+    """Corners of the k triangles of obstacles, (k, 3, 3) [m]."""
     blocked_sights: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
-    """Station and target of the sights that obstacles block, (k, 2)."""
+    """Index of station and target of each line of sight that an obstacle blocks, (k, 2)."""
     notes: tuple[str, ...] = ()
     """Notes for the reader, such as an assumed floor."""
 
@@ -84,7 +93,7 @@ class PlacedWorkshop(ValueEquality):
 
     @property
     def cone_openings(self) -> tuple[float, ...]:
-        """Full angles [rad] of the shadow cones: by the elevation limit, and the alternative of the paper."""
+        """Full angles [rad] of the shadow cones to draw: from the elevation limit, and the alternative of the paper."""
         limit = shadow_cone_opening(self.elevation_min)
         return (limit,) if abs(limit - ALTERNATIVE_CONE_OPENING) < 1e-9 else (limit, ALTERNATIVE_CONE_OPENING)
 
@@ -94,7 +103,7 @@ class PlacedWorkshop(ValueEquality):
 
     @property
     def gauge_targets(self) -> tuple[int, ...]:
-        """Targets that belong to the gauge."""
+        """Indices of the targets that belong to the gauge."""
         return tuple(sorted({i for pair in self.gauge_pairs for i in pair}))
 
     @property
@@ -104,49 +113,54 @@ class PlacedWorkshop(ValueEquality):
         return float(np.max(np.ptp(points, axis=0)))
 
     def incidence_sights(self) -> DrawnSights | None:
-        """Lines of sight with the angle between beam and nest normal, for nests with a normal."""
+        """Lines of sight to nests with a normal, and the angle [deg] between beam and normal; None without normals."""
         if self.sights is None or not np.isfinite(self.nest_normals).any():
             return None
         station, target = self.sights.station, self.sights.target
-        back = self.station_positions[station] - self.target_points[target]
-        cosine = np.sum(back * self.nest_normals[target], axis=1) / np.linalg.norm(back, axis=1)
-        with_normal = np.isfinite(cosine)
-        angle = np.arccos(np.clip(cosine[with_normal], -1.0, 1.0)) / DEGREE
-        return DrawnSights(station[with_normal], target[with_normal], angle, "incidence on the nest [°]")
+        beam = self.station_positions[station] - self.target_points[target]
+        cosine = np.sum(beam * self.nest_normals[target], axis=1) / np.linalg.norm(beam, axis=1)
+        has_normal = np.isfinite(cosine)
+        angle = np.arccos(np.clip(cosine[has_normal], -1.0, 1.0)) / DEGREE
+        return DrawnSights(station[has_normal], target[has_normal], angle, "incidence on the nest [°]")
 
     def with_sights_by(self, quantity: str) -> PlacedWorkshop:
-        """Workshop with lines of sight coloured by 'incidence' or 'residual'; unchanged if not available."""
+        """Workshop with lines of sight coloured by 'incidence'; unchanged for 'residual' or without nest normals."""
         sights = self.incidence_sights() if quantity == "incidence" else None
         return self if sights is None else replace(self, sights=sights)
 
 
 def workshop_from_adjustment(adjustment: Adjustment, *, without_parameters: Adjustment | None = None) -> PlacedWorkshop:
-    """Workshop of an adjusted network, with correction arrows from the adjustment `without_parameters`."""
+    """Workshop of an adjusted network; arrows show how targets move from `without_parameters` to `adjustment`."""
     recording, state = adjustment.recording, adjustment.state
-    worst = np.nanmax(np.abs(np.nan_to_num(adjustment.normalised_residuals)), axis=1)
-    placed = np.asarray(np.isfinite(adjustment.target_covariance[:, :2, :2]).all(axis=(1, 2)))
-    rows, number = placed[recording.target], np.cumsum(placed) - 1
-    correction = (
-        None if without_parameters is None else (state.target_points - without_parameters.state.target_points)[placed]
+    largest_residuals = np.nanmax(np.abs(np.nan_to_num(adjustment.normalised_residuals)), axis=1)
+    has_plan_position = np.asarray(np.isfinite(adjustment.target_covariance[:, :2, :2]).all(axis=(1, 2)))
+    rows, new_index = has_plan_position[recording.target], np.cumsum(has_plan_position) - 1
+    target_changes = (
+        None
+        if without_parameters is None
+        else (state.target_points - without_parameters.state.target_points)[has_plan_position]
     )
     network = PlacedWorkshop(
         title=recording.setup.title,
         stations=recording.stations,
         station_positions=state.station_positions,
         station_rotations=state.station_rotations,
-        targets=tuple(name for name, is_placed in zip(recording.targets, placed, strict=True) if is_placed),
-        target_points=state.target_points[placed],
+        targets=tuple(name for name, is_kept in zip(recording.targets, has_plan_position, strict=True) if is_kept),
+        target_points=state.target_points[has_plan_position],
         sights=DrawnSights(
-            recording.station[rows], number[recording.target[rows]], worst[rows], "largest normalised residual"
+            recording.station[rows],
+            new_index[recording.target[rows]],
+            largest_residuals[rows],
+            "largest normalised residual",
         ),
-        target_covariances=np.nan_to_num(adjustment.target_covariance[placed]),
-        target_corrections=correction,
+        target_covariances=np.nan_to_num(adjustment.target_covariance[has_plan_position]),
+        target_corrections=target_changes,
     )
     return workshop_with_surroundings(network, recording.setup)
 
 
 def workshop_from_recording(recording: Recording) -> PlacedWorkshop:
-    """Workshop of a recording, adjusted with the instrument's parameters; arrows show the change by them."""
+    """Workshop of a recording adjusted with the instrument's parameters; arrows show how these move the targets."""
     plain = adjust(recording)
     plain.solution.require_success()
     full = adjust(recording, declared_construction(recording))
@@ -154,82 +168,85 @@ def workshop_from_recording(recording: Recording) -> PlacedWorkshop:
 
 
 def workshop_with_surroundings(network: PlacedWorkshop, setup: Setup) -> PlacedWorkshop:
-    """Network in the frame of the floor plan of the set-up, if there is one, with floor, walls and gauge."""
-    plan = FloorPlan.from_positions(setup, network.stations, network.station_positions, network.station_rotations)
-    turn, planned = plan.rotation, plan.has_plan
-    points, position = plan.positions_on_plan(network.target_points), plan.positions_on_plan(network.station_positions)
-    normal = _normals_of_nests(setup, network.targets)
+    """Network with floor, walls and gauge, in the frame of the floor plan if the set-up has one."""
+    floor_plan = FloorPlan.from_positions(setup, network.stations, network.station_positions, network.station_rotations)
+    rotation, has_plan = floor_plan.rotation, floor_plan.has_plan
+    points, position = (
+        floor_plan.positions_on_plan(network.target_points),
+        floor_plan.positions_on_plan(network.station_positions),
+    )
+    nest_normals = _normals_of_nests(setup, network.targets)
     lowest = float(np.concatenate([points, position])[:, 2].min())
-    height = 0.0 if planned and -0.05 < lowest < MAX_TRACKER_HEIGHT else float(points[:, 2].min())
-    planes = _find_wall_planes(points, normal) if planned else []
+    floor_height = 0.0 if has_plan and -0.05 < lowest < MAX_TRACKER_HEIGHT else float(points[:, 2].min())
+    wall_planes = _find_wall_planes(points, nest_normals) if has_plan else []
     instrument = next(iter(setup.instruments.values()), setup.instrument)
     index_by_name = {name: i for i, name in enumerate(network.targets)}
     lengths = setup.gauge.distance if setup.gauge else ()
-    floor = _floor_rectangle(np.concatenate([points, position])[:, :2], planes)
+    floor = _floor_rectangle(np.concatenate([points, position])[:, :2], wall_planes)
     return replace(
         network,
         station_positions=position,
-        station_rotations=turn @ network.station_rotations,
+        station_rotations=rotation @ network.station_rotations,
         target_points=points,
-        nest_normals=np.where(_is_reaimed(setup, network.targets)[:, None], np.nan, normal),
+        nest_normals=np.where(_is_reaimed(setup, network.targets)[:, None], np.nan, nest_normals),
         floor=floor,
-        floor_height=height,
-        walls=_wall_corners(planes, floor, height, float(points[:, 2].max()) + 0.3),
+        floor_height=floor_height,
+        walls=_wall_corners(wall_planes, floor, floor_height, float(points[:, 2].max()) + 0.3),
         gauge_pairs=tuple(
             (index_by_name[g.from_], index_by_name[g.to])
             for g in lengths
             if g.from_ in index_by_name and g.to in index_by_name
         ),
         elevation_min=(instrument.limits or Limits()).elevation_min_deg * DEGREE,
-        target_covariances=None if network.target_covariances is None else turn @ network.target_covariances @ turn.T,
-        target_corrections=None if network.target_corrections is None else network.target_corrections @ turn.T,
-        notes=() if height == 0.0 else ("the floor is assumed at the lowest target",),
+        target_covariances=None
+        if network.target_covariances is None
+        else rotation @ network.target_covariances @ rotation.T,
+        target_corrections=None if network.target_corrections is None else network.target_corrections @ rotation.T,
+        notes=() if floor_height == 0.0 else ("the floor is assumed at the lowest target",),
     )
 
 
 def _normals_of_nests(setup: Setup, targets: tuple[str, ...]) -> Floats:
+    """Unit normals (T, 3) of the nests of T targets; NaN for a target without a declared normal."""
     rows = [setup.targets[t].nest_normal if t in setup.targets else None for t in targets]
     normal = np.array([row or (np.nan, np.nan, np.nan) for row in rows], dtype=np.float64).reshape(-1, 3)
     return normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
 def _is_reaimed(setup: Setup, targets: tuple[str, ...]) -> Bools:
-    """Flags (T,) of the reflectors that are turned towards the station before each pointing.
-
-    Their incidence is zero.
-    """
+    """Flags (T,), True for a reflector that is turned towards the station before each pointing, with incidence zero."""
     return np.array([t not in setup.targets or setup.targets[t].reaimed for t in targets], dtype=bool)
 
 
-def _find_wall_planes(points: Floats, normal: Floats) -> list[tuple[int, float, float]]:
-    """Axis, sign of the free side, and position [m] of vertical walls with at least four nests.
+def _find_wall_planes(points: Floats, nest_normals: Floats) -> list[tuple[int, float, float]]:
+    """Vertical walls with at least four nests: each is an axis (0: x, 1: y), a sign, and a coordinate [m] on that axis.
 
-    The nests point away from the wall, straight or at the stations, and no target is behind it.
+    The sign is the direction from the wall into the hall. The nests face the hall, and no target is behind the wall.
     """
     planes = []
     for axis in range(2):
-        for side in (1.0, -1.0):
-            depth = side * points[:, axis]
-            last = float(depth.min())
-            looking = np.nan_to_num(side * normal[:, axis]) > MIN_WALL_NORMAL_COMPONENT
-            if np.sum(looking & (depth < last + MAX_WALL_DEPTH_DIFFERENCE)) >= 4:
-                planes.append((axis, side, side * (last - 0.05)))
+        for direction in (1.0, -1.0):
+            depths = direction * points[:, axis]
+            rearmost = float(depths.min())
+            faces_hall = np.nan_to_num(direction * nest_normals[:, axis]) > MIN_WALL_NORMAL_COMPONENT
+            if np.sum(faces_hall & (depths < rearmost + MAX_WALL_DEPTH_DIFFERENCE)) >= 4:
+                planes.append((axis, direction, direction * (rearmost - 0.05)))
     return planes
 
 
-def _floor_rectangle(positions: Floats, planes: list[tuple[int, float, float]]) -> Floats:
-    """Corners (4, 2) of the upright rectangle around places (n, 2) with a margin, up to the walls."""
+def _floor_rectangle(positions: Floats, wall_planes: list[tuple[int, float, float]]) -> Floats:
+    """Corners (4, 2) [m] of the axis-parallel rectangle around positions (n, 2), with a margin where no wall is."""
     (x0, y0), (x1, y1) = positions.min(axis=0) - FLOOR_MARGIN, positions.max(axis=0) + FLOOR_MARGIN
     sides = {(0, 1.0): x0, (0, -1.0): x1, (1, 1.0): y0, (1, -1.0): y1}
-    sides |= {(axis, side): place for axis, side, place in planes}
+    sides |= {(axis, side): place for axis, side, place in wall_planes}
     x0, x1, y0, y1 = sides[0, 1.0], sides[0, -1.0], sides[1, 1.0], sides[1, -1.0]
     return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
 
 
-def _wall_corners(planes: list[tuple[int, float, float]], floor: Floats, lower: float, upper: float) -> Floats:
-    """Corners (W, 4, 3) of walls between heights `lower` and `upper` over the sides of the floor."""
-    walls = np.zeros((len(planes), 4, 3))
-    for wall, (axis, _, place) in zip(walls, planes, strict=True):
+def _wall_corners(wall_planes: list[tuple[int, float, float]], floor: Floats, lower: float, upper: float) -> Floats:
+    """Corners (W, 4, 3) [m] of W walls along the sides of the floor, between the heights `lower` and `upper`."""
+    walls = np.zeros((len(wall_planes), 4, 3))
+    for wall, (axis, _, place) in zip(walls, wall_planes, strict=True):
         begin, end = floor[:, 1 - axis].min(), floor[:, 1 - axis].max()
         wall[:, axis] = place
         wall[:, 1 - axis] = [begin, end, end, begin]
@@ -246,10 +263,10 @@ def workshop_from_scenario(scenario: Scenario) -> PlacedWorkshop:
         When the scenario's gauge or one of its CAD files is impossible.
     """
     layout = planned_layout(scenario)
-    table = make_visibility(scenario, layout)
+    visibility = make_visibility(scenario, layout)
     obstacles = make_obstacles(scenario)
-    hidden = int((~table.is_visible).sum())
-    lost = (f"{hidden} of {table.is_visible.size} lines of sight are blocked.",) if hidden else ()
+    n_blocked = int((~visibility.is_visible).sum())
+    notes = (f"{n_blocked} of {visibility.is_visible.size} lines of sight are blocked.",) if n_blocked else ()
     x, y, z = np.array(scenario.workshop.size_mm) * MILLIMETRE
     floor = np.array([[0.0, 0.0], [x, 0.0], [x, y], [0.0, y]])
     gauge = range(len(scenario.targets), len(layout.target_names))
@@ -265,10 +282,10 @@ def workshop_from_scenario(scenario: Scenario) -> PlacedWorkshop:
         walls=_wall_corners([(0, 1.0, 0.0), (1, 1.0, 0.0)], floor, 0.0, z),
         gauge_pairs=tuple((i, j) for i in gauge for j in gauge if i < j),
         elevation_min=max(t.limits.elevation_min_deg for t in scenario.trackers_in_use.values()) * DEGREE,
-        sights=_visible_sights(layout, table),
+        sights=_visible_sights(layout, visibility),
         obstacles=np.zeros((0, 3, 3)) if obstacles is None else obstacles.triangles,
-        blocked_sights=np.argwhere(table.reasons == InvisibilityReason.OBSTACLE),
-        notes=lost,
+        blocked_sights=np.argwhere(visibility.reasons == InvisibilityReason.OBSTACLE),
+        notes=notes,
     )
 
 
@@ -288,7 +305,8 @@ def workshop_with_cad(
     return replace(workshop, obstacles=np.concatenate([workshop.obstacles, cad.triangles]))
 
 
-def _visible_sights(layout: WorkshopLayout, table: Visibility) -> DrawnSights:
-    station, target = np.nonzero(table.is_visible)
-    elevation = table.elevations[station, target] / DEGREE
+def _visible_sights(layout: WorkshopLayout, visibility: Visibility) -> DrawnSights:
+    """Lines of sight that nothing blocks, with the elevation [deg] of the beam."""
+    station, target = np.nonzero(visibility.is_visible)
+    elevation = visibility.elevations[station, target] / DEGREE
     return DrawnSights(station.astype(np.int64), target.astype(np.int64), elevation, "elevation of the beam [°]")

@@ -1,4 +1,4 @@
-"""Layout of a hall for the interactive planner: stations are moved by hand; evaluation of the accuracy, and files."""
+"""Layout of a hall whose stations the user moves in the browser: accuracy, tolerances, files."""
 
 from __future__ import annotations
 
@@ -44,41 +44,43 @@ from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario, scenario_to_toml
 
 MAX_DRAWN_TRIANGLES = 20_000
-"""Largest number of triangles of obstacles drawn from above; the largest triangles are retained."""
+"""Largest number of triangles of obstacles in the view from above; of more, only the largest are drawn."""
 MIN_LAYOUT_STATIONS = 2
-"""Smallest number of stations of a layout, as of a plan file."""
+"""Smallest number of stations of a layout, the same as for a plan file."""
 MAX_LAYOUT_STATIONS = 40
 """Largest number of stations of a layout."""
 STATION_NAME_PATTERN = r"\w[\w.\-]{0,39}"
 """Pattern of the name of a station."""
 MAX_OFFERED_PLACES = 200
-"""Largest number of places on a grid that are offered for an additional station."""
+"""Largest number of places of a grid that the page offers for an additional station."""
 MAX_COORDINATE_MM = 1e6
 """Largest magnitude of a coordinate [mm] of a station."""
 
 
 @dataclass(frozen=True)
 class MovableLayout:
-    """Layout of a hall with movable stations."""
+    """Plan of a hall whose stations the user moves, with all that the evaluation of a layout needs."""
 
     plan_file: PlanFile
     scenario: Scenario
     """Scenario with the initial stations."""
     search_space: SearchSpace
-    """Search space; its survey has the faces and rounds of the scenario."""
+    """Allowed places and lines of sight; the `survey` in it has the faces and rounds of the scenario."""
     construction: Construction
     tolerances: PointTolerances
-    """Tolerances of points."""
+    """Tolerances of the points in the plan file."""
 
     @classmethod
     def from_plan(cls, source: str | Path) -> MovableLayout:
         """Layout of a plan file, a scenario, or a folder that `ltsim plan` wrote; raises SetupError, RecordError."""
-        named, scenario = load_plan_and_scenario(source)
-        file, site = unsearched_plan(named, scenario)
-        return cls(file, scenario, site, planned_construction(scenario), PointTolerances.from_plan_file(file))
+        plan_or_scenario, scenario = load_plan_and_scenario(source)
+        plan_file, search_space = unsearched_plan(plan_or_scenario, scenario)
+        return cls(
+            plan_file, scenario, search_space, planned_construction(scenario), PointTolerances.from_plan_file(plan_file)
+        )
 
     def hall_json(self) -> dict[str, Any]:
-        """Fixed parts of the hall for the page: lengths in metres, outlines from above, initial station positions."""
+        """Description of the hall for the page: size [m], outlines from above, points, initial stations."""
         survey, floor = self.search_space.survey, self.plan_file.floor
         names = [area.name for area in floor.areas] or [""]
         free = [*(place.name for place in floor.keep_outs), *(door.name for door in floor.doors)]
@@ -126,16 +128,17 @@ class MovableLayout:
     def survey(self, stations: Sequence[Mapping[str, Any]]) -> PlannedSurvey:
         """Survey with the given stations (`name`, `mm` (3) and `yaw` [deg] of each); raises SetupError.
 
-        Additional stations take sights and order of the stations of the plan in turn.
+        An additional station has the lines of sight and the order of targets of a station of the plan; the stations of
+        the plan are taken in turn.
         """
         survey = self.search_space.survey
         try:
             names = tuple(str(s["name"]) for s in stations)
-            place = np.array([s["mm"] for s in stations], dtype=np.float64).reshape(-1, 3)
-            yaw = np.array([s["yaw"] for s in stations], dtype=np.float64)
+            positions_mm = np.array([s["mm"] for s in stations], dtype=np.float64).reshape(-1, 3)
+            yaws_deg = np.array([s["yaw"] for s in stations], dtype=np.float64)
         except (KeyError, TypeError, ValueError):
             raise SetupError("each station needs name, mm (x, y, z) and yaw") from None
-        if not np.all(np.abs([*place.ravel(), *yaw]) < MAX_COORDINATE_MM):
+        if not np.all(np.abs([*positions_mm.ravel(), *yaws_deg]) < MAX_COORDINATE_MM):
             raise SetupError(
                 f"coordinates and yaw of a station must be smaller than {MAX_COORDINATE_MM:g} mm and degrees"
             )
@@ -144,37 +147,42 @@ class MovableLayout:
         if len({*names}) < len(names) or not all(re.fullmatch(STATION_NAME_PATTERN, name) for name in names):
             raise SetupError("each station needs a different name of letters, digits, points and hyphens")
         old_names = survey.station_names
-        like = [old_names.index(name) if name in old_names else k % len(old_names) for k, name in enumerate(names)]
+        template_stations = [
+            old_names.index(name) if name in old_names else k % len(old_names) for k, name in enumerate(names)
+        ]
         return survey.replace(
             station_names=names,
-            station_positions=place * MILLIMETRE,
-            station_yaws=yaw * DEGREE,
-            is_visible=survey.is_visible[like],
-            target_ranks=None if survey.target_ranks is None else survey.target_ranks[like],
+            station_positions=positions_mm * MILLIMETRE,
+            station_yaws=yaws_deg * DEGREE,
+            is_visible=survey.is_visible[template_stations],
+            target_ranks=None if survey.target_ranks is None else survey.target_ranks[template_stations],
         )
 
     def _search_space_of(self, survey: PlannedSurvey) -> SearchSpace:
         """Search space of the plan for a survey with any number of stations."""
-        asked = self.plan_file.stations.min_stations_per_target
+        min_stations = self.plan_file.stations.min_stations_per_target
         return self.search_space.replace(
-            survey=survey, min_sights=len(survey.station_positions) if asked == "all" else asked
+            survey=survey, min_sights=len(survey.station_positions) if min_stations == "all" else min_stations
         )
 
     def evaluation(self, stations: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         """Evaluation of a layout: visible sights, uncertainty of each point, and broken rules."""
         survey = self.survey(stations)
-        site, places = self._search_space_of(survey), self.search_space.broken_position_rules(survey)
+        search_space, broken_position_rules = (
+            self._search_space_of(survey),
+            self.search_space.broken_position_rules(survey),
+        )
         if _station_meets_target(survey):
-            return {"problem": broken_rules_text(places)}
-        table = layout_visibility(site, survey)
-        survey = survey.replace(is_visible=table.is_visible)
+            return {"problem": broken_rules_text(broken_position_rules)}
+        visibility = layout_visibility(search_space, survey)
+        survey = survey.replace(is_visible=visibility.is_visible)
         evaluation = {
-            "reasons": table.reasons.tolist(),
+            "reasons": visibility.reasons.tolist(),
             "hidden": int(InvisibilityReason.OBSTACLE),
             "may_stand": self.search_space.is_allowed(survey.station_positions).tolist(),
             "shadow": shadow_radii(survey.station_positions, 0.0, self.search_space.sight_limits.cone_opening).tolist(),
             "hours": survey.duration / 3600.0,
-            "problem": broken_rules_text((*places, *site.broken_sight_rules(survey))),
+            "problem": broken_rules_text((*broken_position_rules, *search_space.broken_sight_rules(survey))),
         }
         visible = np.asarray(survey.is_visible.any(axis=0))
         try:
@@ -183,24 +191,24 @@ class MovableLayout:
         except LtsimError as problem:
             return evaluation | {"problem": f"{problem}"}
         points: list[dict[str, Any] | None] = [None] * len(visible)
-        sigma, within = information.target_sigmas, error_radius(covariance, self.tolerances.confidence_level)
+        sigmas, error_radii = information.target_sigmas, error_radius(covariance, self.tolerances.confidence_level)
         for k, t in enumerate(np.flatnonzero(visible)):
-            accuracy = {"sigma_um": float(sigma[k]) / MICROMETRE, "within_um": float(within[k]) / MICROMETRE}
+            accuracy = {"sigma_um": float(sigmas[k]) / MICROMETRE, "within_um": float(error_radii[k]) / MICROMETRE}
             tolerance = self.tolerances.tolerance_by_point.get(survey.target_names[t])
-            points[t] = accuracy | (_tolerance_use(float(within[k]) / tolerance) if tolerance else {})
+            points[t] = accuracy | (_tolerance_use(float(error_radii[k]) / tolerance) if tolerance else {})
         return evaluation | {"points": points, "rms_um": information.target_rms / MICROMETRE}
 
     def verdict(self, stations: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
-        """Verdict on rules and tolerances, also after the loss of any single station; None without tolerances."""
+        """Verdict on rules and tolerances, also after a loss of stations or sights; None without tolerances."""
         survey = self.survey(stations)
         if not self.tolerances or _station_meets_target(survey):
             return None
-        site = self._search_space_of(survey)
-        survey = survey.replace(is_visible=layout_visibility(site, survey).is_visible)
+        search_space = self._search_space_of(survey)
+        survey = survey.replace(is_visible=layout_visibility(search_space, survey).is_visible)
         losses = checks_after_required_losses(survey, self.tolerances, self.construction)
         checks = check_tolerances(survey, self.tolerances, self.construction)
-        judgement = plan_verdict(self.tolerances, checks, losses, site.broken_rules(survey))
-        return {"reached": judgement.is_goal_reached, "words": judgement.sentences}
+        verdict = plan_verdict(self.tolerances, checks, losses, search_space.broken_rules(survey))
+        return {"reached": verdict.is_goal_reached, "words": verdict.sentences}
 
     def scenario_with(self, stations: Sequence[Mapping[str, Any]]) -> Scenario:
         """Scenario with the given stations."""
@@ -211,7 +219,7 @@ class MovableLayout:
         return scene_page(workshop_from_scenario(self.scenario_with(stations)), camera)
 
     def save(self, stations: Sequence[Mapping[str, Any]], folder: Path) -> list[Path]:
-        """Write the layout: scenario.toml for `ltsim simulate`, plan.toml for `ltsim plan`, its stations fixed."""
+        """Paths of the written files: scenario.toml, and a plan.toml whose stations are fixed at their places."""
         scenario = self.scenario_with(stations)
         plan = self.plan_file.model_dump(mode="json", exclude_defaults=True)
         for key in ("workshop", "instrument", "smr", "work"):
@@ -219,14 +227,14 @@ class MovableLayout:
         names = list(scenario.stations)
         plan |= {"format": self.plan_file.format, "scenario": SCENARIO_FILE}
         plan["stations"] = plan.get("stations", {}) | {"count": len(names), "fixed": names}
-        scenario, cad = copy_cad_files(scenario)
+        scenario, cad_files = copy_cad_files(scenario)
         texts = {SCENARIO_FILE: scenario_to_toml(scenario), PLAN_FILE: to_toml(plan)}
-        write_texts(folder, {**cad, **texts})
+        write_texts(folder, {**cad_files, **texts})
         return [folder / name for name in texts]
 
 
 def _tolerance_use(error_to_tolerance: float) -> dict[str, Any]:
-    """Ratio of an error to its tolerance, its text in percent, and True if the tolerance is met."""
+    """Entries of a point for the page: ratio of its error to its tolerance, as number, text and True if it is met."""
     return {"ratio": error_to_tolerance, "used": percent_text(error_to_tolerance), "met": is_met(error_to_tolerance)}
 
 
@@ -242,10 +250,12 @@ def _obstacle_path(obstacles: Any) -> str:
     """SVG path of the obstacles seen from above, x and y in metres."""
     if not isinstance(obstacles, Obstacles):
         return ""
-    flat: Floats = obstacles.triangles[:, :, :2]
-    first, second = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+    corners_xy: Floats = obstacles.triangles[:, :, :2]
+    first, second = corners_xy[:, 1] - corners_xy[:, 0], corners_xy[:, 2] - corners_xy[:, 0]
     area = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
-    flat = np.where(area[:, None, None] < 0, flat[:, ::-1], flat)  # equal orientation, else overlaps would be holes
+    corners_xy = np.where(
+        area[:, None, None] < 0, corners_xy[:, ::-1], corners_xy
+    )  # equal orientation, else overlaps would be holes
     largest_indices = np.argsort(-np.abs(area), kind="stable")[:MAX_DRAWN_TRIANGLES]
-    shown = np.round(flat[largest_indices[area[largest_indices] != 0]], 3).tolist()
-    return "".join("M" + "L".join(f"{x:g} {y:g}" for x, y in triangle) + "Z" for triangle in shown)
+    drawn_triangles = np.round(corners_xy[largest_indices[area[largest_indices] != 0]], 3).tolist()
+    return "".join("M" + "L".join(f"{x:g} {y:g}" for x, y in triangle) + "Z" for triangle in drawn_triangles)

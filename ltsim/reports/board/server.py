@@ -35,11 +35,11 @@ LOOPBACK_ADDRESS = "127.0.0.1"
 MAX_BODY_BYTES = 1 << 20
 """Largest size of the body of a request [byte]."""
 MAX_CONNECTIONS = 32
-"""Largest number of simultaneous connections; a browser opens six."""
+"""Largest number of simultaneous connections; further ones are closed. A browser opens six."""
 REQUEST_TIMEOUT_S = 10.0
-"""Largest time [s] for the complete arrival of a request."""
-POLL_INTERVAL_S = 0.2
-"""Time [s] between two checks for Ctrl-C."""
+"""Time [s] within which a request must arrive completely; its connection is closed afterwards."""
+INTERRUPT_CHECK_INTERVAL_S = 0.2
+"""Longest time [s] that the server waits for a request before it reacts to Ctrl-C."""
 RESPONSE_HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "frame-ancestors 'none'",
@@ -52,7 +52,7 @@ FiniteTriple = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
 
 
 class StationPlace(BaseModel):
-    """Station as moved on the page."""
+    """Station with the place that the user gave it on the page: coordinates [mm] and yaw [deg]."""
 
     model_config = ConfigDict(strict=True)
 
@@ -62,7 +62,7 @@ class StationPlace(BaseModel):
 
 
 class LayoutRequest(BaseModel):
-    """Body of a request."""
+    """Body of a request of the page: all stations, and the camera of the 3D view."""
 
     model_config = ConfigDict(strict=True)
 
@@ -84,7 +84,7 @@ MISSING_PAGE_RESPONSE = HttpResponse(HTTPStatus.NOT_FOUND)
 
 
 class PlannerRequests:
-    """Requests that the page may send; every path begins with the token."""
+    """Requests that the page may send, and their answers; every path begins with the token."""
 
     def __init__(self, layout: MovableLayout, folder: Path) -> None:
         self.layout, self.folder = layout, folder
@@ -119,19 +119,19 @@ class PlannerRequests:
             return HttpResponse(HTTPStatus.OK, "text/html", self.page_html().encode())
         status = HTTPStatus.OK
         try:
-            question = LayoutRequest.model_validate_json(request_body)
-            content = self._handlers[name]([station.model_dump() for station in question.stations], question)
+            request = LayoutRequest.model_validate_json(request_body)
+            content = self._handlers[name]([station.model_dump() for station in request.stations], request)
         except ValidationError as problem:
-            first = problem.errors(include_url=False, include_input=False)[0]
+            first_error = problem.errors(include_url=False, include_input=False)[0]
             status = HTTPStatus.BAD_REQUEST
-            content = {"problem": f"{'.'.join(map(str, first['loc'])) or 'the request'}: {first['msg']}"}
+            content = {"problem": f"{'.'.join(map(str, first_error['loc'])) or 'the request'}: {first_error['msg']}"}
         except (LtsimError, OSError) as problem:
             content = {"problem": str(problem)}
         return HttpResponse(status, "application/json", json.dumps(content).encode())
 
 
 class _RequestHandler(BaseHTTPRequestHandler):
-    """Handler that checks a request, passes it to the serving thread, and sends its answer."""
+    """Handler of one connection: it checks a request, passes it to the serving thread, and sends the answer."""
 
     work_queue: SimpleQueue[tuple[Future[HttpResponse], str, str, bytes]]
     requests: PlannerRequests
@@ -162,14 +162,14 @@ class _RequestHandler(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         """Answer a request of the page."""
-        refused = self._refusal()
-        body = b"" if refused else self._read_body()
+        refusal = self._refusal()
+        body = b"" if refusal else self._read_body()
         self._send_response(
-            refused or (body if isinstance(body, HttpResponse) else self._response_of_serving_thread(body))
+            refusal or (body if isinstance(body, HttpResponse) else self._response_of_serving_thread(body))
         )
 
     def _refusal(self) -> HttpResponse | None:
-        """Refusal of a request that does not come from the page; None for one that does."""
+        """Response that refuses a request of another page or program; None for a request of the page."""
         hosts, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))
         if len(hosts) != 1 or hosts[0].lower() not in self.allowed_hosts:
             return HttpResponse(HTTPStatus.MISDIRECTED_REQUEST)
@@ -190,6 +190,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
         return body if len(body) == int(lengths[0]) else HttpResponse(HTTPStatus.REQUEST_TIMEOUT)
 
     def _response_of_serving_thread(self, request_body: bytes) -> HttpResponse:
+        """Response of the serving thread to the request of this connection."""
         future: Future[HttpResponse] = Future()
         self.work_queue.put((future, self.command, self.path, request_body))
         return future.result()
@@ -208,7 +209,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
 
 
 class _LimitedServer(ThreadingHTTPServer):
-    """Server with a limited number of connections, which ignores broken ones."""
+    """Server with a limited number of connections, which ignores broken connections."""
 
     daemon_threads = True
     request_queue_size = 2 * MAX_CONNECTIONS
@@ -238,8 +239,10 @@ class _LimitedServer(ThreadingHTTPServer):
 
 def serve_planner(requests: PlannerRequests, announce_address: Callable[[str], None], port: int = 0) -> None:
     """Serve the page until Ctrl-C, after a call of `announce_address`; raises SetupError if the port is in use."""
-    work: SimpleQueue[tuple[Future[HttpResponse], str, str, bytes]] = SimpleQueue()
-    handler: type[_RequestHandler] = type("Handler", (_RequestHandler,), {"work_queue": work, "requests": requests})
+    work_queue: SimpleQueue[tuple[Future[HttpResponse], str, str, bytes]] = SimpleQueue()
+    handler: type[_RequestHandler] = type(
+        "Handler", (_RequestHandler,), {"work_queue": work_queue, "requests": requests}
+    )
     try:
         server = _LimitedServer((LOOPBACK_ADDRESS, port), handler)
     except OSError as problem:
@@ -252,7 +255,7 @@ def serve_planner(requests: PlannerRequests, announce_address: Callable[[str], N
             announce_address(f"http://{LOOPBACK_ADDRESS}:{server.server_port}/{requests.token}/")
             while True:
                 try:
-                    future, method, path, body = work.get(timeout=POLL_INTERVAL_S)
+                    future, method, path, body = work_queue.get(timeout=INTERRUPT_CHECK_INTERVAL_S)
                 except Empty:
                     continue
                 future.set_result(_respond_or_report(requests, method, path, body))
@@ -263,9 +266,10 @@ def serve_planner(requests: PlannerRequests, announce_address: Callable[[str], N
 
 
 def _respond_or_report(requests: PlannerRequests, method: str, path: str, request_body: bytes) -> HttpResponse:
+    """Response to a request; after an internal error a response with the error, which the page shows."""
     try:
         return requests.respond(method, path, request_body)
     except Exception as problem:  # internal error: shown by the page, the server continues
-        words = f"internal error of ltsim ({type(problem).__name__}: {problem}); please report it"
-        content = json.dumps({"problem": words}).encode()
+        message = f"internal error of ltsim ({type(problem).__name__}: {problem}); please report it"
+        content = json.dumps({"problem": message}).encode()
         return HttpResponse(HTTPStatus.INTERNAL_SERVER_ERROR, "application/json", content)

@@ -1,4 +1,4 @@
-"""Figures of campaigns: distributions, means over factors, coverage."""
+"""Figures of campaigns: distributions over trials, means over factors, coverage of intervals."""
 
 import math
 import textwrap
@@ -23,15 +23,15 @@ from ltsim.reports import style
 from ltsim.reports.words import typographic_text
 
 MAX_FIGURE_PANELS = 12
-"""Largest number of panels of a figure."""
+"""Largest number of panels of a figure; further panels are drawn in further figures or omitted."""
 MAX_PANEL_LINES = 8
-"""Largest number of lines of a panel."""
+"""Largest number of lines of a panel; further lines are omitted."""
 LABEL_WIDTH_PER_PANEL_ROW = 26
-"""Width of a label per row of panels [characters]."""
+"""Width [characters] at which the label of the y axis is broken, per row of panels."""
 CENTRAL_90_PERCENT_LABEL = "90 % of trials"
 """Label of the band between the 5 % and 95 % quantiles of the trials."""
 NOISE_FLOOR_LABEL = "noise floor"
-"""Label of the error that remains with the true parameters."""
+"""Label of the error that remains if readings are corrected with the true parameters."""
 PUBLISHED_CRITERIA = MappingProxyType(
     {
         "paper-workshop": {
@@ -48,14 +48,14 @@ PUBLISHED_CRITERIA = MappingProxyType(
         },
     }
 )  # fmt: skip
-"""Published values: tables 3 and 4 of Sensors 2021, 21, 7479."""
+"""Published criteria by scenario and column: tables 3 and 4 of Sensors 2021, 21, 7479."""
 
 
 @dataclass(frozen=True)
 class SweepPoint:
     """Mean of a statistic at one level, with its 95 % interval and the central 90 % of the trials.
 
-    `level` is the level, a number or a text; `line` and `panel` are labels.
+    `level` is the position on the x axis, a number or a text; `line` and `panel` are labels.
     """
 
     level: float | str
@@ -70,9 +70,9 @@ class SweepPoint:
 
 def factor_axis_title(factor: Factor) -> str:
     """Title of the axis of a factor: `angle noise [arcsec]`."""
-    plain = next((factor.name.removesuffix(e) for e in UNIT_BY_KEY_ENDING if factor.name.endswith(e)), factor.name)
+    name = next((factor.name.removesuffix(e) for e in UNIT_BY_KEY_ENDING if factor.name.endswith(e)), factor.name)
     unit = typographic_text(factor.unit)
-    return plain.replace("_", " ") + (f" [{unit}]" if unit else "")
+    return name.replace("_", " ") + (f" [{unit}]" if unit else "")
 
 
 def factor_level_text(factor: Factor, level: Any) -> str:
@@ -108,23 +108,23 @@ def sweep_points(
         if name not in factors and name != "method":
             raise unknown_name("factor of this campaign", name, ("method", *factors))
     places = [level | {"method": method} for level in results.levels for method in results.manifest.methods]
-    for name, wanted in levels.items():
-        if wanted not in (there := list(dict.fromkeys(place[name] for place in places))):
-            raise unknown_name(f"level of {name}", str(wanted), [str(level) for level in there])
-    floor = statistic.replace("error_calibrated", "error_true_parameters")
-    floors = results.distribution(floor) if floor != statistic else []
+    for name, required in levels.items():
+        if required not in (existing := list(dict.fromkeys(position[name] for position in places))):
+            raise unknown_name(f"level of {name}", str(required), [str(level) for level in existing])
+    floor_statistic = statistic.replace("error_calibrated", "error_true_parameters")
+    floors = results.distribution(floor_statistic) if floor_statistic != statistic else []
     lowest = [min((s for s in floors if s.cell == cell), key=lambda s: s.mean) for cell in {s.cell: 0 for s in floors}]
     rows = []
     for s in [*results.distribution(statistic), *lowest]:
         here = results.levels[s.cell] | {"method": s.method}
-        if any(here[name] != wanted for name, wanted in levels.items()):
+        if any(here[name] != required for name, required in levels.items()):
             continue
         texts = {name: factor_level_text(factor, here[name]) for name, factor in factors.items()} | {"method": s.method}
         level = here[names[0]] if len(names) == 1 else None
-        place = ", ".join(texts[name] for name in names) if level is None else level
+        position = ", ".join(texts[name] for name in names) if level is None else level
         line = s.method if s.column == statistic else NOISE_FLOOR_LABEL
         rows.append(
-            SweepPoint(place, line, texts.get(panel, ""), s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5])
+            SweepPoint(position, line, texts.get(panel, ""), s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5])
         )
     return rows
 
@@ -169,10 +169,10 @@ def factor_panels_figure(
         True to join the points of a line. If False, each panel has a separate factor, named by the panel.
     """
     panels = list(dict.fromkeys(row.panel for row in rows))[:MAX_FIGURE_PANELS]
-    across = min(len(panels), 2)
-    down = -(-len(panels) // across)
-    figure = style.new_figure(0.9 + (1.9 if across > 1 else 2.6) * down)
-    axes = figure.subplots(down, across, sharex=joins_points, sharey=True, squeeze=False)
+    n_columns = min(len(panels), 2)
+    n_rows = -(-len(panels) // n_columns)
+    figure = style.new_figure(0.9 + (1.9 if n_columns > 1 else 2.6) * n_rows)
+    axes = figure.subplots(n_rows, n_columns, sharex=joins_points, sharey=True, squeeze=False)
     words = list(dict.fromkeys(row.level for row in rows if isinstance(row.level, str)))
     names = list(dict.fromkeys(row.line for row in rows))[:MAX_PANEL_LINES]
     for ax, panel in zip(axes.flat, panels, strict=False):
@@ -182,23 +182,23 @@ def factor_panels_figure(
         if published_value is not None:
             ax.axhline(published_value, color=style.INK_COLOUR, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
         if joins_points:
-            ax.set_title(style.shortened_name(panel, 44 if across < 2 else 34), fontsize=8.5)
+            ax.set_title(style.shortened_name(panel, 44 if n_columns < 2 else 34), fontsize=8.5)
         else:
             ax.set_xlabel(panel)
         _set_axis_ticks(ax, [row.level for row in rows if row.panel == panel], words, is_joined=joins_points)
         style.set_grid(ax)
     for ax in axes.flat[len(panels) :]:
         ax.set_axis_off()
-    for ax in axes.flat[max(len(panels) - across, 0) : len(panels)]:
+    for ax in axes.flat[max(len(panels) - n_columns, 0) : len(panels)]:
         ax.tick_params(labelbottom=True)
     figure.supxlabel(axis, fontsize=8.5)
-    figure.supylabel(textwrap.fill(label, LABEL_WIDTH_PER_PANEL_ROW * down), fontsize=8.5)
+    figure.supylabel(textwrap.fill(label, LABEL_WIDTH_PER_PANEL_ROW * n_rows), fontsize=8.5)
     style.add_legend(figure, axes.flat[: len(panels)], n_columns=2)
     return figure
 
 
 def _axis_positions(rows: Sequence[SweepPoint], level_texts: Sequence[str], offset_fraction: float) -> Floats:
-    """Positions of points on the axis; with text levels the lines are shifted against each other."""
+    """Positions (n,) of points on the x axis; with levels that are texts, line by line shifted by `offset_fraction`."""
     place = [level_texts.index(row.level) if isinstance(row.level, str) else row.level for row in rows]
     return np.array(place, dtype=np.float64) + (0.3 * (offset_fraction - 0.5) if level_texts else 0.0)
 
@@ -211,8 +211,8 @@ def _draw_line(ax: Axes, rows: Sequence[SweepPoint], place: Floats, number: int,
     low, high = (np.array([getattr(rows[i], side) for i in order]) for side in ("low", "high"))
     colour = style.COLOUR_CYCLE[number % len(style.COLOUR_CYCLE)]
     p05, p95 = (np.array([getattr(rows[i], side) for i in order]) for side in ("quantile_05", "quantile_95"))
-    trials = bool(np.any(p05 < p95))
-    if is_joined and not isinstance(rows[0].level, str) and trials:
+    has_trials = bool(np.any(p05 < p95))
+    if is_joined and not isinstance(rows[0].level, str) and has_trials:
         ax.fill_between(
             x,
             p05,
@@ -222,8 +222,8 @@ def _draw_line(ax: Axes, rows: Sequence[SweepPoint], place: Floats, number: int,
             linewidth=0,
             label=CENTRAL_90_PERCENT_LABEL if number == 0 else None,
         )
-    words = "mean, 95 % interval" if trials else "95 % interval"  # a share has no trials
-    label = (f"{rows[0].line}: {words}" if number == 0 else rows[0].line).removeprefix(": ")
+    interval_text = "mean, 95 % interval" if has_trials else "95 % interval"  # a share has no trials
+    label = (f"{rows[0].line}: {interval_text}" if number == 0 else rows[0].line).removeprefix(": ")
     ax.errorbar(
         x, mean, [mean - low, high - mean], color=colour, marker=style.MARKERS[number % len(style.MARKERS)],
         markersize=4.5, linestyle=("-" if is_joined else "none"), elinewidth=2.4, label=label,
@@ -231,30 +231,30 @@ def _draw_line(ax: Axes, rows: Sequence[SweepPoint], place: Floats, number: int,
 
 
 def _set_axis_ticks(ax: Axes, places: Sequence[float | str], tick_labels: Sequence[str], *, is_joined: bool) -> None:
-    """Set ticks at the levels, and a logarithmic axis if they span about a decade."""
+    """Set ticks at the levels; the axis is logarithmic if the levels are positive and span a factor of at least 8."""
     if tick_labels:
         ax.set_xticks(range(len(tick_labels)), [style.shortened_name(word, 18) for word in tick_labels])
         ax.set_xlim(-0.5, len(tick_labels) - 0.5)
         return
     levels = sorted({float(x) for x in places if not isinstance(x, str)})
-    logarithmic = levels[0] > 0 and levels[-1] >= 8 * levels[0]
-    if logarithmic:
+    is_logarithmic = levels[0] > 0 and levels[-1] >= 8 * levels[0]
+    if is_logarithmic:
         ax.set_xscale("log")
         ax.minorticks_off()
     if is_joined and len(levels) <= 8:
         ticks = levels
-    elif logarithmic:
+    elif is_logarithmic:
         decades = range(math.floor(math.log10(levels[0])), math.ceil(math.log10(levels[-1])) + 1)
         ticks = [t for k in decades for t in (10.0**k, 2 * 10.0**k, 5 * 10.0**k) if levels[0] <= t <= levels[-1]]
     else:
-        whole = all(level.is_integer() for level in levels)
-        ax.xaxis.set_major_locator(MaxNLocator(6, integer=whole))
+        all_integers = all(level.is_integer() for level in levels)
+        ax.xaxis.set_major_locator(MaxNLocator(6, integer=all_integers))
         return
     ax.set_xticks(ticks, [f"{tick:.4g}" for tick in ticks])
 
 
 MAX_SETTING_ROWS = 40
-"""Largest number of rows of settings of a figure."""
+"""Largest number of settings in a figure with one row per setting; the first ones are drawn."""
 
 
 @style.with_figure_style
@@ -291,7 +291,7 @@ def setting_rows_figure(rows: Sequence[SweepPoint], *, label: str, published_val
 
 @dataclass(frozen=True)
 class TrialDistribution:
-    """Values (n,) of a quantity over trials, its unit, and a published value to compare with."""
+    """Values (n,) of a quantity in n trials, with its unit and, if available, a published value to compare with."""
 
     name: str
     values: Floats
@@ -301,11 +301,11 @@ class TrialDistribution:
 
 @style.with_figure_style
 def distributions_figure(rows: Sequence[TrialDistribution]) -> Figure:
-    """Histograms, two per row: mean with 95 % interval, central 90 % of the trials, published value."""
-    across = min(2, max(len(rows), 1))
-    lines = -(-len(rows) // across)
-    figure = style.new_figure(0.4 + 1.7 * lines)
-    axes = figure.subplots(lines, across, squeeze=False)
+    """Histograms of quantities over trials, with mean and 95 % interval, central 90 % of trials, published value."""
+    n_columns = min(2, max(len(rows), 1))
+    n_rows = -(-len(rows) // n_columns)
+    figure = style.new_figure(0.4 + 1.7 * n_rows)
+    axes = figure.subplots(n_rows, n_columns, squeeze=False)
     for ax, row in zip(axes.flat, rows, strict=False):
         _draw_distribution(ax, row)
     for ax in axes.flat[len(rows) :]:
@@ -315,18 +315,19 @@ def distributions_figure(rows: Sequence[TrialDistribution]) -> Figure:
 
 
 def _draw_distribution(ax: Axes, row: TrialDistribution) -> None:
+    """Draw the histogram of a quantity, with mean, intervals and published value above."""
     values = row.values[np.isfinite(row.values)]
     low, high = np.percentile(values, [0.25, 99.75])
     if row.published is not None:
         low, high = min(low, row.published), max(high, row.published)
     margin = 0.04 * (high - low) or 1.0
-    height, edges = np.histogram(values, bins=min(60, max(12, int(np.sqrt(len(values))))), range=(low, high))
-    ax.stairs(height, edges, fill=True, color=style.SKY)
+    counts, edges = np.histogram(values, bins=min(60, max(12, int(np.sqrt(len(values))))), range=(low, high))
+    ax.stairs(counts, edges, fill=True, color=style.SKY)
     ax.set_xlim(low - margin, high + margin)
     ax.set_yticks([])
     ax.spines["left"].set_visible(False)
     style.set_grid(ax, grid_axis="none")
-    top = 1.05 * float(height.max())
+    top = 1.05 * float(counts.max())
     ax.set_ylim(0, 1.28 * top)
     mean, half = float(values.mean()), NORMAL_QUANTILE_95 * float(values.std(ddof=1)) / np.sqrt(len(values))
     ax.hlines(
@@ -350,11 +351,11 @@ def _draw_distribution(ax: Axes, row: TrialDistribution) -> None:
 
 
 ALLOWED_COVERAGE = (0.935, 0.965)
-"""Allowed band of the coverage of 95 % intervals."""
+"""Lowest and highest allowed coverage of 95 % intervals, by convention; a parameter outside is drawn red."""
 
 
 def coverage_interval(row: ZScoreSummary) -> tuple[float, float]:
-    """95 % interval of an observed coverage (Wilson 1927, equation 4)."""
+    """Lower and upper limit of the 95 % interval of an observed coverage (Wilson 1927, equation 4)."""
     n, z2 = row.trials, NORMAL_QUANTILE_95**2
     centre = (row.coverage_95 + z2 / (2 * n)) / (1 + z2 / n)
     half_width = (
@@ -364,16 +365,16 @@ def coverage_interval(row: ZScoreSummary) -> tuple[float, float]:
 
 
 def is_outside_allowed_coverage(rows: Sequence[ZScoreSummary]) -> list[bool]:
-    """True for parameters whose whole coverage interval lies outside the allowed band; they are drawn red."""
+    """True for each parameter whose interval of coverage lies completely outside the allowed band."""
     return [high < ALLOWED_COVERAGE[0] or low > ALLOWED_COVERAGE[1] for low, high in map(coverage_interval, rows)]
 
 
 @style.with_figure_style
 def coverage_figure(rows: Sequence[ZScoreSummary]) -> Figure:
-    """Coverage of the 95 % intervals of each parameter, with its own 95 % interval and the allowed band."""
+    """Coverage of the 95 % intervals of each parameter with an interval of the coverage, and the allowed band."""
     figure, ax = style.new_panel(0.9 + 0.2 * max(len(rows), 3))
     places = style.set_category_rows(ax, [row.parameter for row in rows])
-    share, bounds = np.array([row.coverage_95 for row in rows]), np.array([coverage_interval(row) for row in rows])
+    coverage, bounds = np.array([row.coverage_95 for row in rows]), np.array([coverage_interval(row) for row in rows])
     band = f"allowed {100 * ALLOWED_COVERAGE[0]:.1f} to {100 * ALLOWED_COVERAGE[1]:.1f} %"
     ax.axvspan(*ALLOWED_COVERAGE, color=style.BAND_COLOUR, linewidth=0, zorder=0, label=band)
     ax.axvline(0.95, color=style.INK_COLOUR, linewidth=1.0, linestyle=(0, (4, 2)), label="nominal 95 %")
@@ -381,7 +382,7 @@ def coverage_figure(rows: Sequence[ZScoreSummary]) -> Figure:
     for chosen, colour, word in ((~red, style.BLUE, "share, its 95 % interval"), (red, style.RED, "outside the band")):
         if chosen.any():
             ax.hlines(places[chosen], *bounds[chosen].T, color=colour, linewidth=1.8)
-            ax.plot(share[chosen], places[chosen], "o", ms=4.5, color=colour, label=word)
+            ax.plot(coverage[chosen], places[chosen], "o", ms=4.5, color=colour, label=word)
     ax.xaxis.set_major_formatter(lambda value, _: f"{100 * value:g} %")
     ax.set_xlabel("coverage of the 95 % intervals")
     ax.set_xlim(min(bounds.min(), ALLOWED_COVERAGE[0]) - 0.01, min(max(bounds.max(), ALLOWED_COVERAGE[1]) + 0.01, 1.0))

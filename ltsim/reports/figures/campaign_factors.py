@@ -1,4 +1,4 @@
-"""Factors of a campaign in its figures: the varying ones, their roles (axis, lines, panels), the figures."""
+"""Figures of statistics over the factors of a campaign: which factors vary, and which are axis, lines or panels."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def varying_factors(results: CampaignResults) -> list[Factor]:
-    """Factors that vary, without those that change together with an earlier one."""
+    """Factors that vary, without the factors whose levels are one to one with those of an earlier factor."""
     independent: list[Factor] = []
     for factor in results.factors:
         values = levels_of_cells(results, factor)
@@ -37,17 +37,18 @@ def varying_factors(results: CampaignResults) -> list[Factor]:
 
 
 def cell_descriptions(results: CampaignResults) -> dict[int, str]:
-    """Short description of each cell, by its number."""
+    """Short description of each setting, by the number of its cell."""
     factors = varying_factors(results)
     texts = [", ".join(factor_level_text(f, level[f.name]) for f in factors) for level in results.levels]
-    plain = "as the scenario" if len(texts) == 1 else ""
+    default_text = "as the scenario" if len(texts) == 1 else ""
     return {
-        entry.cell: words or plain or entry.label for entry, words in zip(results.manifest.cells, texts, strict=True)
+        entry.cell: text or default_text or entry.label
+        for entry, text in zip(results.manifest.cells, texts, strict=True)
     }
 
 
 def levels_of_cells(results: CampaignResults, factor: Factor) -> list[Any]:
-    """Level of a factor in each cell."""
+    """Level of a factor in each cell (combination of settings) of a campaign."""
     return [level[factor.name] for level in results.levels]
 
 
@@ -58,74 +59,83 @@ def _is_bijection(first: Sequence[Any], second: Sequence[Any]) -> bool:
 
 
 def statistic_figures(
-    results: CampaignResults, spreads: Sequence[StatisticSummary], label: str, published_value: float | None
+    results: CampaignResults, summaries: Sequence[StatisticSummary], label: str, published_value: float | None
 ) -> Iterator[tuple[str, Callable[[], Figure]]]:
-    """Captions and figures of a statistic.
+    """Captions of the figures of a statistic, each with the function that draws the figure.
 
-    Lines over a factor if the cells form a grid, dots over each factor of a design, else one row per cell.
+    A figure has lines over a factor if the settings form a grid, dots over each factor if they form a design, and
+    otherwise one row per setting.
     """
-    factors, several = varying_factors(results), f"{results.manifest.trials} trials per setting."
-    how: dict[str, Any] = {"label": label, "published_value": published_value}
+    factors, trials_sentence = varying_factors(results), f"{results.manifest.trials} trials per setting."
+    figure_options: dict[str, Any] = {"label": label, "published_value": published_value}
     cells = len({tuple(level[f.name] for f in factors) for level in results.levels})
-    of_grid = cells == len(results.levels) == math.prod(len(set(levels_of_cells(results, f))) for f in factors)
+    is_grid = cells == len(results.levels) == math.prod(len(set(levels_of_cells(results, f))) for f in factors)
     if factors and results.manifest.settings.get("design"):
-        places = [(f, _axis_position(f, results.levels[s.cell]), s) for f in factors for s in spreads]
-        rows = [_sweep_point(s, place, s.method, factor_axis_title(factor)) for factor, place, s in places]
-        figure = partial(factor_panels_figure, rows, axis="", joins_points=False, **how)
-        yield f"Each mark is one setting, against each factor. {several}", figure
-    elif factors and of_grid and cells > 2:
-        axis, rows = _factor_lines(results, factors, spreads)
+        points = [(f, _axis_position(f, results.levels[s.cell]), s) for f in factors for s in summaries]
+        rows = [_sweep_point(s, place, s.method, factor_axis_title(factor)) for factor, place, s in points]
+        figure = partial(factor_panels_figure, rows, axis="", joins_points=False, **figure_options)
+        yield f"Each mark is one setting, against each factor. {trials_sentence}", figure
+    elif factors and is_grid and cells > 2:
+        axis, rows = _factor_lines(results, factors, summaries)
         names = list(dict.fromkeys(row.panel for row in rows))
         for first in range(0, len(names), MAX_FIGURE_PANELS):
             shown = names[first : first + MAX_FIGURE_PANELS]
-            part = (
+            panels_sentence = (
                 f" Panels {first + 1} to {first + len(shown)} of {len(names)}."
                 if len(names) > MAX_FIGURE_PANELS
                 else ""
             )
             yield (
-                several + part,
-                partial(factor_panels_figure, [row for row in rows if row.panel in shown], axis=axis, **how),
+                trials_sentence + panels_sentence,
+                partial(factor_panels_figure, [row for row in rows if row.panel in shown], axis=axis, **figure_options),
             )
     else:
-        named = cell_descriptions(results)
+        setting_texts = cell_descriptions(results)
         yield (
-            several,
-            partial(setting_rows_figure, [_sweep_point(s, named[s.cell], s.method, "") for s in spreads], **how),
+            trials_sentence,
+            partial(
+                setting_rows_figure,
+                [_sweep_point(s, setting_texts[s.cell], s.method, "") for s in summaries],
+                **figure_options,
+            ),
         )
 
 
 def _factor_lines(
-    results: CampaignResults, factors: Sequence[Factor], spreads: Sequence[StatisticSummary]
+    results: CampaignResults, factors: Sequence[Factor], summaries: Sequence[StatisticSummary]
 ) -> tuple[str, list[SweepPoint]]:
-    """Title of the axis, and points of lines over one factor."""
-    along, across, panels = factor_arrangement(results, factors)
+    """Title of the x axis, and the points of all lines over the factor on this axis."""
+    x_factor, line_factor, panel_factors = factor_arrangement(results, factors)
     rows = []
-    for s in spreads:
+    for s in summaries:
         level = results.levels[s.cell]
-        line = factor_level_text(across, level[across.name]) if across else s.method
+        line = factor_level_text(line_factor, level[line_factor.name]) if line_factor else s.method
         rows.append(
             _sweep_point(
-                s, _axis_position(along, level), line, ", ".join(factor_level_text(f, level[f.name]) for f in panels)
+                s,
+                _axis_position(x_factor, level),
+                line,
+                ", ".join(factor_level_text(f, level[f.name]) for f in panel_factors),
             )
         )
-    return factor_axis_title(along), rows
+    return factor_axis_title(x_factor), rows
 
 
 def factor_arrangement(
     results: CampaignResults, factors: Sequence[Factor]
 ) -> tuple[Factor, Factor | None, list[Factor]]:
-    """Factor along the lines, factor of the lines (None: the method), factors of the panels."""
-    levels = {f.name: len(set(levels_of_cells(results, f))) for f in factors}
-    along = max(factors, key=lambda f: (f.kind in ("number", "integer"), levels[f.name]))
-    other_factors = [f for f in factors if f is not along]
+    """Factor on the x axis, factor that distinguishes the lines (None for the method), and factors of the panels."""
+    n_levels = {f.name: len(set(levels_of_cells(results, f))) for f in factors}
+    x_factor = max(factors, key=lambda f: (f.kind in ("number", "integer"), n_levels[f.name]))
+    other_factors = [f for f in factors if f is not x_factor]
     if len(results.manifest.methods) > 1 or not other_factors:
-        return along, None, other_factors
-    across = max(other_factors, key=lambda f: levels[f.name] if levels[f.name] <= MAX_PANEL_LINES else 0)
-    return along, across, [f for f in other_factors if f is not across]
+        return x_factor, None, other_factors
+    line_factor = max(other_factors, key=lambda f: n_levels[f.name] if n_levels[f.name] <= MAX_PANEL_LINES else 0)
+    return x_factor, line_factor, [f for f in other_factors if f is not line_factor]
 
 
 def _axis_position(factor: Factor, level: Mapping[str, Any]) -> float | str:
+    """Position of a level on the axis of its factor: a number, or the text of a level without a number."""
     value = level[factor.name]
     return float(value) if factor.kind in ("number", "integer") and value is not None else factor.level_text(value)
 

@@ -1,4 +1,4 @@
-"""Floor plan seen from above, as Figure 5 of the paper, with names of stations and targets."""
+"""Floor plan of a hall, seen from above like Figure 5 of the paper, with names of stations and targets."""
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
@@ -19,18 +19,21 @@ from ltsim.reports.workshop import PlacedWorkshop
 from ltsim.scene.floor import Floor, FloorArea, distance_to_outline
 
 LABEL_DIRECTIONS = np.radians([0, 180, 90, 270])
-"""Candidate directions [rad] of a label from its marker, relative to the preferred direction."""
+"""Directions [rad] from a marker in which its label is tried, relative to the preferred direction of the label."""
 LABEL_DISTANCE_PT = 6.0
-"""Distance [pt] from a place to its name."""
+"""Distance [pt] from a marker to its label."""
 LETTER_SIZE_RATIO = (0.62, 1.25)
-"""Width and height of a letter, over the font size."""
+"""Width and height of a letter, as fractions of the font size."""
 LABEL_BACKGROUND = {"boxstyle": "square,pad=0", "facecolor": "#FFFFFFB0", "edgecolor": "none"}
-"""Background of a name."""
+"""Matplotlib settings of the box behind a label."""
 
 
 @dataclass(frozen=True)
 class MapLabel:
-    """Name with its place (2,) in data units and size [pt]; direction `preferred_direction` [rad] is tried first."""
+    """Label of a marker at `anchor` (2,) in data units, with its font size [pt].
+
+    The label is placed in `preferred_direction` [rad] from the marker if there is space.
+    """
 
     text: str
     anchor: Floats
@@ -41,24 +44,31 @@ class MapLabel:
 
 
 def draw_labels(figure: Figure, ax: Axes, labels: Sequence[MapLabel], markers: Floats) -> None:
-    """Write labels next to markers (n, 2) where they fit, in order of priority; the limits of the axes must be set."""
+    """Write labels where they cover neither the markers (n, 2) nor earlier labels; a label without space is omitted.
+
+    The limits of the axes must be set before.
+    """
     figure.draw_without_rendering()
-    point = figure.dpi / 72.0
-    spots = ax.transData.transform(markers).reshape(-1, 2) / point
-    edge, below = ax.get_window_extent().p0 / point
+    pixels_per_pt = figure.dpi / 72.0
+    marker_positions = ax.transData.transform(markers).reshape(-1, 2) / pixels_per_pt
+    edge, below = ax.get_window_extent().p0 / pixels_per_pt
     right, top = 72.0 * figure.get_size_inches()
-    numbers = [[-1e4, -1e4, edge, 1e4], [-1e4, -1e4, 1e4, below]]  # tick labels of the axes
-    numbers += [[right, -1e4, 1e4, 1e4], [-1e4, top, 1e4, 1e4]]  # outside the figure
-    taken = np.concatenate([np.concatenate([spots - 3.0, spots + 3.0], axis=1), numbers])
+    forbidden_boxes = [[-1e4, -1e4, edge, 1e4], [-1e4, -1e4, 1e4, below]]  # tick labels of the axes
+    forbidden_boxes += [[right, -1e4, 1e4, 1e4], [-1e4, top, 1e4, 1e4]]  # outside the figure
+    taken_boxes = np.concatenate(
+        [np.concatenate([marker_positions - 3.0, marker_positions + 3.0], axis=1), forbidden_boxes]
+    )
     for label in labels:
-        half = 0.5 * label.font_size * np.array([LETTER_SIZE_RATIO[0] * len(label.text), LETTER_SIZE_RATIO[1]])
-        for turn in label.preferred_direction + LABEL_DIRECTIONS:
-            way = np.array([np.cos(turn), np.sin(turn)])
-            offset = way * LABEL_DISTANCE_PT + half * np.clip(1.5 * way, -1.0, 1.0)  # the box does not cover the mark
-            middle = ax.transData.transform(label.anchor) / point + offset
-            box = np.concatenate([middle - half, middle + half])
-            if not ((box[:2] < taken[:, 2:]) & (box[2:] > taken[:, :2])).all(axis=1).any():
-                taken = np.concatenate([taken, box[None]])
+        half_size = 0.5 * label.font_size * np.array([LETTER_SIZE_RATIO[0] * len(label.text), LETTER_SIZE_RATIO[1]])
+        for direction in label.preferred_direction + LABEL_DIRECTIONS:
+            unit_vector = np.array([np.cos(direction), np.sin(direction)])
+            offset = unit_vector * LABEL_DISTANCE_PT + half_size * np.clip(
+                1.5 * unit_vector, -1.0, 1.0
+            )  # the box does not cover the mark
+            box_centre = ax.transData.transform(label.anchor) / pixels_per_pt + offset
+            box = np.concatenate([box_centre - half_size, box_centre + half_size])
+            if not ((box[:2] < taken_boxes[:, 2:]) & (box[2:] > taken_boxes[:, :2])).all(axis=1).any():
+                taken_boxes = np.concatenate([taken_boxes, box[None]])
                 ax.annotate(
                     label.text, tuple(label.anchor), xytext=tuple(offset), textcoords="offset points", ha="center",
                     va="center", fontsize=label.font_size, fontweight="bold" if label.bold else "normal",
@@ -70,13 +80,13 @@ def draw_labels(figure: Figure, ax: Axes, labels: Sequence[MapLabel], markers: F
 HEIGHT_CLASSES = ((0.9, "v", style.ORANGE, "low"), (3.2, "s", style.SKY, "middle"), (np.inf, "^", style.BLUE, "high"))
 """Classes of targets by height: upper limit [m] above the floor, marker, colour, name."""
 MAX_LABELLED_TARGETS = 60
-"""Largest number of targets of a floor plan with names."""
+"""Number of targets above which a floor plan does not show the names of the targets."""
 MAX_VECTOR_MARKS = 150
 """Number of targets above which their marks are rasterised."""
 MAX_LISTED_STATIONS = 16
 """Largest number of stations whose coordinates are listed below a floor plan."""
 MAX_NAMES_PER_LABEL = 4
-"""Number of targets above each other from which a label names only the first."""
+"""Number of targets above each other from which their label names only the first target."""
 MAX_LABEL_SHARING_DISTANCE = 0.05
 """Largest distance between targets that share a label, as a fraction of the size of the floor."""
 FLOOR_PLAN_WIDTH = 4.3
@@ -98,7 +108,7 @@ def floor_plan(
     floor: Floor | None = None,
     draw_marks: Callable[[Axes], list[MapLabel]] = lambda ax: [],
 ) -> Figure:
-    """Top view in metres: circles are the shadow cones of both openings on the floor, the tick is azimuth zero.
+    """Floor plan in metres; circles are the shadow cones at the floor, the tick of a station points to azimuth zero.
 
     Parameters
     ----------
@@ -113,9 +123,9 @@ def floor_plan(
         Function that draws further marks, with labels for the legend, and returns their names.
     """
     low, high = _axis_limits(workshop)
-    tall = (high[1] - low[1]) / (high[0] - low[0])
+    aspect_ratio = (high[1] - low[1]) / (high[0] - low[0])
     figure, ax = style.new_panel(
-        float(np.clip(FLOOR_PLAN_WIDTH * tall + 1.2, *FLOOR_PLAN_HEIGHTS)), layout="compressed"
+        float(np.clip(FLOOR_PLAN_WIDTH * aspect_ratio + 1.2, *FLOOR_PLAN_HEIGHTS)), layout="compressed"
     )
     ax.set_aspect("equal")
     style.set_grid(ax, grid_axis="both")
@@ -123,84 +133,96 @@ def floor_plan(
         Polygon(workshop.floor, closed=True, facecolor="#F7F8F9", edgecolor="#B5BBC0", linewidth=0.8, zorder=0)
     )
     _draw_walls(ax, workshop)
-    names = _draw_floor_areas(ax, floor) if floor is not None else []
+    area_labels = _draw_floor_areas(ax, floor) if floor is not None else []
     draw_obstacles(ax, workshop.obstacles)
     _draw_shadow_cones(ax, workshop)
     _draw_gauge(ax, workshop)
-    visible = _sight_matrix(workshop)
-    if visible is None:
+    is_visible = _sight_matrix(workshop)
+    if is_visible is None:
         _draw_targets(ax, workshop)
     else:
-        _draw_visibility_pies(ax, workshop, visible)
+        _draw_visibility_pies(ax, workshop, is_visible)
     if reference is not None and len(reference):
         ax.scatter(
             reference[:, 0], reference[:, 1], s=46, facecolors="white", edgecolors=style.GREY, linewidths=1.4, zorder=5,
             label="station of the reference",
         )  # fmt: skip
-    _draw_stations(ax, workshop, [style.INK_COLOUR] * len(workshop.stations) if visible is None else style.COLOUR_CYCLE)
+    _draw_stations(
+        ax, workshop, [style.INK_COLOUR] * len(workshop.stations) if is_visible is None else style.COLOUR_CYCLE
+    )
     ax.set_xlabel("x [m]")
     ax.set_ylabel("y [m]")
     ax.set_xlim(low[0], high[0])
     ax.set_ylim(low[1], high[1])
-    marked = draw_marks(ax)
-    labels_of = [*marked, *_station_labels(workshop), *names]
+    mark_labels = draw_marks(ax)
+    map_labels = [*mark_labels, *_station_labels(workshop), *area_labels]
     if len(workshop.targets) <= MAX_LABELLED_TARGETS:
-        labels_of += _target_labels(workshop)
+        map_labels += _target_labels(workshop)
     handles, labels = ax.get_legend_handles_labels()
     if lists_coordinates and len(workshop.stations) <= MAX_LISTED_STATIONS:
-        blank, places = _listed_stations_legend(workshop, n_other_entries=len(labels))
-        handles, labels = [*handles, *blank], [*labels, *places]
-        figure.set_figheight(figure.get_figheight() + LISTED_STATION_HEIGHT * len(places))
+        empty_handles, station_texts = _listed_stations_legend(workshop, n_other_entries=len(labels))
+        handles, labels = [*handles, *empty_handles], [*labels, *station_texts]
+        figure.set_figheight(figure.get_figheight() + LISTED_STATION_HEIGHT * len(station_texts))
     figure.legend(handles, labels, loc="outside lower center", ncols=2)
-    spots = [*workshop.station_positions[:, :2], *workshop.target_points[:, :2], *(label.anchor for label in marked)]
-    draw_labels(figure, ax, labels_of, np.array(spots))
+    marker_positions = [
+        *workshop.station_positions[:, :2],
+        *workshop.target_points[:, :2],
+        *(label.anchor for label in mark_labels),
+    ]
+    draw_labels(figure, ax, map_labels, np.array(marker_positions))
     return figure
 
 
 def _draw_walls(ax: Axes, workshop: PlacedWorkshop) -> None:
-    """Draw the sides of the floor with at least two targets nearest to them."""
-    word: str | None = "wall with targets"
+    """Draw as walls the sides of the floor that are the nearest side of at least two targets."""
+    legend_label: str | None = "wall with targets"
     sides = np.stack([workshop.floor, np.roll(workshop.floor, -1, axis=0)], axis=1)
-    away = np.array([distance_to_outline(side, workshop.target_points[:, :2]) for side in sides])
-    nearest = np.where(away.min(axis=0) < MAX_WALL_DISTANCE, away.argmin(axis=0), -1)
+    distances = np.array([distance_to_outline(side, workshop.target_points[:, :2]) for side in sides])
+    nearest = np.where(distances.min(axis=0) < MAX_WALL_DISTANCE, distances.argmin(axis=0), -1)
     for number, side in enumerate(sides):
         if np.sum(nearest == number) >= 2:
-            ax.plot(*side.T, color=style.INK_COLOUR, linewidth=3.0, zorder=1, label=word)
-            word = None
+            ax.plot(*side.T, color=style.INK_COLOUR, linewidth=3.0, zorder=1, label=legend_label)
+            legend_label = None
 
 
 def _draw_floor_areas(ax: Axes, floor: Floor) -> list[MapLabel]:
-    """Draw areas for tripods, areas to keep free, and doors; returns their names."""
-    mm, names = MILLIMETRE, []
+    """Draw areas for tripods, areas to keep free, and doors; returns the labels of all of them."""
+    mm, labels = MILLIMETRE, []
     areas = floor.areas or ((FloorArea(corners_mm=floor.corners_mm),) if floor.corners_mm else ())
     for i, area in enumerate(areas):
         corners = np.array(area.corners_mm) * mm
-        word = "area for tripods" if i == 0 else None
+        legend_label = "area for tripods" if i == 0 else None
         ax.add_patch(
-            Polygon(corners, facecolor="#009E7318", edgecolor=style.GREEN, linewidth=0.9, zorder=0.5, label=word)
+            Polygon(
+                corners, facecolor="#009E7318", edgecolor=style.GREEN, linewidth=0.9, zorder=0.5, label=legend_label
+            )
         )
         for hole in area.holes_mm:
             ax.add_patch(
                 Polygon(np.array(hole) * mm, facecolor="white", edgecolor=style.GREEN, linewidth=0.9, zorder=0.6)
             )
-        names.append(MapLabel(area.name, corners.min(axis=0), 7.0, colour="#00664B", preferred_direction=0.25 * np.pi))
+        labels.append(MapLabel(area.name, corners.min(axis=0), 7.0, colour="#00664B", preferred_direction=0.25 * np.pi))
     for i, place in enumerate(floor.keep_outs):
         corners = np.array(place.corners_mm) * mm
-        word = "kept free" if i == 0 else None
+        legend_label = "kept free" if i == 0 else None
         ax.add_patch(
-            Polygon(corners, facecolor="#FFFFFFCC", edgecolor=style.PURPLE, hatch="////", zorder=0.7, label=word)
+            Polygon(
+                corners, facecolor="#FFFFFFCC", edgecolor=style.PURPLE, hatch="////", zorder=0.7, label=legend_label
+            )
         )
-        names.append(MapLabel(place.name, corners.mean(axis=0), 7.0, colour="#8A3A66", preferred_direction=0.5 * np.pi))
+        labels.append(
+            MapLabel(place.name, corners.mean(axis=0), 7.0, colour="#8A3A66", preferred_direction=0.5 * np.pi)
+        )
     for i, door in enumerate(floor.doors):
         ends = np.array([door.from_mm, door.to_mm]) * mm
         ax.plot(*ends.T, color="white", linewidth=5.0, zorder=1.5)
         ax.plot(*ends.T, color=style.PURPLE, linewidth=2.0, zorder=1.6, label="door" if i == 0 else None)
-        names.append(MapLabel(door.name, ends.mean(axis=0), 7.0, colour="#8A3A66"))
-    return [label for label in names if label.text]
+        labels.append(MapLabel(door.name, ends.mean(axis=0), 7.0, colour="#8A3A66"))
+    return [label for label in labels if label.text]
 
 
 def _axis_limits(workshop: PlacedWorkshop) -> Floats:
-    """Limits (2, 2) of x and y that show the whole floor and the inner circles of the shadow cones."""
+    """Lower limits and upper limits of x and y, (2, 2) [m], which include the floor and the inner shadow circles."""
     radius = workshop.shadow_radius(workshop.cone_openings[0])[:, None]
     places = np.concatenate(
         [workshop.floor, workshop.station_positions[:, :2] - radius, workshop.station_positions[:, :2] + radius]
@@ -211,22 +233,26 @@ def _axis_limits(workshop: PlacedWorkshop) -> Floats:
 
 
 def _draw_shadow_cones(ax: Axes, workshop: PlacedWorkshop) -> None:
+    """Draw the circles in which the shadow cones meet the floor."""
     for k, opening in enumerate(workshop.cone_openings):
         inner, outer = {"facecolor": "#D55E0022"}, {"facecolor": "none", "linestyle": (0, (3, 2))}
-        how: dict[str, Any] = {"edgecolor": style.RED, "linewidth": 0.9, "zorder": 1} | (outer if k else inner)
+        patch_style: dict[str, Any] = {"edgecolor": style.RED, "linewidth": 0.9, "zorder": 1} | (outer if k else inner)
         for s, radius in enumerate(workshop.shadow_radius(opening)):
-            word = f"shadow, cone of {opening / DEGREE:.0f}°" if s == 0 else None
-            ax.add_patch(Circle(tuple(workshop.station_positions[s, :2]), radius, label=word, **how))
+            legend_label = f"shadow, cone of {opening / DEGREE:.0f}°" if s == 0 else None
+            ax.add_patch(Circle(tuple(workshop.station_positions[s, :2]), radius, label=legend_label, **patch_style))
 
 
 def _sight_matrix(workshop: PlacedWorkshop) -> Bools | None:
-    """Matrix (S, T) of visible pairs; None if unknown, if all are visible, or with more stations than colours."""
-    count = len(workshop.stations), len(workshop.targets)
-    if workshop.sights is None or count[0] > len(style.COLOUR_CYCLE) or not len(workshop.blocked_sights):
+    """Matrix (S, T), True if station s sees target t.
+
+    None if visibility is unknown, if no line of sight is blocked, or if there are more stations than colours.
+    """
+    shape = len(workshop.stations), len(workshop.targets)
+    if workshop.sights is None or shape[0] > len(style.COLOUR_CYCLE) or not len(workshop.blocked_sights):
         return None
-    visible = np.zeros(count, dtype=bool)
-    visible[workshop.sights.station, workshop.sights.target] = True
-    return visible
+    is_visible = np.zeros(shape, dtype=bool)
+    is_visible[workshop.sights.station, workshop.sights.target] = True
+    return is_visible
 
 
 def _draw_visibility_pies(ax: Axes, workshop: PlacedWorkshop, is_visible: Bools) -> None:
@@ -235,19 +261,20 @@ def _draw_visibility_pies(ax: Axes, workshop: PlacedWorkshop, is_visible: Bools)
     size = 62 if len(workshop.targets) <= MAX_LABELLED_TARGETS else 34
     label = "target: slices are the\nstations that see it"
     ax.scatter(x, y, s=size, facecolors="white", edgecolors=style.INK_COLOUR, linewidths=0.7, zorder=4, label=label)
-    turn = 2 * np.pi / len(is_visible)
-    for s, sees in enumerate(is_visible):
-        angle = 0.5 * np.pi - turn * np.linspace(s, s + 1, 24)
+    slice_angle = 2 * np.pi / len(is_visible)
+    for s, sees_target in enumerate(is_visible):
+        angle = 0.5 * np.pi - slice_angle * np.linspace(s, s + 1, 24)
         slice_ = np.vstack([[0.0, 0.0], np.stack([np.cos(angle), np.sin(angle)], axis=1), [0.0, 0.0]])
-        reach = float(np.abs(slice_).max())  # a marker is scaled by its farthest corner
-        look = {"s": 0.8 * size * reach**2, "marker": slice_.tolist(), "color": style.COLOUR_CYCLE[s]}
-        ax.scatter(x[sees], y[sees], linewidths=0, zorder=5, **look)
-    none = ~is_visible.any(axis=0)
-    if none.any():
-        ax.scatter(x[none], y[none], marker="x", s=size, color=style.RED, zorder=5, label="not visible")
+        farthest_corner = float(np.abs(slice_).max())  # a marker is scaled by its farthest corner
+        marker_style = {"s": 0.8 * size * farthest_corner**2, "marker": slice_.tolist(), "color": style.COLOUR_CYCLE[s]}
+        ax.scatter(x[sees_target], y[sees_target], linewidths=0, zorder=5, **marker_style)
+    is_hidden = ~is_visible.any(axis=0)
+    if is_hidden.any():
+        ax.scatter(x[is_hidden], y[is_hidden], marker="x", s=size, color=style.RED, zorder=5, label="not visible")
 
 
 def _draw_gauge(ax: Axes, workshop: PlacedWorkshop) -> None:
+    """Draw the reference lengths of the gauge as lines."""
     for k, (a, b) in enumerate(workshop.gauge_pairs):
         ends = workshop.target_points[[a, b], :2]
         ax.plot(
@@ -256,60 +283,65 @@ def _draw_gauge(ax: Axes, workshop: PlacedWorkshop) -> None:
 
 
 def _draw_targets(ax: Axes, workshop: PlacedWorkshop) -> None:
-    """Draw targets with marks by height."""
+    """Draw targets with markers that depend on the height above the floor."""
     height = workshop.target_points[:, 2] - workshop.floor_height
-    low = -np.inf
-    for high, marker, colour, word in HEIGHT_CLASSES:
-        here = (height > low) & (height <= high)
-        span = f"{word} target, up to {high:g} m" if np.isfinite(high) else f"{word} target, above {low:g} m"
-        if here.any():
+    lower_limit = -np.inf
+    for upper_limit, marker, colour, class_name in HEIGHT_CLASSES:
+        is_in_class = (height > lower_limit) & (height <= upper_limit)
+        legend_label = (
+            f"{class_name} target, up to {upper_limit:g} m"
+            if np.isfinite(upper_limit)
+            else f"{class_name} target, above {lower_limit:g} m"
+        )
+        if is_in_class.any():
             ax.scatter(
-                workshop.target_points[here, 0],
-                workshop.target_points[here, 1],
+                workshop.target_points[is_in_class, 0],
+                workshop.target_points[is_in_class, 1],
                 marker=marker,
                 s=26,
                 color=colour,
                 zorder=4,
                 edgecolors="white",
                 linewidths=0.5,
-                label=span,
+                label=legend_label,
                 rasterized=len(workshop.targets) > MAX_VECTOR_MARKS,
             )
-        low = high
+        lower_limit = upper_limit
 
 
 def _target_labels(workshop: PlacedWorkshop) -> list[MapLabel]:
-    """Labels of targets, one for those above each other, preferably away from the middle of the floor."""
-    middle, size = workshop.floor.mean(axis=0), np.ptp(workshop.floor, axis=0)
-    stacks: dict[tuple[float, ...], list[int]] = defaultdict(list)
+    """Labels of the targets, on the side away from the middle of the floor; targets above each other share a label."""
+    floor_centre, size = workshop.floor.mean(axis=0), np.ptp(workshop.floor, axis=0)
+    targets_by_cell: dict[tuple[float, ...], list[int]] = defaultdict(list)
     for i, cell in enumerate(
         np.round(workshop.target_points[:, :2] / (MAX_LABEL_SHARING_DISTANCE * size.max())).tolist()
     ):
-        stacks[tuple(cell)].append(i)
+        targets_by_cell[tuple(cell)].append(i)
     labels = []
-    for members in stacks.values():
+    for members in targets_by_cell.values():
         place, names = (
             workshop.target_points[members[0], :2],
             [style.shortened_name(workshop.targets[i], 16) for i in members],
         )
-        away = (place - middle) / size
-        sideways = abs(away[0]) > abs(away[1])
-        turn = (0.0 if away[0] > 0 else np.pi) if sideways else (0.5 if away[1] > 0 else 1.5) * np.pi
+        offset = (place - floor_centre) / size
+        is_sideways = abs(offset[0]) > abs(offset[1])
+        direction = (0.0 if offset[0] > 0 else np.pi) if is_sideways else (0.5 if offset[1] > 0 else 1.5) * np.pi
         text = " ".join(names) if len(names) < MAX_NAMES_PER_LABEL else f"{names[0]} +{len(names) - 1}"
-        labels.append(MapLabel(text, place, preferred_direction=turn))
+        labels.append(MapLabel(text, place, preferred_direction=direction))
     return labels
 
 
 def _draw_stations(ax: Axes, workshop: PlacedWorkshop, colours: Sequence[str]) -> None:
+    """Draw each station as a marker, with an arrow towards azimuth zero."""
     length = 0.075 * float(np.ptp(workshop.floor, axis=0).max())
-    tick: Floats = length * np.stack([np.cos(workshop.station_yaws), np.sin(workshop.station_yaws)], axis=1)
+    ticks: Floats = length * np.stack([np.cos(workshop.station_yaws), np.sin(workshop.station_yaws)], axis=1)
     arrow = {"arrowstyle": "-|>", "color": style.INK_COLOUR, "lw": 1.3, "shrinkA": 0, "shrinkB": 0}
-    for place, end in zip(workshop.station_positions[:, :2], tick, strict=True):
+    for place, end in zip(workshop.station_positions[:, :2], ticks, strict=True):
         ax.annotate("", tuple(place + end), tuple(place), zorder=6, arrowprops=arrow)
     x, y = workshop.station_positions[:, :2].T
-    marker, chosen = "s" if colours is style.COLOUR_CYCLE else "o", list(colours[: len(workshop.stations)])
-    look: dict[str, Any] = {"s": 64, "edgecolors": "white", "linewidths": 0.8, "zorder": 7}
-    ax.scatter(x, y, marker=marker, color=chosen, label="station, tick to azimuth 0", **look)
+    marker, station_colours = "s" if colours is style.COLOUR_CYCLE else "o", list(colours[: len(workshop.stations)])
+    marker_style: dict[str, Any] = {"s": 64, "edgecolors": "white", "linewidths": 0.8, "zorder": 7}
+    ax.scatter(x, y, marker=marker, color=station_colours, label="station, tick to azimuth 0", **marker_style)
 
 
 def _station_labels(workshop: PlacedWorkshop) -> list[MapLabel]:
@@ -327,13 +359,16 @@ def _station_labels(workshop: PlacedWorkshop) -> list[MapLabel]:
 
 
 def _listed_stations_legend(workshop: PlacedWorkshop, n_other_entries: int) -> tuple[list[Line2D], list[str]]:
-    """Entries of the second column of a legend, whose first column has `n_other_entries` lines."""
+    """Empty legend handles, and texts with the places of the stations, for the second column of a legend.
+
+    The first column has `n_other_entries` entries; the shorter column is filled with empty texts.
+    """
     lines = [
         f"{style.shortened_name(name, 10)}: {x:.3f}, {y:.3f}, {z:.3f} m, {yaw / DEGREE % 360:.0f}°"
         for name, (x, y, z), yaw in zip(
             workshop.stations, workshop.station_positions, workshop.station_yaws, strict=True
         )
     ]
-    words = ["station: x, y, z, azimuth 0", *lines]
-    words = [""] * (len(words) - n_other_entries) + words + [""] * (n_other_entries - len(words))
-    return [Line2D([], [], linestyle="none") for _ in words], words
+    texts = ["station: x, y, z, azimuth 0", *lines]
+    texts = [""] * (len(texts) - n_other_entries) + texts + [""] * (n_other_entries - len(texts))
+    return [Line2D([], [], linestyle="none") for _ in texts], texts

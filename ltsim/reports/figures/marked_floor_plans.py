@@ -16,9 +16,9 @@ from ltsim.reports.workshop import PlacedWorkshop
 from ltsim.scene.floor import Floor
 
 MIN_DRAWN_HALF_WIDTH = 0.015
-"""Half-width with which a place of the hall is drawn at least, over the size of the hall."""
+"""Smallest half-width with which a marked area of the hall is drawn, as a fraction of the size of the hall."""
 MAX_MARK_SHARING_DISTANCE = 0.04
-"""Distance within which changes share a mark, over the size of the hall."""
+"""Distance below which two changes of reflectors share a mark, as a fraction of the size of the hall."""
 
 
 @style.with_figure_style
@@ -30,30 +30,40 @@ def marked_floor_plan(
 ) -> Figure:
     """Floor plan with red rings around marked stations and targets, and an arrow between the targets of each pair.
 
-    A place of the hall is an `area`: by axis its centre and half-width [m]; a strip where it has one axis.
+    `area` is a shaded part of the hall: centre and half-width [m] for the axes `x` and `y`. With one axis it is a strip
+    across the hall.
     """
     figure = floor_plan(workshop)
     ax = figure.axes[0]
     if area and len(area) == 2:
-        (x, wide), (y, high) = area["x"], area["y"]
-        least = MIN_DRAWN_HALF_WIDTH * workshop.largest_extent
-        ax.add_patch(Ellipse((x, y), 2 * max(wide, least), 2 * max(high, least), color=style.RED, alpha=0.35, zorder=8))
+        (x, half_width_x), (y, half_width_y) = area["x"], area["y"]
+        min_half_width = MIN_DRAWN_HALF_WIDTH * workshop.largest_extent
+        ax.add_patch(
+            Ellipse(
+                (x, y),
+                2 * max(half_width_x, min_half_width),
+                2 * max(half_width_y, min_half_width),
+                color=style.RED,
+                alpha=0.35,
+                zorder=8,
+            )
+        )
         ax.scatter(x, y, marker="+", s=90, color=style.RED, zorder=9)
     elif area:
-        ((axis, (centre, half)),) = area.items()
-        span = ax.axvspan if axis == "x" else ax.axhspan
-        span(centre - half, centre + half, color=style.RED, alpha=0.35, zorder=8)
+        ((axis, (centre, half_width)),) = area.items()
+        draw_strip = ax.axvspan if axis == "x" else ax.axhspan
+        draw_strip(centre - half_width, centre + half_width, color=style.RED, alpha=0.35, zorder=8)
     names = [*workshop.stations, *workshop.targets]
-    place = dict(
+    position_by_name = dict(
         zip(names, np.concatenate([workshop.station_positions, workshop.target_points])[:, :2].tolist(), strict=True)
     )
     for name in marked_names:
-        if name in place:
-            x, y = place[name]
+        if name in position_by_name:
+            x, y = position_by_name[name]
             ax.scatter(x, y, s=180, facecolors="none", edgecolors=style.RED, linewidths=2.0, zorder=9)
     for start, end in pairs:
         arrow = {"arrowstyle": "<|-|>", "color": style.RED, "lw": 1.6, "shrinkA": 5, "shrinkB": 5}
-        ax.annotate("", place[end], place[start], arrowprops=arrow, zorder=9)
+        ax.annotate("", position_by_name[end], position_by_name[start], arrowprops=arrow, zorder=9)
     return figure
 
 
@@ -61,35 +71,43 @@ def marked_floor_plan(
 def reflector_changes_figure(
     workshop: PlacedWorkshop, changes: Sequence[PlanChange], floor: Floor | None = None
 ) -> Figure:
-    """Floor plan with numbered changes of reflectors: moves as arrows, omitted ones as crosses."""
-    current = dict(zip(workshop.targets, workshop.target_points[:, :2].tolist(), strict=True))
+    """Floor plan with numbered changes of reflectors: moves as arrows, reflectors that can be omitted as crosses."""
+    position_by_target = dict(zip(workshop.targets, workshop.target_points[:, :2].tolist(), strict=True))
 
-    def marks(ax: Axes) -> list[MapLabel]:
+    def draw_marks(ax: Axes) -> list[MapLabel]:
         labels = []
         kinds = (True, "D", style.PURPLE, "new place, by number"), (False, "x", style.RED, "can go, by number")
-        for new, marker, colour, word in kinds:
-            numbers: dict[tuple[float, float], list[int]] = {}
+        for has_new_place, marker, colour, word in kinds:
+            numbers_by_position: dict[tuple[float, float], list[int]] = {}
             for number, change in enumerate(changes, 1):
-                if (change.position_mm is not None) != new:
+                if (change.position_mm is not None) != has_new_place:
                     continue
-                there = change.position_mm
-                x, y = (v * MILLIMETRE for v in there[:2]) if there else current[change.reflector]
-                near = next(
+                new_position_mm = change.position_mm
+                x, y = (
+                    (v * MILLIMETRE for v in new_position_mm[:2])
+                    if new_position_mm
+                    else position_by_target[change.reflector]
+                )
+                mark_position = next(
                     (
                         p
-                        for p in numbers
+                        for p in numbers_by_position
                         if hypot(p[0] - x, p[1] - y) < MAX_MARK_SHARING_DISTANCE * workshop.largest_extent
                     ),
                     (x, y),
                 )
-                numbers.setdefault(near, []).append(number)
-                if new and change.reflector:
+                numbers_by_position.setdefault(mark_position, []).append(number)
+                if has_new_place and change.reflector:
                     arrow = {"arrowstyle": "-|>", "color": style.PURPLE, "lw": 1.3, "shrinkA": 3, "shrinkB": 4}
-                    ax.annotate("", near, xytext=current[change.reflector], arrowprops=arrow, zorder=8)
-            if numbers:
-                at = np.array([*numbers]).T
+                    ax.annotate(
+                        "", mark_position, xytext=position_by_target[change.reflector], arrowprops=arrow, zorder=8
+                    )
+            if numbers_by_position:
+                at = np.array([*numbers_by_position]).T
                 ax.scatter(at[0], at[1], marker=marker, s=40, color=colour, zorder=9, label=word)
-            labels += [MapLabel(", ".join(map(str, n)), np.array(at), 8.0, bold=True) for at, n in numbers.items()]
+            labels += [
+                MapLabel(", ".join(map(str, n)), np.array(at), 8.0, bold=True) for at, n in numbers_by_position.items()
+            ]
         return labels
 
-    return floor_plan(workshop, floor=floor, draw_marks=marks)
+    return floor_plan(workshop, floor=floor, draw_marks=draw_marks)

@@ -18,11 +18,14 @@ def draw_obstacles(ax: Axes, triangles: Floats) -> None:
     if not len(triangles):
         return
     corners = triangles[:, :, :2]
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    turns_back = first[:, 0] * second[:, 1] < first[:, 1] * second[:, 0]
-    corners = np.where(turns_back[:, None, None], corners[:, ::-1], corners)  # overlaps do not cancel
-    closed, codes = corners[:, [0, 1, 2, 0]], [Path.MOVETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY]
-    parts = (closed[i : i + MAX_TRIANGLES_PER_PATH] for i in range(0, len(closed), MAX_TRIANGLES_PER_PATH))
+    first_edge, second_edge = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    is_clockwise = first_edge[:, 0] * second_edge[:, 1] < first_edge[:, 1] * second_edge[:, 0]
+    corners = np.where(is_clockwise[:, None, None], corners[:, ::-1], corners)  # overlaps do not cancel
+    closed_triangles, codes = corners[:, [0, 1, 2, 0]], [Path.MOVETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY]
+    parts = (
+        closed_triangles[i : i + MAX_TRIANGLES_PER_PATH]
+        for i in range(0, len(closed_triangles), MAX_TRIANGLES_PER_PATH)
+    )
     ax.add_collection(
         PathCollection(
             [Path(part.reshape(-1, 2), np.tile(codes, len(part))) for part in parts],

@@ -1,4 +1,4 @@
-"""Figures of parameters, their course over calibrations, criteria, budgets, and the quality of plans over time."""
+"""Figures of parameters, correlations, calibration histories, criteria, uncertainty budgets, and plans."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def parameter_labels(rows: Sequence[ParameterEntry]) -> list[str]:
 def parameter_figure(rows: Sequence[ParameterEntry], true_values: Sequence[float | None] = ()) -> Figure:
     """Estimates in units of their prior sigma with 95 % intervals; values at the right.
 
-    A parameter without a prior is scaled by its sigma. Hollow marks: hardly determined by the recording. `true_values`
-    are the values of a simulation, None if not available.
+    The estimate of a parameter without a prior is divided by its sigma. Hollow markers show parameters that the
+    recording hardly determines. `true_values` are the values of a simulation, None for a parameter without one.
     """
     figure, ax = style.new_panel(0.75 + 0.2 * max(len(rows), 3))
     places = style.set_category_rows(ax, parameter_labels(rows), font_size=7.0)
@@ -48,14 +48,19 @@ def parameter_figure(rows: Sequence[ParameterEntry], true_values: Sequence[float
         linewidth=1.8,
         label="95 % interval",
     )
-    clear = np.array([is_determined(row.sigma, row.prior_sigma) for row in rows], dtype=bool)
-    for chosen, fill, word in ((clear, style.COLOUR_AFTER, "estimate"), (~clear, "white", "hardly determined")):
+    is_well_determined = np.array([is_determined(row.sigma, row.prior_sigma) for row in rows], dtype=bool)
+    for chosen, face_colour, legend_label in (
+        (is_well_determined, style.COLOUR_AFTER, "estimate"),
+        (~is_well_determined, "white", "hardly determined"),
+    ):
         if chosen.any():
-            ax.plot(values[chosen], places[chosen], "o", ms=4.5, mfc=fill, mec=style.COLOUR_AFTER, label=word)
-    given = [i for i, value in enumerate(true_values) if value is not None]
-    if given:
-        truth = np.array([true_values[i] for i in given], dtype=np.float64) / scales[given]
-        ax.plot(truth, places[given], "|", ms=9, mew=1.8, color=style.INK_COLOUR, zorder=4, label="true value")
+            ax.plot(
+                values[chosen], places[chosen], "o", ms=4.5, mfc=face_colour, mec=style.COLOUR_AFTER, label=legend_label
+            )
+    known_indices = [i for i, value in enumerate(true_values) if value is not None]
+    if known_indices:
+        truth = np.array([true_values[i] for i in known_indices], dtype=np.float64) / scales[known_indices]
+        ax.plot(truth, places[known_indices], "|", ms=9, mew=1.8, color=style.INK_COLOUR, zorder=4, label="true value")
     style.write_at_right(ax, places, [with_sigma(r.value, r.sigma, r.unit) for r in rows])
     ax.set_xlabel("estimate / sigma of the prior")
     style.add_legend(figure, [ax])
@@ -64,23 +69,29 @@ def parameter_figure(rows: Sequence[ParameterEntry], true_values: Sequence[float
 
 @style.with_figure_style
 def sigma_figure(rows: Sequence[PlannedParameterEntry], reference: Mapping[str, float]) -> Figure:
-    """Ratio of sigma to prior sigma on a logarithmic axis; sigma at the right.
+    """Predicted sigma of each parameter divided by its prior sigma, on a logarithmic axis; sigmas at the right.
 
-    `reference` has the sigmas of another layout by name.
+    `reference` has the sigmas that another layout would give, by parameter.
     """
     figure, ax = style.new_panel(0.55 + 0.21 * max(len(rows), 3))
     places = style.set_category_rows(ax, [row.name for row in rows])
-    share = np.array([row.sigma / row.prior_sigma for row in rows])
-    other = np.array([reference.get(row.name, np.nan) / row.prior_sigma for row in rows])
-    ax.hlines(places, share, other, color=style.COLOUR_BEFORE, linewidth=1.0, zorder=1)
-    if np.isfinite(other).any():
+    ratios = np.array([row.sigma / row.prior_sigma for row in rows])
+    reference_ratios = np.array([reference.get(row.name, np.nan) / row.prior_sigma for row in rows])
+    ax.hlines(places, ratios, reference_ratios, color=style.COLOUR_BEFORE, linewidth=1.0, zorder=1)
+    if np.isfinite(reference_ratios).any():
         ax.scatter(
-            other, places, s=28, facecolors="white", edgecolors=style.COLOUR_BEFORE, zorder=2, label="reference layout"
+            reference_ratios,
+            places,
+            s=28,
+            facecolors="white",
+            edgecolors=style.COLOUR_BEFORE,
+            zorder=2,
+            label="reference layout",
         )
-    ax.scatter(share, places, s=28, color=style.COLOUR_AFTER, zorder=3, label="this layout")
+    ax.scatter(ratios, places, s=28, color=style.COLOUR_AFTER, zorder=3, label="this layout")
     ax.axvline(1.0, color=style.GREY, linewidth=1.0, linestyle=(0, (4, 2)), label="no information")
     ax.set_xscale("log")
-    low = float(np.nanmin(np.concatenate([share, other])))
+    low = float(np.nanmin(np.concatenate([ratios, reference_ratios])))
     ax.set_xlim(0.8 * low, 1.4)
     ticks = [t for t in (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0) if t >= 0.8 * low]
     ax.set_xticks(ticks, [f"{100 * t:g} %" for t in ticks])
@@ -97,15 +108,15 @@ MAX_CORRELATED_PARAMETERS = 24
 
 @style.with_figure_style
 def correlation_figure(rows: Sequence[ParameterEntry], covariance: Floats) -> Figure:
-    """Correlations of parameters with a covariance (p, p) as colours; coefficients above 0.3 in percent.
+    """Correlations of p parameters with a covariance matrix (p, p), as colours; above 0.3 also as numbers [%].
 
     Of more than 24 parameters the 24 with the largest correlations are shown, with a note.
     """
     names, sigma = parameter_labels(rows), np.sqrt(np.maximum(np.diag(covariance), 0.0))
     scale = np.where(sigma > 0, sigma, 1.0)
     matrix = covariance / np.outer(scale, scale)
-    strongest = np.abs(np.where(np.eye(len(names), dtype=bool), 0.0, matrix)).max(axis=1, initial=0.0)
-    shown = np.sort(np.argsort(-strongest, kind="stable")[:MAX_CORRELATED_PARAMETERS])
+    largest_correlations = np.abs(np.where(np.eye(len(names), dtype=bool), 0.0, matrix)).max(axis=1, initial=0.0)
+    shown = np.sort(np.argsort(-largest_correlations, kind="stable")[:MAX_CORRELATED_PARAMETERS])
     count, matrix = len(shown), matrix[np.ix_(shown, shown)]
     figure, ax = style.new_panel(2.2 + 0.15 * count)
     if count < len(names):
@@ -116,39 +127,42 @@ def correlation_figure(rows: Sequence[ParameterEntry], covariance: Floats) -> Fi
     table = np.where(np.eye(count, dtype=bool), np.nan, matrix)
     colours = ax.pcolormesh(table, cmap=style.DIVERGING_COLOUR_MAP, vmin=-1, vmax=1)
     ax.invert_yaxis()
-    short = [style.shortened_name(names[i], 26) for i in shown]
-    ax.set_xticks(np.arange(count) + 0.5, short, rotation=60, ha="right", rotation_mode="anchor", fontsize=6.5)
-    ax.set_yticks(np.arange(count) + 0.5, short, fontsize=6.5)
+    labels = [style.shortened_name(names[i], 26) for i in shown]
+    ax.set_xticks(np.arange(count) + 0.5, labels, rotation=60, ha="right", rotation_mode="anchor", fontsize=6.5)
+    ax.set_yticks(np.arange(count) + 0.5, labels, fontsize=6.5)
     ax.tick_params(length=0)
     ax.grid(visible=False)
     ax.spines[:].set_visible(False)
     for i, j in zip(*np.nonzero(np.abs(np.nan_to_num(table)) > 0.3), strict=True):
         colour = style.TEXT_COLOUR_ON_DEEP if abs(matrix[i, j]) > 0.6 else style.TEXT_COLOUR_ON_PALE
         ax.text(j + 0.5, i + 0.5, f"{100 * matrix[i, j]:.0f}", ha="center", va="center", fontsize=5.5, color=colour)
-    bar = figure.colorbar(colours, ax=ax, shrink=0.7, pad=0.02)
-    bar.set_label("correlation (numbers: %)")
-    bar.outline.set_visible(False)
+    colour_bar = figure.colorbar(colours, ax=ax, shrink=0.7, pad=0.02)
+    colour_bar.set_label("correlation (numbers: %)")
+    colour_bar.outline.set_visible(False)
     return figure
 
 
 @style.with_figure_style
 def history_figure(names: Sequence[str], courses: Sequence[ParameterCourse]) -> Figure:
-    """Course of parameters over calibrations: estimates with 95 % intervals, and mean with spread; one panel each."""
+    """Estimates of each parameter in all calibrations with 95 % intervals, one panel per parameter.
+
+    The band is the mean over the calibrations with the spread of the true values between them.
+    """
     columns = 2 if len(courses) > 1 else 1
     rows = max(1, -(-len(courses) // columns))
     figure = style.new_figure(0.7 + 1.35 * rows)
     panels = figure.subplots(rows, columns, sharex=True, squeeze=False)
     labels = [style.shortened_name(name, 24) for name in distinct_labels(names)]
-    place = np.arange(len(labels))
+    positions = np.arange(len(labels))
     for ax, course in zip(panels.ravel(), courses, strict=False):
         band = (course.mean - course.spread, course.mean + course.spread)
         ax.axhspan(*band, color=style.BAND_COLOUR, linewidth=0, zorder=0, label="mean ± spread between calibrations")
         ax.axhline(0.0, color=style.GREY, linewidth=0.7, zorder=1)
-        half = 1.96 * np.array(course.sigmas)
+        half_widths = 1.96 * np.array(course.sigmas)
         ax.errorbar(
-            place,
+            positions,
             course.values,
-            half,
+            half_widths,
             fmt="o",
             ms=3.5,
             color=style.COLOUR_AFTER,
@@ -156,8 +170,8 @@ def history_figure(names: Sequence[str], courses: Sequence[ParameterCourse]) -> 
             label="estimate, 95 % interval",
         )
         ax.set_title(f"{course.name} [{style.unit_text(course.unit)}]", fontsize=8, loc="right")
-        ax.set_xticks(place, labels, rotation=60, ha="right", fontsize=7)
-        ax.set_xlim(-0.5, len(place) - 0.5)
+        ax.set_xticks(positions, labels, rotation=60, ha="right", fontsize=7)
+        ax.set_xlim(-0.5, len(positions) - 0.5)
         style.set_grid(ax)
     for ax in panels.ravel()[len(courses) :]:
         ax.set_axis_off()
@@ -169,7 +183,7 @@ def history_figure(names: Sequence[str], courses: Sequence[ParameterCourse]) -> 
 
 @style.with_figure_style
 def criteria_figure(criteria: Table) -> Figure:
-    """Criteria of a table `CRITERIA_TABLE`, mean and largest, with an arrow from before to after."""
+    """Mean and largest value of each criterion of a table `CRITERIA_TABLE`; arrows from before to after calibration."""
     lines = []
     for row in criteria.json():
         change = "" if row["improvement_percent"] is None else f" ({row['improvement_percent']:+.1f} % better)"
@@ -190,12 +204,12 @@ def criteria_figure(criteria: Table) -> Figure:
 
 
 MAX_BUDGET_SOURCES = 7
-"""Number of sources with a separate colour; smaller ones are summed."""
+"""Largest number of sources of uncertainty with separate colours; the smaller sources are summed."""
 
 
 @style.with_figure_style
 def budget_figure(names: Sequence[str], variance_fractions: Mapping[str, Sequence[float]]) -> Figure:
-    """Shares of the variance of each result by source, the largest sources over all results first.
+    """Fractions of the variance of each result by source of uncertainty, the largest sources first.
 
     Parameters
     ----------
@@ -205,17 +219,17 @@ def budget_figure(names: Sequence[str], variance_fractions: Mapping[str, Sequenc
         Fraction of the variance by source in every result, 0 to 1.
     """
     ranked = sorted(variance_fractions, key=lambda name: -float(np.sum(variance_fractions[name])))
-    largest, rest = ranked[:MAX_BUDGET_SOURCES], ranked[MAX_BUDGET_SOURCES:]
+    largest, smaller_sources = ranked[:MAX_BUDGET_SOURCES], ranked[MAX_BUDGET_SOURCES:]
     rows = {name: np.asarray(variance_fractions[name], dtype=np.float64) for name in largest}
-    if rest:
-        rows["all others"] = np.sum([variance_fractions[name] for name in rest], axis=0)
+    if smaller_sources:
+        rows["all others"] = np.sum([variance_fractions[name] for name in smaller_sources], axis=0)
     figure, ax = style.new_panel(0.55 + 0.21 * max(len(names), 3) + style.legend_height(list(rows), 2))
     places = style.set_category_rows(ax, list(names))
-    start = np.zeros(len(names))
-    for i, (name, share) in enumerate(rows.items()):
+    bar_starts = np.zeros(len(names))
+    for i, (name, fractions) in enumerate(rows.items()):
         colour = style.GREY if name == "all others" else style.COLOUR_CYCLE[i % len(style.COLOUR_CYCLE)]
-        ax.barh(places, 100 * share, left=100 * start, height=0.62, color=colour, label=name)
-        start += share
+        ax.barh(places, 100 * fractions, left=100 * bar_starts, height=0.62, color=colour, label=name)
+        bar_starts += fractions
     ax.set_xlim(0, 100)
     ax.set_xlabel("part of the variance [%]")
     ax.grid(visible=False, axis="y")
@@ -224,14 +238,14 @@ def budget_figure(names: Sequence[str], variance_fractions: Mapping[str, Sequenc
 
 
 ValueWithInterval = tuple[float, float, float]
-"""Value and limits of its interval."""
+"""Value, lower limit and upper limit of its interval."""
 
 
 @style.with_figure_style
 def values_figure(
     rows: Mapping[str, ValueWithInterval], label: str, *, reference_values: Mapping[str, Sequence[float]] | None = None
 ) -> Figure:
-    """Values with intervals, one row each; dashed lines at `reference_values`."""
+    """Values with intervals, one row each; dashed lines at the `reference_values`, with their labels as keys."""
     lines = ["\n".join(wrap(name, 34)) for name in rows]
     figure, ax = style.new_panel(0.9 + 0.15 * sum(1.4 + name.count("\n") for name in lines))
     places = style.set_category_rows(ax, lines)
@@ -239,11 +253,11 @@ def values_figure(
     value, low, high = np.array(list(rows.values())).T
     ax.hlines(places, low, high, color=style.COLOUR_AFTER, linewidth=1.8)
     ax.plot(value, places, "o", ms=4.5, color=style.COLOUR_AFTER)
-    for colour, (word, ends) in zip(
+    for colour, (legend_label, positions) in zip(
         (style.INK_COLOUR, style.RED, style.GREY), (reference_values or {}).items(), strict=False
     ):
-        for at in ends:
-            ax.axvline(at, color=colour, linewidth=1.0, linestyle=(0, (4, 2)), label=word)
+        for position in positions:
+            ax.axvline(position, color=colour, linewidth=1.0, linestyle=(0, (4, 2)), label=legend_label)
     figure.supxlabel(typographic_text(label), fontsize=8.5)
     style.add_legend(figure, [ax])
     return figure
@@ -253,12 +267,12 @@ def values_figure(
 def lines_figure(
     positions: Sequence[float], lines: Mapping[str, Sequence[ValueWithInterval]], axis: str, label: str
 ) -> Figure:
-    """Lines over a quantity `positions` (n,), with an interval at every point."""
+    """Lines through values with intervals over n `positions`; `axis` and `label` are the titles of the x and y axes."""
     figure, ax = style.new_panel(2.7)
     for name, rows, colour, marker in zip(lines, lines.values(), style.COLOUR_CYCLE, style.MARKERS, strict=False):
         value, low, high = np.array(rows).T
-        half = np.maximum([value - low, high - value], 0.0)
-        ax.errorbar(positions, value, half, color=colour, marker=marker, ms=4.0, lw=1.2, label=name)
+        half_widths = np.maximum([value - low, high - value], 0.0)
+        ax.errorbar(positions, value, half_widths, color=colour, marker=marker, ms=4.0, lw=1.2, label=name)
     ax.set_xlabel(typographic_text(axis))
     ax.set_ylabel(typographic_text(label))
     style.set_grid(ax, grid_axis="both")
@@ -267,7 +281,7 @@ def lines_figure(
 
 
 MAX_NAMED_LAYOUTS = 14
-"""Largest number of layouts that are named in a figure."""
+"""Largest number of layouts with a label in a figure; the first ones are labelled."""
 LAYOUT_COLOURS = {"tried": style.GREY, "best": style.BLUE, "chosen": style.RED, "reference": style.GREEN}
 """Colour of a layout in the figure of time and quality, by its role."""
 LAYOUT_MARKERS = {"tried": ".", "best": "o", "chosen": "*", "reference": "D"}
@@ -280,34 +294,34 @@ LAYOUT_LABELS = {"tried": "tried", "best": "best in its time", "chosen": "the pl
 
 @style.with_figure_style
 def trade_off_figure(plan: Plan, quality_name: str) -> Figure:
-    """Time against one quality measure of a plan; the line joins the layouts that are best in their time."""
+    """Quality of each layout of a plan over its time, by one measure; a line joins the best layouts for their time."""
     label, factor = QUALITY_MEASURES.get(quality_name, (quality_name, 1.0))
-    kinds: dict[str, list[tuple[float, float, str]]] = {"tried": [], "best": [], "reference": [], "chosen": []}
+    points_by_role: dict[str, list[tuple[float, float, str]]] = {"tried": [], "best": [], "reference": [], "chosen": []}
     for option in plan.tradeoff:
-        way = f"{option.stations}s {option.faces}f {option.repeats}r"
-        kinds["best" if option.efficient else "tried"].append(
-            (option.hours, option.quality.get(quality_name) or np.nan, way)
+        layout_text = f"{option.stations}s {option.faces}f {option.repeats}r"
+        points_by_role["best" if option.efficient else "tried"].append(
+            (option.hours, option.quality.get(quality_name) or np.nan, layout_text)
         )
-    for kind, layout in (("reference", plan.reference), ("chosen", plan)):
+    for role, layout in (("reference", plan.reference), ("chosen", plan)):
         if layout is not None and layout.quality.get(quality_name) is not None:
-            kinds[kind].append((layout.hours, layout.quality[quality_name] or np.nan, ""))
+            points_by_role[role].append((layout.hours, layout.quality[quality_name] or np.nan, ""))
     figure, ax = style.new_panel(3.2)
-    every = np.array([factor * quality for points in kinds.values() for _, quality, _ in points])
-    for kind, points in kinds.items():
+    all_qualities = np.array([factor * quality for points in points_by_role.values() for _, quality, _ in points])
+    for role, points in points_by_role.items():
         if points:
             hours, quality = zip(*((h, factor * q) for h, q, _ in sorted(points)), strict=True)
-            look: dict[str, Any] = {
-                "marker": LAYOUT_MARKERS[kind],
-                "s": LAYOUT_MARKER_SIZES[kind],
-                "color": LAYOUT_COLOURS[kind],
-                "label": LAYOUT_LABELS[kind],
+            marker_style: dict[str, Any] = {
+                "marker": LAYOUT_MARKERS[role],
+                "s": LAYOUT_MARKER_SIZES[role],
+                "color": LAYOUT_COLOURS[role],
+                "label": LAYOUT_LABELS[role],
             }
-            ax.scatter(hours, quality, zorder=4 if kind != "tried" else 2, linewidths=0, **look)
-            if kind == "best":
+            ax.scatter(hours, quality, zorder=4 if role != "tried" else 2, linewidths=0, **marker_style)
+            if role == "best":
                 ax.plot(hours, quality, color=style.BLUE, linewidth=1.0, zorder=3)
-    for hour, size, way in kinds["best"][:MAX_NAMED_LAYOUTS]:
-        ax.annotate(way, (hour, factor * size), xytext=(6, 5), textcoords="offset points", fontsize=7.5)
-    if (every > 0).all() and every.max() > 20 * every.min():
+    for hour, size, layout_text in points_by_role["best"][:MAX_NAMED_LAYOUTS]:
+        ax.annotate(layout_text, (hour, factor * size), xytext=(6, 5), textcoords="offset points", fontsize=7.5)
+    if (all_qualities > 0).all() and all_qualities.max() > 20 * all_qualities.min():
         ax.set_yscale("log")
     ax.margins(x=0.1, y=0.12)
     ax.set_xlabel("time on the floor [h]; s: stations, f: faces, r: rounds")

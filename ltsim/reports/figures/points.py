@@ -1,4 +1,4 @@
-"""Figures of points: displacements, errors over limits, two-face differences."""
+"""Figures of displacements of points, of acceptance tests, and of a field check."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,33 +16,39 @@ PROJECTIONS = (("seen from above", 0, 1), ("side view", 0, 2))
 
 @style.with_figure_style
 def displacement_figure(comparison: Comparison) -> Figure:
-    """Displacements as arrows of common magnification, with a circle of the largest semi-axis at each tip."""
+    """Displacements of points as lines with a common magnification, in two projections.
+
+    The circle at the end of a line has the largest semi-axis of the 95 % ellipsoid as its radius.
+    """
     points = comparison.displacements
-    places, shifts, semi_axes = (
+    positions, shifts, semi_axes = (
         np.array([getattr(d, name) for d in points]) for name in ("place_mm", "shift_um", "semi_axes_um")
     )
     moved, names = np.array([d.moved for d in points], dtype=bool), [d.target for d in points]
     figure = style.new_figure(3.0)
     longest = max(np.linalg.norm(shifts, axis=1).max(), semi_axes.max(), 1e-9)
-    enlarged = float(0.125 * (np.ptp(places, axis=0).max() or 1.0) / longest)  # to an eighth of the picture
-    figure.suptitle(f"displacements are enlarged {1e3 * enlarged:.0f} times", x=0.01, ha="left", fontsize=7.5)
+    mm_per_um = float(0.125 * (np.ptp(positions, axis=0).max() or 1.0) / longest)  # to an eighth of the picture
+    figure.suptitle(f"displacements are enlarged {1e3 * mm_per_um:.0f} times", x=0.01, ha="left", fontsize=7.5)
     for ax, (title, i, j) in zip(figure.subplots(1, 2), PROJECTIONS, strict=True):
-        for place, shift, axes, far in zip(places, shifts, semi_axes, moved, strict=True):
-            colour = style.RED if far else style.COLOUR_AFTER
-            start, end = place[[i, j]], place[[i, j]] + enlarged * shift[[i, j]]
-            turn = np.linspace(0, 2 * np.pi, 60)
-            ring = end[:, None] + enlarged * axes[0] * np.stack([np.cos(turn), np.sin(turn)])
-            ax.plot(*ring, color=style.GREY, linewidth=0.7)
-            ax.plot([start[0], end[0]], [start[1], end[1]], color=colour, linewidth=1.8 if far else 1.0)
-            ax.plot(*start, marker="s" if far else "o", markersize=3.5, color=colour, linestyle="none")
+        for position, shift, axes, has_moved in zip(positions, shifts, semi_axes, moved, strict=True):
+            colour = style.RED if has_moved else style.COLOUR_AFTER
+            start, end = position[[i, j]], position[[i, j]] + mm_per_um * shift[[i, j]]
+            angles = np.linspace(0, 2 * np.pi, 60)
+            circle = end[:, None] + mm_per_um * axes[0] * np.stack([np.cos(angles), np.sin(angles)])
+            ax.plot(*circle, color=style.GREY, linewidth=0.7)
+            ax.plot([start[0], end[0]], [start[1], end[1]], color=colour, linewidth=1.8 if has_moved else 1.0)
+            ax.plot(*start, marker="s" if has_moved else "o", markersize=3.5, color=colour, linestyle="none")
         ax.set_aspect("equal", adjustable="datalim")
         ax.set_title(title)
         ax.set_xlabel(f"{'xyz'[i]} [mm]")
         ax.set_ylabel(f"{'xyz'[j]} [mm]")
-    gone = np.flatnonzero(moved)
+    moved_indices = np.flatnonzero(moved)
     for ax, (_, i, j) in zip(figure.axes, PROJECTIONS, strict=True):
         draw_labels(
-            figure, ax, [MapLabel(names[k], places[k, [i, j]], colour=style.RED) for k in gone], places[:, [i, j]]
+            figure,
+            ax,
+            [MapLabel(names[k], positions[k, [i, j]], colour=style.RED) for k in moved_indices],
+            positions[:, [i, j]],
         )
     return figure
 
@@ -52,14 +58,17 @@ JUDGEMENT_MARKS = (
     ("undecided", "o", 3.6, style.INK_COLOUR, "none"),
     ("rejected", "x", 5.0, style.RED, style.RED),
 )
-"""Marker, its size [points], colour of its edge and of its face by the judgement of a test."""
+"""Judgement of a test, and the marker for it: form, size [pt], colour of the edge and of the face."""
 GROUP_HALF_WIDTH = 0.32
-"""Half-width of the spread of a group's tests around its row, in row spacings."""
+"""Largest distance at which a test of a group is drawn from the row of the group, in row spacings."""
 
 
 @style.with_figure_style
 def error_to_limit_figure(content: AcceptanceFile) -> Figure:
-    """Error over limit of every test, one row per group; bars: expanded uncertainties; marks by judgement."""
+    """Error of each acceptance test divided by its limit, one row per group of tests.
+
+    Bars are expanded uncertainties; the marker shows the judgement.
+    """
     groups = [g.name for g in content.groups]
     figure, ax = style.new_panel(0.9 + 0.42 * max(len(groups), 3))
     rows = style.set_category_rows(ax, groups)
@@ -67,20 +76,30 @@ def error_to_limit_figure(content: AcceptanceFile) -> Figure:
     for edge in (-1, 1):
         ax.axvline(edge, color=style.INK_COLOUR, lw=0.8)
     for row, name in zip(rows, groups, strict=True):
-        mine = [t for t in content.tests if t.group == name]
-        share = np.array([t.error_um / t.limit_um for t in mine])
-        width = np.array([(t.expanded_um or 0.0) / t.limit_um for t in mine])
-        place = row + np.linspace(-GROUP_HALF_WIDTH, GROUP_HALF_WIDTH, len(mine)) * (len(mine) > 1)
-        judged = np.array(
-            [t.judgement or ("accepted" if abs(s) <= 1 else "rejected") for t, s in zip(mine, share, strict=True)]
+        group_tests = [t for t in content.tests if t.group == name]
+        error_ratios = np.array([t.error_um / t.limit_um for t in group_tests])
+        uncertainty_ratios = np.array([(t.expanded_um or 0.0) / t.limit_um for t in group_tests])
+        heights = row + np.linspace(-GROUP_HALF_WIDTH, GROUP_HALF_WIDTH, len(group_tests)) * (len(group_tests) > 1)
+        judgements = np.array(
+            [
+                t.judgement or ("accepted" if abs(s) <= 1 else "rejected")
+                for t, s in zip(group_tests, error_ratios, strict=True)
+            ]
         )
-        ax.hlines(place, share - width, share + width, color=style.BLUE, lw=0.6, alpha=0.6)
+        ax.hlines(
+            heights,
+            error_ratios - uncertainty_ratios,
+            error_ratios + uncertainty_ratios,
+            color=style.BLUE,
+            lw=0.6,
+            alpha=0.6,
+        )
         for judgement, marker, size, edge_colour, face_colour in JUDGEMENT_MARKS:
-            chosen = judged == judgement
+            has_judgement = judgements == judgement
             edge_width = 1.4 if marker == "x" else 0.7
             ax.plot(
-                share[chosen],
-                place[chosen],
+                error_ratios[has_judgement],
+                heights[has_judgement],
                 marker,
                 ms=size,
                 mec=edge_colour,
@@ -97,18 +116,18 @@ def error_to_limit_figure(content: AcceptanceFile) -> Figure:
 OBSERVABLE_MARKS = (("range", style.BLUE, "o"), ("across the beam", style.ORANGE, "s"), ("elevation", style.GREEN, "^"))
 """Name, colour and marker of each component of a two-face difference."""
 MAX_NAMED_TARGETS = 40
-"""Largest number of targets whose names are on the axis."""
+"""Number of targets above which their names are not on the axis."""
 MAX_LEGEND_STATIONS = 8
-"""Largest number of stations in a legend."""
+"""Largest number of stations in a legend; the first ones are listed."""
 MAX_LEGEND_NAME_LENGTH = 20
 """Largest length of the name of a station in a legend [characters]."""
 AXES_FRACTION_BELOW_LEGEND = 0.86
-"""Fraction of the axes below an inside legend."""
+"""Fraction of the height of the axes that remains below a legend inside them."""
 
 
 @style.with_figure_style
 def check_figure(check: Check) -> Figure:
-    """Half two-face differences divided by their limits by target, and misfit of the pointings over time."""
+    """Two panels on a field check: half two-face differences divided by their limits, and misfit over time."""
     figure = style.new_figure(5.2)
     above, below = figure.subplots(2, 1)
     _draw_two_face_differences(above, check)
@@ -120,23 +139,24 @@ def check_figure(check: Check) -> Figure:
 
 
 def _draw_two_face_differences(ax: Axes, check: Check) -> None:
+    """Draw half two-face differences divided by their limits, by target, with the stations side by side."""
     names: list[str] = []
-    at, recording = 0, check.arrays.recording
+    n_drawn, recording = 0, check.arrays.recording
     for setup in check.arrays.setups:
         if setup.two_face_differences is None:
             continue
-        share = (
+        ratios = (
             setup.two_face_differences.uncorrected_pairs.half_differences
             / setup.two_face_differences.max_half_differences
         )
-        places = at + np.arange(len(share))
-        for column, (what, colour, marker) in enumerate(OBSERVABLE_MARKS):
-            label = what if at == 0 else None
-            ax.plot(places, share[:, column], marker, ms=3.2, color=colour, label=label, alpha=0.85)
+        places = n_drawn + np.arange(len(ratios))
+        for column, (component, colour, marker) in enumerate(OBSERVABLE_MARKS):
+            label = component if n_drawn == 0 else None
+            ax.plot(places, ratios[:, column], marker, ms=3.2, color=colour, label=label, alpha=0.85)
         rows = setup.rows[setup.two_face_differences.uncorrected_pairs.rows[:, 0]] - 1
         names += [recording.targets[recording.target[row]] for row in rows]
-        at += len(share)
-        ax.axvline(at - 0.5, ymax=AXES_FRACTION_BELOW_LEGEND, color=style.INK_COLOUR, lw=0.4)
+        n_drawn += len(ratios)
+        ax.axvline(n_drawn - 0.5, ymax=AXES_FRACTION_BELOW_LEGEND, color=style.INK_COLOUR, lw=0.4)
     for limit in (-1.0, 1.0):
         ax.axhline(limit, color=style.RED, lw=1.0)
     style.set_grid(ax)
@@ -146,37 +166,49 @@ def _draw_two_face_differences(ax: Axes, check: Check) -> None:
         ax.text(0.5, 0.5, "no target was measured on both faces", transform=ax.transAxes, ha="center")
         ax.set_xticks([])
         return
-    ax.set_xlim(-0.8, at - 0.2)
+    ax.set_xlim(-0.8, n_drawn - 0.2)
     low, high = ax.get_ylim()
     ax.set_ylim(low, low + (high - low) / AXES_FRACTION_BELOW_LEGEND)
-    few = len(names) <= MAX_NAMED_TARGETS
+    shows_names = len(names) <= MAX_NAMED_TARGETS
     ax.set_xticks(
-        range(at) if few else [], [style.shortened_name(n) for n in names] if few else [], rotation=90, fontsize=6
+        range(n_drawn) if shows_names else [],
+        [style.shortened_name(n) for n in names] if shows_names else [],
+        rotation=90,
+        fontsize=6,
     )
     ax.legend(loc="upper right", ncols=3)
 
 
 def _draw_misfit_over_time(ax: Axes, check: Check) -> None:
-    scale, unit = (60.0, "time [min]") if check.arrays.recording.has_clock else (1.0, "pointing")
+    """Draw the rms whitened residual of each pointing over time, with the intervals in which a tracker moved."""
+    seconds_per_unit, unit = (60.0, "time [min]") if check.arrays.recording.has_clock else (1.0, "pointing")
     for i, setup in enumerate(check.arrays.setups):
         if setup.occupation is None:
             continue
-        size = np.sqrt(np.mean(setup.occupation.whitened_residuals**2, axis=1))
+        misfit = np.sqrt(np.mean(setup.occupation.whitened_residuals**2, axis=1))
         label = style.shortened_name(setup.station, MAX_LEGEND_NAME_LENGTH) if i < MAX_LEGEND_STATIONS else None
         ax.plot(
-            setup.occupation.recording.time / scale,
-            size,
+            setup.occupation.recording.time / seconds_per_unit,
+            misfit,
             ".",
             ms=4,
             color=style.COLOUR_CYCLE[i % len(style.COLOUR_CYCLE)],
             label=label,
         )
-    marked = False
+    has_label = False
     for item in check.items:
         if item.between_s is not None:
-            ax.axvspan(item.between_s[0] / scale, item.between_s[1] / scale, color=style.RED, alpha=0.35, lw=0)
-            ax.axvline(item.between_s[0] / scale, color=style.RED, lw=1.0, label=None if marked else "moved")
-            marked = True
+            ax.axvspan(
+                item.between_s[0] / seconds_per_unit,
+                item.between_s[1] / seconds_per_unit,
+                color=style.RED,
+                alpha=0.35,
+                lw=0,
+            )
+            ax.axvline(
+                item.between_s[0] / seconds_per_unit, color=style.RED, lw=1.0, label=None if has_label else "moved"
+            )
+            has_label = True
     style.set_grid(ax)
     ax.set_title("Misfit of each pointing")
     ax.set_xlabel(unit)

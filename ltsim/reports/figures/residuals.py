@@ -15,9 +15,9 @@ from ltsim.reports import style
 from ltsim.reports.residuals import COVARIATE_UNITS, DEFAULT_COVARIATES, OBSERVABLE_UNITS, Residuals
 
 MAX_STATION_PANELS = 30
-"""Largest number of stations of a figure with one panel each."""
+"""Largest number of stations in the figure of residuals by station; the first ones are drawn."""
 MAX_VECTOR_DOTS = 40
-"""Largest number of stations shown, and of dots per axes drawn as vectors; more dots are rasterised."""
+"""Largest number of dots that a series of a figure draws as vectors; more dots are rasterised."""
 BAND_HALF_WIDTH_SIGMAS = 1.96
 """Half-width of a 95 % interval of a normal distribution, in standard deviations."""
 
@@ -53,18 +53,20 @@ def residuals_by_station_figure(plotted: Residuals, reference: Residuals | None 
     stations = plotted.stations[:MAX_STATION_PANELS]
     figure = style.new_figure(1.7 * max(len(shown), 1) + 0.4)
     axes = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
-    sides = [(plotted, 0.18 if reference else 0.0, style.COLOUR_AFTER, "after")]
-    sides += [(reference, -0.18, style.COLOUR_BEFORE, "before")] if reference is not None else []
+    series = [(plotted, 0.18 if reference else 0.0, style.COLOUR_AFTER, "after")]
+    series += [(reference, -0.18, style.COLOUR_BEFORE, "before")] if reference is not None else []
     for ax, observable in zip(axes, shown, strict=True):
-        for residuals, shift, colour, word in sides:
-            for place, station in enumerate(stations):
+        for residuals, offset, colour, word in series:
+            for station_index, station in enumerate(stations):
                 values = residuals.residual[residuals.is_observable(observable) & (residuals.station == station)]
-                x = place + shift + 0.26 * ((np.arange(len(values)) * 0.618034) % 1.0 - 0.5)
-                label, many = (word if place == 0 else None), len(values) > MAX_VECTOR_DOTS
-                ax.plot(x, values, ".", ms=2.5, color=colour, alpha=0.7, label=label, rasterized=many, zorder=1.5)
-                size = float(np.sqrt(np.mean(values**2))) if len(values) else np.nan
-                bar = f"± rms {word}" if place == 0 else None
-                ax.vlines(place + shift, -size, size, color=colour, linewidth=3.0, alpha=0.8, label=bar)
+                x = station_index + offset + 0.26 * ((np.arange(len(values)) * 0.618034) % 1.0 - 0.5)
+                label, is_rasterized = (word if station_index == 0 else None), len(values) > MAX_VECTOR_DOTS
+                ax.plot(
+                    x, values, ".", ms=2.5, color=colour, alpha=0.7, label=label, rasterized=is_rasterized, zorder=1.5
+                )
+                rms = float(np.sqrt(np.mean(values**2))) if len(values) else np.nan
+                bar_label = f"± rms {word}" if station_index == 0 else None
+                ax.vlines(station_index + offset, -rms, rms, color=colour, linewidth=3.0, alpha=0.8, label=bar_label)
         ax.set_ylabel(_observable_label(observable))
         ax.axhline(0.0, color=style.INK_COLOUR, linewidth=0.6)
         style.set_grid(ax)
@@ -80,9 +82,10 @@ def residuals_by_station_figure(plotted: Residuals, reference: Residuals | None 
 def signature_figure(
     without_finding: Residuals, with_finding: Residuals, covariate: str, scope: FindingScope
 ) -> Figure:
-    """Residuals of the observables of a finding over a covariate, without it (left) and with it (right).
+    """Residuals over a covariate, from the model without a finding (left) and with the finding (right).
 
-    Dots outside the place of the finding are pale.
+    A row of panels shows one observable of the finding; `scope` has its stations, targets and observables. Dots at
+    other stations and targets are pale.
     """
     shown = [
         n
@@ -91,28 +94,33 @@ def signature_figure(
     ]
     figure = style.new_figure(0.5 + 1.8 * max(len(shown), 1))
     grid = figure.subplots(len(shown), 2, sharex=True, sharey="row", squeeze=False)
-    scaled = (
+    normalised_residuals = (
         without_finding.normalised_residual,
         with_finding.normalised_by_noise_of(without_finding).normalised_residual,
     )
-    for line, observable in zip(grid, shown, strict=True):
-        for ax, residuals, normalised, word in zip(
-            line, (without_finding, with_finding), scaled, ("without", "with it"), strict=True
+    for panel_row, observable in zip(grid, shown, strict=True):
+        for ax, residuals, normalised, model_text in zip(
+            panel_row, (without_finding, with_finding), normalised_residuals, ("without", "with it"), strict=True
         ):
             rows = residuals.is_observable(observable) & np.isfinite(residuals.covariates[covariate])
-            here = rows & residuals.is_at(scope.stations, scope.targets)
-            if (rows & ~here).any():
-                _draw_residuals(ax, residuals, rows & ~here, covariate, color="#C3C8CC", label="elsewhere", ms=2.5)
+            is_at_finding = rows & residuals.is_at(scope.stations, scope.targets)
+            if (rows & ~is_at_finding).any():
+                _draw_residuals(
+                    ax, residuals, rows & ~is_at_finding, covariate, color="#C3C8CC", label="elsewhere", ms=2.5
+                )
             _draw_residuals(
-                ax, residuals, here, covariate, color=style.COLOUR_AFTER, label="place of the finding", ms=4.0
+                ax, residuals, is_at_finding, covariate, color=style.COLOUR_AFTER, label="place of the finding", ms=4.0
             )
             _draw_running_mean(
-                ax, residuals.covariates[covariate][here], residuals.residual[here], label="running mean"
+                ax,
+                residuals.covariates[covariate][is_at_finding],
+                residuals.residual[is_at_finding],
+                label="running mean",
             )
-            w = normalised[here]
-            size = float(np.sqrt(np.mean(w[np.isfinite(w)] ** 2))) if np.isfinite(w).any() else 0.0
-            ax.set_title(f"{word}: rms {size:.2f} of the noise", fontsize=8, fontweight="normal")
-        line[0].set_ylabel(_observable_label(observable))
+            w = normalised[is_at_finding]
+            rms = float(np.sqrt(np.mean(w[np.isfinite(w)] ** 2))) if np.isfinite(w).any() else 0.0
+            ax.set_title(f"{model_text}: rms {rms:.2f} of the noise", fontsize=8, fontweight="normal")
+        panel_row[0].set_ylabel(_observable_label(observable))
     for ax in grid[-1]:
         ax.set_xlabel(covariate_axis_label(covariate))
     style.add_legend(figure, grid[0, :1])
@@ -121,10 +129,10 @@ def signature_figure(
 
 @style.with_figure_style
 def response_curve_figure(curve: ResponseCurve, response: str, residuals: Residuals | None = None) -> Figure:
-    """Curve of a response over its covariate, with the 95 % band.
+    """Estimated curve of a response (an observable or a constant) over its covariate, with the 95 % band.
 
-    `residuals` without the finding are drawn as dots behind the curve of an observable, which then has the sign of a
-    residual.
+    If the response is an observable, the residuals of the model without the finding are drawn as dots behind the curve,
+    and the curve has the sign of a residual.
     """
     at, value, sigma = (np.array(values) for values in (curve.at, curve.value, curve.sigma))
     covariate, unit = curve.covariate, curve.unit
@@ -134,13 +142,13 @@ def response_curve_figure(curve: ResponseCurve, response: str, residuals: Residu
     factor, label = _axis_factor_and_label(covariate)
     sign = 1.0
     if residuals is not None and covariate in residuals.covariates and response in OBSERVABLE_UNITS:
-        rows, label_ = residuals.is_observable(response), "residuals without the finding"
-        _draw_residuals(ax, residuals, rows, covariate, color=style.COLOUR_BEFORE, label=label_, ms=2.5)
+        rows, dots_label = residuals.is_observable(response), "residuals without the finding"
+        _draw_residuals(ax, residuals, rows, covariate, color=style.COLOUR_BEFORE, label=dots_label, ms=2.5)
         sign = -SI_PER_UNIT[unit] / SI_PER_UNIT[OBSERVABLE_UNITS[response]]
         unit = OBSERVABLE_UNITS[response]
     order = np.argsort(at, kind="stable")
-    x, y, half = factor * at[order], sign * value[order], abs(sign) * BAND_HALF_WIDTH_SIGMAS * sigma[order]
-    ax.fill_between(x, y - half, y + half, color=style.RED, alpha=0.2, linewidth=0, label="95 % band")
+    x, y, half_width = factor * at[order], sign * value[order], abs(sign) * BAND_HALF_WIDTH_SIGMAS * sigma[order]
+    ax.fill_between(x, y - half_width, y + half_width, color=style.RED, alpha=0.2, linewidth=0, label="95 % band")
     ax.plot(x, y, color=style.RED, label="estimate")
     ax.axhline(0.0, color=style.INK_COLOUR, linewidth=0.6)
     ax.set_xlabel(label)
@@ -157,7 +165,7 @@ def covariate_axis_label(covariate: str) -> str:
 
 
 def _axis_factor_and_label(covariate: str) -> tuple[float, str]:
-    """Factor from the stored unit to the unit of the axis, and label of the axis."""
+    """Factor from the SI unit of a covariate to the unit of the axis, and label of the axis."""
     if covariate.endswith(("azimuth", "elevation", "incidence", "nest-direction")):
         return float(np.degrees(1.0)), f"{covariate} [°]"
     if covariate in ("time", "station-time", "lapse"):
@@ -166,20 +174,21 @@ def _axis_factor_and_label(covariate: str) -> tuple[float, str]:
 
 
 def _observable_label(observable: str) -> str:
+    """Axis label of an observable with its unit."""
     return f"{observable} [{style.unit_text(OBSERVABLE_UNITS[observable])}]"
 
 
 def _draw_residuals(ax: Axes, residuals: Residuals, rows: Bools, covariate: str, **style_options: Any) -> None:
     """Draw residuals over a covariate with a line at zero; `style_options` is passed to matplotlib."""
-    many = int(rows.sum()) > MAX_VECTOR_DOTS
+    is_rasterized = int(rows.sum()) > MAX_VECTOR_DOTS
     x, y = residuals.covariates[covariate][rows], residuals.residual[rows]
-    ax.plot(x, y, ".", alpha=0.7, rasterized=many, zorder=1.5, **style_options)
+    ax.plot(x, y, ".", alpha=0.7, rasterized=is_rasterized, zorder=1.5, **style_options)
     ax.axhline(0.0, color=style.INK_COLOUR, linewidth=0.6)
     style.set_grid(ax, grid_axis="both")
 
 
 def _draw_running_mean(ax: Axes, x: Floats, values: Floats, *, colour: str = style.RED, label: str = "mean") -> None:
-    """Draw the mean of the dots in about ten equally filled bins, with twice its standard error."""
+    """Draw means over `x` in about ten bins with equally many values, with a band of twice the standard error."""
     is_valid = np.isfinite(x) & np.isfinite(values)
     order = np.flatnonzero(is_valid)[np.argsort(x[is_valid], kind="stable")]
     bins = np.array_split(order, min(len(order) // 12, 12)) if len(order) >= 36 else []
@@ -195,7 +204,10 @@ def _draw_running_mean(ax: Axes, x: Floats, values: Floats, *, colour: str = sty
 def injected_and_estimated_figure(
     covariate: Floats, injected: Floats, estimated: Floats, axis: str, label: str
 ) -> Figure:
-    """Changes of readings (n,), injected as rings and estimated as dots, over a covariate (n,)."""
+    """Injected changes of n readings as rings and estimated changes as dots, over a covariate (n,).
+
+    `axis` is the label of the covariate, `label` that of the changes.
+    """
     figure, ax = style.new_panel(2.7)
     order = np.argsort(covariate, kind="stable")
     ax.axhline(0.0, color=style.GREY, linewidth=0.7)

@@ -60,9 +60,9 @@ if TYPE_CHECKING:
     from ltsim.reports.workshop import DrawnSights, PlacedWorkshop
 
 MIN_REPORTED_CRITERION_CHANGE = 0.05
-"""Smallest change of a criterion [%] that is reported as a change: the last displayed digit."""
+"""Smallest change of a criterion [%] that is reported as better or worse: half of the last displayed digit."""
 CONVERGED_STATUSES = ("", "converged", "not stated")
-"""Statuses of a fit without a warning."""
+"""Statuses of a fit for which the page has no warning."""
 
 
 def calibration_section(content: Calibration, context: ReportContext) -> Section:
@@ -75,36 +75,36 @@ def calibration_section(content: Calibration, context: ReportContext) -> Section
     """
     recording = context.recording
     require_same_recording(content, recording, context.folder or Path())
-    agrees, words = global_test_verdict(content.fit.chi2, content.fit.dof, content.fit.p_value)
+    agrees, agreement_words = global_test_verdict(content.fit.chi2, content.fit.dof, content.fit.p_value)
     if content.noise_estimated:
-        words = "the noise was estimated from the same readings, so the global test does not apply"
+        agreement_words = "the noise was estimated from the same readings, so the global test does not apply"
     converged = content.fit.status in CONVERGED_STATUSES
     targets, residuals = (context.companion_file(table.file, content) for table in (TARGETS_TABLE, RESIDUALS_TABLE))
-    pair = None if residuals is None or context.is_brief else adjustment_pair_if_possible(recording)
-    before = Residuals.from_adjustment(pair[0]) if pair else None
+    adjustments = None if residuals is None or context.is_brief else adjustment_pair_if_possible(recording)
+    before = Residuals.from_adjustment(adjustments[0]) if adjustments else None
     after = Residuals.read(residuals).with_covariates(before) if residuals else None
-    product = target_table(targets, note=f"Axes: {content.frame or 'those of the first station'}.")
-    good = agrees and converged and all(outlier.excluded for outlier in content.outliers)
-    needs_constants = converged and _agrees_with_constants(content)
-    words = _constants_sentence(content) or words
-    first = _parameter_blocks(content, truth_in_folder(context)) if content.parameters else []
-    fits = _reference_value_blocks(content)
-    ahead = fits if any(entry.excluded for entry in content.reference_values) else []
+    coordinate_table = target_table(targets, note=f"Axes: {content.frame or 'those of the first station'}.")
+    is_accepted = agrees and converged and all(outlier.excluded for outlier in content.outliers)
+    agrees_with_constants = converged and _agrees_with_constants(content)
+    agreement_words = _constants_sentence(content) or agreement_words
+    parameter_blocks = _parameter_blocks(content, truth_in_folder(context)) if content.parameters else []
+    reference_value_tables = _reference_value_blocks(content)
+    first_reference_tables = reference_value_tables if any(entry.excluded for entry in content.reference_values) else []
     blocks: list[Block] = [
         *_warning_blocks(content, converged=converged, agrees=agrees),
-        *ahead,
-        *first[:1],
+        *first_reference_tables,
+        *parameter_blocks[:1],
         *_criteria_blocks(content),
     ]
-    blocks += product if good else []  # coordinates of a rejected fit are in the details
-    shown = len(blocks) + 1
+    blocks += coordinate_table if is_accepted else []  # coordinates of a rejected fit are in the details
+    n_open_blocks = len(blocks) + 1
     if targets is not None and content.stations:
         blocks += workshop_blocks(lambda: calibrated_workshop(content, recording, targets, after), context.detail)
     blocks += determined_table("Determined in combination", content.determined)
     blocks += [
-        *([] if ahead else fits),
-        *first[1:],
-        *([] if good else product),
+        *([] if first_reference_tables else reference_value_tables),
+        *parameter_blocks[1:],
+        *([] if is_accepted else coordinate_table),
         *_station_blocks(content),
     ]
     if after is not None and not context.is_brief:
@@ -116,29 +116,34 @@ def calibration_section(content: Calibration, context: ReportContext) -> Section
     note = "Information: part of the prior variance that the recording removes; at 0 % it adds nothing."
     blocks += undetermined_table("Not determined by this recording", content.undetermined, note=note)
     kind = "Calibration" if content.parameters else "Network adjustment"
-    named = (recording.setup.title if recording else "") or (content.recording.title if content.recording else "")
-    accepted = "caution" if good and _corrected_faults(content) else assessment_of(good)
+    recording_title = (recording.setup.title if recording else "") or (
+        content.recording.title if content.recording else ""
+    )
+    assessment = "caution" if is_accepted and _corrected_faults(content) else assessment_of(is_accepted)
     return Section(
-        title=f"{kind}: {named}" if named else f"{kind} of {count_text(len(content.stations), 'station')}",
+        title=f"{kind}: {recording_title}"
+        if recording_title
+        else f"{kind} of {count_text(len(content.stations), 'station')}",
         kind=f"{kind} ({content.method or 'network'})" if content.parameters else kind,
-        summary=_answer_sentence(content, words, targets),
-        assessment="plain" if needs_constants else accepted,
+        summary=_answer_sentence(content, agreement_words, targets),
+        assessment="plain" if agrees_with_constants else assessment,
         key_figures=_key_figures(content, agrees=agrees),
         blocks=blocks,
-        next_actions=_next_actions(content, is_accepted=good),
+        next_actions=_next_actions(content, is_accepted=is_accepted),
         axes=content.frame,
-        n_open_blocks=shown,
+        n_open_blocks=n_open_blocks,
     )
 
 
 def _answer_sentence(content: Calibration, agreement_words: str, targets: Path | None) -> str:
-    size = count_text(len(content.stations), "station")
+    """Summary: determined parameters, agreement, improvement of distances, outliers, uncertainty of the targets."""
+    station_count = count_text(len(content.stations), "station")
     if not content.parameters:
-        begin = f"The network of {size} was adjusted without instrument parameters: {agreement_words}"
+        sentence = f"The network of {station_count} was adjusted without instrument parameters: {agreement_words}"
     else:
-        clear = [p for p in content.parameters if is_determined(p.sigma, p.prior_sigma)]
-        begin = (
-            f"The instrument was calibrated from {size}: {len(clear)} of "
+        determined = [p for p in content.parameters if is_determined(p.sigma, p.prior_sigma)]
+        sentence = (
+            f"The instrument was calibrated from {station_count}: {len(determined)} of "
             f"{count_text(len(content.parameters), 'parameter')} are determined, and {agreement_words}"
         )
     distance = None if content.criteria is None else content.criteria.distance
@@ -146,25 +151,25 @@ def _answer_sentence(content: Calibration, agreement_words: str, targets: Path |
         change = distance.improvement_percent
         word = "better" if change >= 0 else "worse"
         compared = f"{abs(change):.1f} % {word} than" if abs(change) >= MIN_REPORTED_CRITERION_CHANGE else "as well as"
-        begin += (
+        sentence += (
             f"; stations agree about distances {compared} before "
             f"({number_text(distance.before.mean_um)} to "
             f"{number_text(distance.after.mean_um if distance.after else None)} um)"
         )
     if content.outliers:
-        rejected = sum(outlier.excluded for outlier in content.outliers)
-        begin += f"; {count_text(len(content.outliers), 'reading')} did not fit"
-        were = "was" if rejected == 1 else "were"
-        begin += (
+        n_rejected = sum(outlier.excluded for outlier in content.outliers)
+        sentence += f"; {count_text(len(content.outliers), 'reading')} did not fit"
+        were = "was" if n_rejected == 1 else "were"
+        sentence += (
             f" and {were} left out"
-            if rejected == len(content.outliers)
-            else f", {rejected} left out"
-            if rejected
+            if n_rejected == len(content.outliers)
+            else f", {n_rejected} left out"
+            if n_rejected
             else ""
         )
-    begin += f".{_corrections_sentence(content)}"
+    sentence += f".{_corrections_sentence(content)}"
     accuracy = f" {target_uncertainty_sentence(read_targets(targets)[2])}" if targets is not None else ""
-    return f"{begin}{accuracy}".rstrip()
+    return f"{sentence}{accuracy}".rstrip()
 
 
 def _corrected_faults(content: Calibration) -> list[CauseTest]:
@@ -185,7 +190,7 @@ def _corrections_sentence(content: Calibration) -> str:
 
 
 def _agrees_with_constants(content: Calibration) -> bool:
-    """True if the readings scatter no more than declared as soon as the instrument's constants are estimated."""
+    """True if the readings scatter no more than declared in a fit that also estimates the instrument's constants."""
     fit = content.with_constants
     if fit is None:
         return False
@@ -194,7 +199,7 @@ def _agrees_with_constants(content: Calibration) -> bool:
 
 
 def _constants_sentence(content: Calibration) -> str:
-    """Agreement of the readings with and without the instrument's constants; empty where that was not compared."""
+    """Text on the global tests with and without estimated instrument constants; empty without such a comparison."""
     fit = content.with_constants
     if fit is None:
         return ""
@@ -220,7 +225,10 @@ def _key_figures(content: Calibration, *, agrees: bool) -> list[KeyFigure]:
 
 
 def _warning_blocks(content: Calibration, *, converged: bool, agrees: bool) -> list[Block]:
-    """Blocks of warnings: failed convergence, outliers, estimated noise. A rejected fit promises no benefit."""
+    """Blocks on what limits a calibration: convergence, verdict, uncertainty, outliers, estimated noise.
+
+    `agrees` is the result of the global test; the benefit is shown only if it is True.
+    """
     blocks: list[Block] = []
     if not converged:
         blocks.append(NoteBlock("The adjustment did not converge", content.fit.sentence or content.fit.status, "bad"))
@@ -245,7 +253,7 @@ def _warning_blocks(content: Calibration, *, converged: bool, agrees: bool) -> l
 
 
 def _reference_value_blocks(content: Calibration) -> list[TableBlock]:
-    note = "Residual: declared minus adjusted value; error: estimate from all other observations, +- one sigma."
+    note = "Residual: declared minus adjusted value. Error: estimate from all other observations, +- one sigma."
     shown = sorted(content.reference_values, key=lambda entry: (not entry.excluded, -entry.w))
     fields = ("kind", "name", "component", "residual", "error+-sigma_error", "minimal_detectable=detectable", "unit")
     return entries_table("Fit of the reference values", shown, *fields, "redundancy", "w", "excluded", note=note)
@@ -256,14 +264,14 @@ def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
     actions = cause_actions(_corrected_faults(content))
     remaining = [o for o in content.outliers if not o.excluded]
     if remaining:
-        which = listing([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in remaining], 3)
-        actions.append(f"Measure again, or reject with {option('robust=True')}: {which}.")
+        reading_names = listing([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in remaining], 3)
+        actions.append(f"Measure again, or reject with {option('robust=True')}: {reading_names}.")
     if content.with_constants is not None:
         actions.append("Estimate and remove the instrument's constants with ltsim calibrate.")
-    test = content.fit.p_value
+    p_value = content.fit.p_value
     if (
-        test is not None
-        and test < AGREEMENT_LEVEL / 2
+        p_value is not None
+        and p_value < AGREEMENT_LEVEL / 2
         and not (content.noise_estimated or _agrees_with_constants(content))
     ):
         actions.append("Run ltsim diagnose to locate the disagreement of readings and model.")
@@ -280,24 +288,28 @@ def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
 def _parameter_blocks(content: Calibration, truth: Truth | None) -> list[Block]:
     rows, true_values = content.parameters, {} if truth is None else truth.instrument_values
     names = [f"{p.name}@{p.instrument}" if p.instrument else p.name for p in rows]
-    true = [true_values[n] / SI_PER_UNIT[truth.units[n]] if truth and n in true_values else None for n in names]
+    true_in_display_units = [
+        true_values[n] / SI_PER_UNIT[truth.units[n]] if truth and n in true_values else None for n in names
+    ]
     text = "Corrections (truth minus reading) with 95 % intervals, relative to the specified standard deviation."
     note = "Corrections, truth minus reading, +- one sigma."
     if any(p.applied is not None for p in rows):
         note += " Applied: estimates without the terms that are not applied, with the prior scaled to the readings."
     blocks: list[Block] = [
-        PictureBlock("Instrument parameters", lambda: figures.parameters.parameter_figure(rows, true), text),
+        PictureBlock(
+            "Instrument parameters", lambda: figures.parameters.parameter_figure(rows, true_in_display_units), text
+        ),
         *table_block("Parameters in numbers", PARAMETERS_TABLE.with_rows(rows), note=note, is_foldable=False),
     ]
     if len(content.parameter_covariance) == len(rows) and len(rows) > 1:
         covariance = np.array(content.parameter_covariance)
         text = "Two parameters near +-100 % can hardly be separated with this network."
-        drawn = PictureBlock(
+        picture = PictureBlock(
             "Correlation of the parameters",
             lambda: figures.parameters.correlation_figure(rows, covariance),
             text,
         )
-        blocks.append(drawn)
+        blocks.append(picture)
     return blocks
 
 
@@ -322,7 +334,7 @@ def _station_blocks(content: Calibration) -> list[TableBlock]:
 def calibrated_workshop(
     content: Calibration, recording: Recording | None, targets: Path, residuals: Residuals | None
 ) -> PlacedWorkshop:
-    """Calibrated network for drawing."""
+    """Calibrated network for drawing, with residuals as colours of the lines of sight if they are given."""
     from scipy.spatial.transform import Rotation
 
     from ltsim.reports.workshop import PlacedWorkshop, workshop_with_surroundings
@@ -346,6 +358,7 @@ def calibrated_workshop(
 def _residual_sights(
     residuals: Residuals | None, stations: Sequence[str], targets: Sequence[str]
 ) -> DrawnSights | None:
+    """Lines of sight with the absolute normalised residual of each reading; None without residuals."""
     from ltsim.reports.workshop import DrawnSights
 
     if residuals is None:

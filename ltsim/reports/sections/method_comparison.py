@@ -25,64 +25,67 @@ COMPARED_STATISTICS = {
 }
 """Names of the statistics by which methods are compared, in the order of choice; smaller values are better."""
 MAX_COMPARED_CELLS = 48
-"""Largest number of settings of a comparison, each of which takes two queries per method."""
+"""Number of settings above which methods are not compared, since each setting takes two queries per method."""
 
 
 @dataclass(frozen=True)
 class MethodComparison:
-    """Paired differences of each other method minus the method with the smallest mean error."""
+    """Paired differences of each method minus the best method, which has the smallest mean error."""
 
     statistic: str
-    """Column of the rows."""
+    """Column of the error by which methods are compared."""
     best_method: str
     """Method with the smallest mean over all settings."""
     settings: tuple[str, ...]
     """Descriptions of the settings."""
     differences: Mapping[str, Sequence[PairedDifference]]
-    """Differences in each setting, by the other method."""
+    """Differences in each setting, by the method that is compared with the best method."""
 
     @classmethod
     def from_results(
         cls, results: CampaignResults, summaries: Mapping[str, list[StatisticSummary]]
     ) -> MethodComparison | None:
-        """Comparison of the methods of a campaign; None for one method, too many settings or no error to compare."""
+        """Comparison of the methods of a campaign; None for one method or too many settings, or without an error."""
         statistic = next((name for name in COMPARED_STATISTICS if summaries.get(name)), "")
         means: dict[str, list[float]] = {}
         for summary in summaries.get(statistic, []):
             means.setdefault(summary.method, []).append(summary.mean)
         if len(means) < 2 or len(results.levels) > MAX_COMPARED_CELLS or len({len(m) for m in means.values()}) > 1:
             return None
-        best = min(means, key=lambda method: sum(means[method]))
+        best_method = min(means, key=lambda method: sum(means[method]))
         differences = {
-            method: results.paired_differences(statistic, method=(method, best)).entries
+            method: results.paired_differences(statistic, method=(method, best_method)).entries
             for method in means
-            if method != best
+            if method != best_method
         }
         names = cell_descriptions(results)
-        return cls(statistic, best, tuple(names[cell] for cell in range(len(results.levels))), differences)
+        return cls(statistic, best_method, tuple(names[cell] for cell in range(len(results.levels))), differences)
 
     @property
     def label(self) -> str:
-        """Name of the statistic in words."""
+        """Compared error in words."""
         return COMPARED_STATISTICS[self.statistic]
 
     def sentence(self) -> str:
-        """Sentence on the methods that are worse than the best one, and in how many settings."""
+        """Sentence on how much larger the error with each other method is, and in how many settings."""
         phrases = []
         for method, entries in self.differences.items():
             n_decided = sum(entry.low > 0 for entry in entries)
             low, high = (number_text(limit(entry.difference for entry in entries)) for limit in (min, max))
-            size = f"{low} um" if len(entries) == 1 else f"{low} to {high} um"
-            where = "" if len(entries) == 1 else f" in {n_decided} of {len(entries)} settings"
-            smaller, same = f"smaller than with {method} by {size}{where}", f"not different from that with {method}"
-            phrases.append(smaller if n_decided else same)
+            difference_text = f"{low} um" if len(entries) == 1 else f"{low} to {high} um"
+            settings_text = "" if len(entries) == 1 else f" in {n_decided} of {len(entries)} settings"
+            smaller_text, equal_text = (
+                f"smaller than with {method} by {difference_text}{settings_text}",
+                f"not different from that with {method}",
+            )
+            phrases.append(smaller_text if n_decided else equal_text)
         return (
             f"On the same draws, the {self.label} with {self.best_method} is {listing(phrases)} "
             "(paired differences, 95 %)."
         )
 
     def blocks(self) -> list[TableBlock]:
-        """Table of the differences, with the definition of the statistic."""
+        """List with the table of the differences and the definition of the compared error."""
         rows = [
             [setting, f"{method} less {self.best_method}", entry.difference, entry.low, entry.high, _verdict(entry),
              entry.trials]
@@ -98,6 +101,6 @@ class MethodComparison:
 
 
 def _verdict(entry: PairedDifference) -> str:
-    """Method with the smaller error, if the interval of the difference excludes 0."""
+    """Text that names the method with the smaller error if the interval of the difference excludes 0."""
     better = entry.second if entry.low > 0 else entry.first if entry.high < 0 else ""
     return f"{better} is better" if better else "not decided"

@@ -55,19 +55,19 @@ WORK_TABLE = Table(
 )
 """Table of the work of each station."""
 AdjustmentPair = tuple[Adjustment, Adjustment]
-"""Adjusted networks without and with the instrument's parameters."""
+"""Two adjustments of one recording: without, then with the instrument's parameters."""
 
 
 def adjustment_pair(recording: Recording) -> AdjustmentPair:
-    """Adjusted networks without and with the instrument's parameters; raises NetworkError, ConvergenceError."""
-    plain, full = adjust(recording), adjust(recording, declared_construction(recording))
-    plain.solution.require_success()
-    full.solution.require_success()
-    return plain, full
+    """Adjustments without and with the instrument's parameters; raises NetworkError, ConvergenceError."""
+    without_parameters, with_parameters = adjust(recording), adjust(recording, declared_construction(recording))
+    without_parameters.solution.require_success()
+    with_parameters.solution.require_success()
+    return without_parameters, with_parameters
 
 
 def adjustment_pair_if_possible(recording: Recording | None) -> AdjustmentPair | None:
-    """Adjusted networks as of `adjustment_pair`; None without a recording, or if it cannot be adjusted."""
+    """Adjustments without and with the instrument's parameters; None without a recording that can be adjusted."""
     try:
         return adjustment_pair(recording) if recording is not None else None
     except (NetworkError, ConvergenceError):
@@ -75,25 +75,28 @@ def adjustment_pair_if_possible(recording: Recording | None) -> AdjustmentPair |
 
 
 def truth_in_folder(context: ReportContext) -> Truth | None:
-    """Truth of a simulation in the folder of a result."""
+    """Truth of a simulation in the folder of a result; None without a file `truth.json`."""
     file = context.folder / TRUTH_FILE if context.folder else None
     return read_truth(file) if file is not None and file.is_file() else None
 
 
 def residual_figures(residuals: Residuals, reference: Residuals | None) -> list[Block]:
-    """Figures of residuals by station and over covariates; `reference` is without the instrument's parameters."""
-    compared = " Grey: without the instrument's parameters; blue: with." if reference is not None else ""
+    """Figures of residuals by station and over covariates.
+
+    `reference` are residuals of the adjustment without the instrument's parameters, for comparison.
+    """
+    comparison_text = " Grey: without the instrument's parameters; blue: with." if reference is not None else ""
     text = "Observed minus adjusted reading of every pointing; the bar is the root mean square."
-    drawn = PictureBlock(
+    picture = PictureBlock(
         "Residuals by station",
         lambda: figures.residuals.residuals_by_station_figure(residuals, reference),
-        text + compared,
+        text + comparison_text,
     )
-    return [drawn, *residuals_over_covariates(residuals)]
+    return [picture, *residuals_over_covariates(residuals)]
 
 
 def residuals_over_covariates(residuals: Residuals) -> list[Block]:
-    """Figure of residuals over covariates."""
+    """List with the figure of residuals over covariates; empty without covariates."""
     text = "Lines: running means with twice their standard error; they stay at zero if the model is correct."
     title = "Residuals over covariates"
     shared = set(DEFAULT_COVARIATES) & set(residuals.covariates)
@@ -105,7 +108,7 @@ def residuals_over_covariates(residuals: Residuals) -> list[Block]:
 
 
 def workshop_blocks(placed_workshop: Callable[[], PlacedWorkshop], detail: WorkshopDetail) -> list[Block]:
-    """3D view and floor plan, according to `detail`."""
+    """Floor plan for the detail `plan`, 3D view and floor plan for `turn`; empty for `none`."""
     if detail == "none":
         return []
     workshop = placed_workshop()
@@ -113,23 +116,25 @@ def workshop_blocks(placed_workshop: Callable[[], PlacedWorkshop], detail: Works
         "Seen from above. Do not place a reflector on the floor inside a shadow circle: the elevation limit of the "
         "station hides it"
     )
-    drawn = "; ".join([text, *workshop.notes]) + "."
-    plan = PictureBlock("Floor plan", lambda: figures.floor_plan.floor_plan(workshop), drawn)
+    caption = "; ".join([text, *workshop.notes]) + "."
+    plan = PictureBlock("Floor plan", lambda: figures.floor_plan.floor_plan(workshop), caption)
     return [scene_block(workshop), plan] if detail == "turn" else [plan]
 
 
 def scene_block(workshop: PlacedWorkshop) -> SceneBlock | NoteBlock:
-    """3D view with its interactive page; a note if packages are missing."""
+    """3D view of a workshop with its interactive page; a note if the packages for 3D views are missing."""
     if not is_installed("pyvista"):
         return NoteBlock("No 3D view", str(missing_extra("3D views", "view")))
     from ltsim.reports.scene_page import scene_picture_and_page  # slow to import
     from ltsim.reports.style import webp_data_uri
 
-    coloured = workshop.with_sights_by("incidence")
-    picture, legend, page = scene_picture_and_page(coloured)
-    lines = "; ".join(line.rstrip(".") for line in legend.lines)
-    by = f" Lines of sight are coloured by {coloured.sights.label}." if coloured.sights else ""
-    caption = f"{lines[:1].upper()}{lines[1:]}.{by}"
+    coloured_workshop = workshop.with_sights_by("incidence")
+    picture, legend, page = scene_picture_and_page(coloured_workshop)
+    legend_text = "; ".join(line.rstrip(".") for line in legend.lines)
+    colour_sentence = (
+        f" Lines of sight are coloured by {coloured_workshop.sights.label}." if coloured_workshop.sights else ""
+    )
+    caption = f"{legend_text[:1].upper()}{legend_text[1:]}.{colour_sentence}"
     return SceneBlock("The workshop in 3D", webp_data_uri(picture), caption, page)
 
 
@@ -140,13 +145,13 @@ def undetermined_table(title: str, entries: Sequence[UndeterminedEntry], *, note
 
 
 def determined_table(title: str, entries: Sequence[DeterminedEntry]) -> list[TableBlock]:
-    """Table of combinations of parameters that are determined far better than the single ones."""
+    """Table of combinations of parameters that are determined far better than the single parameters."""
     note = "The combination is determined far better than its single parameters."
     return entries_table(title, entries, "text=combination", "instrument", "value+-sigma", "unit", note=note)
 
 
 def target_table(file: Path | None, *, note: str) -> list[TableBlock]:
-    """Table of the coordinates in a `targets.csv` with expanded uncertainties; empty list without a file."""
+    """List with the table of coordinates in a `targets.csv`, with expanded uncertainties; empty without a file."""
     if file is None:
         return []
     names, points, sigma = read_targets(file)
@@ -157,19 +162,22 @@ def target_table(file: Path | None, *, note: str) -> list[TableBlock]:
 
 
 def target_uncertainty_sentence(sigma: Floats) -> str:
-    """Sentence on the uncertainty of targets with sigmas (T, 3) [m]; in plan if heights are undetermined."""
-    placed = sigma[np.isfinite(sigma[:, :2]).all(axis=1)]
-    flat = bool(np.isnan(placed).any())
-    sizes = np.sort(np.sqrt((placed[:, : 2 if flat else 3] ** 2).sum(axis=1)))
-    if not len(sizes):
+    """Sentence on the typical and the largest uncertainty of T targets with sigmas (T, 3) [m].
+
+    It is the uncertainty in plan if the height of a target is undetermined (NaN). Empty without determined targets.
+    """
+    determined = sigma[np.isfinite(sigma[:, :2]).all(axis=1)]
+    is_in_plan = bool(np.isnan(determined).any())
+    point_sigmas = np.sort(np.sqrt((determined[:, : 2 if is_in_plan else 3] ** 2).sum(axis=1)))
+    if not len(point_sigmas):
         return ""
-    typical, worst = (number_text(2e6 * s, 2) for s in (np.median(sizes), sizes[-1]))
-    where = "plan" if flat else "space"
-    return f"Expanded uncertainty of a target in {where}: U = {typical} um (k = 2), {worst} um for the worst."
+    typical, worst = (number_text(2e6 * s, 2) for s in (np.median(point_sigmas), point_sigmas[-1]))
+    space_text = "plan" if is_in_plan else "space"
+    return f"Expanded uncertainty of a target in {space_text}: U = {typical} um (k = 2), {worst} um for the worst."
 
 
 def recording_section(folder: Path, *, detail: WorkshopDetail = "turn", is_brief: bool = False) -> Section:
-    """Section of a recording; a `is_brief` one leaves residuals to the section of its calibration.
+    """Section of a recording; with `is_brief` the residuals are left to the section of its calibration.
 
     Raises
     ------
@@ -186,33 +194,46 @@ def recording_section(folder: Path, *, detail: WorkshopDetail = "turn", is_brief
         KeyFigure("pointings", str(len(recording))),
         KeyFigure("known lengths", str(len(recording.gauge.distance))),
     ]
-    last: list[Block] = [*_work_table(recording), _settings_blocks(folder)]
+    last_blocks: list[Block] = [*_work_table(recording), _settings_blocks(folder)]
     try:
-        plain, full = adjustment_pair(recording)
+        without_parameters, with_parameters = adjustment_pair(recording)
     except (NetworkError, ConvergenceError) as problem:
         answer = f"{_content_key_figures(recording)} The network could not be adjusted: {problem}."
-        return Section(title, "Recording", answer, "bad", facts, last)
-    agrees, words = global_test_verdict(full.chi2, full.dof, full.p_value)
-    outliers = full.flagged_readings()
+        return Section(title, "Recording", answer, "bad", facts, last_blocks)
+    agrees, agreement_text = global_test_verdict(with_parameters.chi2, with_parameters.dof, with_parameters.p_value)
+    outliers = with_parameters.flagged_readings()
     outlier_text = f" Outliers: {count_text(len(outliers), 'reading')}." if outliers else ""
     facts += [
-        KeyFigure("sigma0", f"{np.sqrt(full.chi2 / max(full.dof, 1)):.3f}", assessment_of(agrees)),
-        KeyFigure("p, two-sided", p_text(two_sided(full.p_value)), assessment_of(agrees)),
+        KeyFigure(
+            "sigma0", f"{np.sqrt(with_parameters.chi2 / max(with_parameters.dof, 1)):.3f}", assessment_of(agrees)
+        ),
+        KeyFigure("p, two-sided", p_text(two_sided(with_parameters.p_value)), assessment_of(agrees)),
         KeyFigure("outliers", str(len(outliers)), "bad" if outliers else "plain"),
     ]
-    workshop = workshop_from_adjustment(full, without_parameters=plain) if detail != "none" else None
+    workshop = (
+        workshop_from_adjustment(with_parameters, without_parameters=without_parameters) if detail != "none" else None
+    )
     if not is_brief:
-        before, after = Residuals.from_adjustment(plain), Residuals.from_adjustment(full)
-        last = [*residual_figures(after, before), *last]
-    del plain, full  # whose designs take more memory than all pictures
+        before, after = Residuals.from_adjustment(without_parameters), Residuals.from_adjustment(with_parameters)
+        last_blocks = [*residual_figures(after, before), *last_blocks]
+    del without_parameters, with_parameters  # whose designs take more memory than all pictures
     blocks = workshop_blocks(lambda: workshop, detail) if workshop is not None else []
-    answer = f"{_content_key_figures(recording)} With the instrument's parameters adjusted, {words}.{outlier_text}"
+    answer = (
+        f"{_content_key_figures(recording)} With the instrument's parameters adjusted, {agreement_text}.{outlier_text}"
+    )
     return Section(
-        title, "Recording", answer, assessment_of(agrees and not outliers), facts, [*blocks, *last], n_open_blocks=2
+        title,
+        "Recording",
+        answer,
+        assessment_of(agrees and not outliers),
+        facts,
+        [*blocks, *last_blocks],
+        n_open_blocks=2,
     )
 
 
 def _content_key_figures(recording: Recording) -> str:
+    """Sentence on the number of pointings, stations, targets and faces, and on the duration."""
     faces = "two faces" if (recording.face == 2).any() else "one face"
     time = f" over {duration_text(float(np.ptp(recording.time)))}" if recording.has_clock and len(recording) else ""
     return (
@@ -224,14 +245,19 @@ def _content_key_figures(recording: Recording) -> str:
 def _work_table(recording: Recording) -> list[TableBlock]:
     rows = []
     for s, name in enumerate(recording.stations):
-        here = recording.station == s
-        sizes = (here.sum(), len(set(recording.target[here].tolist())), len(set(recording.face[here].tolist())))
-        begin = duration_text(float(recording.time[here].min())) if recording.has_clock else MISSING_TEXT
-        rows.append([name, *map(int, sizes), int((~recording.is_measured[here]).sum()), begin])
+        is_at_station = recording.station == s
+        counts = (
+            is_at_station.sum(),
+            len(set(recording.target[is_at_station].tolist())),
+            len(set(recording.face[is_at_station].tolist())),
+        )
+        start_text = duration_text(float(recording.time[is_at_station].min())) if recording.has_clock else MISSING_TEXT
+        rows.append([name, *map(int, counts), int((~recording.is_measured[is_at_station]).sum()), start_text])
     return table_block("Work of each station", WORK_TABLE.with_rows(rows))
 
 
 def _settings_blocks(folder: Path) -> Block:
+    """Block with the `setup.toml` of a recording; a note if the folder has none."""
     file = folder / "setup.toml"
     if not file.is_file():
         return NoteBlock("Set-up", "There is no setup.toml; the default noise and priors were used.")

@@ -1,4 +1,4 @@
-"""Simple sections: a sentence, tables and at most one picture."""
+"""Sections with a sentence, tables and at most one picture: checks, comparisons, acceptance, uncertainty, history."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ if TYPE_CHECKING:
 
 EntryWithName = TypeVar("EntryWithName", ChangeEntry, EventEntry)
 MIN_PASS_PROBABILITY = 0.5
-"""Probability of passing all tests from which a prediction is good; dimensionless, by convention one half."""
+"""Probability to pass all tests, 0 to 1, from which a prediction is assessed as good; by convention one half."""
 ASSESSMENT_BY_JUDGEMENT: dict[Judgement, Assessment] = {"accepted": "good", "rejected": "bad", "undecided": "caution"}
 """Assessment of measured errors by their judgement."""
 MAX_ZERO_CONSTANT = 1e-6
-"""Constant of an effect, in its unit, up to which it is zero and is not printed."""
+"""Largest absolute value of an instrument constant, in the unit of the constant, that is not printed."""
 UNCERTAINTY_NOTE = (
     "U: expanded uncertainty; mc: limits of the Monte Carlo interval, to be used if it does not agree with U "
     "(JCGM 101, clause 8)."
@@ -54,7 +54,7 @@ UNDETECTABLE_NOTE = (
 )
 """Note below a table of undetectable errors."""
 MAX_BUDGET_BARS = 40
-"""Largest number of results in a figure of budgets."""
+"""Largest number of results in a figure of uncertainty budgets; the first ones are drawn."""
 MAX_LISTED_TESTS = 200
 """Largest number of acceptance tests in a table, the least likely to pass first."""
 ACTIONS_BY_FAILED_TEST = {
@@ -64,33 +64,46 @@ ACTIONS_BY_FAILED_TEST = {
     ),
     ("network",): "Run ltsim diagnose to locate the disagreement of the stations.",
 }
-"""Next action by the kinds of failed tests of no identified cause; `place` is their targets, or their stations."""
+"""Next action by the kinds of failed tests without an identified cause.
+
+`place` stands for the targets of the tests, or for their stations if they have no targets.
+"""
 
 
 def check_section(content: Check, context: ReportContext) -> Section:
     """Section of a field check: go or no-go, and every test."""
-    drawn = context.companion_file("check.svg", content)
+    picture_file = context.companion_file("check.svg", content)
     caption = "Above: half two-face differences over their limits. Below: misfit of each pointing over time."
     blocks: list[Block] = (
-        [] if drawn is None else [PictureBlock("At a glance", lambda: drawn.read_text("utf-8"), caption)]
+        [] if picture_file is None else [PictureBlock("At a glance", lambda: picture_file.read_text("utf-8"), caption)]
     )
     fields = ("station", "kind=test", "sentence=result", "targets", "p_value")
     for title, passed in (("Tests failed", False), ("Tests passed", True)):
         blocks += entries_table(title, [i for i in content.items if i.passed is passed], *fields, is_foldable=False)
     failed = sum(not item.passed for item in content.items)
     facts = [KeyFigure("tests", str(len(content.items))), KeyFigure("failed", str(failed), assessment_of(not failed))]
-    blocks = [*blocks[1:2], *blocks[:1], *blocks[2:]] if failed and drawn else blocks
-    shown = 2 if failed else 1
-    named = content.recording.title if content.recording else ""
-    title, answer = f"Check in the field: {named}" if named else "Check in the field", as_sentence(content.sentence)
+    blocks = [*blocks[1:2], *blocks[:1], *blocks[2:]] if failed and picture_file else blocks
+    n_open_blocks = 2 if failed else 1
+    recording_title = content.recording.title if content.recording else ""
+    title, answer = (
+        f"Check in the field: {recording_title}" if recording_title else "Check in the field",
+        as_sentence(content.sentence),
+    )
     actions = [*cause_actions(content.tests), *_failed_test_actions(content)]
     return Section(
-        title, "Check", answer, assessment_of(content.passed), facts, blocks, n_open_blocks=shown, next_actions=actions
+        title,
+        "Check",
+        answer,
+        assessment_of(content.passed),
+        facts,
+        blocks,
+        n_open_blocks=n_open_blocks,
+        next_actions=actions,
     )
 
 
 def _failed_test_actions(content: Check) -> list[str]:
-    """Next actions after failed tests of no identified cause."""
+    """Next actions after failed tests without an identified cause."""
     actions = []
     causes = [item_from_cause(test) for test in content.tests]
     for kinds, action in ACTIONS_BY_FAILED_TEST.items():
@@ -111,10 +124,12 @@ def comparison_section(content: Comparison, _: ReportContext) -> Section:
         "dx, dy, dz: with one standard deviation; a: largest semi-axis of the 95 % confidence ellipsoid; visible: the "
     )
     note += "smallest motion that is detected with probability 80 %."
-    shown = DISPLACEMENTS_TABLE.with_rows(d.row for d in points).with_columns(
+    shown_table = DISPLACEMENTS_TABLE.with_rows(d.row for d in points).with_columns(
         "target moved dx_um dy_um dz_um a_um visible_um p_value"
     )
-    table = table_block("Every point", shown, note=note, marked_rows=frozenset(range(len(moved))), is_foldable=False)
+    table = table_block(
+        "Every point", shown_table, note=note, marked_rows=frozenset(range(len(moved))), is_foldable=False
+    )
     facts = [
         KeyFigure("points", str(len(points))),
         KeyFigure("moved", str(len(moved)), assessment_of(not moved)),
@@ -122,12 +137,12 @@ def comparison_section(content: Comparison, _: ReportContext) -> Section:
         *([] if content.scale_ppm is None else [KeyFigure("scale", f"{content.scale_ppm:+.2f} ppm")]),
     ]
     answer = " ".join(map(as_sentence, (content.sentence, *content.notes)))
-    drawn = PictureBlock("Displacements", lambda: figures.points.displacement_figure(content), caption)
+    picture = PictureBlock("Displacements", lambda: figures.points.displacement_figure(content), caption)
     action = f"Inspect and re-measure these points before you use them as references: {listing(moved)}."
     if content.is_rigid_motion:
         action = f"If the lists are in different frames, compare them with {option('free=True')}."
     return Section(
-        "Comparison of two epochs", "Comparison", answer, assessment_of(not moved), facts, [drawn, *table],
+        "Comparison of two epochs", "Comparison", answer, assessment_of(not moved), facts, [picture, *table],
         axes="the first epoch's", next_actions=[action] if moved else [],
     )  # fmt: skip
 
@@ -143,14 +158,14 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
     caption = "Error of each test divided by its limit, with its expanded uncertainty; the limit is at +-1. "
     caption += "Crosses are beyond it" + ("." if predicted else ", open circles are undecided.")
     note = f"Assumed: {content.assumption}." if content.assumption else ""
-    ranked = sorted(content.tests, key=lambda t: (t.passes or 0.0, -t.guarded_share))[:MAX_LISTED_TESTS]
+    least_likely_tests = sorted(content.tests, key=lambda t: (t.passes or 0.0, -t.guarded_share))[:MAX_LISTED_TESTS]
     last_column = "passes" if predicted else "judgement"
     blocks: list[Block] = [
         PictureBlock("Errors over limits", lambda: figures.points.error_to_limit_figure(content), caption),
         *table_block("Groups", content.table("groups"), note=note),
         *entries_table(
-            "The hardest tests", ranked, "name=test", "error_um", "expanded_um=U (k = 2)", "limit_um", last_column,
-            is_marked=lambda t: t.judgement == "rejected",
+            "The hardest tests", least_likely_tests, "name=test", "error_um", "expanded_um=U (k = 2)", "limit_um",
+            last_column, is_marked=lambda t: t.judgement == "rejected",
         ),
         *entries_table(
             "Sensitivity of the tests to single constants", content.sensitivities, "name=constant",
@@ -164,8 +179,8 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
             for name, value in worst.constants.items()
             if abs(value) > MAX_ZERO_CONSTANT
         )
-        blind = [s.name for s in content.sensitivities if s.smallest_failing is None]
-        text = f"No test detects {', '.join(blind)}. " if blind else ""
+        undetected_constants = [s.name for s in content.sensitivities if s.smallest_failing is None]
+        text = f"No test detects {', '.join(undetected_constants)}. " if undetected_constants else ""
         text += (
             f"An instrument with {constants} passes every test, although points at 1.5 to 9 m have errors of "
             f"{worst.rms_um:.0f} um (rms; {worst.largest_um:.0f} um at most)."
@@ -180,7 +195,7 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
         *([KeyFigure("limits", content.specification.name)] if content.specification.name else []),
     ]
     title = content.title or "Acceptance tests of a tracker"
-    kind, named = "Prediction" if predicted else "Acceptance", content.specification.name or ""
+    kind, specification_name = "Prediction" if predicted else "Acceptance", content.specification.name or ""
     return Section(
         title,
         kind,
@@ -188,7 +203,7 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
         assessment,
         facts,
         blocks,
-        instrument=named,
+        instrument=specification_name,
         next_actions=content.next_actions,
     )
 
@@ -209,10 +224,11 @@ def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
     for r in content.results:
         head = f"Budget of {r.task}, {r.name}" + (f" [{r.unit}]" if r.unit else "")
         blocks += entries_table(head, [part for part in r.budget if part.share > 1e-3], *fields)
-    by_word = {w: [r.text for r in judged_results if r.conformity and r.conformity.judgement == w]
+    result_texts_by_judgement = {w: [r.text for r in judged_results if r.conformity and r.conformity.judgement == w]
                for w in ("accepted", "rejected", "undecided")}  # fmt: skip
     answer = (
-        "; ".join(f"{word}: {listing(names, 3)}" for word, names in by_word.items() if names) or content.results[0].text
+        "; ".join(f"{word}: {listing(names, 3)}" for word, names in result_texts_by_judgement.items() if names)
+        or content.results[0].text
     )
     facts = [KeyFigure("results", str(len(content.results))), KeyFigure("coverage", f"{100 * content.coverage:g} %")]
     facts += [] if content.sigma0 is None else [KeyFigure("sigma0 of the adjustment", number_text(content.sigma0))]
@@ -221,7 +237,7 @@ def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
         title,
         "Uncertainty",
         as_sentence(answer),
-        assessment_of(not by_word["rejected"]),
+        assessment_of(not result_texts_by_judgement["rejected"]),
         facts,
         blocks,
         axes=content.frame,
@@ -237,26 +253,32 @@ def uncertainty_budget_figure(content: Uncertainty) -> Figure:
 
 
 def _site_sentence(content: NextMeasurement) -> str:
-    """Sentence on what the proposals of new stations know of the hall; empty without such proposals."""
+    """Sentence on the plan of the hall that new stations comply with; a warning if no plan was given."""
     has_station = any(proposal.kind == "station" for proposal in content.proposals)
     if content.site:
         result = "New stations meet" if has_station else "No new station meets"
-        return f"{result} the floor, the bodies and the sights of {content.site}."
+        return f"{result} the rules of {content.site} for floor, bodies and lines of sight."
     if not has_station:
         return ""
-    sentence = "A recording contains no floor, bodies or blocked sights: check each proposed station against the hall, "
-    return f"{sentence}or name its plan with {option('site')}."
+    sentence = (
+        "A recording contains no floor, bodies or blocked lines of sight: check each proposed station against the "
+    )
+    return f"{sentence}hall, or name its plan with {option('site')}."
 
 
 def next_measurement_section(content: NextMeasurement, _: ReportContext) -> Section:
     """Section of proposed further measurements."""
     best = content.proposals[0]
-    decided = assessment_of(best.decides) if content.between else "plain"
-    saved = [100 * (1 - factor) for factor in (best.sharper, best.serves_factor)]
+    assessment = assessment_of(best.decides) if content.between else "plain"
+    reductions = [100 * (1 - factor) for factor in (best.sharper, best.serves_factor)]
     answer = f"Measure next: {best.do} ({duration_text(60 * best.minutes)}); the standard deviations of the "
-    answer += f"instrument's parameters fall by {saved[0]:.0f} % on average, of {best.serves} by {saved[1]:.0f} %."
+    answer += (
+        f"instrument's parameters fall by {reductions[0]:.0f} % on average, of {best.serves} by {reductions[1]:.0f} %."
+    )
     answer = as_sentence(content.advice) if content.between and content.advice else answer
-    note = "Factors on the standard deviations of the instrument's parameters: their mean, and the smallest."
+    note = (
+        "Factors: standard deviation of a parameter after the measurement, divided by that before; mean and smallest."
+    )
     proposals = content.table("proposals").with_columns("do minutes sharper serves serves_factor")
     note = f"{note} {_site_sentence(content)}".rstrip()
     blocks: list[Block] = [*table_block("Further measurements, the best first", proposals, note=note)]
@@ -266,46 +288,52 @@ def next_measurement_section(content: NextMeasurement, _: ReportContext) -> Sect
     blocks += [NoteBlock("Diagnosis of the recording", content.diagnosis)] if content.diagnosis else []
     facts = [
         KeyFigure("time for it", duration_text(60 * best.minutes)),
-        KeyFigure("mean fall of sigma", f"{saved[0]:.0f} %"),
+        KeyFigure("mean fall of sigma", f"{reductions[0]:.0f} %"),
     ]
     actions = [as_sentence(proposal.do) for proposal in content.proposals[:1]]
-    return Section("What to measure next", "Next measurement", answer, decided, facts, blocks, next_actions=actions)
+    return Section("What to measure next", "Next measurement", answer, assessment, facts, blocks, next_actions=actions)
 
 
 def history_section(content: History, _: ReportContext) -> Section:
     """Section of the history of an instrument."""
     labels = content.labels
     content = _with_short_labels(content)
-    since, usual = content.since_first, len(labels) > MIN_STEPS_FOR_USUAL
-    changed = bool(content.events) if usual else since.p_value < FAMILY_LEVEL
+    since, knows_usual_changes = content.since_first, len(labels) > MIN_STEPS_FOR_USUAL
+    has_changed = bool(content.events) if knows_usual_changes else since.p_value < FAMILY_LEVEL
     text = "Estimates with 95 % intervals; the band is the mean +- the spread of the true values between calibrations."
     figure = partial(figures.parameters.history_figure, labels, content.determined_parameters)
     course = [PictureBlock("Course of the parameters", figure, text)] if content.determined_parameters else []
-    few = "no event can be detected" if len(labels) <= MIN_STEPS_FOR_TEST else "only a gross event can be detected"
-    hardly = f" {len(labels)} calibrations are too few to know the usual changes of the instrument: {few}."
-    note = "Marked: p < 1 % for such differences without a change." + hardly * (not usual)
-    scaled = "Where sigma0 is significantly above 1, the sigmas of that calibration are multiplied by it."
+    limitation = (
+        "no event can be detected" if len(labels) <= MIN_STEPS_FOR_TEST else "only a gross event can be detected"
+    )
+    few_calibrations_sentence = (
+        f" {len(labels)} calibrations are too few to estimate the usual changes of the instrument: {limitation}."
+    )
+    note = "Marked: p < 1 % for such differences without a change." + few_calibrations_sentence * (
+        not knows_usual_changes
+    )
+    fits_note = "Where sigma0 is significantly above 1, the sigmas of that calibration are multiplied by it."
     changes = content.table("changes")
-    marked = frozenset(i for i, p in enumerate(changes.column("p_value")) if p < FAMILY_LEVEL)
+    significant_rows = frozenset(i for i, p in enumerate(changes.column("p_value")) if p < FAMILY_LEVEL)
     blocks: list[Block] = [
-        *table_block("Changes between calibrations", changes, note=note, marked_rows=marked),
+        *table_block("Changes between calibrations", changes, note=note, marked_rows=significant_rows),
         *course,
         *table_block("Events: unusual steps", content.table("events")),
         *table_block("Parameters", content.table("parameters")),
-        *table_block("Fits of the calibrations", content.table("fits"), note=scaled),
+        *table_block("Fits of the calibrations", content.table("fits"), note=fits_note),
     ]
     facts = [
         KeyFigure("calibrations", str(len(labels))),
         KeyFigure("events", str(len(content.events)), assessment_of(not content.events)),
-        KeyFigure("p of no change since the first", p_text(since.p_value), assessment_of(not changed)),
+        KeyFigure("p of no change since the first", p_text(since.p_value), assessment_of(not has_changed)),
     ]
     answer = f"Over {count_text(len(labels), 'calibration')} from {since.from_} to {since.to} the instrument "
-    answer += _course_sentence(content, usual)
-    return Section("History of an instrument", "History", answer, assessment_of(not changed), facts, blocks)
+    answer += _course_sentence(content, knows_usual_changes)
+    return Section("History of an instrument", "History", answer, assessment_of(not has_changed), facts, blocks)
 
 
 def _with_short_labels(content: History) -> History:
-    """The history with the parts of its labels that distinguish them."""
+    """The history with shortened labels of its calibrations, which are still distinct."""
     short = dict(zip(content.labels, distinct_labels(content.labels), strict=True))
 
     def with_short_label(entry: EntryWithName) -> EntryWithName:
@@ -322,7 +350,11 @@ def _with_short_labels(content: History) -> History:
     )
 
 
-def _course_sentence(content: History, is_usual: bool) -> str:
+def _course_sentence(content: History, knows_usual_changes: bool) -> str:
+    """End of the summary of a history: events, or changes since the first calibration.
+
+    `knows_usual_changes` is True if there are enough calibrations to compare with the usual changes of the instrument.
+    """
     since, events = content.since_first, content.events
     tested = f"(chi2 {since.chi2:.0f} for {since.dof}, {format_p(since.p_value)})"
     if events:
@@ -334,7 +366,7 @@ def _course_sentence(content: History, is_usual: bool) -> str:
         return f"shows no change since the first {tested}" + (
             f", though it did between {listing(between)}." if between else "."
         )
-    if is_usual:
+    if knows_usual_changes:
         return f"changed no more than it usually does between calibrations {tested}."
     phrase = f", mainly in {listing(since.changed)}" if since.changed else ", in no single parameter significantly"
     return f"has changed since the first{phrase} {tested}."

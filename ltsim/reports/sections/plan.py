@@ -36,15 +36,15 @@ def plan_section(content: Plan, context: ReportContext) -> Section:
     """
     frame = f"{content.frame[:1].upper()}{content.frame[1:]}." if content.frame else ""
     blocks: list[Block] = [*table_block("Places of the tripod", content.table("stations"), note=frame)]
-    file = context.companion_file("scenario.toml", content)
-    scenario = None if file is None else load_scenario(file)
-    drawn, changed = _layout_pictures(content, scenario, has_3d_view=context.detail == "turn")
-    blocks += drawn
+    scenario_file = context.companion_file("scenario.toml", content)
+    scenario = None if scenario_file is None else load_scenario(scenario_file)
+    layout_pictures, change_pictures = _layout_pictures(content, scenario, has_3d_view=context.detail == "turn")
+    blocks += layout_pictures
     if content.blocked_sights:
         blocks.append(BulletListBlock("Blocked lines of sight", content.blocked_sights))
     if content.reasons:
         blocks.append(BulletListBlock("Reasons for this plan", content.reasons))
-    blocks += _tolerance_tables(content) + _reflector_changes_table(content) + changed
+    blocks += _tolerance_tables(content) + _reflector_changes_table(content) + change_pictures
     blocks += _trade_off_picture(content) + _parameter_picture(content)
     blocks += table_block("Expected by the paper's criteria", content.table("expected"))
     blocks += undetermined_table("Not determined by this layout", content.undetermined)
@@ -55,9 +55,9 @@ def plan_section(content: Plan, context: ReportContext) -> Section:
     if content.bodies:
         blocks.append(BulletListBlock("Bodies in the hall", content.bodies))
     blocks.append(CodeBlock("Settings of the plan", content.settings.model_dump_json(indent=1)))
-    good = assessment_of(not content.broken_rules and content.reached is not False)
+    assessment = assessment_of(not content.broken_rules and content.reached is not False)
     return Section(
-        title=content.title or "Plan of a network", kind="Plan", summary=content.summary, assessment=good,
+        title=content.title or "Plan of a network", kind="Plan", summary=content.summary, assessment=assessment,
         key_figures=_key_figures(content), blocks=blocks, seed="" if content.seed is None else str(content.seed),
         instrument=tracker_presets_text([scenario]) if scenario else "", measured_on="planned",
         axes="the workshop's",
@@ -65,18 +65,20 @@ def plan_section(content: Plan, context: ReportContext) -> Section:
 
 
 def _tolerance_tables(content: Plan) -> list[Block]:
-    """Tables of points against their tolerances, and after the loss of a station or sight."""
-    asked = content.table("tolerances")
-    if not asked.rows:
+    """Tables of the points with their tolerances: for the plan, and after the loss of a station or line of sight."""
+    tolerance_table = content.table("tolerances")
+    if not tolerance_table.rows:
         return []
     level = content.settings.goal.level_pct
-    over = frozenset(i for i, is_met in enumerate(asked.column("met")) if not is_met)
-    blocks: list[Block] = [*table_block(f"Points against their tolerances, at {level:g} %", asked, marked_rows=over)]
+    missed_rows = frozenset(i for i, is_met in enumerate(tolerance_table.column("met")) if not is_met)
+    blocks: list[Block] = [
+        *table_block(f"Points against their tolerances, at {level:g} %", tolerance_table, marked_rows=missed_rows)
+    ]
     return [*blocks, *table_block("Loss of a station or a sight", content.table("losses"))]
 
 
 def _reflector_changes_table(content: Plan) -> list[Block]:
-    """Table of the reflectors to move, to add and to omit."""
+    """Table of the reflectors to move, to add or to omit; a note if no such change improves the plan."""
     title, changes = "Reflectors to move, to add or to omit", content.table("changes")
     if not changes.rows:
         return [NoteBlock(title, content.changes_tried)] if content.changes_tried else []
@@ -96,15 +98,15 @@ def _key_figures(content: Plan) -> list[KeyFigure]:
     facts += [KeyFigure("broken rule", rule, "bad") for rule in content.broken_rules]
     reference_measures = {} if content.reference is None else _quality_measures(content.reference)
     for label, value in _quality_measures(content).items():
-        other = reference_measures.get(label)
-        better = "plain" if other is None else assessment_of(value <= other)
-        text = number_text(value) + (f" (was {number_text(other)})" if other else "")
-        facts.append(KeyFigure(label, text, better))
+        reference_value = reference_measures.get(label)
+        assessment = "plain" if reference_value is None else assessment_of(value <= reference_value)
+        text = number_text(value) + (f" (was {number_text(reference_value)})" if reference_value else "")
+        facts.append(KeyFigure(label, text, assessment))
     return facts
 
 
 def _quality_measures(layout: LayoutEntry) -> dict[str, float]:
-    """Root mean square sigma of all points, then each quality in the goal, by label in units of display."""
+    """Quality of a layout in displayed units, by label: rms sigma of all points, then the measures of the goal."""
     measures = {name: value for name, value in layout.quality.items() if value is not None}
     labels = {name: QUALITY_MEASURES.get(name, (name, 1.0)) for name in measures}
     rms = {} if layout.rms_sigma_um is None else {"all points: rms sigma [um]": layout.rms_sigma_um}
@@ -112,55 +114,64 @@ def _quality_measures(layout: LayoutEntry) -> dict[str, float]:
 
 
 def _layout_pictures(content: Plan, scenario: Scenario | None, *, has_3d_view: bool) -> tuple[list[Block], list[Block]]:
-    """Floor plan and 3D view of the plan's scenario, and the changes of reflectors on the floor plan."""
+    """Two lists: floor plan with 3D view of a plan, and floor plan with its changes of reflectors.
+
+    Both are empty without a scenario.
+    """
     if scenario is None:
         return [], []
     from ltsim.reports.workshop import workshop_from_scenario
 
     workshop = workshop_from_scenario(scenario)
     reference = content.reference.stations if content.reference else ()
-    places = np.array([s.position_mm for s in reference], dtype=np.float64).reshape(-1, 3) * MILLIMETRE
+    reference_positions = np.array([s.position_mm for s in reference], dtype=np.float64).reshape(-1, 3) * MILLIMETRE
     text = "Seen from above; x and y in metres. Inside the circles the elevation limit hides the floor." + (
-        " Hollow: the stations of the reference layout." if len(places) else ""
+        " Hollow: the stations of the reference layout." if len(reference_positions) else ""
     )
-    ground = content.settings.floor
+    floor_areas = content.settings.floor
     floor = figures.floor_plan
-    drawn: list[Block] = [
-        PictureBlock("Floor plan", lambda: floor.floor_plan(workshop, reference=places, floor=ground), text)
+    pictures: list[Block] = [
+        PictureBlock(
+            "Floor plan", lambda: floor.floor_plan(workshop, reference=reference_positions, floor=floor_areas), text
+        )
     ]
-    drawn += [scene_block(workshop)] if has_3d_view else []
+    pictures += [scene_block(workshop)] if has_3d_view else []
     text = "Numbers are those of the table; an arrow starts at the present place of a reflector."
-    changes = partial(figures.marked_floor_plans.reflector_changes_figure, workshop, content.reflector_changes, ground)
-    return drawn, [PictureBlock("Places of these reflectors", changes, text)] if content.reflector_changes else []
+    changes = partial(
+        figures.marked_floor_plans.reflector_changes_figure, workshop, content.reflector_changes, floor_areas
+    )
+    return pictures, [PictureBlock("Places of these reflectors", changes, text)] if content.reflector_changes else []
 
 
 def _trade_off_picture(content: Plan) -> list[Block]:
+    """Figures of quality over time, and the table of the alternatives that the search compared."""
     text = "Each dot is the best layout for one number of stations, faces and rounds."
     blocks: list[Block] = [
         PictureBlock(f"Time against quality: {name}", partial(figures.parameters.trade_off_figure, content, name), text)
         for name, value in content.quality.items()
         if value is not None and sum(option.quality.get(name) is not None for option in content.tradeoff) > 1
     ]
-    curve = content.table("tradeoff")
-    objective = "value_um" if any(curve.column("value_um")) else "value"
-    shown = curve.with_columns(f"stations faces repeats pointings hours {objective} efficient")
+    alternatives = content.table("tradeoff")
+    objective = "value_um" if any(alternatives.column("value_um")) else "value"
+    shown_columns = alternatives.with_columns(f"stations faces repeats pointings hours {objective} efficient")
     note = "A smaller objective is better."
-    return [*blocks, *table_block("Alternatives: stations, faces and rounds", shown, note=note)]
+    return [*blocks, *table_block("Alternatives: stations, faces and rounds", shown_columns, note=note)]
 
 
 def _parameter_picture(content: Plan) -> list[Block]:
-    other = {p.name: p.sigma for p in content.reference.parameters} if content.reference else {}
+    """List with the figure of the predicted sigmas of the instrument's parameters; empty without parameters."""
+    reference_sigmas = {p.name: p.sigma for p in content.reference.parameters} if content.reference else {}
     rows = [p for p in content.parameters if p.prior_sigma and p.sigma > 0]
     text = "Prediction; on the dashed line the recording would add no information."
-    figure = partial(figures.parameters.sigma_figure, rows, other)
+    figure = partial(figures.parameters.sigma_figure, rows, reference_sigmas)
     return [PictureBlock("Predicted sigma of the instrument's parameters", figure, text)] if rows else []
 
 
 def _effect_tables(content: Plan) -> list[Block]:
-    """Tables of the smallest detectable effects, effects that are hard to separate, and undetectable effects."""
-    note = "Size that is detected in 80 % of the recordings of this layout; best and worst over the places."
+    """Blocks on effects: smallest detectable sizes, pairs that are hard to separate, undetectable effects."""
+    note = "Size that is detected in 80 % of the recordings of this layout, at the best and at the worst place."
     blocks: list[Block] = [*table_block("Smallest detectable effects", content.table("effects"), note=note)]
-    note = "Fraction of the signature of the first effect that the second one explains."
+    note = "Fraction of the residuals from the first effect that the second effect explains."
     blocks += table_block("Effects that are hard to separate", content.table("confusable"), note=note)
     if content.silent:
         blocks.append(BulletListBlock("Undetectable effects", content.silent))

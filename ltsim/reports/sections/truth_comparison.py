@@ -38,13 +38,15 @@ def effect_place_text(effect: Any) -> str:
 
 
 def truth_blocks(content: Diagnosis, truth: Truth, adjustments: AdjustmentPair | None) -> list[Block]:
-    """Comparison of the injected effects of a simulated recording with the diagnosis, as curve and table."""
-    by_name = {a.effect.name: a for a in truth.applied_effects}
-    ordered = [by_name.get(f.effect) for f in content.findings]
-    ordered += [a for name, a in by_name.items() if name not in {f.effect for f in content.findings}]
+    """Figure and table that compare the injected effects of a simulated recording with the findings of a diagnosis."""
+    by_name = {applied.effect.name: applied for applied in truth.applied_effects}
+    effects_of_findings = [by_name.get(f.effect) for f in content.findings]
+    effects_of_findings += [
+        applied for name, applied in by_name.items() if name not in {f.effect for f in content.findings}
+    ]
     rows = [
         row
-        for injected, finding in zip_longest(ordered, content.findings)
+        for injected, finding in zip_longest(effects_of_findings, content.findings)
         for row in _injected_and_finding_rows(injected, finding)
     ]
     note = "Injected values are from truth.json, which the diagnosis does not read; estimates +- one sigma."
@@ -54,15 +56,15 @@ def truth_blocks(content: Diagnosis, truth: Truth, adjustments: AdjustmentPair |
 
 def _injected_and_finding_rows(injected: AppliedEffect | None, finding: Finding | None) -> list[list[str]]:
     """Rows of an injected effect and its finding: effect, place, values, shape constants."""
-    true: dict[str, tuple[float | None, str]] = {}
+    true_values: dict[str, tuple[float | None, str]] = {}
     if injected is not None:
         sizes = zip(injected.effect.parameters, injected.parameter_values, strict=True)
-        true = {p.name: (value / p.si_per_display_unit, p.unit) for p, value in sizes}
-        true |= {
+        true_values = {p.name: (value / p.si_per_display_unit, p.unit) for p, value in sizes}
+        true_values |= {
             s.name: (getattr(injected.effect, s.name) / SI_PER_UNIT[s.unit], s.unit)
             for s in injected.effect.shape_parameters
         }
-    values = {} if finding is None else {p.name: p for p in finding.parameters}
+    estimate_by_name = {} if finding is None else {p.name: p for p in finding.parameters}
     where = [
         effect_place_text(x) if x else MISSING_TEXT for x in (injected and injected.effect, finding and finding.where)
     ]
@@ -74,9 +76,9 @@ def _injected_and_finding_rows(injected: AppliedEffect | None, finding: Finding 
         ],
         ["where", *where],
     ]
-    for name in dict.fromkeys([*true, *values]):
-        estimate = values.get(name)
-        value, unit = true.get(name, (None, estimate.unit if estimate else ""))
+    for name in dict.fromkeys([*true_values, *estimate_by_name]):
+        estimate = estimate_by_name.get(name)
+        value, unit = true_values.get(name, (None, estimate.unit if estimate else ""))
         text = with_sigma(estimate.value, estimate.sigma) if estimate else MISSING_TEXT
         rows.append([f"{parameter_text(name)} [{unit}]" if unit else parameter_text(name), number_text(value), text])
     return rows
@@ -85,6 +87,7 @@ def _injected_and_finding_rows(injected: AppliedEffect | None, finding: Finding 
 def _injected_and_estimated_curves(
     content: Diagnosis, applied_effect: AppliedEffect, adjustments: AdjustmentPair | None
 ) -> list[Block]:
+    """List with a figure of the injected and the estimated changes of readings; empty if the effect was not found."""
     finding = next((f for f in content.findings if f.effect == applied_effect.effect.name), None)
     if adjustments is None or finding is None:
         return []
@@ -99,25 +102,32 @@ def _injected_and_estimated_curves(
             injected.name, {"stations": finding.where.stations, "targets": finding.where.targets}, shape
         )
         values = np.array([estimates.get(p.name, 0.0) * p.si_per_display_unit for p in injected.parameters])
-        true, fitted = (
+        injected_changes, estimated_changes = (
             injected.reading_change(sightings, applied_effect.parameter_values),
             effect.reading_change(sightings, values),
         )
     except LtsimError:
         return []
-    column = int(np.argmax(np.abs(true).max(axis=0) * [1.0, *2 * [float(np.median(sightings.range_))]]))
-    rows, observable = np.abs(true).max(axis=1) > 0, OBSERVABLES[column]
+    column = int(np.argmax(np.abs(injected_changes).max(axis=0) * [1.0, *2 * [float(np.median(sightings.range_))]]))
+    rows, observable = np.abs(injected_changes).max(axis=1) > 0, OBSERVABLES[column]
     unit = OBSERVABLE_UNITS[observable]
-    far = "distance" in injected.covariates
-    at = sightings.range_[rows] if far else sightings.time[rows] / 60.0
-    hid, got = (shift[rows, column] / SI_PER_UNIT[unit] for shift in (true, fitted))
-    names = "distance [m]" if far else "time [min]", f"change of the {observable} [{typographic_text(unit)}]"
+    is_over_distance = "distance" in injected.covariates
+    covariate = sightings.range_[rows] if is_over_distance else sightings.time[rows] / 60.0
+    injected_values, estimated_values = (
+        shift[rows, column] / SI_PER_UNIT[unit] for shift in (injected_changes, estimated_changes)
+    )
+    axis_labels = (
+        "distance [m]" if is_over_distance else "time [min]",
+        f"change of the {observable} [{typographic_text(unit)}]",
+    )
     cause = f"{title_of(injected.name)} ({effect_place_text(injected)})"
     text = f"Change of the {observable} readings by {cause}: injected and estimated."
     return [
         PictureBlock(
             "Injected and estimated",
-            lambda: figures.residuals.injected_and_estimated_figure(at, hid, got, *names),
+            lambda: figures.residuals.injected_and_estimated_figure(
+                covariate, injected_values, estimated_values, *axis_labels
+            ),
             text,
         )
     ]
