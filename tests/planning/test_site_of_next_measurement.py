@@ -99,7 +99,7 @@ def test_the_command_says_what_it_knows_of_the_hall(
     assert run(["plan", "--after", str(tmp_path / "rec")]) == 0
     assert "check each proposed station against the hall, or name its plan with --site." in capsys.readouterr().out
     assert run(["plan", "--after", str(tmp_path / "rec"), "--site", str(hall)]) == 0
-    assert f"New stations meet the floor, the bodies and the sights of {hall}." in capsys.readouterr().out
+    assert f"New stations meet the rules of {hall} for floor, bodies and lines of sight." in capsys.readouterr().out
     assert run(["plan", str(hall), "--site", str(hall)]) == 2
     assert "--site needs --after REC" in capsys.readouterr().err
 
