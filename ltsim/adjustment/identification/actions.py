@@ -8,6 +8,7 @@ from ltsim.core.notation import listing
 ACTIONS_BY_CAUSE = {
     "outlier": "Measure again {rows}.",
     "constant-offset": "Check the SMR and the distance constant at {place}; correct the wrong one.",
+    "constant-drift": "Let the tracker warm up, and measure {place} again.",
     "scale-error": (
         "Check the temperature, the pressure and the unit of the distances at {place}; correct the distances, and "
         "evaluate the recording again."

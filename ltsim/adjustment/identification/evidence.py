@@ -69,10 +69,11 @@ def log_occam_factor_of_centring(covariance: Floats, sigma: float) -> float:
 PRIOR_FRACTION_BY_KIND = {
     "outlier": 0.2,
     "constant-offset": 0.15,
+    "constant-drift": 0.02,
     "scale-error": 0.05,
     "target-moved": 0.1,
     "station-bump": 0.1,
-    "station-drift": 0.05,
+    "station-drift": 0.03,
     "orientation": 0.04,
     "reflector-radius": 0.01,
     "reference-value": 0.07,

@@ -110,7 +110,8 @@ class ShiftFamily:
             return TargetMoved(stations, targets, time=onset_time)
         if self.kind == "reflector-radius":
             return SmrOffset(stations, targets)
-        return ReadingShift(self.acts_on, self.kind == "scale-error", stations, targets, onset_time)
+        is_drift = self.kind == "constant-drift"
+        return ReadingShift(self.acts_on, self.kind == "scale-error", stations, targets, onset_time, is_drift=is_drift)
 
 
 def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
@@ -131,6 +132,9 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
     yield ShiftFamily("orientation", "azimuth", "station", azimuth, first_onset=MIN_POINTINGS_AROUND_MOTION)
     yield ShiftFamily("station-bump", "position", "station", motion, first_onset=MIN_POINTINGS_AROUND_MOTION)
     yield ShiftFamily("station-drift", "position", "station", UniformMotion().design(sightings))
+    for observable in ("distance", "elevation"):
+        drift = ReadingShift(observable, is_drift=True).design(sightings)
+        yield ShiftFamily("constant-drift", observable, "station", drift)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Signatures of simple causes: offset or scale error of one observable, at a station or target, from a time on."""
+"""Signatures of simple causes: offset, drift or scale error of one observable, at a station or target."""
 
 from dataclasses import dataclass
 
@@ -10,18 +10,24 @@ from ltsim.geometry.rigid import pose_design
 from ltsim.physics.effects.signature import Linearisation, Parameter, Signature, design_from_front_face_corrections
 from ltsim.scene.sightings import Sightings
 
+MIN_VISIT_DURATION = 1e-9
+"""Smallest duration [s] of a set-up's measurement in a ratio: it avoids division by zero for a single pointing."""
+
 
 @dataclass(frozen=True)
 class ReadingShift(Signature):
-    """Offset or scale error of the readings of one observable.
+    """Offset, drift or scale error of the readings of one observable.
 
-    An elevation offset is the vertical index, equal on both faces.
+    An elevation offset is the vertical index, equal on both faces. A drift grows in proportion to the time since the
+    first pointing of the set-up; its parameter is the offset at the last one.
 
     Attributes
     ----------
     observable : {`distance`, `azimuth`, `elevation`}
     is_proportional : bool
         True if the shift grows with the range (a scale error).
+    is_drift : bool
+        True if the shift grows with the time at the set-up.
     stations, targets : tuple of str
         Names of the stations and targets whose readings are shifted; empty for all.
     onset_time : float
@@ -36,11 +42,14 @@ class ReadingShift(Signature):
     targets: tuple[str, ...] = ()
     onset_time: float = -np.inf
     size_factor: float = 1.0
+    is_drift: bool = False
 
     @property
     def name(self) -> str:
-        """`scale-error` or `constant-offset`."""
-        return "scale-error" if self.is_proportional else "constant-offset"
+        """`scale-error`, `constant-drift` or `constant-offset`."""
+        if self.is_proportional:
+            return "scale-error"
+        return "constant-drift" if self.is_drift else "constant-offset"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -59,6 +68,7 @@ class ReadingShift(Signature):
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings per unit of the parameter."""
         acts = self.row_weights(sightings) * (sightings.time >= self.onset_time)
+        acts = acts * fractions_of_visit(sightings) if self.is_drift else acts
         size = acts * sightings.range_ if self.is_proportional else acts
         size = size * sightings.face_sign if self.observable == "elevation" else size
         return design_from_front_face_corrections(sightings, **{self.observable: -size[:, None]})
@@ -70,6 +80,14 @@ class ReadingShift(Signature):
             return Linearisation(design @ values, design)
         scaled = np.where(design != 0.0, values[0] * sightings.target_derivatives, 0.0)
         return Linearisation(design @ values, design, (scaled, pose_design(scaled, sightings.sight_vectors)))
+
+
+def fractions_of_visit(sightings: Sightings) -> Floats:
+    """Time (n,) since the first pointing of the set-up, as a fraction of the time until its last one."""
+    last = np.full(len(sightings.station_names), MIN_VISIT_DURATION)
+    np.maximum.at(last, sightings.station, sightings.station_time)
+    fractions: Floats = sightings.station_time / last[sightings.station]
+    return fractions
 
 
 def displacement_per_reading(sightings: Sightings) -> Floats:

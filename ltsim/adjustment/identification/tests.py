@@ -204,6 +204,30 @@ REFERENCE_PHRASES = {
 """Phrases for the kinds of reference values."""
 
 
+SENTENCES_BY_CAUSE = {
+    ("constant-offset", "elevation"): (
+        "The elevations from {at} are wrong by {size}: another vertical index at this set-up."
+    ),
+    ("constant-drift", "distance"): (
+        "The distance constant drifted at a constant rate during the measurement at {at}, by {size} in total."
+    ),
+    ("constant-drift", "elevation"): (
+        "The vertical index drifted at a constant rate during the measurement at {at}, by {size} in total."
+    ),
+    ("scale-error", "distance"): (
+        "The distances from {at} are {size} too {more}: a wrong atmospheric correction or unit at this set-up."
+    ),
+    ("reference-scale", "length"): (
+        "The reference lengths and the distances differ in scale by {size}: a temperature, an expansion or the scale "
+        "of the distances is not as declared."
+    ),
+    ("station-drift", "position"): (
+        "Station {at} moved at a constant rate during its measurement, by {size} in total."
+    ),
+}
+"""Sentences on shifts that need only their place and size, by the kind of cause and what it acts on."""
+
+
 def cause_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     """Sentence on an accepted hypothesis with its usual causes."""
     is_centring = isinstance(hypothesis.model_change, CentringChange)
@@ -237,19 +261,12 @@ def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
         cause = usual_offset_text(float(values[0]), float(np.sqrt(covariance[0, 0])))
         cause = cause or ("another SMR or prism" if hypothesis.targets else "another SMR, or a wrong distance constant")
         return f"The distances {'to' if hypothesis.targets else 'from'} {at} are {size} too {more}: {cause}."
-    if hypothesis.kind == "constant-offset":
-        return f"The elevations from {at} are wrong by {size}: another vertical index at this set-up."
-    if hypothesis.kind == "scale-error":
-        return f"The distances from {at} are {size} too {more}: a wrong atmospheric correction or unit at this set-up."
-    if hypothesis.kind == "reference-scale":
-        causes = "a temperature, an expansion or the scale of the distances is not as declared"
-        return f"The reference lengths and the distances differ in scale by {size}: {causes}."
+    if template := SENTENCES_BY_CAUSE.get((hypothesis.kind, hypothesis.acts_on)):
+        return template.format(at=at, size=size, more=more)
     if hypothesis.kind == "reflector-radius":
         cause = usual_smr_text(float(values[0]), float(np.sqrt(covariance[0, 0]))) or "another SMR radius"
         side = "away from" if values[0] > 0 else "towards"
         return f"At {at} the centres of the SMRs are displaced along the normals {side} their nests by {size}: {cause}."
-    if hypothesis.kind == "station-drift":
-        return f"Station {at} moved at a constant rate during its measurement, by {size} in total."
     interval_text = _row_interval_text(fit, hypothesis)
     if hypothesis.kind == "orientation":
         return f"The horizontal circle of {at} was turned by {size} {interval_text}."
