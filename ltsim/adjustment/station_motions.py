@@ -40,9 +40,7 @@ class UniformMotion(StationMotion):
 
     def motion(self, sightings: Sightings) -> Floats:
         """Fraction of the complete motion at each pointing, for each component."""
-        max_times = np.full(len(sightings.station_names), 1e-9)
-        np.maximum.at(max_times, sightings.station, sightings.station_time)
-        share = with_equal_times_per_run(sightings).station_time / max_times[sightings.station]
+        share = with_equal_times_per_run(sightings).elapsed_visit_fraction
         return (self.row_weights(sightings) * share)[:, None, None] * np.eye(6)
 
 

@@ -94,6 +94,8 @@ def _effect_of_constant(constant: Parameter) -> str:
 EFFECT_BY_CAUSE = {
     ("constant-offset", "distance"): "reflector-constant",
     ("constant-offset", "elevation"): "vertical-index",
+    ("constant-step", "distance"): "range-step",
+    ("constant-step", "elevation"): "vertical-index",
     ("constant-drift", "distance"): "range-drift",
     ("constant-drift", "elevation"): "index-drift",
     ("scale-error", "distance"): "range-scale",

@@ -7,7 +7,7 @@ import numpy as np
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.centring import correct_centring
 from ltsim.adjustment.identification import CauseSelection, NetworkFit, adjust_with_causes, cause_tests
-from ltsim.adjustment.identification.cause_selection import MIN_LOG_EVIDENCE_CERTAIN
+from ltsim.adjustment.identification.cause_selection import MIN_LOG_EVIDENCE_CERTAIN, largest_displacement
 from ltsim.adjustment.identification.hypothesis import (
     CentringChange,
     Hypothesis,
@@ -46,7 +46,9 @@ def corrected_mistakes(selection: CauseSelection) -> list[Hypothesis]:
         [c.hypothesis for c in selection.selected_hypotheses if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN],
     )
     shifts = [h for h in chosen if isinstance(h.model_change, ReadingShiftChange | CentringChange)]
-    gross = any(fit.displacement(h) > MAX_TRACKER_ERROR and fit.length_in_sigmas(h) > MIN_GROSS_W for h in shifts)
+    gross = any(
+        largest_displacement(fit, h) > MAX_TRACKER_ERROR and fit.length_in_sigmas(h) > MIN_GROSS_W for h in shifts
+    )
     return [h for h in chosen if not isinstance(h.model_change, NoiseFactor) and (gross or h not in shifts)]
 
 

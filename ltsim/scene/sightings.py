@@ -168,6 +168,13 @@ class Sightings:
         return self.time - first[self.station]
 
     @cached_property
+    def elapsed_visit_fraction(self) -> Floats:
+        """Elapsed fraction (n,) of the visit of a station: 0 at its first pointing, 1 at its last."""
+        duration = np.full(len(self.station_names), 1e-9)
+        np.maximum.at(duration, self.station, self.station_time)
+        return self.station_time / duration[self.station]
+
+    @cached_property
     def measurement_order(self) -> Ints:
         """Row indices (n,) in the order of measurement (by time, ties by row)."""
         return np.argsort(self.time, kind="stable")

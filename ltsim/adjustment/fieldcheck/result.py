@@ -61,7 +61,6 @@ ITEM_KIND_BY_CAUSE: dict[str, CheckItemKind] = {
     "outlier": "gross",
     "station-bump": "bump",
     "station-drift": "drift",
-    "constant-drift": "instrument-drift",
     "reference-value": "network",
     "names": "mistake",
     "unit": "mistake",

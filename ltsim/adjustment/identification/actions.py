@@ -8,7 +8,8 @@ from ltsim.core.notation import listing
 ACTIONS_BY_CAUSE = {
     "outlier": "Measure again {rows}.",
     "constant-offset": "Check the SMR and the distance constant at {place}; correct the wrong one.",
-    "constant-drift": "Let the tracker warm up, and measure {place} again.",
+    "constant-step": "Check the SMR and the distance constant at {place}, and measure this set-up again.",
+    "constant-drift": "Let the tracker at {place} reach its operating temperature, and measure this set-up again.",
     "scale-error": (
         "Check the temperature, the pressure and the unit of the distances at {place}; correct the distances, and "
         "evaluate the recording again."
@@ -36,7 +37,7 @@ def cause_action(test: CauseTest) -> str:
     names = (*test.where.stations, *test.where.targets)
     place = listing(names, len(names)) if names else "the set-ups"
     action = ACTIONS_BY_CAUSE.get(test.kind, "")
-    if test.kind == "constant-offset" and test.acts_on == "elevation":
+    if test.kind in ("constant-offset", "constant-step") and test.acts_on == "elevation":
         action = VERTICAL_INDEX_ACTION
     targets = listing(test.where.targets, len(test.where.targets)) or "the reading"
     row = f" (row {test.rows[0]})" if len(test.rows) == 1 else ""

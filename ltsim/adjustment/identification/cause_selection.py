@@ -8,12 +8,14 @@ import numpy as np
 
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import (
+    CentringChange,
     CoordinateExchange,
     Hypothesis,
     NoiseFactor,
     ReadingShiftChange,
     ReferenceOmission,
 )
+from ltsim.adjustment.identification.signatures import displacement_per_reading
 from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.adjustment.snooping import MAX_TRACKER_ERROR
 from ltsim.adjustment.station_motions import FittedMotion, SuddenMotion
@@ -24,10 +26,31 @@ MAX_LOG_EVIDENCE_GAIN = 1e30
 """Log evidence that replaces an infinite one, of a hypothesis without which there is no network."""
 MIN_LOG_EVIDENCE_CERTAIN = 7.0
 """Log evidence of a cause (odds of 1000 to 1) from which the whole network is adjusted with it."""
-SHARED_CAUSE_KINDS = ("constant-offset", "scale-error", "orientation", "reflector-radius", "centring")
+SHARED_CAUSE_KINDS = (
+    "constant-offset",
+    "constant-step",
+    "constant-drift",
+    "scale-error",
+    "orientation",
+    "reflector-radius",
+    "centring",
+)
 """Kinds of causes that all readings of one observable, or of one set-up, share."""
 MAX_REFERENCE_MISCLOSURE = 0.1
 """Misclosure of a reference value [m] above which a network that uses it may not converge."""
+
+
+def largest_displacement(fit: NetworkFit, hypothesis: Hypothesis) -> float:
+    """Largest displacement [m] of a reading, or misclosure of a reference value, by a hypothesis in the model."""
+    change, sightings = hypothesis.model_change, fit.adjustment.sightings
+    if isinstance(change, ReferenceOmission):
+        return float(np.abs(fit.misclosure_of(change.reference_value)).max())
+    if isinstance(change, CentringChange):
+        return float(np.abs(fit.estimate(hypothesis)[0]).max())
+    if not isinstance(change, ReadingShiftChange):
+        return 0.0
+    displacements = np.abs(change.effect.design(sightings) @ fit.estimate(hypothesis)[0])
+    return float(np.max(displacements * displacement_per_reading(sightings)))
 
 
 def has_general_misfit(fit: NetworkFit) -> bool:
@@ -76,9 +99,9 @@ class CauseSelection:
         sure = [c.hypothesis for c in self.selected_hypotheses if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN]
         shared = [h for h in sure if h.kind in SHARED_CAUSE_KINDS]
         values = [h for h in sure if h.kind == "reference-value" and h.acts_on != "mark"]
-        far = [h for h in values if self.fit.displacement(h) > MAX_REFERENCE_MISCLOSURE]
+        far = [h for h in values if largest_displacement(self.fit, h) > MAX_REFERENCE_MISCLOSURE]
         exchanged = any(isinstance(h.model_change, CoordinateExchange) for h in sure)
-        gross = exchanged or any(self.fit.displacement(h) > MAX_TRACKER_ERROR for h in shared) or len(far) == 1
+        gross = exchanged or any(largest_displacement(self.fit, h) > MAX_TRACKER_ERROR for h in shared) or len(far) == 1
         changes = [c.hypothesis.model_change for c in self.selected_hypotheses]
         noisy = any(isinstance(change, NoiseFactor) and change.start_factor >= 1.0 for change in changes)
         return gross or (bool(shared) and not noisy and self.fit.adjustment.p_value > FAMILY_LEVEL)

@@ -1,4 +1,4 @@
-"""Hypotheses of centring errors: all reflectors at one set-up, or one target at all set-ups, are displaced at random.
+"""Hypotheses of centring errors: random displacements of all reflectors at one set-up or at all, or of one target.
 
 The displacements u of the occupations have the prior N(0, s^2). In the residual space, with the projected signature Z
 of unit displacements, eigenvalues d of Z'Z and scores z = V'Z'r along its eigenvectors, the log restricted likelihood
@@ -93,7 +93,7 @@ def _offer(place: _CentringPlace, gain: float, sigma: float, n_places: int) -> t
     """Hypothesis at a place with a standard deviation [m], and its gain with the prior."""
     centring, prior = place.centring, log_prior_of("centring", n_places) + LOG_ODDS_OF_CENTRING
     change = CentringChange(centring.model_copy(update={"sigma_mm": sigma / MILLIMETRE}))
-    targets = () if centring.stations else centring.targets
+    targets = () if len(centring.targets) > 1 else centring.targets
     return gain + prior, Hypothesis("centring", "position", centring.stations, targets, prior, change)
 
 
@@ -154,7 +154,11 @@ def _misfit_cost(fit: NetworkFit, whitened: Floats) -> float:
 
 
 def _centring_places(recording: Recording, used_readings: Bools) -> list[_CentringPlace]:
-    """Set-ups and targets with enough repeated pointings; a target that only one set-up sees shows no displacement."""
+    """Set-ups and targets with enough repeated pointings, and all set-ups together.
+
+    A target that only one set-up sees shows no displacement. At all set-ups displacements fit any misfit that recurs in
+    both faces: there the pointings must be repeated in one face.
+    """
     is_used = np.asarray(used_readings.any(axis=1))
     pairs = np.unique(np.stack([recording.target[is_used], recording.station[is_used]]), axis=1)
     is_shared = np.bincount(pairs[0], minlength=len(recording.targets)) > 1
@@ -162,9 +166,10 @@ def _centring_places(recording: Recording, used_readings: Bools) -> list[_Centri
     centrings = [CentringUncertainty(sigma_mm=1.0, stations=(name,), targets=shared) for name in recording.stations]
     centrings += [CentringUncertainty(sigma_mm=1.0, targets=(name,)) for name in shared]
     places = []
-    for centring in centrings:
+    for centring in (*centrings, CentringUncertainty(sigma_mm=1.0, targets=shared)):
         occupation = np.where(is_used, target_occupations(recording, centring), -1)
-        count = len(np.unique(occupation[occupation >= 0]))
+        visit = np.stack([occupation, recording.face * (not centring.stations and len(centring.targets) > 1)])
+        count = len(np.unique(visit[:, occupation >= 0], axis=1).T)
         if count >= MIN_OCCUPATIONS and (occupation >= 0).sum() >= MIN_POINTINGS_PER_OCCUPATION * count:
             places.append(_CentringPlace(centring, occupation))
     return places

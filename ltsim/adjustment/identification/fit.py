@@ -27,18 +27,14 @@ from ltsim.adjustment.identification.model_changes import (
     apply_corrections_and_omissions,
     start_parameters,
     subtract_shifts,
+    with_centring_sigma,
 )
 from ltsim.adjustment.identification.resection import resect_contradicted_setups
 from ltsim.adjustment.identification.signatures import displacement_per_reading
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reference_tests import relax_exact_references
-from ltsim.adjustment.reference_values import (
-    ReferenceValue,
-    ReferenceValueRows,
-    common_scale,
-    reference_values,
-)
+from ltsim.adjustment.reference_values import ReferenceValue, ReferenceValueRows, common_scale, reference_values
 from ltsim.adjustment.significance import MIN_FAR_RESIDUAL
 from ltsim.adjustment.snooping import MAX_TRACKER_ERROR, drop_undetermined, prediction_sigmas, snoop_readings
 from ltsim.adjustment.start import initial_network
@@ -130,19 +126,34 @@ class NetworkFit:
         If the sightings `approximate_sizes` are given, the start is computed from the recording without the guessed
         shifts of the hypotheses.
         """
-        fresh = start_state is None
+        fit = cls._with_hypotheses(network, tuple(hypotheses), start_state, approximate_sizes)
+        for _ in range(MAX_NOISE_ESTIMATES):
+            revised = tuple(with_centring_sigma(h, fit.estimate) for h in fit.hypotheses)
+            if revised == fit.hypotheses or not fit.solution.has_converged:
+                break
+            fit = cls._with_hypotheses(network, revised, fit.state)
+        return fit if fit.solution.has_converged and fit._determines_shifts else None
+
+    @classmethod
+    def _with_hypotheses(
+        cls,
+        network: FitInput,
+        hypotheses: tuple[Hypothesis, ...],
+        start_state: NetworkState | None,
+        approximate_sizes: Sightings | None = None,
+    ) -> NetworkFit:
+        """Fit as in `from_start`, with the declared standard deviations of centring errors."""
+        is_first = start_state is None
         problem, start_state = cls._make_problem(network, hypotheses, start_state, approximate_sizes)
-        if fresh:
+        if is_first:
             start_state = resect_contradicted_setups(
                 problem, fit_robust_state(problem, resect_contradicted_setups(problem, start_state))[0]
             )
         full_problem = drop_undetermined(problem, start_state)
-        fit = cls(
-            network, tuple(hypotheses), full_problem, *snoop_readings(full_problem, start_state, MAX_OUTLIER_PASSES)
-        )
+        fit = cls(network, hypotheses, full_problem, *snoop_readings(full_problem, start_state, MAX_OUTLIER_PASSES))
         if any(isinstance(h.model_change, NoiseFactor) for h in hypotheses):
             fit = fit._with_estimated_noise()
-        return fit if fit.solution.has_converged and fit._determines_shifts else None
+        return fit
 
     @property
     def _determines_shifts(self) -> bool:
@@ -345,18 +356,6 @@ class NetworkFit:
             return np.asarray(self.state.station_positions[station] - over[station])
         candidates = (*reference_values(problem, self.state), *common_scale(problem, self.state))
         return next(v.residual for v in candidates if (v.kind, v.name) == (value.kind, value.name))
-
-    def displacement(self, hypothesis: Hypothesis) -> float:
-        """Largest displacement [m] of a reading, or misclosure of a reference value, by a hypothesis in the model."""
-        change, sightings = hypothesis.model_change, self.adjustment.sightings
-        if isinstance(change, ReferenceOmission):
-            return float(np.abs(self.misclosure_of(change.reference_value)).max())
-        if isinstance(change, CentringChange):
-            return float(np.abs(self.estimate(hypothesis)[0]).max())
-        if not isinstance(change, ReadingShiftChange):
-            return 0.0
-        displacements = np.abs(change.effect.design(sightings) @ self.estimate(hypothesis)[0])
-        return float(np.max(displacements * displacement_per_reading(sightings)))
 
     @property
     def is_gross_reading(self) -> Bools:

@@ -13,6 +13,7 @@ from ltsim.recordings.centring_errors import CentringUncertainty
 CauseKind = Literal[
     "outlier",
     "constant-offset",
+    "constant-step",
     "constant-drift",
     "scale-error",
     "target-moved",

@@ -123,6 +123,13 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
     if stations:
         yield ShiftFamily("constant-offset", "distance", "station", distance)
         yield ShiftFamily("constant-offset", "elevation", "station", elevation)
+        for observable, offset in (
+            ("distance", distance),
+            ("elevation", elevation),
+        ):  # an azimuth: a station that turns
+            yield ShiftFamily("constant-step", observable, "station", offset, first_onset=MIN_POINTINGS_AROUND_MOTION)
+            drift = ReadingShift(observable, is_drift=True).design(sightings)
+            yield ShiftFamily("constant-drift", observable, "station", drift)
         yield ShiftFamily("scale-error", "distance", "station", distance * sightings.range_[:, None, None])
         yield ShiftFamily("constant-offset", "distance", "target", distance)
         yield ShiftFamily("target-moved", "position", "target", sightings.target_derivatives, first_onset=1)
@@ -132,9 +139,6 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
     yield ShiftFamily("orientation", "azimuth", "station", azimuth, first_onset=MIN_POINTINGS_AROUND_MOTION)
     yield ShiftFamily("station-bump", "position", "station", motion, first_onset=MIN_POINTINGS_AROUND_MOTION)
     yield ShiftFamily("station-drift", "position", "station", UniformMotion().design(sightings))
-    for observable in ("distance", "elevation"):
-        drift = ReadingShift(observable, is_drift=True).design(sightings)
-        yield ShiftFamily("constant-drift", observable, "station", drift)
 
 
 @dataclass(frozen=True)

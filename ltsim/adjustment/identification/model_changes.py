@@ -1,6 +1,7 @@
 """Changes of a recording by hypotheses: corrected rows, omitted references, subtracted shifts, centring errors."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,8 +15,13 @@ from ltsim.adjustment.identification.hypothesis import (
 )
 from ltsim.adjustment.reference_values import drop_reference, exchange_coordinates
 from ltsim.core.arrays import Floats
+from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
+
+CENTRING_TOLERANCE = 0.15
+"""Relative change of the standard deviation of centring errors from which a fit is repeated: an estimate from a hundred
+components has a standard deviation of 7 %."""
 
 
 def start_parameters(hypotheses: Sequence[Hypothesis], size: int, approximate_sizes: Sightings | None) -> Floats:
@@ -61,3 +67,24 @@ def apply_corrections_and_omissions(recording: Recording, hypotheses: Sequence[H
             centring = (*recording.setup.centring, h.model_change.centring)
             recording = recording.replace(setup=recording.setup.model_copy(update={"centring": centring}))
     return recording
+
+
+def with_centring_sigma(hypothesis: Hypothesis, estimate: Callable[[Hypothesis], tuple[Floats, Floats]]) -> Hypothesis:
+    """Hypothesis with the standard deviation of its centring errors that their `estimate` implies.
+
+    Restricted maximum likelihood: s^2 = u'u / (q - tr(C) / s^2) for the estimate u (q,) and its covariance C. Any other
+    hypothesis, and one whose standard deviation changes little, is returned as it is.
+    """
+    change = hypothesis.model_change
+    if not isinstance(change, CentringChange):
+        return hypothesis
+    displacement, covariance = estimate(hypothesis)
+    sigma = change.centring.sigma_mm * MILLIMETRE
+    determined = len(displacement) - float(np.trace(covariance)) / sigma**2
+    if determined < 1.0:
+        return hypothesis
+    factor = float(np.sqrt(displacement @ displacement / determined)) / sigma
+    if abs(np.log(max(factor, 1e-3))) < CENTRING_TOLERANCE:
+        return hypothesis
+    centring = change.centring.model_copy(update={"sigma_mm": max(factor, 1e-3) * change.centring.sigma_mm})
+    return replace(hypothesis, model_change=CentringChange(centring))

@@ -10,30 +10,27 @@ from ltsim.geometry.rigid import pose_design
 from ltsim.physics.effects.signature import Linearisation, Parameter, Signature, design_from_front_face_corrections
 from ltsim.scene.sightings import Sightings
 
-MIN_VISIT_DURATION = 1e-9
-"""Smallest duration [s] of a set-up's measurement in a ratio: it avoids division by zero for a single pointing."""
-
 
 @dataclass(frozen=True)
 class ReadingShift(Signature):
     """Offset, drift or scale error of the readings of one observable.
 
-    An elevation offset is the vertical index, equal on both faces. A drift grows in proportion to the time since the
-    first pointing of the set-up; its parameter is the offset at the last one.
+    An elevation offset is the vertical index, equal on both faces. A drift grows evenly during the visit of a station,
+    from zero; its parameter is the shift at the last pointing.
 
     Attributes
     ----------
     observable : {`distance`, `azimuth`, `elevation`}
     is_proportional : bool
         True if the shift grows with the range (a scale error).
-    is_drift : bool
-        True if the shift grows with the time at the set-up.
     stations, targets : tuple of str
         Names of the stations and targets whose readings are shifted; empty for all.
     onset_time : float
         First time [s] of shifted readings.
     size_factor : float
         Largest plausible size, in units of the usual size.
+    is_drift : bool
+        True if the shift grows with the time since the first pointing of the station.
     """
 
     observable: str
@@ -47,9 +44,7 @@ class ReadingShift(Signature):
     @property
     def name(self) -> str:
         """`scale-error`, `constant-drift` or `constant-offset`."""
-        if self.is_proportional:
-            return "scale-error"
-        return "constant-drift" if self.is_drift else "constant-offset"
+        return "scale-error" if self.is_proportional else "constant-drift" if self.is_drift else "constant-offset"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -68,7 +63,8 @@ class ReadingShift(Signature):
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings per unit of the parameter."""
         acts = self.row_weights(sightings) * (sightings.time >= self.onset_time)
-        acts = acts * fractions_of_visit(sightings) if self.is_drift else acts
+        if self.is_drift:
+            acts = acts * sightings.elapsed_visit_fraction
         size = acts * sightings.range_ if self.is_proportional else acts
         size = size * sightings.face_sign if self.observable == "elevation" else size
         return design_from_front_face_corrections(sightings, **{self.observable: -size[:, None]})
@@ -80,14 +76,6 @@ class ReadingShift(Signature):
             return Linearisation(design @ values, design)
         scaled = np.where(design != 0.0, values[0] * sightings.target_derivatives, 0.0)
         return Linearisation(design @ values, design, (scaled, pose_design(scaled, sightings.sight_vectors)))
-
-
-def fractions_of_visit(sightings: Sightings) -> Floats:
-    """Time (n,) since the first pointing of the set-up, as a fraction of the time until its last one."""
-    last = np.full(len(sightings.station_names), MIN_VISIT_DURATION)
-    np.maximum.at(last, sightings.station, sightings.station_time)
-    fractions: Floats = sightings.station_time / last[sightings.station]
-    return fractions
 
 
 def displacement_per_reading(sightings: Sightings) -> Floats:

@@ -204,30 +204,6 @@ REFERENCE_PHRASES = {
 """Phrases for the kinds of reference values."""
 
 
-SENTENCES_BY_CAUSE = {
-    ("constant-offset", "elevation"): (
-        "The elevations from {at} are wrong by {size}: another vertical index at this set-up."
-    ),
-    ("constant-drift", "distance"): (
-        "The distance constant drifted at a constant rate during the measurement at {at}, by {size} in total."
-    ),
-    ("constant-drift", "elevation"): (
-        "The vertical index drifted at a constant rate during the measurement at {at}, by {size} in total."
-    ),
-    ("scale-error", "distance"): (
-        "The distances from {at} are {size} too {more}: a wrong atmospheric correction or unit at this set-up."
-    ),
-    ("reference-scale", "length"): (
-        "The reference lengths and the distances differ in scale by {size}: a temperature, an expansion or the scale "
-        "of the distances is not as declared."
-    ),
-    ("station-drift", "position"): (
-        "Station {at} moved at a constant rate during its measurement, by {size} in total."
-    ),
-}
-"""Sentences on shifts that need only their place and size, by the kind of cause and what it acts on."""
-
-
 def cause_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     """Sentence on an accepted hypothesis with its usual causes."""
     is_centring = isinstance(hypothesis.model_change, CentringChange)
@@ -254,19 +230,19 @@ def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     values, covariance = fit.estimate(hypothesis)
     estimate = _estimated_size(hypothesis, values, covariance)
+    if isinstance(hypothesis.model_change.effect, ReadingShift) and hypothesis.kind != "orientation":
+        return _observable_sentence(fit, hypothesis, estimate)
     size = f"{with_sigma(abs(estimate['estimate']), estimate['sigma'], estimate['unit'])}"
-    more = "long" if estimate["estimate"] > 0 else "short"
     effect = hypothesis.model_change.effect
-    if hypothesis.kind == "constant-offset" and hypothesis.acts_on == "distance":
-        cause = usual_offset_text(float(values[0]), float(np.sqrt(covariance[0, 0])))
-        cause = cause or ("another SMR or prism" if hypothesis.targets else "another SMR, or a wrong distance constant")
-        return f"The distances {'to' if hypothesis.targets else 'from'} {at} are {size} too {more}: {cause}."
-    if template := SENTENCES_BY_CAUSE.get((hypothesis.kind, hypothesis.acts_on)):
-        return template.format(at=at, size=size, more=more)
+    if hypothesis.kind == "reference-scale":
+        causes = "a temperature, an expansion or the scale of the distances is not as declared"
+        return f"The reference lengths and the distances differ in scale by {size}: {causes}."
     if hypothesis.kind == "reflector-radius":
         cause = usual_smr_text(float(values[0]), float(np.sqrt(covariance[0, 0]))) or "another SMR radius"
         side = "away from" if values[0] > 0 else "towards"
         return f"At {at} the centres of the SMRs are displaced along the normals {side} their nests by {size}: {cause}."
+    if hypothesis.kind == "station-drift":
+        return f"Station {at} moved at a constant rate during its measurement, by {size} in total."
     interval_text = _row_interval_text(fit, hypothesis)
     if hypothesis.kind == "orientation":
         return f"The horizontal circle of {at} was turned by {size} {interval_text}."
@@ -280,6 +256,38 @@ def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     return f"Target {at} moved {interval_text}, by {size}."
 
 
+OBSERVABLE_CAUSES = {
+    ("constant-offset", "distance", "station"): "another SMR, or a wrong distance constant",
+    ("constant-offset", "distance", "target"): "another SMR or prism",
+    ("constant-offset", "elevation", "station"): "another vertical index at this set-up",
+    ("constant-step", "distance", "station"): "another SMR, or the beam was interrupted",
+    ("constant-step", "elevation", "station"): "another vertical index afterwards",
+    ("constant-drift", "distance", "station"): "a drift of the range zero",
+    ("constant-drift", "elevation", "station"): "a drift of the vertical index",
+    ("scale-error", "distance", "station"): "a wrong atmospheric correction or unit at this set-up",
+}
+"""Usual causes of a shift of one observable, by kind, observable and place."""
+
+
+def _observable_sentence(fit: NetworkFit, hypothesis: Hypothesis, estimate: dict[str, Any]) -> str:
+    """Sentence on a shift of all readings of one observable at a station or target, with its `estimate`."""
+    at = ", ".join((*hypothesis.stations, *hypothesis.targets))
+    place, link = ("target", "to") if hypothesis.targets else ("station", "from")
+    cause = OBSERVABLE_CAUSES[hypothesis.kind, hypothesis.acts_on, place]
+    what, number = f"The {hypothesis.acts_on}s {link} {at}", estimate["estimate"]
+    size = f"{with_sigma(abs(number), estimate['sigma'], estimate['unit'])}"
+    if hypothesis.kind == "constant-step":
+        return f"{what} changed by {size} {_row_interval_text(fit, hypothesis)}: {cause}."
+    if hypothesis.kind == "constant-drift":
+        return f"{what} drifted by {size} during the measurement: {cause}."
+    if hypothesis.acts_on != "distance":
+        return f"{what} are wrong by {size}: {cause}."
+    if hypothesis.kind == "constant-offset":
+        values, covariance = fit.estimate(hypothesis)
+        cause = usual_offset_text(float(values[0]), float(np.sqrt(covariance[0, 0]))) or cause
+    return f"{what} are {size} too {'long' if number > 0 else 'short'}: {cause}."
+
+
 def _centring_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     """Sentence on centring errors: displacements of one length at a set-up, or of random size."""
     assert isinstance(hypothesis.model_change, CentringChange)
@@ -287,6 +295,12 @@ def _centring_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     if hypothesis.targets:
         what = f"The reflector on {hypothesis.targets[0]} is displaced at random at each set-up"
         return f"{what}, by {size} along each axis: check its centring."
+    if not hypothesis.stations:
+        return (
+            f"Repeated pointings of a target from one set-up share errors of {size} along each axis: "
+            "the reflectors were placed anew at each set-up (centring), or errors repeat in all rounds. "
+            "The repeats are not independent."
+        )
     at = hypothesis.stations[0]
     common = common_displacement(fit, hypothesis)
     if common is None:

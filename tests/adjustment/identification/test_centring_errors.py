@@ -122,3 +122,22 @@ def test_occupations_of_labels_and_days() -> None:
     occupation = target_occupations(dated, some)
     assert set(occupation.tolist()) == {-1, 0, 1, 2}
     assert (occupation[recording.station != recording.stations.index("S1")] == -1).all()
+
+
+@pytest.mark.parametrize("scatter", [0.1, 0.5])
+def test_repeats_that_share_errors_are_no_motion(scatter: float) -> None:
+    """Three shots each from one face: their errors are common, and they scatter `scatter` times as much as declared."""
+    once, _ = network(seed=21, stations=5, faces=1)
+    recording = once.select(np.repeat(np.arange(len(once)), 3))
+    noise = scatter * recording.sigma() * stream(22, "scatter").standard_normal(recording.readings.shape)
+    selection = identified(recording.with_readings(recording.readings + noise))
+    kinds = [(test.kind, test.where.stations, test.where.targets) for test in cause_tests(selection)]
+    assert kinds[0] == ("centring", (), ())
+    assert {kind for kind, _, _ in kinds} <= {"centring", "noise-level"}
+    assert cause_tests(selection)[0].sentence.startswith("Repeated pointings of a target from one set-up share errors")
+    assert selection.fit.adjustment.p_value > 0.01
+
+
+def test_independent_repeats_share_no_errors() -> None:
+    recording, _ = network(seed=21, stations=5, faces=1, repeats=3)
+    assert cause_tests(identified(recording)) == ()

@@ -118,7 +118,7 @@ def test_a_constant_that_drifts_evenly_at_a_station(observable: str, size: float
     assert test.acts_on == observable
     unit = 1e-3 if observable == "distance" else ARCSECOND
     assert test.estimate == pytest.approx(size / unit, abs=5.0 * test.sigma)
-    assert "in total" in test.sentence
+    assert "drifted by" in test.sentence
     assert np.allclose(selection.fit.state.target_points, truth.state.target_points, atol=1e-4)
 
 

@@ -11,6 +11,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
+from ltsim.adjustment.identification.signatures import ReadingShift
 from ltsim.core.arrays import Ints
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.recordings.recording import Recording
@@ -19,6 +20,8 @@ from tests.networks import mesh, network
 
 Place = tuple[tuple[str, ...], tuple[str, ...]]
 """Stations and targets at which a cause acts."""
+Cause = Callable[[float], tuple[Recording, Place]]
+"""Recording with a cause of some size, and its place."""
 
 
 @cache
@@ -74,6 +77,20 @@ def index_at_a_station(size: float) -> tuple[Recording, Place]:
     return recording.with_readings(readings), (("S3",), ())
 
 
+def changing_constant(observable: str, *, is_drift: bool) -> Cause:
+    """Readings of one observable whose constant drifts, or changes once, by a size [m or 10 rad] at a set-up."""
+
+    def cause(size: float) -> tuple[Recording, Place]:
+        recording = workshop()
+        middle = float(np.median(recording.time[rows_of("S2")]))
+        effect = ReadingShift(observable, False, ("S2",), (), -np.inf if is_drift else middle, is_drift=is_drift)
+        amount = np.array([size if observable == "distance" else 0.1 * size])
+        change = effect.reading_change(adjust(recording).sightings, amount)
+        return recording.with_readings(recording.readings + change), (("S2",), ())
+
+    return cause
+
+
 def moved_target(size: float) -> tuple[Recording, Place]:
     """A target that stood elsewhere when the last two stations measured it."""
     recording = workshop()
@@ -113,6 +130,18 @@ RUNGS = [
     pytest.param(ball_at_a_station, 0.3, id="ball_at_a_station"),
     pytest.param(exchanged_names, 0.0, id="exchanged_names", marks=pytest.mark.long),
     pytest.param(exchanged_reference_points, 0.0, id="exchanged_reference_points"),
+    pytest.param(changing_constant("elevation", is_drift=True), 3e-4, id="drift_of_elevation"),
+    *(
+        pytest.param(
+            changing_constant(observable, is_drift=is_drift),
+            size,
+            id=f"{'drift' if is_drift else 'step'}_of_{observable}-{size:g}",
+            marks=pytest.mark.long,
+        )
+        for observable in ("distance", "elevation")
+        for is_drift in (True, False)
+        for size in (5e-4, 0.02, 2.0)
+    ),
     *(
         pytest.param(cause, size, id=f"{cause.__name__}-{size:g}", marks=pytest.mark.long)
         for cause, sizes in {
@@ -126,9 +155,7 @@ RUNGS = [
 
 
 @pytest.mark.parametrize(("cause", "size"), RUNGS)
-def test_every_verb_names_a_simple_cause_first_at_its_place(
-    cause: Callable[[float], tuple[Recording, Place]], size: float
-) -> None:
+def test_every_verb_names_a_simple_cause_first_at_its_place(cause: Cause, size: float) -> None:
     recording, place = cause(size)
     expected = tuple(tuple(sorted(names)) for names in place)
     for verb, (stations, targets) in first_places(recording).items():
