@@ -1,4 +1,1 @@
-"""Acceptance tests of trackers: tests of the standards, of a user's plan, or by a user's network.
-
-Predicted or evaluated.
-"""
+"""Acceptance tests of trackers, predicted or evaluated: tests of a standard, of a user, or by a network."""

@@ -1,4 +1,4 @@
-"""Prediction of test errors, sensitivities, probabilities to pass, and undetected errors from constants and noise."""
+"""Prediction of acceptance tests: errors, sensitivities, probabilities to pass, and errors that no test detects."""
 
 from __future__ import annotations
 
@@ -20,14 +20,18 @@ from ltsim.recordings.setup import Noise
 from ltsim.recordings.specification import Specification
 
 MAX_ROUNDING_FRACTION = 1e-6
-"""Fraction of a limit that a constant of usual size may cause by rounding alone."""
+"""Largest fraction of a limit that counts as rounding: if a constant at its prior sigma causes no more, no test depends
+on the constant.
+"""
 MAX_PRIOR_SIGMAS = 3.0
-"""Number of prior standard deviations within which an instrument that passes despite large errors is searched."""
+"""Largest size of a constant, in prior standard deviations, in the search for an instrument that passes all tests in
+spite of large errors.
+"""
 
 
 @dataclass(frozen=True)
 class AcceptancePlan:
-    """Tests of an instrument of one construction, with their limits."""
+    """Acceptance tests for instruments of one construction with p constants: k tests with their limits."""
 
     tests: tuple[AcceptanceTest, ...]
     construction: Construction
@@ -36,16 +40,17 @@ class AcceptancePlan:
 
     @cached_property
     def _test_ends(self) -> tuple[Floats, Floats]:
+        """First and second points of all tests, (k, 3) [m] each."""
         return np.array([t.first_point for t in self.tests]), np.array([t.second_point for t in self.tests])
 
     @cached_property
     def is_length(self) -> Bools:
-        """Flags (k,): length test (True) or two-face test (False)."""
+        """Flags (k,): True for a length, False for a two-face test."""
         return np.array([t.kind == "length" for t in self.tests])
 
     @cached_property
     def permissible_errors(self) -> Floats:
-        """Limits of the specification, (k,) [m]."""
+        """Maximum permissible errors by the specification, (k,) [m]."""
         first, second = self._test_ends
         limit = self.specification.two_face_limits(first)
         chosen = self.is_length
@@ -53,10 +58,10 @@ class AcceptancePlan:
         return limit
 
     def test_errors(self, constants: Floats) -> Floats:
-        """Errors (k, 2) [m] of the tests for an instrument with constants (p,) [SI], without noise; exact.
+        """Errors (k, 2) [m] of the tests for an instrument with constants (p,) [SI], without noise.
 
-        For a length they are measured minus true, and 0. For a two-face test they are the front-face point minus the
-        back-face point, to the left and upwards as seen from the instrument.
+        They are exact. For a length, they are measured minus true length, and 0. For a two-face test, they are the
+        front-face point minus the back-face point, to the left and upwards as seen from the instrument.
         """
         first, second = self._test_ends
         front = np.ones(len(first), dtype=np.int64)
@@ -89,7 +94,10 @@ class AcceptancePlan:
         return np.sqrt(squares)
 
     def _point_noise(self, points: Floats) -> tuple[Floats, Floats]:
-        """Directions of beam, left and up (k, 3, 3), and standard deviations (k, 3) [m] along them."""
+        """Directions (k, 3, 3) of beam, left and up at k points (k, 3) [m], and standard deviations (k, 3) [m].
+
+        The standard deviations are those of the noise of a point along these directions.
+        """
         polar = to_polar(points)
         axes = np.stack(unit_vectors(polar[:, 1], polar[:, 2]), axis=1)
         flat = np.zeros(len(polar))
@@ -131,11 +139,14 @@ class AcceptancePlan:
         )
 
     def is_within_limits(self, errors: Floats) -> Bools:
-        """Flags (...,): errors (..., k, 2) [m] are within the limits."""
+        """Flags (...,) of the instruments whose errors (..., k, 2) [m] are all within the limits."""
         return np.hypot(errors[..., 0], errors[..., 1]) <= self.permissible_errors
 
     def smallest_failing(self) -> tuple[Floats, list[AcceptanceTest]]:
-        """Smallest size (p,) [SI] of each constant alone at which a test fails, and that test; inf if none."""
+        """Smallest size (p,) [SI] of each constant alone at which a test fails, and that test for each constant.
+
+        The size is infinite if no test depends on the constant.
+        """
         per_unit = np.linalg.norm(self.sensitivities, axis=1) / self.permissible_errors[:, None]
         indices = np.argmax(per_unit, axis=0)
         max_errors = per_unit[indices, np.arange(len(indices))]
@@ -148,9 +159,9 @@ class AcceptancePlan:
         return size, [self.tests[i] for i in indices]
 
     def worst_passing(self, prior: Floats, points: Floats) -> tuple[Floats, float, float]:
-        """Constants (p,) [SI] with the largest errors of points (n, 3) [m] that still meet every limit.
+        """Constants (p,) [SI] with the largest point errors that still meet every limit, and two sizes of the errors.
 
-        Also returned are the root mean square and the largest error of these points [m]. The search is along the
+        These are the root mean square and the largest error [m] of points (n, 3) [m]. The search is along the
         directions with the largest ratio of point errors to test errors, up to the limits and to `MAX_PRIOR_SIGMAS`
         prior standard deviations (p,).
         """
@@ -178,7 +189,7 @@ class AcceptancePlan:
 
 @dataclass(frozen=True)
 class AcceptancePrediction:
-    """Predicted results of the tests."""
+    """Predicted results of k tests."""
 
     expected_errors: Floats
     """Expected errors, (k, 2) [m]."""
@@ -207,7 +218,7 @@ def point_errors_by_constant(construction: Construction, points: Floats, prior_s
 
 
 def _covariance_root(covariance: Floats) -> Floats:
-    """Root (p, r) of a possibly singular covariance matrix."""
+    """Square root (p, r) of a covariance matrix (p, p) of rank r."""
     values, vectors = np.linalg.eigh(covariance)
     return vectors * np.sqrt(np.maximum(values, 0.0))
 
@@ -220,9 +231,9 @@ def predicted_result(
     *,
     instrument_description: str,
 ) -> AcceptanceFile:
-    """Result for predicted tests of an instrument `instrument_description`.
+    """Result for predicted tests of an instrument.
 
-    `prior` (p,) [SI] are standard deviations of its constants.
+    `prior` (p,) [SI] are standard deviations of its constants, `instrument_description` is the subject of the sentence.
     """
     values, rms, largest = plan.worst_passing(prior, envelope_points())
     size = np.hypot(prediction.expected_errors[:, 0], prediction.expected_errors[:, 1])

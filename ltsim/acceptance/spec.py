@@ -1,6 +1,6 @@
-"""Acceptance file (ltsim-acceptance/1): tests, manufacturer's limits, and information on the instrument.
+"""Acceptance file (ltsim-acceptance/1): tests, limits of the manufacturer, and information on the instrument.
 
-Tests are lengths and two-face targets in the instrument's frame (z up, its head at 0).
+Tests are lengths and two-face targets in the instrument's frame, with z upwards and the origin at the head.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,19 +22,19 @@ from ltsim.recordings.tables.sheets import table_rows
 
 TestKind = Literal["length", "two-face"]
 TEST_COLUMNS = ("test", "group", "kind", "x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
-"""Columns of a user's table of tests."""
+"""Columns of a table of tests that a user writes."""
 MIN_REFERENCE_LENGTH = 2.3
-"""[m] Shortest reference length of ASME B89.4.19-2006."""
+"""[m] Smallest reference length that ASME B89.4.19-2006 permits; used for the lengths in front of the instrument."""
 CLOSEST_POSITION_DISTANCE = 1.2
-"""[m] Distance of the instrument from the reference length in the tests at the closest position."""
+"""[m] Distance of the instrument from the reference length in the test at the closest position."""
 StandardName = Literal["asme-b89.4.19-2006", "iso-10360-10", "iso-10360-10-two-face"]
 TWO_FACE_ONLY_STANDARD: StandardName = "iso-10360-10"
-"""Standard of which only the two-face tests are published openly; its lengths are read from a table."""
+"""Standard of which only the two-face tests are published openly; the user gives its lengths in a table."""
 
 
 @dataclass(frozen=True)
 class AcceptanceTest:
-    """Test position: a length between two points, or a target in both faces (equal points) [m]."""
+    """Test of a tracker: a length between two points, or a target measured in both faces (equal points)."""
 
     __test__ = False  # a test of a tracker, not one of pytest's
 
@@ -42,23 +42,23 @@ class AcceptanceTest:
     group: str
     kind: TestKind
     first_point: tuple[float, float, float]
-    """First point of a length, or the target of a two-face test, (3,) [m]."""
+    """First point of a length, or target of a two-face test, (3,) [m] in the instrument's frame."""
     second_point: tuple[float, float, float]
-    """Second point, (3,) [m]."""
+    """Second point of a length, or the same target, (3,) [m] in the instrument's frame."""
 
 
 def asme_tests(height: float, ranges: Sequence[float]) -> list[AcceptanceTest]:
     """Tests of ASME B89.4.19-2006 for an instrument whose head is `height` [m] above the floor.
 
     36 two-face tests (1, 3 and 6 m; on the floor, at the head's height, at twice that; every quarter turn), 33 lengths
-    (horizontal, vertical and both diagonals at 3 and 6 m, every quarter turn, and one horizontal as close as can be)
-    and lengths along the line of sight from the first to each of the other `ranges` [m]. Two more lengths may be chosen
-    freely by the user and are not included.
+    (horizontal, vertical and both diagonals at 3 and 6 m, every quarter turn, and one horizontal at the closest
+    position) and lengths along the line of sight from the first to each of the other `ranges` [m]. Two more lengths may
+    be chosen freely by the user and are not included.
 
     References
     ----------
     As the standard is described by Muralikrishnan, Sawyer, Blackburn, Phillips, Borchardt, Estler, J. Res. NIST 114
-    (2009) 21-35; the standard's own text prevails, and a plan of one's own can be read from a table.
+    (2009) 21-35; the text of the standard prevails, and other tests can be read from a table.
     """
     quarters = (0, 90, 180, 270)
     tests = list(_two_face_tests((1.0, 3.0, 6.0), height, quarters))
@@ -84,7 +84,7 @@ def iso_two_face_tests(height: float) -> list[AcceptanceTest]:
 
 
 def _two_face_tests(distances: Sequence[float], height: float, azimuths_deg: Sequence[int]) -> Iterator[AcceptanceTest]:
-    """Two-face tests at horizontal distances: on the floor, level with the head, and at twice its height."""
+    """Two-face tests at horizontal distances [m]: on the floor, level with the head, and at twice its height."""
     for away in distances:
         for z, where in ((-height, "floor"), (0.0, "level"), (height, "high")):
             for turn in azimuths_deg:
@@ -93,7 +93,7 @@ def _two_face_tests(distances: Sequence[float], height: float, azimuths_deg: Seq
 
 
 def _length_test(test_group: str, tilt_deg: float, distance: float, azimuth_deg: int) -> AcceptanceTest:
-    """Test with a reference length centred in front of the head at its height, tilted about the line of sight."""
+    """Test of a reference length in front of the head, centred at its height and tilted about the line of sight."""
     half_vector = MIN_REFERENCE_LENGTH / 2 * np.array([0.0, np.cos(np.radians(tilt_deg)), np.sin(np.radians(tilt_deg))])
     midpoint = np.array([distance, 0.0, 0.0])
     ends = (
@@ -115,7 +115,7 @@ def _rotated_about_vertical(point: Floats, rotation_deg: float) -> tuple[float, 
 
 
 def builtin_tests(standard_name: StandardName, height: float, ranges: Sequence[float]) -> list[AcceptanceTest]:
-    """Tests of a standard, as far as they are published openly."""
+    """Tests of a standard that are published openly."""
     return asme_tests(height, ranges) if standard_name == "asme-b89.4.19-2006" else iso_two_face_tests(height)
 
 
@@ -123,7 +123,7 @@ def builtin_tests(standard_name: StandardName, height: float, ranges: Sequence[f
 def read_tests(file: Path) -> list[AcceptanceTest]:
     """Tests of a user's table with the columns `TEST_COLUMNS`; in a two-face test the second point is empty.
 
-    Raises SetupError with row, column, value and expected value.
+    Raises SetupError with row, column, value and what is expected.
     """
     tests = [_test_from_row(row, line, file) for line, row in read_table_rows(file, TEST_COLUMNS)]
     if not tests:
@@ -134,7 +134,7 @@ def read_tests(file: Path) -> list[AcceptanceTest]:
 def read_table_rows(
     file: Path, required_columns: Sequence[str], optional_columns: Sequence[str] = ()
 ) -> list[tuple[int, dict[str, str]]]:
-    """Lines and rows of a user-written table with the columns `required_columns`; raises RecordError or SetupError."""
+    """Line number and cells by column of each row in a table that a user writes; raises RecordError or SetupError."""
     header, rows = table_rows(file)
     missing = [name for name in required_columns if name not in header]
     if missing:
@@ -161,13 +161,14 @@ def _point_from_row(row: dict[str, str], end_name: str, line_number: int, file: 
     values = [parse_comma_number(row[name], file=file, row=line_number, column=name) / 1000 for name in columns]
     if not np.isfinite(values).all() or np.hypot(values[0], values[1]) < 1e-3:
         raise SetupError(
-            f"{file}: row {line_number}: point {end_name} is on the instrument's own axis, which has no azimuth"
+            f"{file}: row {line_number}: point {end_name} is on the vertical axis of the instrument, "
+            "where azimuth is undefined; give a point beside the axis"
         )
     return values[0], values[1], values[2]
 
 
 def envelope_points() -> Floats:
-    """Points (180, 3) [m] around an instrument.
+    """Points (180, 3) [m] around an instrument, for the largest point errors that acceptance tests overlook.
 
     Distances are 1.5 to 9 m, elevations -50 to 50 degrees, with a point every 30 degrees of azimuth.
     """
@@ -178,15 +179,15 @@ def envelope_points() -> Floats:
 
 
 MAX_TRIALS = 10_000_000
-"""Largest number of random draws."""
+"""Largest permitted number of random draws."""
 
 
 class AcceptanceSettings(TomlSection):
-    """Contents of an acceptance file. Names of other files are relative to it.
+    """Contents of an acceptance file. Paths of other files are relative to it.
 
-    Without a `recording` or `measured` the tests are predicted: for the instrument of a `calibration`, or for any
-    instrument of the specification. With `measured` the errors are evaluated; with a `recording` its network replaces
-    calibrated lengths.
+    Without `recording` and `measured` the tests are predicted: for the instrument of a `calibration`, or for any
+    instrument that meets the specification. With `measured` the measured errors are evaluated. With `recording` the
+    targets of a network replace calibrated lengths.
     """
 
     format: Literal["ltsim-acceptance/1"] = "ltsim-acceptance/1"
@@ -196,16 +197,16 @@ class AcceptanceSettings(TomlSection):
     standard: StandardName | None = None
     """Built-in set of tests."""
     lengths: str | None = None
-    """Tests in addition to the built-in ones: a CSV with one row per test; `iso-10360-10` requires
-    its lengths there.
+    """Tests in addition to the built-in ones: a CSV file with one row per test; `iso-10360-10` needs one for its
+    lengths.
     """
     tests: str | None = None
-    """Tests in place of built-in ones: a CSV with one row per test."""
+    """Tests in place of built-in ones: a CSV file with one row per test."""
     instrument: str | None = None
     """Name of a built-in data sheet."""
     specification: Specification | None = None
-    """Manufacturer's limits in place of a data sheet; with `instrument`, values that complete or replace those of the
-    sheet.
+    """Limits of the manufacturer in place of a data sheet; if `instrument` is given too, they complete or replace
+    values of its data sheet.
     """
     construction: Literal["source-in-head", "steering-mirror"] = "source-in-head"
     """Construction of the instrument: beam source in the head, or a steering mirror."""
@@ -214,11 +215,11 @@ class AcceptanceSettings(TomlSection):
     twice it.
     """
     ranges_m: Annotated[tuple[Positive, ...], Field(min_length=2)] = (2.0, 6.0, 12.0, 18.0, 24.0, 30.0)
-    """Distances [m] of the points on the line of sight; lengths are from the first one to each other one."""
+    """Distances [m] of points on the line of sight; the lengths lead from the first point to each other one."""
     calibration: str | None = None
     """Calibration of the instrument: a `calibration.json` or its folder."""
     corrected: bool = False
-    """True if the calibration is applied before the tests, so that only its uncertainty remains."""
+    """True if readings are corrected by the calibration before the tests; only its uncertainty then remains."""
     recording: str | None = None
     """Recording of a network measured by the instrument, whose targets provide reference lengths."""
     measured: str | None = None
@@ -237,7 +238,9 @@ class AcceptanceSettings(TomlSection):
         if self.standard == TWO_FACE_ONLY_STANDARD and self.lengths is None:
             raise ValueError("it should give lengths = FILE: ltsim has no positions for the lengths of iso-10360-10")
         if self.lengths is not None and self.standard is None:
-            raise ValueError("it should give lengths only with a standard; tests already holds the whole plan")
+            raise ValueError(
+                "it should give lengths only with a standard; the file in tests already contains all tests"
+            )
         if self.recording is not None and self.measured is not None:
             raise ValueError("it should give recording or measured, not both")
         return self
@@ -258,7 +261,7 @@ class AcceptanceSettings(TomlSection):
         return self.tests or self.standard or ""
 
     def make_tests(self, folder: Path) -> tuple[AcceptanceTest, ...]:
-        """Tests of the standard or of files relative to `folder`; raises SetupError."""
+        """Tests of the standard, or of files relative to `folder`; raises SetupError."""
         if self.standard is None:
             return tuple(read_tests(folder / (self.tests or "")))
         user_tests = [] if self.lengths is None else read_tests(folder / self.lengths)
@@ -267,7 +270,7 @@ class AcceptanceSettings(TomlSection):
 
 @as_setup_error()
 def load_acceptance(path: Path) -> AcceptanceSettings:
-    """The contents of an acceptance file; raises SetupError."""
+    """Content of an acceptance file; raises SetupError."""
     return validate_acceptance(read_toml(path, "acceptance file"), path)
 
 

@@ -5,7 +5,7 @@ import os
 from ltsim.core.errors import require
 
 REQUIRED_PACKAGES = ("duckdb", "filelock", "numba", "pyarrow")
-"""Packages that only campaigns need, a third of a complete installation."""
+"""Packages that only campaigns need; they are a third of the size of a complete installation."""
 
 
 def require_packages() -> None:

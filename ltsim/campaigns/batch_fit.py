@@ -6,25 +6,31 @@ from dataclasses import dataclass
 from ltsim.core.arrays import Bools, Floats
 
 MAX_DISTANCE_TO_OPTIMUM = 5e-5
-"""Largest distance to the optimum of a converged trial, in standard deviations (all unknowns together)."""
+"""Largest distance to the optimum of a trial that counts as converged: the norm over all unknowns, in units of their
+standard deviations. A trial above it is solved again by the full solver.
+"""
 
 
 @dataclass(frozen=True)
 class BatchFit:
-    """Adjusted trials of a batch; the last index is the trial."""
+    """Adjusted trials: B trials, T targets, I instruments with p parameters each, q parameters of effects."""
 
     target_increments: Floats
-    """Adjusted minus nominal targets, (T, 3, B) [m]."""
+    """Adjusted minus nominal coordinates of the targets, (T, 3, B) [m]."""
     instrument_values: Floats
     """Instrument parameters, (I, p, B) [SI]."""
     effect_values: Floats
-    """Parameters of additional effects, (q, B) [SI]."""
+    """Parameters of the additional effects, (q, B) [SI]."""
     incidence_parameters: Mapping[str, Floats]
-    """Parameters (14, B) [SI] of `smr-incidence` of each reflector, by name."""
+    """Parameters of the range error over incidence (effect `smr-incidence`, 14 parameters) of each reflector, by its
+    name, (14, B) [SI].
+    """
     chi2: Floats
     """Chi-square of each trial, (B,)."""
     distance_to_optimum: Floats
-    """Distance to the optimum after the last step, in standard deviations, (B,)."""
+    """Estimated distance to the optimum after the last step, (B,): the norm over all unknowns, in units of their
+    standard deviations.
+    """
 
     @property
     def has_converged(self) -> Bools:

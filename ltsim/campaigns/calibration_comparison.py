@@ -21,7 +21,9 @@ from ltsim.simulation.simulator import measure_trial
 from ltsim.simulation.verbs import ScenarioSource, scenario
 
 READING_TOLERANCE = 1e-6
-"""Difference [m, rad] below which readings count as equal; noise of two recordings differs by more."""
+"""Largest difference [m, rad] between readings that count as equal. Rounding in a file is smaller, and the noise of two
+recordings differs by more.
+"""
 NEW_POINT_ERRORS_TABLE = Table(
     "new_points.csv",
     "errors of points that no calibration used, rms over stations and points, the new readings' noise in them",
@@ -40,9 +42,10 @@ NEW_POINT_ERRORS_TABLE = Table(
 
 @dataclass(frozen=True, repr=False)
 class NewPointErrors(Result):
-    """Error of new points [m] by name of the calibration."""
+    """Errors of new points after each of several calibrations of one recording."""
 
     errors: Mapping[str, CalibrationErrors]
+    """Rms errors [m] before and after correction of the readings, by name of the calibration."""
 
     def _lines(self) -> list[str]:
         first = next(iter(self.errors.values()))
@@ -60,7 +63,10 @@ class NewPointErrors(Result):
 
 
 def _has_same_readings(readings: Floats, other_readings: Floats) -> bool:
-    """True for readings [m, rad] that differ by file rounding at most, or of which some were removed."""
+    """True if two sets of readings [m, rad] are those of one recording.
+
+    They may differ by the rounding of files, and readings may have been removed.
+    """
     return readings.shape != other_readings.shape or not np.any(np.abs(readings - other_readings) > READING_TOLERANCE)
 
 
@@ -76,25 +82,26 @@ def compare_calibrations(
     """Comparison of calibrations of one simulated recording by points that were not used for calibration.
 
     The same instruments with the same errors measure at another place with independent noise, and each calibration
-    corrects these readings. A campaign with `validation_scenario` has the same numbers in the row of the trial.
+    corrects these readings. The rows of a campaign with the key `judge_in` contain the same numbers.
 
     Parameters
     ----------
     source : Scenario, str or Path
         The scenario of the recording that was calibrated.
     calibrations : Calibration, or mapping of str to Calibration
-        Calibrations by their names in the result.
+        Calibrations, by the names that the result gives them.
     validation_scenario : str or Path
         The other place: a scenario, or a table of points ``NAME.csv`` measured from the recording's own stations.
     applied : bool
-        Judge what `correct` takes out of readings in place of the estimates, as for a campaign's method with `applied`.
+        True to evaluate the corrections that `correct` applies, in place of the estimates. The key `applied` of a
+        method in a campaign file does the same.
     seed, trial : int
         Seed and trial of the recording.
 
     Raises
     ------
     SetupError
-        When the place is none, its stations name other trackers, or a calibration is of another recording.
+        If there is no such scenario, its stations name other trackers, or a calibration belongs to another recording.
 
     Examples
     --------
@@ -118,7 +125,7 @@ def compare_calibrations(
         if not _has_same_readings(readings, made.readings):  # the distance methods adjust what they have corrected
             raise SetupError(f"'{name}' calibrates another recording than that of seed {seed}, trial {trial}")
     if not by_name:
-        raise SetupError("there is no calibration to judge")
+        raise SetupError("no calibration is given, expected at least one")
     values = np.array([*truth.instrument_values.values()]).reshape(len(base_scenario.trackers_in_use), -1)
     geometry = make_geometry(
         make_validation_scenario(str(validation_scenario), base_scenario, place), seed, VALIDATION_STREAM_KEY

@@ -1,8 +1,8 @@
 """Calibrators of the methods in a campaign file, for trials with a common geometry and for trials with separate ones.
 
-Trials whose stations see the same targets form a stack: the last index of their geometry arrays is the trial, as for
-all other arrays. Large operations (exact readings, residuals and gradients, points, criteria) are done for all trials
-together; each trial has its own normal matrix, which determines its steps.
+Trials whose stations see the same targets form a stack. The last index of the geometry arrays of a stack is the trial,
+as for all other arrays of a campaign. The large operations (exact readings, residuals and gradients, points, criteria)
+are done for all trials together. The Gauss-Newton steps of a trial use the normal matrix of that trial.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from ltsim.simulation.draws import StandardNormalSource
 
 
 def estimated_construction(method: Method) -> Construction:
-    """The construction whose parameters a method estimates."""
+    """Construction whose parameters a method estimates."""
     return construction_with_orders(method.construction, method.harmonics, method.degree)
 
 
@@ -56,12 +56,17 @@ def make_calibrator(method: Method, truth: CellTruth) -> TrialCalibrator:
 
 @dataclass(frozen=True)
 class GeometryStack(CellTruth):
-    """True geometries of trials whose stations see the same targets; the last index of geometry arrays is the trial."""
+    """True geometries of B trials whose stations see the same n pointings.
+
+    The last index of each geometry array is the trial.
+    """
 
     truths: tuple[CellTruth, ...] = ()
-    """True geometry of each trial; quantities common to all are those of the first."""
+    """True geometry of each trial. Quantities that all trials share are taken from the first one."""
     row_of_pointing: Ints = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int64))
-    """Row of each pointing of the first trial in every trial, (n, B); the order of pointings may differ."""
+    """Row number of each pointing of the first trial in the recording of every trial, (n, B); recordings may list the
+    pointings in different orders.
+    """
 
     @classmethod
     def from_truths(cls, truths: tuple[CellTruth, ...]) -> Self:
@@ -84,13 +89,13 @@ class GeometryStack(CellTruth):
         )
 
     def gather(self, arrays: Iterable[Floats]) -> Floats:
-        """Arrays (n, ...) of the trials in the common order of pointings, stacked along a last index."""
+        """Stacked array (n, ..., B) of one array (n, ...) per trial, in the order of the first trial's pointings."""
         return np.ascontiguousarray(
             np.stack([a[r] for a, r in zip(arrays, self.row_of_pointing.T, strict=True)], axis=-1)
         )
 
     def array_of_trial(self, stacked_array: Floats, trial: int) -> Floats:
-        """Array (n, ...) of one trial from a stacked array (n, ..., B), in the trial's order of pointings."""
+        """Array (n, ...) of one trial, in the order of that trial's pointings, from a stacked array (n, ..., B)."""
         trial_array = np.empty(stacked_array.shape[:-1])
         trial_array[self.row_of_pointing[:, trial]] = stacked_array[..., trial]
         return trial_array
@@ -114,7 +119,7 @@ class GeometryStack(CellTruth):
         return self.gather(truth.effect_design_function(effects)[..., 0] for truth in self.truths)
 
     def _compute_chain_and_design(self, built: Construction) -> tuple[ChainProgram, Floats]:
-        """Kinematic chain of all trials, and derivative (n, 3, p, B) of the readings by its parameters."""
+        """Kinematic chain of all trials, and derivative of the readings with respect to p parameters, (n, 3, p, B)."""
         flattened = np.swapaxes(self.nominal_readings, 1, 2).reshape(-1, 3)
         by_value = built.reading_design(flattened, np.zeros(built.n_parameters))[1]
         by_trial = np.moveaxis(by_value.reshape(*self.row_of_pointing.shape, *by_value.shape[1:]), 1, -1)
@@ -123,13 +128,14 @@ class GeometryStack(CellTruth):
         )
 
     def _exact_deviations(self, true_parameters: Floats) -> Floats:
+        """Exact minus nominal readings (n, 3, B) for true parameters (I, p, B) of the instruments."""
         which, (program, by_value) = self.recording.instrument, self.chain_and_design(self.construction)
         deviation = np.einsum("nckb,nkb->ncb", by_value, true_parameters[which])
         compute_readings(program, which, self.local_points, self.reading_derivatives, true_parameters, deviation)
         return deviation
 
     def draw_numbered_trials(self, seed: int, numbers: Ints) -> TrialBatch:
-        """Random values of the trials with these numbers."""
+        """Trials with the given numbers, one for each geometry of the stack, with their random values."""
         sources = StandardNormalSource(seed, numbers).single_trial_sources()
         draws = [
             truth.distributions.draw(numbers_of_trial)
@@ -145,13 +151,16 @@ class GeometryStack(CellTruth):
             np.concatenate(parts, axis=1)
             for parts in zip(*(block.effect_values for block in single_trials), strict=True)
         )
-        gauge_error = np.concatenate([block.length_errors for block in single_trials], axis=1)
+        length_errors = np.concatenate([block.length_errors for block in single_trials], axis=1)
         deviation = self.gather(block.reading_deviations[:, :, 0] for block in single_trials)
-        return TrialBatch(numbers, values, amounts, deviation, gauge_error, single_trials)
+        return TrialBatch(numbers, values, amounts, deviation, length_errors, single_trials)
 
 
 def stack_geometries(truths: dict[int, CellTruth]) -> Iterator[tuple[GeometryStack, Ints]]:
-    """Stacks of trials with equal sightings and equal criteria, with the numbers of their trials."""
+    """Stacks of the trials whose stations see the same targets, each with the numbers (B,) of its trials.
+
+    `truths` holds the true geometry of each trial by its number. A trial with an incomplete pointing has its own stack.
+    """
     groups: dict[tuple[object, ...], list[int]] = {}
     for number, truth in truths.items():
         judge = TrialEvaluator(truth)
@@ -165,18 +174,23 @@ def stack_geometries(truths: dict[int, CellTruth]) -> Iterator[tuple[GeometrySta
 
 
 def _pointing_keys(truth: CellTruth) -> Ints:
-    """Keys (n,) that identify a pointing within its recording."""
+    """Integers (n,) that identify each pointing by repeat, station, face and target."""
     r = truth.recording
     return ((r.repeat * len(r.stations) + r.station) * 3 + r.face) * len(r.targets) + r.target
 
 
 @dataclass(frozen=True)
 class StackCalibrator(TrialCalibrator):
-    """Calibrator of trials of one geometry, in a batch; those that fail there or have no batch method one by one."""
+    """Calibrator of the trials of a stack.
+
+    The network method calibrates them in a batch. Trials that do not converge there, and trials of all other methods,
+    are calibrated one by one.
+    """
 
     truth: GeometryStack
     """True geometries of the trials."""
     requested_method: Method = field(default_factory=Method)
+    """Method of the campaign file."""
 
     @classmethod
     def for_stack(cls, method: Method, stack: GeometryStack) -> Self:
@@ -206,7 +220,10 @@ class StackCalibrator(TrialCalibrator):
         return calibrated
 
     def _calibrate_batch(self, block: TrialBatch, results: CalibratedBlock) -> Ints:
-        """Trials that the batch did not calibrate; results of the others are stored in `results`."""
+        """Indices of the trials that the batch did not calibrate.
+
+        The estimates of all other trials are stored in `results`.
+        """
         stack, built = self.truth, self.construction
         program, by_value = stack.chain_and_design(built)
         blocks: list[BatchNetwork] = []
@@ -245,7 +262,7 @@ class StackCalibrator(TrialCalibrator):
         return np.flatnonzero(is_doubtful)
 
     def largest_difference(self, block: TrialBatch, trial: int, results: CalibratedBlock) -> float:
-        """Difference between a trial and the full solver, as in `TrialCalibrator`."""
+        """Largest difference [sigma] between the batch and the full solver for a trial, as in `TrialCalibrator`."""
         trial_slice = slice(trial, trial + 1)
         arrays = (
             results.instrument_values[..., trial_slice],
@@ -258,9 +275,9 @@ class StackCalibrator(TrialCalibrator):
 
 @dataclass(frozen=True)
 class StackedNetwork(BatchNetwork):
-    """Networks with equal pointings at different positions, one per trial, adjusted together.
+    """Networks of several trials with the same pointings but different coordinates, adjusted together.
 
-    The last index of its state and program is the trial; `recording` is that of the first trial.
+    The last index of the arrays in `state` and `chain_program` is the trial; `recording` is that of the first trial.
     """
 
     networks: tuple[BatchNetwork, ...] = ()
@@ -272,7 +289,7 @@ class StackedNetwork(BatchNetwork):
         return self.networks[0].problem
 
     def step(self, gradient: Floats) -> Floats:
-        """Step of each trial with its own normal matrix."""
+        """Gauss-Newton step (K, B) for gradients (K, B), with a separate normal matrix for each trial."""
         step = np.empty_like(gradient)
         for trial, (root, scale) in enumerate(part.cholesky_and_scales for part in self.networks):
             step[:, trial] = scale * dpotrs(root.T, scale * gradient[:, trial])[0]
@@ -311,10 +328,10 @@ class StackedNetwork(BatchNetwork):
         designs, nominal = zip(*(part._non_reading_design for part in self.networks), strict=True)
         return np.stack(designs), np.concatenate(nominal, axis=1)
 
-    def _first_step(self, deviation: Floats, gauge_error: Floats | None) -> tuple[Floats, Floats]:
+    def _first_step(self, deviation: Floats, length_errors: Floats | None) -> tuple[Floats, Floats]:
         x, predicted = np.zeros((self.end_indices[-1], deviation.shape[2])), np.zeros_like(deviation)
         gradient, cost = np.empty_like(x), np.empty(x.shape[1])
-        arguments = deviation, gauge_error, predicted, gradient, cost
+        arguments = deviation, length_errors, predicted, gradient, cost
         self._gradient(x, *arguments)
         x += self.step(gradient)
         self._gradient(x, *arguments)  # the predicted readings settle

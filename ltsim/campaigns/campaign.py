@@ -1,8 +1,8 @@
-"""Execution of a campaign: shards computed by workers, written by one process, resumable after any interruption.
+"""Execution of a campaign: workers compute shards, one process writes them, and any interruption can be resumed.
 
-The rows are identical bytes for any number of workers, interruptions and backend, on processors of one type and with
-the same versions: compiler and matrix library choose their instructions by the processor, which changes the last bit of
-a sum. The manifest names processor type and versions.
+A shard is a file with the rows of some trials of one cell. The rows are identical byte by byte for any number of
+workers, interruptions and backend, if processor type and package versions are the same: compiler and matrix library
+choose their instructions by the processor, which changes the last bit of a sum. The manifest names both.
 """
 
 import os
@@ -50,6 +50,7 @@ VERSIONED_PACKAGES = ("ltsim", "numpy", "numba", "pyarrow", "scipy")
 EXTENDABLE_KEYS = ("title", "trials", "statistics", "grid", "design", "cells", "stop")
 """Keys of the campaign file that may be extended while existing rows remain valid."""
 ProgressCallback = Callable[[int], None]
+"""Callback with the number of trials that were finished since the last call."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +62,8 @@ class WorkerSettings:
     backend: str = "local"
     """`local` or `dask`."""
     scheduler: str = ""
-    """Address of the Dask scheduler, such as ``tcp://127.0.0.1:8786``, or its file (``dask scheduler --scheduler-file
-    cluster.json``).
+    """Address of the Dask scheduler, such as ``tcp://127.0.0.1:8786``, or the file that the scheduler wrote (``dask
+    scheduler --scheduler-file cluster.json``).
     """
 
     def __post_init__(self) -> None:
@@ -74,7 +75,7 @@ class WorkerSettings:
 
 @dataclass(frozen=True)
 class RunResult:
-    """Result of a run: its folder, numbers of shards, and notes for the user."""
+    """Result of one run of a campaign: folder, numbers of shards, and notes for the user."""
 
     folder: Path
     """Folder of the campaign."""
@@ -83,7 +84,7 @@ class RunResult:
     n_existing_shards: int
     """Number of shards that were complete before this run."""
     notes: tuple[str, ...]
-    """Notes for the user, such as on damaged shards that were recomputed, or on another commit than at the start."""
+    """Notes for the user: damaged shards that were computed again, or a change of the commit since the start."""
 
 
 def run_campaign(
@@ -97,9 +98,10 @@ def run_campaign(
     tables: Mapping[str, Any] | None = None,
     progress: ProgressCallback = lambda trials: None,
 ) -> RunResult:
-    """Run, continuation or extension of a campaign, as `ltsim.campaign` but with any workers.
+    """Run, continuation or extension of a campaign, as `ltsim.campaign` but with a choice of workers.
 
-    `tables` replace a file. `progress` is called with the number of finished trials.
+    `tables` is the content of a campaign file, used in place of `file`. `progress` is called with the number of trials
+    that were finished since the last call.
     """
     with as_setup_error():
         check_writable(folder, folder=True)
@@ -160,7 +162,10 @@ def _input_files(
 def _configuration_notes(
     campaign: CampaignFile, factors: Sequence[Factor], cells: Sequence[CampaignCell], file: Path
 ) -> list[str]:
-    """Notes on effects without influence; raises SetupError for an error that would stop every trial."""
+    """Notes on declared effects that change no reading.
+
+    Raises SetupError for an error that would stop every trial.
+    """
     unused_settings = []
     for method in campaign.methods:
         estimated_construction(method)
@@ -179,9 +184,9 @@ def _configuration_notes(
 def _extended_campaign(
     store: CampaignFolder, campaign: CampaignFile, cells: tuple[CampaignCell, ...], file: Path, *, resume: bool
 ) -> tuple[CampaignFile, tuple[CampaignCell, ...]]:
-    """Campaign of the folder extended by the additions of the file; existing cells keep their numbers.
+    """Campaign of a folder with the additions of the file: its settings, and its cells.
 
-    Raises SetupError if the file would change existing rows.
+    Existing cells keep their numbers. Raises SetupError if the file would change existing rows.
     """
     if not resume:
         raise SetupError(
@@ -218,7 +223,7 @@ def _extended_campaign(
 
 
 def _environment_change_notes(store: CampaignFolder) -> list[str]:
-    """Notes on changes since the start (code, processor).
+    """Notes on another commit of ltsim or another processor type than at the start of the campaign.
 
     Raises SetupError for other versions of the packages in `VERSIONED_PACKAGES`.
     """
@@ -245,7 +250,7 @@ def _package_versions() -> dict[str, str]:
 
 
 def processor_type() -> str:
-    """Type of this machine's processor; with the versions it determines the bytes of rows."""
+    """Type of the processor of this machine; together with package versions it determines the bytes of rows."""
     return str(llvmlite.binding.get_host_cpu_name())
 
 
@@ -301,7 +306,10 @@ def _pending_shards(
     shard_keys: list[ShardKey],
     progress: ProgressCallback,
 ) -> tuple[list[ShardTask], list[str]]:
-    """Shards to be computed among the wanted ones, and notes; damaged shards are renamed and computed again."""
+    """Shards of `shard_keys` that are missing or incomplete, and notes on damaged ones.
+
+    A damaged shard is renamed and computed again.
+    """
     waiting, notes, digests = [], [], store.digests()
     for cell, shard in shard_keys:
         task = ShardTask(
@@ -321,7 +329,10 @@ def _pending_shards(
 
 
 def _half_intervals(folder: Path, statistic: str, shards: int) -> dict[tuple[int, str], float]:
-    """Half-width of the confidence interval of a statistic's mean over the first shards, by cell and method."""
+    """Half-width of the 95 % confidence interval of a statistic's mean, by cell and method.
+
+    Only the first `shards` shards of each cell are used.
+    """
     return {
         (s.cell, s.method): 0.5 * (s.high - s.low) for s in CampaignStatistics(folder, shards).distribution(statistic)
     }
@@ -330,7 +341,10 @@ def _half_intervals(folder: Path, statistic: str, shards: int) -> dict[tuple[int
 def _iterate_results(
     tasks: list[ShardTask], workers: WorkerSettings, store: CampaignFolder
 ) -> Iterator[tuple[ShardTask, bytes]]:
-    """Computed shards in order of completion; existing rows of a shard are part of its task."""
+    """Computed shards, as task and bytes of the file, in the order of completion.
+
+    Rows that a shard already has are passed to the worker with its task.
+    """
     pending_tasks = (
         replace(
             t, existing_rows=store.read_rows(t.cell, t.shard) if store.shard_path(t.cell, t.shard).exists() else None

@@ -1,8 +1,8 @@
-"""Compiled kernels on point clouds of a block of trials: means, rigid fits, the paper's criteria and objective.
+"""Compiled functions on point clouds of B trials: means, rigid fits, the paper's criteria and objective.
 
-The quantities are those of `ltsim.adjustment.evaluation`; the last index is the trial. Rigid fits start from frames
-that agree to the size of the errors, so that three steps of Newton's method on the rotation, in place of a singular
-value decomposition, reach rounding.
+The quantities are those of `ltsim.adjustment.evaluation`; the last index of each array is the trial. A rigid fit starts
+from frames that agree within the size of the errors. Three Newton steps on the rotation then reach rounding error and
+replace a singular value decomposition.
 """
 
 import numpy as np
@@ -11,13 +11,17 @@ from ltsim.campaigns.compiled import compile_function, trial_value
 from ltsim.core.arrays import Bools, Floats, Ints
 
 N_ROTATION_STEPS = 3
-"""Number of Newton steps of a rotation in a rigid fit."""
+"""Number of Newton steps for the rotation of a rigid fit."""
 MICROMETRES_PER_METRE = 1e6
 
 
 @compile_function
 def add_station_means(points: Floats, station: Ints, target: Ints, weights: Floats, clouds: Floats) -> None:
-    """Addition of points (n, 3, B) times weights (n,) to the clouds (S, T, 3, B) of their stations and targets."""
+    """Addition of points (n, 3, B), multiplied by weights (n,), to the clouds (S, T, 3, B).
+
+    A cloud is the points of one of S stations (or sets) on T targets; `station` and `target` (n,) are indices of each
+    point.
+    """
     for i in range(len(points)):
         cloud = clouds[station[i], target[i]]
         for c in range(3):
@@ -28,7 +32,10 @@ def add_station_means(points: Floats, station: Ints, target: Ints, weights: Floa
 
 @compile_function
 def transform_to_network(clouds: Floats, rotation: Floats, position: Floats) -> None:
-    """Transformation of clouds (S, T, 3, B) from instrument frames to the network frame by nominal poses, in place."""
+    """Transformation of the clouds (S, T, 3, B) of S stations from instrument to network frames, in place.
+
+    `rotation` (S, 3, 3) and `position` (S, 3) are the nominal poses.
+    """
     for s in range(len(clouds)):
         r, place = rotation[s], position[s]
         r00, r01, r02, p0 = r[0, 0], r[0, 1], r[0, 2], place[0]
@@ -45,6 +52,7 @@ def transform_to_network(clouds: Floats, rotation: Floats, position: Floats) -> 
 
 @compile_function
 def _centre_cloud(cloud: Floats, used_targets: Bools, centred_cloud: Floats) -> None:
+    """Subtraction of the mean over the used targets (T,) from a cloud (T, 3, B)."""
     centred_cloud[:] = 0.0
     count = 0
     for k in range(len(cloud)):
@@ -59,19 +67,22 @@ def _centre_cloud(cloud: Floats, used_targets: Bools, centred_cloud: Floats) -> 
 
 
 @compile_function
-def align_rigidly(cloud: Floats, goal_cloud: Floats, used_targets: Bools, aligned_cloud: Floats) -> None:
-    """Rigid least-squares alignment of a cloud (T, 3, B) to a goal, by the targets in use (T,)."""
+def align_rigidly(cloud: Floats, reference_cloud: Floats, used_targets: Bools, aligned_cloud: Floats) -> None:
+    """Rigid least-squares alignment of a cloud (T, 3, B) to another cloud, written to `aligned_cloud`.
+
+    Only the targets flagged in `used_targets` (T,) are fitted.
+    """
     trials = cloud.shape[2]
     middle, aim = np.empty((3, trials)), np.empty((3, trials))
     _centre_cloud(cloud, used_targets, middle)
-    _centre_cloud(goal_cloud, used_targets, aim)
+    _centre_cloud(reference_cloud, used_targets, aim)
     k = np.zeros((3, 3, trials))
     for i in range(len(cloud)):
         if used_targets[i]:
             for a in range(3):
                 for b in range(3):
                     for t in range(trials):
-                        k[a, b, t] += (cloud[i, a, t] - middle[a, t]) * (goal_cloud[i, b, t] - aim[b, t])
+                        k[a, b, t] += (cloud[i, a, t] - middle[a, t]) * (reference_cloud[i, b, t] - aim[b, t])
     turn, more = np.zeros((3, 3, trials)), np.empty((3, 3, trials))
     for a in range(3):
         turn[a, a, :] = 1.0
@@ -90,7 +101,10 @@ def align_rigidly(cloud: Floats, goal_cloud: Floats, used_targets: Bools, aligne
 
 @compile_function
 def _rotation_step(correlation: Floats, step: Floats) -> None:
-    """Newton step `step` of the rotation that maximises the trace of the correlation k = sum a b^T (3, 3, B)."""
+    """Newton step (3, B) of the rotation that maximises the trace of a correlation matrix, written to `step`.
+
+    The correlation matrix (3, 3, B) is the sum of a b^T over the fitted targets, with centred points a and goals b.
+    """
     for t in range(correlation.shape[2]):
         trace = correlation[0, 0, t] + correlation[1, 1, t] + correlation[2, 2, t]
         m00, m11, m22 = trace - correlation[0, 0, t], trace - correlation[1, 1, t], trace - correlation[2, 2, t]
@@ -135,22 +149,26 @@ def _rotate_columns(rotations: Floats, columns: Floats) -> None:
 
 
 @compile_function
-def add_square_error(aligned_cloud: Floats, goal_cloud: Floats, used_targets: Bools, square_sum: Floats) -> int:
-    """Number of targets in use; their squared distances between clouds (T, 3, B) are added to `square_sum` (B,)."""
+def add_square_error(aligned_cloud: Floats, reference_cloud: Floats, used_targets: Bools, square_sum: Floats) -> int:
+    """Number of used targets; the sum of their squared distances between two clouds is added to `square_sum` (B,)."""
     count = 0
     for i in range(len(aligned_cloud)):
         if used_targets[i]:
             count += 1
             for c in range(3):
                 for t in range(len(square_sum)):
-                    gap = aligned_cloud[i, c, t] - goal_cloud[i, c, t]
+                    gap = aligned_cloud[i, c, t] - reference_cloud[i, c, t]
                     square_sum[t] += gap * gap
     return count
 
 
 @compile_function
 def distance_criterion(clouds: Floats, is_visible: Bools, mean: Floats, maximum: Floats) -> None:
-    """Mean and maximum (B,) [um], over pairs of targets, of the mean deviation of their distance between stations."""
+    """Distance criterion of the paper: mean and maximum over pairs of targets, (B,) [um].
+
+    The value of a pair is the mean absolute deviation of its distance, as measured from each station, from the mean
+    over stations.
+    """
     stations, targets, _, trials = clouds.shape
     length, middle, spread = np.empty((stations, trials)), np.empty(trials), np.empty(trials)
     mean[:], maximum[:] = 0.0, 0.0
@@ -185,7 +203,10 @@ def distance_criterion(clouds: Floats, is_visible: Bools, mean: Floats, maximum:
 
 @compile_function
 def coordinate_criterion(aligned_clouds: Floats, is_visible: Bools, mean: Floats, maximum: Floats) -> None:
-    """Mean and maximum (B,) [um], over targets, of the mean distance between their positions from two stations."""
+    """Coordinate criterion of the paper: mean and maximum over targets, (B,) [um].
+
+    The value of a target is the mean distance between its positions from two stations, over all pairs of stations.
+    """
     stations, targets, _, trials = aligned_clouds.shape
     spread = np.empty(trials)
     mean[:], maximum[:] = 0.0, 0.0
@@ -213,24 +234,29 @@ def coordinate_criterion(aligned_clouds: Floats, is_visible: Bools, mean: Floats
 
 
 @compile_function
-def _add_line_force(
+def _add_line_derivative(
     first_point: Floats,
     second_point: Floats,
-    first_force: Floats,
-    second_force: Floats,
-    force_size: Floats,
+    first_gradient: Floats,
+    second_gradient: Floats,
+    derivative_size: Floats,
     length: Floats,
 ) -> None:
-    """Addition of a force of size (B,) along the line between two points to the forces (3, B) on them."""
+    """Addition of the derivative of a distance objective to the gradients (3, B) with respect to two points.
+
+    The derivative is a vector of size `derivative_size` (B,) along the line between the points; `length` (B,) is their
+    distance.
+    """
     for c in range(3):
-        for t in range(len(force_size)):
-            part = force_size[t] / length[t] * (first_point[c, t] - second_point[c, t])
-            first_force[c, t] += part
-            second_force[c, t] -= part
+        for t in range(len(derivative_size)):
+            part = derivative_size[t] / length[t] * (first_point[c, t] - second_point[c, t])
+            first_gradient[c, t] += part
+            second_gradient[c, t] -= part
 
 
 @compile_function
 def _difference_vector(first_point: Floats, second_point: Floats, difference: Floats) -> None:
+    """Distances (B,) between two points (3, B), written to `difference`."""
     for t in range(len(difference)):
         x, y, z = (
             first_point[0, t] - second_point[0, t],
@@ -242,7 +268,7 @@ def _difference_vector(first_point: Floats, second_point: Floats, difference: Fl
 
 @compile_function
 def _reference_length_index(gauge: Ints, first_target: int, second_target: int) -> int:
-    """Index of the reference length between a pair of targets; -1 for none."""
+    """Index of the reference length between two targets; -1 if there is none."""
     for g in range(len(gauge)):
         if (gauge[g, 0] == first_target and gauge[g, 1] == second_target) or (
             gauge[g, 0] == second_target and gauge[g, 1] == first_target
@@ -252,15 +278,14 @@ def _reference_length_index(gauge: Ints, first_target: int, second_target: int) 
 
 
 @compile_function
-def distance_forces(
-    clouds: Floats, is_visible: Bools, gauge: Ints, length: Floats, forces: Floats, cost: Floats
+def distance_gradient(
+    clouds: Floats, is_visible: Bools, gauge: Ints, length: Floats, point_gradient: Floats, cost: Floats
 ) -> None:
-    """Half of the derivative of the objective with respect to the points of all sets, and the objective.
+    """Half of the derivative of the distance objective by the points, added to `point_gradient` (O, T, 3, B).
 
-    `clouds` (O, T, 3, B) [m] are the points of each set (station and face), `is_visible` (O, T) marks the measured
-    ones, and pairs of targets `gauge` (g, 2) have reference lengths (g, B). The results are added to `forces` (O, T, 3,
-    B)
-    and `cost` (B,).
+    `clouds` (O, T, 3, B) [m] are the points on T targets in O sets; a set is a station and face. `is_visible` (O, T)
+    marks the measured ones. The g pairs of targets `gauge` (g, 2) have the reference lengths `length` (g, B) [m]. The
+    value of the objective is added to `cost` (B,).
     """
     sets, targets, _, trials = clouds.shape
     lengths, middle = np.empty((sets, trials)), np.empty(trials)
@@ -288,4 +313,6 @@ def distance_forces(
                         gap = lengths[s, t] - length[gauge_index, t]
                         size[t] += gap
                         cost[t] += gap * gap
-                _add_line_force(clouds[s, i], clouds[s, j], forces[s, i], forces[s, j], size, lengths[s])
+                _add_line_derivative(
+                    clouds[s, i], clouds[s, j], point_gradient[s, i], point_gradient[s, j], size, lengths[s]
+                )

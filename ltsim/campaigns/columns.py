@@ -15,7 +15,7 @@ from ltsim.physics.effects.effect import Effect, Parameter
 from ltsim.physics.model.construction import Construction
 
 ResultColumns = dict[str, NDArray[Any]]
-"""Results by name, each (B,) with one value per trial; lengths in um as in the names."""
+"""Results by name of the column, each (B,) with one value per trial; the name contains the unit of a length."""
 ARROW_TYPES = {"number": pa.float64(), "integer": pa.int64(), "boolean": pa.bool_()}
 """Arrow types of the columns, by type of the values."""
 
@@ -36,7 +36,7 @@ class ParameterLabel(NamedTuple):
 def parameter_labels(
     construction: Construction, instruments: Sequence[str], effects: Sequence[Effect]
 ) -> list[ParameterLabel]:
-    """Labels of the parameters of all instruments, then of those of effects."""
+    """Labels of the parameters of all instruments, followed by the parameters of effects."""
     names, counts = construction.instrument_parameter_names(instruments), Counter[str]()
     labels = [ParameterLabel(*pair) for pair in zip(names, construction.parameters * len(instruments), strict=True)]
     for effect in effects:
@@ -49,7 +49,7 @@ def parameter_labels(
 
 
 def parameter_columns(labels: Sequence[ParameterLabel], parameters: Floats, prefix: str) -> ResultColumns:
-    """Columns of parameters (P, B) [SI] in units of display, such as ``estimate:beam-tilt``."""
+    """Columns of P parameters (P, B) [SI], converted to units of display; names such as ``estimate:beam-tilt``."""
     return {
         f"{prefix}:{label.text}": row / label.parameter.si_per_display_unit
         for label, row in zip(labels, parameters, strict=True)
@@ -63,7 +63,10 @@ def z_score_columns(
     true_labels: Sequence[ParameterLabel],
     truths: Floats,
 ) -> ResultColumns:
-    """Columns of z-scores, (estimate - truth) / sigma, of those parameters (P, B) that have a true value."""
+    """Columns of z-scores, (estimate - truth) / sigma, of the parameters that have a true value.
+
+    `estimates`, `sigma` and `truths` are (P, B) for P parameters and B trials.
+    """
     true_values = {
         (label.text, label.effect): true_value for label, true_value in zip(true_labels, truths, strict=True)
     }
@@ -86,7 +89,7 @@ def _column_metadata(name: str, parameters: Mapping[str, str]) -> dict[str, str]
 def append_settings(
     table: pa.Table, factors: Sequence[Factor], level_by_factor: Mapping[str, Any], parameters: Mapping[str, str]
 ) -> pa.Table:
-    """Rows of a cell with its settings after the column `cell`, and units in the metadata of the columns."""
+    """Rows of a cell with its settings as columns after `cell`, and units as metadata of the columns."""
     columns = dict(zip(table.column_names, table.columns, strict=True))
     cell = {"cell": columns.pop("cell")}
     settings = {
@@ -103,7 +106,7 @@ def append_settings(
 
 
 def method_table(cell: int, method: str, column_groups: list[ResultColumns]) -> pa.Table:
-    """Columns of a method as a table; displayed numbers have seven digits and are empty if a geometry has no value."""
+    """Table of a method's columns. Displayed numbers have seven digits; a value that does not exist is empty."""
     names = dict.fromkeys(name for part in column_groups for name in part)
     merged = {
         name: np.concatenate(

@@ -18,9 +18,10 @@ if llvmlite.binding.llvm_version_info[0] >= 17:
 
 
 def compile_function(function: Callable[..., ReturnType]) -> Callable[..., ReturnType]:
-    """Compiled version of a function; it is compiled at the first call, and the machine code is cached with the source.
+    """Compiled version of a function: compiled at the first call, with the machine code cached next to the source.
 
-    The order of sums is fixed; only a product and a sum may be fused. The function runs without the interpreter lock.
+    Sums keep the order of the source; the compiler may only fuse a product and a sum. The function releases Python's
+    global interpreter lock.
     """
 
     def compiled_kernel(caches_code: bool) -> Callable[..., ReturnType]:
@@ -34,7 +35,7 @@ def compile_function(function: Callable[..., ReturnType]) -> Callable[..., Retur
 
 
 def compile_inlined(function: Callable[..., ReturnType]) -> Callable[..., ReturnType]:
-    """Compiled version of a function that is inlined into its caller, so that loops around it can be vectorised."""
+    """Compiled version of a function that is inlined into its caller, so that the loops there are vectorised."""
     compiler = numba.njit(inline="always", error_model="numpy", fastmath={"contract"})
     return cast(Callable[..., ReturnType], compiler(function))
 

@@ -1,4 +1,4 @@
-"""Experimental design of a campaign: its factors, points in ranges, and names and values in the rows."""
+"""Experimental design of a campaign: factors, points in ranges of settings, and the names of factors in the rows."""
 
 import json
 from collections import Counter
@@ -23,13 +23,15 @@ RESERVED_COLUMNS = frozenset(
 )  # fmt: skip
 """Names of the columns that every campaign has."""
 SIGNIFICANT_DIGITS = 4
-"""Number of significant digits of a value in a design: points remain distinct and readable."""
+"""Number of significant digits of a value in a design. With four digits the points remain distinct and the values are
+easy to read.
+"""
 MAX_RANGES = 64
 """Largest number of ranges of a design."""
 
 
 class Range(TomlSection):
-    """Range of a design's points along one key, in the unit of the key; integers if the key takes integers."""
+    """Range of one setting in a design, in the unit of its key; values are integers if the key takes integers."""
 
     low: Finite
     """Smallest value of the key."""
@@ -45,7 +47,7 @@ class Range(TomlSection):
         return self
 
     def values_at(self, fractions: Floats, *, is_integer: bool) -> list[float]:
-        """Values at fractions (n,) of the range; integers are equally likely."""
+        """Values at given fractions (n,) of the range, 0 to 1; integers are equally likely."""
         low, high = (self.low, self.high + 1.0) if is_integer else (self.low, self.high)
         values = low * (high / low) ** fractions if self.scale == "log" else low + fractions * (high - low)
         return [int(min(v, self.high)) if is_integer else float(f"{v:.{SIGNIFICANT_DIGITS}g}") for v in values]
@@ -69,9 +71,9 @@ class Design(TomlSection):
         return self
 
     def points(self, seed: int, keys: Mapping[str, str]) -> list[dict[str, Any]]:
-        """Value of every range at each point, drawn with the campaign's seed.
+        """Value of each key at each point of the design, drawn with the campaign's seed.
 
-        `keys` gives the keys that each range sets.
+        `keys` gives, for each range, the dotted key that decides whether values are integers.
         """
         from scipy.stats import qmc  # a second to load, and few campaigns have a design
 
@@ -89,21 +91,24 @@ class Factor(Entry):
     """Factor of a campaign: a setting that differs between its cells."""
 
     name: str
-    """Name of its column in rows and summary."""
+    """Name of the factor, and of its column in rows and summary."""
     keys: tuple[str, ...]
-    """Dotted keys of the scenario that take its value."""
+    """Dotted keys of the scenario that take the value of the factor."""
     unit: str = ""
-    """Unit of its values."""
+    """Unit of the values."""
     kind: ValueType = "number"
-    """Type of its values; tables are written as JSON."""
+    """Type of the values; tables are written as JSON."""
 
     def level(self, scenario: Mapping[str, Any]) -> Any:
-        """Value of the factor in a cell, from the tables of its scenario; tables as JSON, None for a missing key."""
+        """Value of the factor in a cell, from the tables of the cell's scenario.
+
+        A table is returned as JSON, a missing key as None.
+        """
         value = value_at_key(dict(scenario), self.keys[0])
         return json.dumps(value) if isinstance(value, (dict, list)) else value
 
     def level_text(self, level: Any) -> str:
-        """Text of a level with its unit, if the name of the factor does not contain the unit."""
+        """Text of a value of the factor; the unit is added unless the name of the factor contains it."""
         text = level if isinstance(level, str) else "none" if level is None else f"{level:g}"
         if isinstance(level, bool):
             text = "yes" if level else "no"
@@ -111,7 +116,7 @@ class Factor(Entry):
 
 
 def short_key_names(keys: Sequence[str]) -> dict[str, str]:
-    """Shortest suffixes of dotted keys that are unique among the keys and the other columns."""
+    """Shortest suffix of each dotted key that is unique among the keys and the other columns, by key."""
     depth = dict.fromkeys(keys, 1)
     while True:
         names = {key: "_".join(key.split(".")[-depth[key] :]) for key in keys}
@@ -126,5 +131,5 @@ def short_key_names(keys: Sequence[str]) -> dict[str, str]:
 
 
 def cell_label(factors: Sequence[Factor], level_by_factor: Mapping[str, Any]) -> str:
-    """Description of a cell in a line: the level of each factor."""
+    """Description of a cell in one line: the value of each factor."""
     return ", ".join(f"{f.name} = {f.level_text(level_by_factor[f.name])}" for f in factors) or "as the scenario says"

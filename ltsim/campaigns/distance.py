@@ -1,8 +1,8 @@
 """The paper's distance objective for all trials with a common geometry.
 
-As for the network, the normal matrix at the nominal network gives the steps of all trials, and the gradient is exact
-for the readings and parameters of each trial, so that the iteration converges to the optimum of the trial. The nominal
-network decides which combinations are estimated and which remain zero.
+The normal matrix at the nominal network gives the Gauss-Newton steps of all trials, as in the network adjustment. The
+gradient is exact for the readings and parameters of each trial, so that the iteration converges to the optimum of the
+trial. The nominal network decides which combinations of parameters are estimated and which remain zero.
 
 For least absolute deviations each step is the solution of a linear program with the matrix and combinations of the
 trial, because small differences between matrices may change the optimal vertex. Equation 9 as printed estimates every
@@ -27,7 +27,7 @@ from ltsim.calibration.distance_solver import (
 )
 from ltsim.calibration.objective import DistanceProblem, SetDistances
 from ltsim.campaigns.batch_fit import BatchFit
-from ltsim.campaigns.cloud_kernels import add_station_means, distance_forces
+from ltsim.campaigns.cloud_kernels import add_station_means, distance_gradient
 from ltsim.campaigns.engine import BatchCalibrator, CalibratedBlock, set_membership
 from ltsim.campaigns.kernels import backpropagate_mean_forces, compute_points
 from ltsim.campaigns.program import ChainProgram
@@ -39,16 +39,18 @@ from ltsim.solve.absolute import solve_least_absolute
 MAX_DISTANCE_STEPS = 10
 """Largest number of Gauss-Newton steps of a trial."""
 MAX_STEPS_WEAK = 30
-"""Largest number of steps for weakly determined combinations by least squares."""
+"""Largest number of least-squares steps of a trial whose weakly determined combinations are estimated too."""
 CONVERGED_CHANGE = 3e-5
-"""Largest change of an unknown, in prior sigmas, of a converged trial; the remaining error is a hundredth of it."""
+"""Largest change of an unknown in the last step, in prior sigmas, of a trial that counts as converged. The remaining
+error is a hundredth of this change.
+"""
 
 
 @dataclass(frozen=True)
 class BatchDistance(BatchCalibrator):
-    """Batch calibration by distances (`distance`, `equation-9`).
+    """Batch calibration by the paper's distance objective, for the methods `distance` and `equation-9`.
 
-    By least squares, or by least absolute deviations with `-l1`.
+    Methods that end in `-l1` minimise absolute deviations, all others squares.
     """
 
     method: str = "distance"
@@ -60,7 +62,7 @@ class BatchDistance(BatchCalibrator):
 
     @property
     def estimates_all_combinations(self) -> bool:
-        """True if every combination that changes the objective is estimated."""
+        """True if every combination of parameters that changes the objective is estimated."""
         return self.method.startswith("equation-9")
 
     @cached_property
@@ -71,7 +73,7 @@ class BatchDistance(BatchCalibrator):
 
     @cached_property
     def nominal_estimate(self) -> DistanceEstimate:
-        """Estimate at nominal readings: zero, its covariance, and the combinations that are not estimated."""
+        """Estimate at nominal readings, which is zero, with its covariance and the combinations not estimated."""
         if self.estimates_all_combinations:
             return solve_equation_9(self.distance_problem, "absolute" if self.uses_absolute_deviations else "squares")
         return solve_distances(self.distance_problem, DISTANCE_METHODS[self.method])
@@ -82,7 +84,7 @@ class BatchDistance(BatchCalibrator):
 
     @cached_property
     def _estimated_combinations(self) -> Floats:
-        """Estimated combinations, (q, k)."""
+        """Estimated combinations of parameters in units of the prior sigmas: k orthonormal columns, (q, k)."""
         excluded_vectors = np.array([d.vector for d in self.nominal_estimate.undetermined_combinations]).reshape(
             -1, self.distance_problem.prior_sigma.size
         )
@@ -92,7 +94,10 @@ class BatchDistance(BatchCalibrator):
 
     @cached_property
     def step_matrix(self) -> Floats:
-        """Matrix (q, q) from half a gradient to a step in prior sigmas, within the estimated combinations."""
+        """Matrix (q, q) that turns half a gradient into a step of the q unknowns [prior sigma].
+
+        Steps are combinations of the estimated ones only.
+        """
         rows, determined = self._mean_deviation_rows, self._estimated_combinations
         normal = rows.unknown_derivatives.T @ rows.unknown_derivatives
         return determined @ np.linalg.inv(determined.T @ normal @ determined) @ determined.T
@@ -111,13 +116,20 @@ class BatchDistance(BatchCalibrator):
 
     @cached_property
     def _set_membership(self) -> tuple[Ints, Bools, Floats, Ints]:
-        """Set of each pointing, what each set saw, each pointing's share in its mean, pairs of the gauge."""
+        """Set of each pointing (n,), flags (O, T) of the targets of each set, weights (n,), pairs of targets (g, 2).
+
+        A set is a station and face; a weight is the share of a pointing in the mean point of its set and target; the
+        pairs have reference lengths.
+        """
         gauge, sets = self.distance_problem.reference_lengths, self.distance_problem.set_numbers
         visible, share = set_membership(self.truth, sets)
         return sets, visible, share, np.stack([gauge.first_targets, gauge.second_targets], axis=1).reshape(-1, 2)
 
     def calibrate_batch(self, block: TrialBatch, trial_numbers: Ints) -> tuple[CalibratedBlock, Bools]:
-        """Calibrated block with the network adjusted from the corrected readings, and flags of converged trials."""
+        """Calibrated trials, and flags (B,) of the converged ones.
+
+        The targets are adjusted from readings that are corrected by the estimated parameters.
+        """
         values, moved = (
             self._least_squares_values(block)
             if self.method == "distance"
@@ -134,7 +146,7 @@ class BatchDistance(BatchCalibrator):
         ) & fit.has_converged
 
     def _least_squares_values(self, block: TrialBatch) -> tuple[Floats, Floats]:
-        """Parameters (I, p, B) [SI], and largest change (B,) in the last step in prior sigmas."""
+        """Parameters (I, p, B) [SI], and their largest change (B,) in the last step [prior sigma]."""
         deviation, prior = block.reading_deviations, self.distance_problem.prior_sigma[:, :, None]
         sets, visible, share, gauge = self._set_membership
         recording, trials = self.truth.recording, deviation.shape[2]
@@ -146,7 +158,7 @@ class BatchDistance(BatchCalibrator):
             clouds = np.zeros((*visible.shape, 3, trials))
             add_station_means(points, sets, recording.target, share, clouds)
             forces, gradient = np.zeros_like(clouds), np.zeros_like(values)
-            distance_forces(clouds, visible, gauge, length, forces, np.zeros(trials))
+            distance_gradient(clouds, visible, gauge, length, forces, np.zeros(trials))
             membership = (recording.instrument, sets, recording.target, share)
             backpropagate_mean_forces(self._chain_program, *membership, deviation, values, forces, gradient)
             step = self.step_matrix @ (gradient * prior).reshape(-1, trials)
@@ -156,13 +168,16 @@ class BatchDistance(BatchCalibrator):
                 break
         return values, moved
 
-    def _values_by_trial(self, block: TrialBatch, trial_mask: Ints) -> tuple[Floats, Floats]:
-        """Parameters and largest change of selected trials, each with a separate matrix; inf for other trials."""
+    def _values_by_trial(self, block: TrialBatch, trial_numbers: Ints) -> tuple[Floats, Floats]:
+        """Parameters (I, p, B) [SI] of selected trials, and their largest change (B,) in the last step [prior sigma].
+
+        Each trial has a separate matrix. The change is infinite for trials that are not in `trial_numbers`.
+        """
         prior, trials = self.distance_problem.prior_sigma[:, :, None], block.reading_deviations.shape[2]
         unknowns, moved = np.zeros((self.distance_problem.prior_sigma.size, trials)), np.full(trials, np.inf)
         readings = {
             trial: self.truth.recording.readings + block.reading_deviations[:, :, trial]
-            for trial in trial_mask.tolist()
+            for trial in trial_numbers.tolist()
         }
         combinations_by_trial = {
             trial: self._estimated_combinations
@@ -171,7 +186,7 @@ class BatchDistance(BatchCalibrator):
             for trial, trial_readings in readings.items()
         }
         for iteration in range(MAX_DISTANCE_STEPS if self.uses_absolute_deviations else MAX_STEPS_WEAK):
-            active = trial_mask[moved[trial_mask] >= CONVERGED_CHANGE]
+            active = trial_numbers[moved[trial_numbers] >= CONVERGED_CHANGE]
             if not len(active):
                 break
             residual = self._objective_terms(block, unknowns[:, active].reshape(*prior.shape[:2], -1) * prior, active)
@@ -189,7 +204,10 @@ class BatchDistance(BatchCalibrator):
         return unknowns.reshape(*prior.shape[:2], trials) * prior, moved
 
     def _trial_combinations(self, readings: Floats) -> Floats:
-        """Combinations (q, k) of a trial: the axes of its objective that are nearest to the estimated ones."""
+        """Combinations of parameters (q, k) of a trial, for its `readings` (n, 3).
+
+        They are the principal axes of the trial's objective that are nearest to the estimated combinations.
+        """
         design = self._mean_deviation_rows.comparison_matrix @ self.distance_problem.parameter_derivatives(
             readings, np.zeros(self.distance_problem.prior_sigma.size)
         )
@@ -200,7 +218,7 @@ class BatchDistance(BatchCalibrator):
         return axes[:, order]
 
     def _objective_terms(self, block: TrialBatch, values: Floats, trials: Ints) -> Floats:
-        """Terms (R, B) of eq. 9 for some trials at their parameters (I, p, B)."""
+        """Terms (R, B) of the sum in eq. 9 of the paper, for some trials at their parameters (I, p, B) [SI]."""
         deviation, values = (np.ascontiguousarray(a) for a in (block.reading_deviations[:, :, trials], values))
         points = np.empty(deviation.shape)
         compute_points(self._chain_program, self.truth.recording.instrument, deviation, values, points)
@@ -211,6 +229,7 @@ class BatchDistance(BatchCalibrator):
         return rows.residuals[:, None] + rows.comparison_matrix @ change + by_gauge @ length_errors
 
     def _adjusted_targets(self, block: TrialBatch, values: Floats) -> BatchFit:
+        """Network adjustment of the readings that parameters (I, p, B) [SI] have corrected."""
         deviation = block.reading_deviations
         points = np.empty(deviation.shape)
         compute_points(self._chain_program, self.truth.recording.instrument, deviation, values, points)

@@ -1,4 +1,4 @@
-"""Calibrators of blocks of trials: the public one, recording by recording, and the batch network.
+"""Calibrators of blocks of trials: the public calibrator for single recordings, and the batch network adjustment.
 
 benchmarks/README.md has the run time of a trial by step (paper's workshop: 420 readings, 130 unknowns, one core).
 """
@@ -30,35 +30,46 @@ from ltsim.recordings.references import ReferenceLengths
 from ltsim.simulation.simulator import with_certificates
 
 MIN_SUSPECT_DEVIATION_M = 0.6e-3
-"""Deviation [m] above which a pointing may be a gross error that only the full solver rejects."""
+"""Smallest displacement [m] of a measured point by one reading at which the trial may contain a gross error. Such a
+trial is solved by the full solver, which rejects gross errors, if `MIN_SUSPECT_RATIO` is exceeded too.
+"""
 MIN_SUSPECT_RATIO = 10.0
-"""Ratio to the usual deviation above which a pointing may be a gross error that only the full solver rejects."""
+"""Smallest ratio of the largest displacement of a point to the median over the trial's pointings, at which the trial
+may contain a gross error and is solved by the full solver.
+"""
 
 
 @dataclass(frozen=True)
 class CalibratedBlock:
-    """Estimates of a calibration for a block of trials."""
+    """Estimates of a calibration for B trials, with I instruments of p parameters and T targets."""
 
     instrument_values: Floats
     """Estimated instrument parameters, (I, p, B) [SI]."""
     instrument_sigmas: Floats
-    """Predicted standard deviations of the parameters, (I, p) or (I, p, B) [SI]."""
+    """Predicted standard deviations of the parameters [SI]: (I, p) if all trials share them, else (I, p, B)."""
     target_errors: Floats
-    """Adjusted minus true targets in any frame, (T, 3, B) [m]; NaN for a method without targets."""
+    """Adjusted minus true coordinates of the targets, (T, 3, B) [m], in any common frame; NaN for a method without
+    targets.
+    """
     chi2: Floats
     """Chi-square of each trial, (B,)."""
     status_indices: Ints
     """Index into `TRIAL_STATUSES`, (B,)."""
     effect_values: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    """Parameters of additional effects, (q, B) [SI]; empty for none."""
+    """Parameters of the additional effects, (q, B) [SI]; no rows without effects."""
     effect_sigmas: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    """Standard deviations of the parameters of effects, (q, 1) or (q, B) [SI]."""
+    """Standard deviations of the parameters of effects [SI]: (q, 1) if all trials share them, else (q, B)."""
     incidence_parameters: Mapping[str, Floats] = field(default_factory=dict)
-    """Parameters (14, B) [SI] of `smr-incidence` of each reflector with an estimated error, by name."""
+    """Parameters of the range error over incidence (effect `smr-incidence`, 14 parameters), (14, B) [SI], by name of
+    the reflector; only reflectors whose error is estimated.
+    """
 
     @property
     def estimates(self) -> tuple[Floats, Floats]:
-        """All parameters, instrument by instrument and then effects, and their sigmas, each (I p + q, B) [SI]."""
+        """All estimated parameters, and their standard deviations, (I p + q, B) [SI] each.
+
+        The rows are the parameters of each instrument, followed by those of the effects.
+        """
         trials = len(self.chi2)
         sigma = self.instrument_sigmas if self.instrument_sigmas.ndim == 3 else self.instrument_sigmas[:, :, None]
         value_groups = [(self.instrument_values, sigma), (self.effect_values, self.effect_sigmas)]
@@ -70,7 +81,7 @@ class CalibratedBlock:
     def without_solution(
         cls, truth: CellTruth, construction: Construction, effects: Sequence[Effect], trials: int
     ) -> CalibratedBlock:
-        """Results of trials without a solution."""
+        """Results of trials without a solution: all estimates are NaN, the status is that of a failure."""
         values = np.full((len(truth.recording.instruments), construction.n_parameters, trials), np.nan)
         points = np.full((*truth.state.target_points.shape[:2], trials), np.nan)
         extra = np.full((sum(len(e.parameters) for e in effects), trials), np.nan)
@@ -79,7 +90,10 @@ class CalibratedBlock:
         return cls(values, values.copy(), points, np.full(trials, np.nan), is_lost, extra, extra.copy(), reflectors)
 
     def copy_trial(self, trial: int, source: CalibratedBlock, place: int) -> None:
-        """Copy of the result of one trial from another batch, including its sigmas if they differ by trial."""
+        """Copy of a trial's result from trial `place` of another block, written to trial `trial` of this block.
+
+        Standard deviations are copied if they differ between trials.
+        """
         per_trial = ("instrument_sigmas", "effect_sigmas") if self.instrument_sigmas.ndim == 3 else ()
         for name in ("chi2", "status_indices", "instrument_values", "target_errors", "effect_values", *per_trial):
             mine, theirs = getattr(self, name), getattr(source, name)
@@ -96,6 +110,7 @@ class TrialCalibrator:
     """Base class of the calibrators that a campaign compares."""
 
     truth: CellTruth
+    """True geometry of the cell whose trials are calibrated."""
     construction: Construction
     """Construction whose parameters are estimated."""
     effects: tuple[Effect, ...] = ()
@@ -104,36 +119,43 @@ class TrialCalibrator:
     """Name of the method in the campaign file."""
 
     def calibrate(self, block: TrialBatch, trial_numbers: Ints) -> CalibratedBlock:
-        """Calibrated block; trials that are not requested may be NaN."""
+        """Calibrated block. Trials that are not in `trial_numbers` may be NaN."""
         raise NotImplementedError
 
     def largest_difference(self, block: TrialBatch, trial: int, results: CalibratedBlock) -> float:
-        """Largest difference [sigma] of a trial from the public calibrator; NaN for that calibrator itself."""
+        """Largest difference [sigma] between the results for a trial and those of the full solver.
+
+        It is NaN if the calibrator is the full solver.
+        """
         return float("nan")
 
 
 def recording_of_trial(truth: CellTruth, block: TrialBatch, trial: int) -> Recording:
-    """Recording of a trial for any calibrator: readings and declared lengths, without truth."""
+    """Recording of a trial for any calibrator: readings and declared reference lengths, without the truth."""
     recording = truth.recording.with_readings(truth.trial_readings(block, trial))
     lengths = ReferenceLengths.from_recording(recording)
     return with_certificates(recording, (lengths.lengths + block.length_errors[:, trial]) / lengths.growth_factors)
 
 
-def align_targets(adjustment: Adjustment, goal_points: Floats) -> Floats:
-    """Adjusted targets (T, 3) [m] after rigid alignment to others; NaN for undetermined ones.
+def align_targets(adjustment: Adjustment, reference_points: Floats) -> Floats:
+    """Adjusted targets (T, 3) [m] after rigid alignment to `reference_points` (T, 3); NaN for undetermined targets.
 
     Ranges do not determine the handedness: of the two mirror images the one that fits better is used.
     """
     is_lost = np.isin(adjustment.recording.targets, adjustment.undetermined_targets)
     points = np.where(is_lost[:, None], np.nan, adjustment.state.target_points)
     if adjustment.recording.is_measured[:, 1:].any():
-        return align_to_points(points, goal_points)
-    hands = [align_to_points(points * hand, goal_points) for hand in (1.0, [1.0, 1.0, -1.0])]
-    return min(hands, key=lambda moved: float(np.nansum((moved - goal_points) ** 2)))
+        return align_to_points(points, reference_points)
+    hands = [align_to_points(points * hand, reference_points) for hand in (1.0, [1.0, 1.0, -1.0])]
+    return min(hands, key=lambda moved: float(np.nansum((moved - reference_points) ** 2)))
 
 
 def set_membership(truth: CellTruth, sets: Ints) -> tuple[Bools, Floats]:
-    """Flags (O, T) of the completely measured targets of each set, and weight (n,) of each pointing in its mean."""
+    """Flags (O, T) of the T targets that O sets measured completely, and weights (n,) of n pointings.
+
+    The weight of a pointing is its share in the mean point of its set and target. `sets` (n,) is the set of each
+    pointing.
+    """
     recording, targets = truth.recording, len(truth.recording.targets)
     is_complete = np.asarray(recording.is_measured.all(axis=1) & truth.recorded_observables.all())
     key = sets * targets + recording.target
@@ -144,7 +166,8 @@ def set_membership(truth: CellTruth, sets: Ints) -> tuple[Bools, Floats]:
 def is_suspect_trial(deviation: Floats, local_points: Floats) -> Bools:
     """Flags (B,) of the trials with a pointing so far off that the full solver must solve them.
 
-    `deviation` (n, 3, B) are deviations of readings to points `local_points`, (n, 3, B) or (n, 3, 1) for common points.
+    `deviation` (n, 3, B) are readings minus nominal readings. `local_points`, (n, 3, B) or (n, 3, 1) if all trials
+    share them, are the targets in the instruments' frames [m].
     """
     horizontal = np.hypot(local_points[:, 0], local_points[:, 1])
     miss = deviation * np.stack(
@@ -159,13 +182,15 @@ def is_suspect_trial(deviation: Floats, local_points: Floats) -> Bools:
 
 @dataclass(frozen=True)
 class SerialCalibrator(TrialCalibrator):
-    """Serial calibrator: each recording is calibrated separately by `lt.calibrate`."""
+    """Full solver: calibrates each recording separately by `lt.calibrate`."""
 
     uses_applied_corrections: bool = False
-    """True if the applied corrections replace the estimates; sigmas remain those of the estimates."""
+    """True if the corrections that `ltsim calibrate` applies replace the estimates. The standard deviations remain
+    those of the estimates.
+    """
 
     def calibrate(self, block: TrialBatch, trial_numbers: Ints) -> CalibratedBlock:
-        """Calibrated block; only the requested trials are computed."""
+        """Calibrated block; only the trials in `trial_numbers` are computed."""
         calibrated = CalibratedBlock.without_solution(
             self.truth, self.construction, self.effects, block.reading_deviations.shape[2]
         )
@@ -194,7 +219,10 @@ class SerialCalibrator(TrialCalibrator):
         return calibrated
 
     def adjust_recording(self, recording: Recording) -> tuple[Adjustment | None, Floats, Floats]:
-        """Adjustment of a recording, and its instruments' parameters with standard deviations, (I, p) [SI] each."""
+        """Adjustment of a recording, instrument parameters (I, p) [SI], and their standard deviations (I, p) [SI].
+
+        The adjustment is None if the calibration has none.
+        """
         if self.uses_applied_corrections:
             calibration = calibrate_network(recording, self.construction, recommend_measurements=False)
             return calibration.adjustment, calibration.applied_values, calibration.sigma
@@ -209,25 +237,25 @@ class SerialCalibrator(TrialCalibrator):
 
 @dataclass(frozen=True)
 class BatchCalibrator(TrialCalibrator):
-    """Batch calibrator of trials with a common geometry; trials that do not converge use the public calibrator.
+    """Calibrator of all trials with a common geometry in one batch.
 
-    Trials that need gross-error screening also use the public calibrator.
+    Trials that do not converge, or that may contain gross errors, are solved by the full solver.
     """
 
     @cached_property
     def serial_calibrator(self) -> SerialCalibrator:
-        """Public calibrator, for single trials."""
+        """Full solver for single trials."""
         return SerialCalibrator(self.truth, self.construction, self.effects, self.method)
 
     @cached_property
     def batch_network(self) -> BatchNetwork:
-        """Factorised network from which the targets are computed."""
+        """Network with an inverted normal matrix, which gives the targets of all trials."""
         truth, built = self.truth, self.construction if self.method == "network" else ideal_construction()
         program, recorded = truth.chain_program(built), truth.recorded_observables
         return BatchNetwork(truth.recording, truth.state, built, program, self.effects, adjusted_observables=recorded)
 
     def calibrate_batch(self, block: TrialBatch, trial_numbers: Ints) -> tuple[CalibratedBlock, Bools]:
-        """Calibrated block by the batch, and flags (B,) of the converged trials."""
+        """Calibrated block by the batch alone, and flags (B,) of the converged trials."""
         network, fit = self.batch_network, self.batch_network.fit_trials(block.reading_deviations, block.length_errors)
         status, sigma = np.zeros(len(fit.chi2), dtype=np.int64), network.parameter_sigmas
         extra_columns = slice(network.end_indices[2], network.end_indices[2] + len(fit.effect_values))
@@ -238,7 +266,7 @@ class BatchCalibrator(TrialCalibrator):
         ), fit.has_converged
 
     def calibrate(self, block: TrialBatch, trial_numbers: Ints | None = None) -> CalibratedBlock:
-        """Calibrated block. Only `trial_numbers` (default all) may use the single calibrator, which is slow."""
+        """Calibrated block. Only trials in `trial_numbers` (default all) may use the full solver, which is slow."""
         trial_numbers = np.arange(len(block.trials)) if trial_numbers is None else trial_numbers
         calibrated, good = self.calibrate_batch(block, trial_numbers)
         is_sufficient = good & ~is_suspect_trial(
@@ -254,7 +282,7 @@ class BatchCalibrator(TrialCalibrator):
         return calibrated
 
     def largest_difference(self, block: TrialBatch, trial: int, results: CalibratedBlock) -> float:
-        """Largest difference [sigma] of parameters and targets of a trial from the single calibrator.
+        """Largest difference [sigma] of parameters and targets of a trial between these results and the full solver.
 
         Targets are compared after a rigid fit, relative to their standard deviations in that frame. NaN for a failed
         trial.

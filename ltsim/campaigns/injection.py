@@ -27,13 +27,19 @@ from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.simulation.inject import DetectionCurve, InjectedEffect, InjectionTruth, Injector, RecordingWithInjection
 
 AMPLITUDE_NAME = "size"
-"""Name of the amplitude of a law in text form: rms of the change of its response, in the unit of the response."""
+"""Name of the amplitude of a law in text form: the rms change of the observable on which the law acts, in the unit of
+that observable.
+"""
 DEFAULT_NONCENTRALITIES = (25.0, 50.0, 100.0, 200.0, 400.0, 800.0)
-"""Noncentralities of a detection curve if none are given."""
+"""Noncentralities of the injections of a detection curve if none are given."""
 MAX_PLACE_DRAWS = 25
-"""Largest number of draws of unspecified values until an injection is detectable."""
+"""Largest number of times that unspecified values are drawn until the effect is visible in the residuals; after that an
+error is raised.
+"""
 MIN_PLACE_OVERLAP = 0.5
-"""Smallest fraction of common targets or stations at which a reported group counts as the injected one."""
+"""Smallest ratio of the common stations or targets to all stations or targets of two groups (Jaccard index), at which a
+reported group counts as the injected one.
+"""
 
 
 def inject(
@@ -49,7 +55,7 @@ def inject(
     recording : Recording, str or Path
         Measured or simulated recording.
     *causes : str or Effect
-        Effects of the catalogue, ``EFFECT`` or ``EFFECT:WHERE,...``, or laws as of `calibrate` (``RESPONSE ~
+        Effects of the catalogue, ``EFFECT`` or ``EFFECT:WHERE,...``, or laws as for `calibrate` (``RESPONSE ~
         REGRESSOR``). WHERE lists stations, targets, constants and parameters (``range-step:S3,range-step=30``) in their
         units; a law has ``size=VALUE`` (rms, um or urad). Values that are not given are drawn: place, constants,
         plausible size. Vectors are in the axes of the recording's adjustment.
@@ -68,7 +74,7 @@ def inject(
     Raises
     ------
     ModelError
-        When a cause does not exist, or the network hides it.
+        If a cause does not exist, or no residual changes by it.
 
     Examples
     --------
@@ -149,13 +155,18 @@ def injection_curve(
 
 
 def _catalogue_name(cause: str | CandidateEffect | SizedEffect) -> str:
+    """Name of an effect, or its text."""
     return cause if isinstance(cause, str) else cause.effect.name if isinstance(cause, SizedEffect) else cause.name
 
 
 def compare_with_injection(
     diagnosis: Diagnosis, cause: InjectedEffect, background_findings: Diagnosis
 ) -> dict[str, bool]:
-    """Flags of the findings that are not in the background: effect detected, located and identified."""
+    """Results of a diagnosis for an injected effect: detected, placed (located), named, and right.
+
+    Findings that the diagnosis of the recording without injection has too (`background_findings`) do not count. `right`
+    is True if the first new finding has both the name and the place.
+    """
     background_keys = {_finding_key(f) for f in background_findings.findings}
     new_findings = [f for f in diagnosis.findings if _finding_key(f) not in background_keys]
     located_findings = [f for f in new_findings if _has_same_place(cause.effect, f)]
@@ -171,12 +182,13 @@ def compare_with_injection(
 
 
 def _finding_key(finding: Any) -> tuple[Any, ...]:
+    """Effect, stations, targets and observables of a finding, by which two findings are compared."""
     scope = finding.where
     return finding.effect, tuple(scope.stations), tuple(scope.targets), tuple(scope.observables)
 
 
 def _has_same_place(cause: CandidateEffect, finding: Any) -> bool:
-    """True if stations and targets agree, or the observables for an effect without a place."""
+    """True if a finding names the stations and targets of the injected effect, and a common observable."""
     scope = finding.where
     pairs = [(set(cause.stations), set(scope.stations)), (set(cause.targets), set(scope.targets))]
     overlaps = all(a == b if len(a) < 2 else len(a & b) >= MIN_PLACE_OVERLAP * len(a | b) for a, b in pairs)
@@ -187,6 +199,7 @@ def _has_same_place(cause: CandidateEffect, finding: Any) -> bool:
 def _curve_row(
     strength: float, causes: Sequence[InjectedEffect], comparisons: Sequence[Mapping[str, bool]]
 ) -> dict[str, float]:
+    """Row of a detection curve: counts and fractions with confidence intervals at one noncentrality."""
     row: dict[str, float] = {"noncentrality": strength, "injections": len(comparisons)}
     row["largest_um"] = float(np.mean([c.largest_changes["distance_um"] for c in causes]))
     row["largest_urad"] = float(
@@ -206,7 +219,10 @@ def _scaled_injection(
     noncentrality: float | None,
     random_generator: np.random.Generator,
 ) -> tuple[CandidateEffect, Floats]:
-    """Effect and its values [SI]; if the network absorbs the drawn ones, other places and constants are drawn."""
+    """Effect with its place, and its parameter values (q,) [SI] scaled to a noncentrality.
+
+    If no residual changes by the drawn effect, another place and other constants are drawn.
+    """
     for attempt in range(MAX_PLACE_DRAWS):
         drawn, values = _drawn_effect(injector, cause, random_generator)
         if noncentrality is None:
@@ -222,21 +238,21 @@ def _scaled_injection(
 def _drawn_effect(
     injector: Injector, cause: str | CandidateEffect | SizedEffect, random_generator: np.random.Generator
 ) -> tuple[CandidateEffect, Floats]:
-    """Effect with its place, constants and parameter values (q,) [SI]; unspecified ones are drawn."""
+    """Effect with a place, and its parameter values (q,) [SI]; values that are not given are drawn."""
     if isinstance(cause, str):
         text, sizes = _split_parameter_values(cause)
-        asked = parse_requested_effect(text, injector.recording)
+        requested_effect = parse_requested_effect(text, injector.recording)
     else:
         given, sizes = (cause.effect, dict(cause.parameter_values)) if isinstance(cause, SizedEffect) else (cause, {})
-        asked = (
+        requested_effect = (
             parse_requested_effect(given, injector.recording) if isinstance(given, Effect) else RequestedEffect(given)
         )
-    effect, sightings = asked.effect, injector.residual_space.sightings
+    effect, sightings = requested_effect.effect, injector.residual_space.sightings
     candidates: Sequence[CandidateEffect] = [effect]
     if isinstance(effect, Blunder) and not effect.place_text:
         candidates = type(effect).possible_blunders(sightings)
     elif isinstance(effect, Effect) and not isinstance(effect, Blunder):
-        candidates = asked.candidates(injector.residual_space.adjustment)
+        candidates = requested_effect.candidates(injector.residual_space.adjustment)
     if not candidates:
         raise ModelError(f"{effect.name} has no place in this recording")
     chosen = candidates[int(random_generator.integers(len(candidates)))]
@@ -244,7 +260,7 @@ def _drawn_effect(
 
 
 def _split_parameter_values(text: str) -> tuple[str, dict[str, float]]:
-    """Text of an effect without the values of parameters, and these values."""
+    """Text of an effect without the values of its parameters, and these values by name."""
     name, _, rest = text.partition(":")
     names = {AMPLITUDE_NAME} if "~" in name else {p.name for p in find_effect(name.strip()).parameters}
     items, sizes = [part.strip() for part in rest.split(",") if part.strip()], {}
@@ -262,6 +278,7 @@ def _split_parameter_values(text: str) -> tuple[str, dict[str, float]]:
 def _parameter_values(
     cause: CandidateEffect, given_values: Mapping[str, float], injector: Injector, random_generator: np.random.Generator
 ) -> Floats:
+    """Values (q,) [SI] of the parameters of an effect: those given, or random ones from their priors."""
     sizes = np.array([p.prior_sigma for p in cause.parameters]) * random_generator.standard_normal(
         len(cause.parameters)
     )
@@ -272,9 +289,9 @@ def _parameter_values(
     if not given_values:
         return sizes
     if isinstance(cause, EmpiricalLaw):
-        moved = cause.columns(injector.residual_space.sightings) @ sizes.reshape(-1, cause.regressor.n_columns).T
+        law_changes = cause.columns(injector.residual_space.sightings) @ sizes.reshape(-1, cause.regressor.n_columns).T
         rms = float(
-            np.sqrt(np.mean(np.sum(moved[cause.row_weights(injector.residual_space.sightings) > 0] ** 2, axis=1)))
+            np.sqrt(np.mean(np.sum(law_changes[cause.row_weights(injector.residual_space.sightings) > 0] ** 2, axis=1)))
         )
         return sizes * given_values[AMPLITUDE_NAME] * cause.parameters[0].si_per_display_unit / rms
     return np.array([given_values.get(p.name, 0.0) * p.si_per_display_unit for p in cause.parameters])

@@ -1,12 +1,12 @@
 """Network adjustment of all trials with a common geometry: one factorisation, exact residuals and gradients.
 
 The normal matrix N of the nominal network is inverted once. A step is ``inverse @ gradient`` for all trials in one
-matrix product; the gradient is that of the exact residuals at each trial's own state, so that the iteration converges
-to the optimum of the trial for any N: N only determines the speed (a factor of about 1e-3 a step, since errors of
-micrometres in metres hardly change the design).
+matrix product. The gradient is that of the exact residuals at each trial's own state, so that the iteration converges
+to the optimum of the trial for any N. N only determines the speed: a step reduces the distance to the optimum by a
+factor of about 1e-3, since errors of micrometres in metres hardly change the design.
 
-Residuals are formed where the point that the readings describe meets the target, and carried to the readings by
-the ideal tracker's derivative: relative error 1e-5 of a residual, that is 1e-5 sigma in a reading.
+The residual of a pointing is formed as the difference between the measured point and the target. The derivative of an
+ideal tracker converts this difference to readings, with a relative error of 1e-5, or 1e-5 sigma of a reading.
 """
 
 from __future__ import annotations
@@ -36,28 +36,33 @@ from ltsim.solve.design import cholesky_where_determined, scale_to_unit_diagonal
 MAX_NETWORK_STEPS = 8
 """Largest number of Gauss-Newton steps of a trial."""
 MIN_CONVERGENCE_RATE = 1e-3
-"""Smallest assumed ratio of the distances to the optimum after and before a step; larger if previous steps show it."""
+"""Smallest assumed ratio of the distances to the optimum after and before a step; else that of the last two steps."""
 
 
 @dataclass(frozen=True)
 class SharedQuantities:
-    """Derivatives and model of a reference network, reused for another network of the same set-up."""
+    """Derivatives and model of one network, reused for another network with the same set-up and pointings."""
 
     network: BatchNetwork
-    """Batch network of the same set-up and pointings, with other coordinates."""
+    """Network with the same set-up and pointings, but other coordinates."""
     point_derivatives: Floats
-    """Derivative of the nominal readings with respect to the local points, (n, 3, 3)."""
+    """Derivative of the nominal readings with respect to the targets in the instruments' frames, (n, 3, 3)."""
     value_derivatives: Floats
-    """Derivative of the nominal readings with respect to the parameters, (n, 3, p)."""
+    """Derivative of the nominal readings with respect to p instrument parameters, (n, 3, p)."""
 
 
 @dataclass(frozen=True)
 class BatchNetwork:
-    """Network about its nominal state, for the adjustment of any number of trials."""
+    """Network with nominal readings, for the adjustment of B trials.
+
+    Letters in shapes: S stations, T targets, I instruments with p parameters, q parameters of effects, n pointings, K
+    unknowns.
+    """
 
     recording: Recording
     """Recording with nominal readings: those of an ideal tracker at `state`."""
     state: NetworkState
+    """Nominal state: true poses and targets."""
     construction: Construction
     """Construction whose parameters are estimated."""
     chain_program: ChainProgram
@@ -65,13 +70,13 @@ class BatchNetwork:
     effects: tuple[Effect, ...] = ()
     """Additional effects that are estimated, together with the nuisance errors that the recording declares."""
     shared_quantities: SharedQuantities | None = None
-    """Quantities common to networks of the same set-up, computed if None; not used with additional effects."""
+    """Quantities computed by another network of the same set-up, or None; not used with additional effects."""
     adjusted_observables: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
     """Flags (3,) of the observables (range, azimuth, elevation) that are adjusted."""
 
     @cached_property
     def model(self) -> MeasurementModel:
-        """Forward model, as for a single adjustment."""
+        """Measurement model, the same as for a single adjustment."""
         model = MeasurementModel(self.recording, self.construction, self.effects)
         if self.shared_quantities is not None:
             vars(model)["nuisance_errors"] = self.shared_quantities.network.model.nuisance_errors
@@ -79,7 +84,7 @@ class BatchNetwork:
 
     @cached_property
     def problem(self) -> NetworkProblem:
-        """Least-squares problem at the nominal state, with the rows of a single adjustment."""
+        """Least-squares problem at the nominal state; its rows are those of a single adjustment."""
         if self.shared_quantities is None:
             return NetworkProblem.from_model(
                 self.model, reading_mask=np.tile(self.adjusted_observables, (len(self.recording), 1))
@@ -100,7 +105,7 @@ class BatchNetwork:
 
     @cached_property
     def end_indices(self) -> tuple[int, int, int, int]:
-        """End indices of poses, targets, parameters and further effects in the vector of unknowns."""
+        """End indices of poses, targets, instrument parameters and effect parameters in the vector of unknowns."""
         unknowns = self.problem.unknowns
         pose = unknowns.pose_columns.size
         targets = pose + unknowns.target_columns.size
@@ -121,19 +126,19 @@ class BatchNetwork:
         )
         order = np.concatenate([part.ravel() for part in column_groups])
         if len(np.unique(order)) != unknowns.n_columns:
-            raise SetupError('stations that share a mark are not supported by the batch solver; use solver = "single"')
+            raise SetupError('the batch solver does not support stations over a common mark; use solver = "single"')
         return order
 
     @cached_property
     def _non_reading_design(self) -> tuple[Floats, Floats]:
-        """Whitened design (r, K) of the rows other than readings, and their nominal residuals (r, 1)."""
+        """Whitened design (r, K) of the r observations other than readings, and their nominal residuals (r, 1)."""
         design, residual = self._whitened_system
         count = int(self.problem.used_readings.sum())
         return design[count:, self.column_order], residual[count:, None]
 
     @cached_property
     def _whitened_system(self) -> tuple[Floats, Floats]:
-        """Whitened design (m, K) of all rows, with columns in the order of the problem, and residuals (m,)."""
+        """Whitened design (m, K) of all m observations, in the order of the problem, and their residuals (m,)."""
         prediction = (
             self.problem.model.linearise(self.nominal_state)
             if self.shared_quantities is None
@@ -145,10 +150,7 @@ class BatchNetwork:
         return to_dense(system.design), system.whitened_residuals
 
     def _nominal_prediction(self, quantities: SharedQuantities) -> Prediction:
-        """Predicted readings and derivatives at the nominal state, from shared quantities.
-
-        They equal those of `MeasurementModel.linearise`.
-        """
+        """Predicted readings and derivatives at the nominal state, equal to those of `MeasurementModel.linearise`."""
         recording, state = self.recording, self.state
         by_target = quantities.point_derivatives @ np.swapaxes(state.station_rotations, 1, 2)[recording.station]
         arm = state.target_points[recording.target] - state.station_positions[recording.station]
@@ -159,9 +161,9 @@ class BatchNetwork:
 
     @cached_property
     def cholesky_and_scales(self) -> tuple[Floats, Floats]:
-        """Lower Cholesky factor (K, K) of the nominal normal matrix with unit columns, and column scales (K,).
+        """Cholesky factor (K, K) of the nominal normal matrix after column scaling, and the column scales (K,).
 
-        Raises SetupError for undetermined unknowns.
+        The factor is lower triangular; scaling makes the diagonal one. Raises SetupError for undetermined unknowns.
         """
         design = self._whitened_system[0]
         normal = (design.T @ design).take(self.column_order, 0).take(self.column_order, 1)
@@ -208,7 +210,7 @@ class BatchNetwork:
 
     @cached_property
     def _point_derivatives(self) -> Floats:
-        """Derivative (n, 3, 3) of an ideal tracker's readings with respect to the local point."""
+        """Derivative (n, 3, 3) of an ideal tracker's readings with respect to the target in the instrument's frame."""
         return (
             sightings_of(self.recording, self.state).local_derivatives
             if self.shared_quantities is None
@@ -225,7 +227,7 @@ class BatchNetwork:
 
     @cached_property
     def _extra_sightings(self) -> Sightings:
-        """Sightings in the frame of the floor plan, in which the full solver knows the nests."""
+        """Sightings in the frame of the floor plan, in which the directions of nests are declared."""
         state = self.nominal_state
         motion = self._network_frame.plan_motion(state.station_positions, state.station_rotations)
         if motion is not None:
@@ -243,14 +245,14 @@ class BatchNetwork:
 
     @cached_property
     def _extra_design(self) -> Floats:
-        """Change (n, 3, q) of the readings per unit of the parameters of effects and declared errors."""
+        """Change (n, 3, q) of the readings per unit of each parameter of effects and declared nuisance errors."""
         if not self.model.extra_effects:
             return np.zeros((len(self.recording), 3, 0))
         return self.model.extra_design(self._extra_sightings)
 
     @cached_property
     def _expected_shift(self) -> Floats | None:
-        """Expected change (n, 3, 1) of the readings by bench tests of reflectors; None for none."""
+        """Expected change (n, 3, 1) of the readings by range errors of bench-tested reflectors; None without one."""
         if not any(
             isinstance(error, IncidenceErrors) and error.mean_parameters.any() for error in self.model.nuisance_errors
         ):
@@ -263,7 +265,7 @@ class BatchNetwork:
         return np.where(self.problem.used_readings, self.problem.sigma, np.inf)
 
     def split_unknowns(self, unknowns: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Views of unknowns (K, B): poses (S, 6, B), targets (T, 3, B), parameters (I, p, B), effects (q, B)."""
+        """Views of unknowns (K, B): poses (S, 6, B), targets (T, 3, B), instruments (I, p, B), effects (q, B)."""
         pose, targets, values, _ = self.end_indices
         shape = self.nominal_state.instrument_parameters.shape
         return (
@@ -273,19 +275,19 @@ class BatchNetwork:
             unknowns[values:],
         )
 
-    def fit_trials(self, deviation: Floats, gauge_error: Floats | None = None) -> BatchFit:
+    def fit_trials(self, deviation: Floats, length_errors: Floats | None = None) -> BatchFit:
         """Adjusted trials.
 
-        `deviation` (n, 3, B) is readings minus nominal readings, `length_errors` (g, B) [m] the errors of the reference
-        lengths.
+        `deviation` (n, 3, B) is readings minus nominal readings, `length_errors` (g, B) [m] are the errors of the g
+        reference lengths.
         """
         if self._expected_shift is not None:
             deviation = deviation - self._expected_shift
-        x, predicted = self._first_step(deviation, gauge_error)
+        x, predicted = self._first_step(deviation, length_errors)
         last_costs = np.full(x.shape[1], np.inf)
         gradient, cost = np.empty_like(x), np.empty(x.shape[1])
         for _ in range(2, MAX_NETWORK_STEPS + 1):
-            self._gradient(x, deviation, gauge_error, predicted, gradient, cost)
+            self._gradient(x, deviation, length_errors, predicted, gradient, cost)
             step = self.step(gradient)
             x += step
             squared = np.maximum(np.einsum("kb,kb->b", step, gradient), 0.0)
@@ -306,11 +308,9 @@ class BatchNetwork:
 
     @cached_property
     def _affected_readings(self) -> tuple[Ints, Floats, Floats]:
-        """Readings (r,) among all (3 n,) that effects and declared errors change.
+        """Indices (r,) of the readings that effects change, among all 3 n, and their design (r, q), plain and whitened.
 
-        Their design (r, q), plain and whitened.
-
-        If states have a last index for the trial, designs have it first.
+        Effects include declared nuisance errors. For trials with separate geometries the designs are (B, r, q).
         """
         flattened = self._extra_design.reshape(self.reading_sigmas.size, -1)
         rows = np.flatnonzero(flattened.any(axis=1))
@@ -318,10 +318,10 @@ class BatchNetwork:
 
     @cached_property
     def _start_matrices(self) -> tuple[Floats, Floats, Floats]:
-        """Matrices from deviations (3 n,) and other rows (r,) to the first step (K,), and to predicted readings.
+        """Matrices (K, 3 n) and (K, r) of the first step, and matrix (3 n, K') of the readings that it predicts.
 
-        Predicted readings include poses, targets and parameters; all other contributions are subtracted from the
-        measured ones.
+        The first step is the first matrix times the deviations of readings plus the second times the residuals of the r
+        other observations. K' excludes effects, whose changes are subtracted from the measured readings.
         """
         use, design = self.problem.used_readings, np.zeros((3 * len(self.recording), self.end_indices[-1]))
         design[use.ravel()] = self._whitened_system[0][
@@ -332,12 +332,12 @@ class BatchNetwork:
         by_reading = self.covariance @ (design / self.reading_sigmas.reshape(-1, 1)).T
         return by_reading, self.covariance @ self._non_reading_design[0].T, predicting
 
-    def _first_step(self, deviation: Floats, gauge_error: Floats | None) -> tuple[Floats, Floats]:
-        """First step from the nominal state as a matrix product, and the readings that it predicts, (n, 3, B)."""
+    def _first_step(self, deviation: Floats, length_errors: Floats | None) -> tuple[Floats, Floats]:
+        """First step (K, B) from the nominal state, and predicted minus nominal readings (n, 3, B) after the step."""
         by_reading, by_other, predicting = self._start_matrices
         nowhere = np.zeros((self.end_indices[-1], deviation.shape[2]))
         x = by_reading @ deviation.reshape(len(predicting), -1) + by_other @ self._non_reading_residuals(
-            nowhere, gauge_error
+            nowhere, length_errors
         )
         return x, (predicting @ x[: self.end_indices[2]]).reshape(deviation.shape)
 
@@ -345,12 +345,12 @@ class BatchNetwork:
         self,
         increments: Floats,
         deviation: Floats,
-        gauge_error: Floats | None,
+        length_errors: Floats | None,
         predicted: Floats,
         gradient: Floats,
         cost: Floats,
     ) -> None:
-        """Gradient (K, B) and cost (B,) at increments x (K, B)."""
+        """Gradient (K, B) and sum of squares (B,) at increments (K, B), written to `gradient` and `cost`."""
         gradient[:], cost[:] = 0.0, 0.0
         pose, points, values, extra = self.split_unknowns(increments)
         if self._has_additional_parameters:
@@ -363,14 +363,14 @@ class BatchNetwork:
         network_gradient(*arrays, residual, by_pose, by_points, by_values, cost)
         if self._has_additional_parameters:
             by_extra += multiply_by_trial(np.swapaxes(whitened, -2, -1), residual.reshape(-1, len(cost))[rows])
-        residuals = self._non_reading_residuals(increments, gauge_error)
+        residuals = self._non_reading_residuals(increments, length_errors)
         gradient += multiply_by_trial(np.swapaxes(self._non_reading_design[0], -2, -1), residuals)
         cost += np.sum(residuals**2, axis=0)
 
-    def _non_reading_residuals(self, increments: Floats, gauge_error: Floats | None) -> Floats:
+    def _non_reading_residuals(self, increments: Floats, length_errors: Floats | None) -> Floats:
         """Whitened residuals (r, B) of reference lengths, control points, levels, priors and datum.
 
-        They are linear, except the lengths, which are exact.
+        The residuals of lengths are exact; all others are linear in the increments (K, B).
         """
         design, nominal = self._non_reading_design
         rows = nominal - multiply_by_trial(design, increments)
@@ -384,14 +384,14 @@ class BatchNetwork:
             length = np.sqrt(np.sum(arm**2, axis=1))
             linear = length + np.sum(arm * change, axis=1) / length
             bent = linear - np.sqrt(np.sum((arm + change) ** 2, axis=1))
-            if gauge_error is not None:
-                bent += gauge_error
+            if length_errors is not None:
+                bent += length_errors
             rows[: len(gauge)] += gauge.decorrelate(bent)
         return rows
 
 
 def multiply_by_trial(matrix: Floats, columns: Floats) -> Floats:
-    """Product of columns (k, B) with one matrix, or with a separate one (B, j, k) for each column."""
+    """Product of a matrix (j, k) with columns (k, B), or of a separate matrix for each column, (B, j, k)."""
     if matrix.ndim == 2:
         return matrix @ columns
     return np.matmul(matrix, columns.T[:, :, None])[:, :, 0].T

@@ -1,4 +1,4 @@
-"""Ratios over all trials, and differences on common draws, which no single row of a campaign has."""
+"""Differences between two methods or levels of a campaign, trial by trial on the same random draws."""
 
 from __future__ import annotations
 
@@ -19,20 +19,19 @@ if TYPE_CHECKING:
     from ltsim.campaigns.statistics import CampaignStatistics  # needs packages that few install
 
 LEVEL_ROUNDING = 5e-4
-"""Largest relative difference between a level and its rounded value, that of three digits."""
+"""Largest relative difference between a level and a number that a user gives for it; the level may thus be rounded to
+three digits.
+"""
 CellMethod = tuple[int, str]
-"""Cell and method."""
+"""Number of a cell, and name of a method."""
 
 
 @dataclass(frozen=True)
 class PairedDifference:
-    """Paired difference of a statistic: first minus second method or level on the same draws, trial by trial.
-
-    `settings` are common to both; `low` and `high` are the 95 % confidence limits.
-    """
+    """Paired difference of a statistic: first minus second method or level on the same draws, trial by trial."""
 
     settings: Mapping[str, Any]
-    """Values of the other factors."""
+    """Values of all other factors, which both have in common."""
     first: str
     """First method or level."""
     second: str
@@ -66,6 +65,7 @@ class PairedDifferences(Result):
     """Differences between the methods and levels of a campaign on common draws."""
 
     entries: tuple[PairedDifference, ...]
+    """Difference for each combination of the other settings."""
 
     def _lines(self) -> list[str]:
         return [entry.sentence for entry in self.entries]
@@ -76,9 +76,9 @@ class PairedDifferences(Result):
 
 
 def paired_differences(results: CampaignStatistics, statistic: str, **pair: tuple[Any, Any]) -> PairedDifferences:
-    """Paired comparison of methods; see `Results.paired`."""
+    """Paired differences of a statistic between two methods or levels; see `CampaignResults.paired_differences`."""
     if len(pair) != 1:
-        raise ModelError("paired compares two methods, method=(A, B), or two levels of one factor")
+        raise ModelError("give either two methods, method=(A, B), or two levels of one factor")
     ((along, (first, second)),) = pair.items()
     differences = []
     for common, this, other in _comparison_pairs(results, along, first, second):
@@ -98,6 +98,10 @@ def paired_differences(results: CampaignStatistics, statistic: str, **pair: tupl
 def _comparison_pairs(
     results: CampaignStatistics, factor_name: str, first_level: Any, second_level: Any
 ) -> Iterator[tuple[dict[str, Any], CellMethod, CellMethod]]:
+    """Common settings, first cell and method, second cell and method of each comparison.
+
+    Raises ModelError if there is no such factor, method or level.
+    """
     methods, levels = results.manifest.methods, results.levels
     factors = [factor.name for factor in results.factors]
     if factor_name not in ("method", *factors):
@@ -115,7 +119,7 @@ def _comparison_pairs(
 
 
 def _level_of(factor_name: str, requested_level: Any, levels: Sequence[Any]) -> Any:
-    """Level of a factor that is given as itself, with its unit as in the file, or rounded to at least three digits.
+    """Level that a user's value means: the level itself, with its unit as in the file, or rounded to three digits.
 
     Raises ModelError for a value that is no level, or that is the rounded value of several levels.
     """
@@ -136,14 +140,17 @@ def _level_of(factor_name: str, requested_level: Any, levels: Sequence[Any]) -> 
 
 
 def _trial_values(results: CampaignStatistics, statistic: str, cell: int, method: str) -> tuple[Floats, Floats]:
-    """Trials (N,) of a cell and method, and the values to be averaged: (1, N) for a mean, (2, N) for a ratio."""
+    """Numbers (N,) of the trials of a cell and method, and the terms to be averaged over these trials.
+
+    The terms are (1, N) for a mean, and (2, N), numerator and denominator, for a ratio of means.
+    """
     terms = sql_terms(statistic)
     table = results.term_values(("trial", *terms), cell, method, f"{terms[0]} IS NOT NULL")
     return table[0], table[1:]
 
 
 def _mean_and_influence(trial_terms: Floats) -> tuple[float, Floats]:
-    """Mean of (1, N), or ratio of means of (2, N), and the influence (N,) of each trial on it."""
+    """Mean of terms (1, N), or ratio of the means of terms (2, N), and influence (N,) of each trial on the result."""
     if len(trial_terms) == 1:
         return float(np.mean(trial_terms)), trial_terms[0]
     ratio = float(trial_terms[0].mean() / trial_terms[1].mean())

@@ -1,9 +1,10 @@
-"""Kinematic chain as arrays for the compiled kernels, about the nominal readings of a network.
+"""Kinematic chain as arrays for the compiled functions, expanded about the nominal readings of a network.
 
-Every motion's amount is its nominal amount at the nominal reading plus a small deviation, so that trigonometric
-functions of large angles are computed only once. A parameter's basis is expanded to first order in the reading's
-deviation; the neglected term is half the second derivative times the squared deviation times the parameter: 2e-16 rad
-for deviations and parameters of 10 urad, 1e-12 m at 5 m for 100 um and 100 urad.
+Each motion (a rotation or translation) is the motion at the nominal reading plus a small deviation, so that
+trigonometric functions of large angles are computed only once. A parameter acts on a motion through its basis, a
+function of the readings that is expanded to first order in the deviation of the readings. The neglected term is half
+the second derivative times the squared deviation times the parameter: 2e-16 rad for deviations and parameters of 10
+urad, 1e-12 m at 5 m for 100 um and 100 urad.
 """
 
 from typing import NamedTuple, Self
@@ -15,32 +16,38 @@ from ltsim.geometry.kinematics.chain import ElementaryMotion, RotationStep
 from ltsim.physics.model.construction import Construction
 
 DERIVATIVE_STEP = 1e-4
-"""Step of the central difference for the derivative of a basis, with a relative error of 1e-9."""
+"""Step [m, rad] of the central difference for the derivative of a basis function; the relative error of the derivative
+is 1e-9.
+"""
 
 
 class ChainProgram(NamedTuple):
-    """Kinematic chain of M motions (base outwards), n pointings and p parameters as arrays for the kernels."""
+    """Kinematic chain as arrays: M motions from the base outwards, n pointings, p parameters."""
 
     is_rotation: Ints
     """Kind of each motion, (M,): 1 for a rotation, 0 for a translation."""
     axis_indices: Ints
     """Coordinate axis of each motion (0, 1, 2), (M,)."""
     reading_signs: Floats
-    """Sign of the reading in each motion, (M,)."""
+    """Sign with which a reading enters each motion, (M,)."""
     reading_indices: Ints
-    """Index of the reading on which the motion depends (0 range, 1 azimuth, 2 elevation), -1 for none, (M,)."""
+    """Index of the reading on which each motion depends, (M,): 0 range, 1 azimuth, 2 elevation, -1 none."""
     nominal_amounts: Floats
-    """Nominal amount of each motion, (M, n, 2): translation in the first entry, or cosine and sine of the rotation."""
+    """Size of each motion at the nominal readings, (M, n, 2): a translation [m] in the first entry, or cosine and sine
+    of a rotation.
+    """
     parameter_offsets: Ints
-    """Offsets (M + 1,) into `parameter_indices`: the parameters of motion m are ``fed[first[m] : first[m + 1]]``."""
+    """Offsets (M + 1,) into `parameter_indices`: the parameters of motion m are ``parameter_indices[offsets[m] :
+    offsets[m + 1]]``.
+    """
     parameter_indices: Ints
-    """Parameters that act on the motions, motion after motion, (f,)."""
+    """Indices of the parameters that act on each motion, motion after motion, (f,)."""
     depends_on_readings: Ints
     """Flags (p,) of the parameters whose basis depends on the readings."""
     basis_values: Floats
-    """Basis of each parameter at the nominal readings, (p, n)."""
+    """Basis function of each parameter at the nominal readings, (p, n)."""
     basis_derivatives: Floats
-    """Derivative of each basis with respect to the readings, (p, n, 3)."""
+    """Derivative of each basis function with respect to the three readings, (p, n, 3)."""
 
     @classmethod
     def from_construction(cls, construction: Construction, readings: Floats) -> Self:
@@ -68,7 +75,10 @@ class ChainProgram(NamedTuple):
         )
 
     def split_trials(self, trials: int) -> Self:
-        """Arrays with a last index for the trial, from rows in which all trials of a pointing follow each other."""
+        """Arrays with a last index for the trial.
+
+        The rows of these arrays are pointings; for each pointing, one row per trial follows the other.
+        """
 
         def per_trial(rows: Floats) -> Floats:
             by_trial = rows.reshape(rows.shape[0], rows.shape[1] // trials, trials, *rows.shape[2:])
@@ -82,9 +92,9 @@ class ChainProgram(NamedTuple):
 
 
 def _reading_index(motion: ElementaryMotion) -> int:
-    """Index of the reading on which a motion depends, -1 for none.
+    """Index of the reading on which a motion depends (0 range, 1 azimuth, 2 elevation), -1 for a constant motion.
 
-    Amounts are constant, or a reading plus a constant.
+    A motion is constant, or a reading plus a constant.
     """
     if motion.nominal is None:
         return -1
@@ -94,6 +104,7 @@ def _reading_index(motion: ElementaryMotion) -> int:
 
 
 def _nominal_amount(motion: ElementaryMotion, readings: Floats) -> Floats:
+    """Size of a motion at readings (n, 3): translation and 0, or cosine and sine of a rotation, (n, 2)."""
     amount = np.zeros(len(readings)) if motion.nominal is None else motion.sign * motion.nominal(readings)
     if isinstance(motion, RotationStep):
         return np.stack([np.cos(amount), np.sin(amount)], axis=1)
@@ -101,7 +112,7 @@ def _nominal_amount(motion: ElementaryMotion, readings: Floats) -> Floats:
 
 
 def _basis_derivatives(construction: Construction, readings: Floats) -> Floats:
-    """Derivative (p, n, 3) of each basis with respect to the readings."""
+    """Derivative (p, n, 3) of each basis function with respect to the readings."""
     step = DERIVATIVE_STEP * np.eye(3)[:, None, :]
     shifted_readings = np.concatenate([readings + step, readings - step]).reshape(-1, 3)
     ahead, behind = (

@@ -1,8 +1,9 @@
 """Checks of a recovery over many trials: estimates with their declared sigmas, compared with the truth.
 
-Mean, standard deviation and coverage of the z-scores have two-sided limits. The limits are those of the specification
-(mean within 0.1, standard deviation within 5 %, coverage within 1.5 %), or wider ones for few trials, so that a correct
-model fails any check in one run of a hundred.
+Mean, standard deviation and coverage of the z-scores (error divided by declared sigma) have two-sided limits. The
+limits are those of the specification of ltsim (mean within 0.1, standard deviation within 5 %, coverage within 1.5 %),
+widened by the sampling error of a finite number of trials. A correct model thus fails any check in one run of a
+hundred.
 """
 
 import math
@@ -22,19 +23,21 @@ FALSE_ALARM_RATE = 0.01
 NOMINAL_COVERAGE = 0.95
 """Nominal fraction of the intervals that contain the truth."""
 MIN_TRIALS = 2
-"""Smallest number of trials for a standard deviation."""
+"""Smallest number of trials from which a standard deviation is computed."""
 MEAN_Z_MARGIN = 0.1
-"""Permitted deviation of the mean z-score from 0, in addition to chance."""
+"""Permitted deviation of the mean z-score from 0, in addition to its sampling error."""
 DEVIATION_Z_MARGIN = 0.05
-"""Permitted deviation of the standard deviation of z-scores from 1, in addition to chance."""
+"""Permitted deviation of the standard deviation of z-scores from 1, in addition to its sampling error."""
 COVERAGE_MARGIN = 0.015
-"""Permitted deviation of the coverage from its nominal value, in addition to chance."""
+"""Permitted deviation of the coverage from its nominal value, in addition to its sampling error."""
 CHI2_MARGIN = 0.02
-"""Permitted relative deviation of the total chi-square from its expectation, in addition to chance."""
+"""Permitted relative deviation of the total chi-square from its expectation, in addition to its sampling error."""
 NETWORK_MARGIN = 0.05
-"""Permitted deviation of the mean squared z-score of targets and stations from 1, in addition to chance."""
+"""Permitted deviation of the mean squared z-score of targets and stations from 1, in addition to its sampling error."""
 MAX_RELATIVE_DEVIATION = float(np.sqrt(2.0))
-"""Largest ratio of the standard deviation of a mean square to its mean, reached if all averaged values are equal."""
+"""Upper bound for the ratio of the standard deviation to the mean of a mean squared z-score. The bound is reached if
+all averaged z-scores of a trial are equal.
+"""
 
 
 class RecoveryCheck(Entry):
@@ -55,7 +58,7 @@ class RecoveryCheck(Entry):
 
     @classmethod
     def from_value(cls, subject: str, statistic: str, value: float, lower_limit: float, upper_limit: float) -> Self:
-        """Check of a number; NaN fails."""
+        """Check of a number; the check fails if the number is NaN."""
         is_passed = bool(lower_limit <= value <= upper_limit)
         return cls(
             subject=subject, statistic=statistic, value=value, low=lower_limit, high=upper_limit, passed=is_passed
@@ -96,9 +99,10 @@ def recovery_checks(
     names : sequence of str, optional
         Names of the parameters; default their numbers.
     tolerance : mapping of str to float, optional
-        95 % of a parameter's errors lie within it; with it only the parameters that it names are checked.
+        Limit by parameter within which 95 % of its errors must lie. If any is given, only the parameters with a limit
+        are checked.
     alpha : float
-        Chance that a correct calibrator fails any of the checks on sigmas.
+        Probability that a correct calibrator fails any of the checks of sigmas.
 
     Returns
     -------
@@ -109,8 +113,8 @@ def recovery_checks(
     Raises
     ------
     ModelError
-        When the arrays differ in shape, hold fewer than two trials, a tolerance names no parameter, or there is nothing
-        to judge by: neither sigmas nor tolerances.
+        If the arrays differ in shape or have fewer than two trials, if a tolerance names no parameter, or if neither
+        sigmas nor tolerances are given.
 
     Examples
     --------
@@ -155,7 +159,10 @@ def tolerance_check(name: str, error: Floats, tolerance: float, tolerance_text: 
 
 
 def parameter_checks(name: str, z_scores: Floats, alpha: float) -> list[RecoveryCheck]:
-    """Checks of mean, standard deviation and coverage of z-scores (N,); `alpha` is the false-alarm rate of each."""
+    """Checks of mean, standard deviation and coverage of z-scores (N,).
+
+    `alpha` is the false-alarm rate of each check.
+    """
     count = len(z_scores)
     shift = max(MEAN_Z_MARGIN, float(stats.norm.isf(alpha / 2) / np.sqrt(count)))
     tails = stats.chi2.ppf([alpha / 2, 1 - alpha / 2], count - 1) / (count - 1)
@@ -176,17 +183,20 @@ def parameter_checks(name: str, z_scores: Floats, alpha: float) -> list[Recovery
 
 
 def fixed_truth_checks(name: str, z_scores: Floats, alpha: float) -> list[RecoveryCheck]:
-    """Checks of z-scores (N,) for a fixed truth and a calibrator with unknown prior.
+    """Checks of z-scores (N,) of an external calibrator for a truth that is the same in all trials.
 
-    A prior may make sigmas larger than the scatter, but never smaller: standard deviation and coverage therefore have
-    one limit each, and the mean has two.
+    The prior of the calibrator is unknown. A prior may make sigmas larger than the scatter, but never smaller: standard
+    deviation and coverage therefore have one limit each, and the mean has two.
     """
     mean, spread, coverage = parameter_checks(name, z_scores, alpha)
     return [mean, spread.with_limits(0.0, spread.high), coverage.with_limits(coverage.low, 1.0)]
 
 
 def chi_square_check(chi2: Floats, expected_chi2: Floats, chi2_sigma: Floats, alpha: float) -> RecoveryCheck:
-    """Check of the total chi-square relative to its expectation, as a scaled chi-square (Satterthwaite)."""
+    """Check of the sum of chi-square over all trials, divided by its expectation.
+
+    The limits are those of a scaled chi-square distribution with the same mean and variance (Satterthwaite).
+    """
     mean, variance = float(np.sum(expected_chi2)), float(np.sum(chi2_sigma**2))
     freedom = 2 * mean**2 / variance
     tails = stats.chi2.ppf([alpha / 2, 1 - alpha / 2], freedom) / freedom
@@ -195,10 +205,10 @@ def chi_square_check(chi2: Floats, expected_chi2: Floats, chi2_sigma: Floats, al
 
 
 def mean_check(subject: str, statistic: str, trial_values: Floats, alpha: float) -> RecoveryCheck:
-    """Check that the mean of values (N,), one per trial, is one.
+    """Check that the mean of values (N,), one per trial with expectation one, is one.
 
-    The limits follow from the median absolute deviation relative to the median, so that values that are all too large,
-    or a few outliers, do not widen their own limits.
+    The limits follow from the median absolute deviation divided by the median. Values that are all too large, or a few
+    outliers, thus do not widen the limits.
     """
     median = float(np.median(trial_values))
     deviation = float(np.median(np.abs(trial_values - median)))

@@ -45,10 +45,12 @@ from ltsim.simulation.simulator import measure_trial, placing_stream_key
 
 
 class RecoveryTolerance(NamedTuple):
-    """Largest permitted error in the parameter's unit, and its text."""
+    """Limit within which 95 % of the errors of a parameter must lie."""
 
     max_error: float
+    """Limit in the unit of the parameter."""
     text: str
+    """Limit as the user gave it, with its unit."""
 
 
 class RecoveredParameter(Entry):
@@ -126,7 +128,7 @@ def run_trials(
 
 
 def with_errors_from_prior(scenario: Scenario) -> Scenario:
-    """Scenario whose instruments have errors drawn from the priors that the calibrator will use."""
+    """Scenario whose instruments have errors drawn from the priors that the calibrator uses."""
     error_fields = {"errors": {"draw": True}, "error_factor": 1.0}
     by_name = {name: tracker.model_copy(update=error_fields) for name, tracker in scenario.instruments.items()}
     return scenario.model_copy(
@@ -160,7 +162,7 @@ def run_trial(scenario: Scenario, seed: int, index: int, settings: RecoverySetti
 
 
 def calibrate_with(recording: Recording, settings: RecoverySettings, construction: Construction) -> Calibration:
-    """Calibration by one of ltsim's methods."""
+    """Calibration of a recording by the method of ltsim in the settings."""
     if settings.method == "network":
         return calibrate_network(
             recording,
@@ -174,9 +176,10 @@ def calibrate_with(recording: Recording, settings: RecoverySettings, constructio
 
 @dataclass(frozen=True)
 class RecoveryTrials(ValueEquality):
-    """All trials of a recovery check, with the statistics that are checked; a trial without a result is None."""
+    """All trials of a recovery check, with their statistics and checks."""
 
     trials: tuple[TrialScore | None, ...]
+    """Score of each trial; None for a trial without a result."""
     errors: ErrorOrigin = "drawn"
     tolerance: Mapping[str, RecoveryTolerance] = field(default_factory=dict)
     """Tolerance by parameter; only these parameters are checked, if there are any."""
@@ -196,11 +199,12 @@ class RecoveryTrials(ValueEquality):
         return [trial for trial in self.trials if trial is not None]
 
     def _stack_attribute(self, attribute: str) -> Floats:
+        """Attribute of the trials with a result as one array, (N, p)."""
         return np.stack([getattr(trial, attribute) for trial in self.trials_with_result])
 
     @property
     def z_scores(self) -> Floats:
-        """Errors of the parameters divided by their declared sigmas, (N, p)."""
+        """Errors of p parameters divided by their declared sigmas, for N trials with a result, (N, p)."""
         return self._stack_attribute("z_scores")
 
     def unchecked_parameters(self) -> tuple[str, ...]:
@@ -298,6 +302,7 @@ class RecoveryTrials(ValueEquality):
         return checks
 
     def _network_checks(self, alpha: float) -> list[RecoveryCheck]:
+        """Checks of chi-square, targets and stations; `alpha` is the false-alarm rate of each."""
         parts, checks = [trial.network_score for trial in self.trials_with_result], []
         if all(np.isfinite(part.expected_chi2) for part in parts):
             names = ("chi2", "expected_chi2", "chi2_deviation")

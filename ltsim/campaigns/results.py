@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 METHOD_AXIS = "calibrator"
-"""Name of the axis of methods in an xarray dataset, where `method` is already an argument of `sel`."""
+"""Name of the axis of methods in an xarray dataset; the name `method` is an argument of `Dataset.sel`."""
 N_BOOTSTRAP_RESAMPLES = 400
 """Number of resamples of a bootstrap interval; its limits then have a sampling error of about a tenth of its width."""
 RESERVED_AXIS_NAMES = frozenset({METHOD_AXIS, "indexers", "method", "tolerance", "drop"})
-"""Names that an axis of a factor cannot have; an underscore is then appended."""
+"""Names that an axis of an xarray dataset cannot have; an underscore is appended to the name of such a factor."""
 
 
 class CampaignResults(CampaignStatistics, Result):
@@ -42,10 +42,10 @@ class CampaignResults(CampaignStatistics, Result):
         Parameters
         ----------
         statistic : str
-            A column of the rows, or a share.
+            Column of the rows, or a ratio over all trials such as `share_removed`.
         **pair
-            Either ``method=("distance", "network")``, or a factor with two of its levels, ``faces=(1, 2)``: first minus
-            second, for every combination of the other settings.
+            Two methods, ``method=("distance", "network")``, or two levels of a factor, ``faces=(1, 2)``. The difference
+            is first minus second, for every combination of the other settings.
 
         Raises
         ------
@@ -56,7 +56,7 @@ class CampaignResults(CampaignStatistics, Result):
         return paired_differences(self, statistic, **pair)
 
     def statistic(self, function: Callable[..., float], *columns: str) -> list[StatisticSummary]:
-        """Statistic that a function defines, over the trials of every cell and method, with its 95 % interval.
+        """Value of a function of the trials, for every cell and method, with its 95 % confidence interval.
 
         Parameters
         ----------
@@ -68,9 +68,9 @@ class CampaignResults(CampaignStatistics, Result):
 
         Returns
         -------
-        list of Spread
-            `mean` is the statistic of all trials, `low` and `high` its interval by resampling the trials (percentile
-            bootstrap), `column` the name of the function.
+        list of StatisticSummary
+            `mean` is the value for all trials, `low` and `high` are the confidence limits by resampling the trials
+            (percentile bootstrap), `column` is the name of the function.
 
         Raises
         ------
@@ -78,7 +78,7 @@ class CampaignResults(CampaignStatistics, Result):
             When there is no such column, or the function does not return a number.
         """
         if shares := [column for column in columns if column in RATIO_STATISTICS]:
-            raise ModelError(f"{shares[0]} is a ratio over all trials and no column of the rows; use `spread`")
+            raise ModelError(f"{shares[0]} is a ratio over all trials and no column of the rows; call `distribution`")
         sql_columns = [self._sql_column(column) for column in columns]
         condition_text = " AND ".join(f"isfinite({name})" for name in sql_columns) or "true"
         name = getattr(function, "__name__", type(function).__name__)
@@ -104,11 +104,12 @@ class CampaignResults(CampaignStatistics, Result):
         Parameters
         ----------
         statistic : str
-            A column of the rows, or a share; without one it is what the campaign's page shows first.
+            Column of the rows, or a ratio over all trials such as `share_removed`; default the first figure of the
+            campaign's page.
         along, panel : str
-            The factor of the axis; one that has a panel a level.
+            Factor along the horizontal axis, and factor with a separate panel for each of its levels.
         **levels
-            Only the cells with these levels, ``faces=1``, or one ``method``.
+            Levels of factors, such as ``faces=1``, or one ``method``, to which the figure is restricted.
 
         Raises
         ------
@@ -126,13 +127,13 @@ class CampaignResults(CampaignStatistics, Result):
         Parameters
         ----------
         *statistics : str
-            Columns of the rows, or shares; default all but those of single parameters.
+            Columns of the rows, or ratios over all trials; default all except columns of single parameters.
 
         Returns
         -------
         xarray.Dataset
-            Each statistic with ``NAME_low`` and ``NAME_high``, its unit in `attrs`; axes are `calibrator` (the methods)
-            and the factors, or `cell` with the factors along it where the cells are no grid.
+            Each statistic with its confidence limits ``NAME_low`` and ``NAME_high``, and its unit in `attrs`. Axes are
+            `calibrator` (the methods) and the factors; if the cells are no full grid, `cell` with the factors along it.
 
         Raises
         ------
@@ -161,7 +162,7 @@ class CampaignResults(CampaignStatistics, Result):
         return Dataset(variables, {METHOD_AXIS: methods} | axes | along, title)
 
     def _xarray_axes(self) -> tuple[dict[str, Any], list[tuple[int, ...]], dict[str, Any]]:
-        """Axes with their values, position of each cell on them, and other quantities along them.
+        """Values of each axis, position of each cell on the axes, and coordinates along an axis.
 
         Factors of a full grid are axes; other cells are on one axis with the values of the factors.
         """
@@ -180,7 +181,7 @@ class CampaignResults(CampaignStatistics, Result):
 
 
 def _checked_number(function: Callable[..., float], columns: Floats) -> float:
-    """Value of a function of the columns (k, n); raises ModelError if it is not a number."""
+    """Value of a function of k columns with n trials, (k, n); raises ModelError if it is not a number."""
     result = np.asarray(function(*columns))
     if result.size != 1 or result.dtype.kind not in "fiub":
         raise ModelError(f"the statistic returns {type(result.tolist()).__name__}, expected one number")
@@ -188,6 +189,6 @@ def _checked_number(function: Callable[..., float], columns: Floats) -> float:
 
 
 def _sorted_levels(levels: Iterable[Any]) -> list[Any]:
-    """Sorted numbers, so that an axis can be sliced; texts keep the order of the file."""
+    """Levels in increasing order if all are numbers, so that an axis can be sliced; else in the order of the file."""
     level_list = list(levels)
     return sorted(level_list) if all(isinstance(value, int | float) for value in level_list) else level_list

@@ -1,4 +1,4 @@
-"""Rows of a shard: trials are drawn, calibrated by every method on the same draws, and evaluated."""
+"""Rows of a shard: trials are drawn, calibrated by every method on the same draws, and compared with the truth."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -45,29 +45,29 @@ from ltsim.simulation.simulator import placing_stream_key
 from ltsim.simulation.workshop import WorkshopLayout, planned_layout
 
 CORRECTED_STATISTICS = {"criteria", "errors"}
-"""Statistics that need corrected readings."""
+"""Groups of statistics for which the readings are corrected by the calibration."""
 MAX_TRIALS_PER_STACK = 64
-"""Number of trials per batch if each has a separate geometry with the same sightings."""
+"""Largest number of trials that are calibrated together if each trial has a separate geometry."""
 
 
 @dataclass(frozen=True)
 class ShardTask:
-    """Shard of a cell as a task for any worker."""
+    """Task of a worker: computation of one shard, a file with the rows of some trials of one cell."""
 
     campaign: CampaignFile
     scenario: Scenario
     cell_digest: str
-    """Digest of the cell."""
+    """Digest of everything that determines the rows of the cell."""
     cell: int
     """Number of the cell."""
     shard: int
     """Number of the shard within the cell."""
     validation_scenario: Scenario | None = None
-    """Scenario of `judge_in`, in which methods are evaluated; None without one."""
+    """Scenario of `judge_in`, which gives held-out points for the evaluation; None without the key."""
     session_effects: tuple[type[Effect], ...] = field(default_factory=lambda: CATALOGUE.session_effects)
-    """Effect classes that were registered in this session, which a worker does not have."""
+    """Classes of effects that the user registered in this session; a worker process does not have them."""
     existing_rows: pa.Table | None = None
-    """Existing rows of the shard, if it lacks trials or statistics."""
+    """Rows that the shard already has, if trials or statistics were added to the campaign."""
 
     @property
     def key(self) -> dict[str, str]:
@@ -83,7 +83,7 @@ class ShardTask:
 
 @dataclass(frozen=True)
 class CellContext:
-    """Cell with everything that its trials share."""
+    """Quantities that all trials of a cell share."""
 
     campaign: CampaignFile
     scenario: Scenario
@@ -91,7 +91,7 @@ class CellContext:
 
     @cached_property
     def common_geometry(self) -> tuple[TrialEvaluator, list[TrialCalibrator]]:
-        """Common geometry of all trials, with the calibrators in the order of the file's methods."""
+        """Evaluation of the geometry that all trials share, and the calibrators in the order of the file's methods."""
         truth = make_cell_truth(self.scenario, self.campaign.seed)
         return TrialEvaluator(truth), [make_calibrator(method, truth) for method in self.campaign.methods]
 
@@ -99,7 +99,7 @@ class CellContext:
     def validation_geometry(self) -> TrialEvaluator | None:
         """Geometry of `judge_in`, at which the same instruments measure points that no calibration used.
 
-        It is None without one.
+        The geometry is None without the key `judge_in`.
         """
         return (
             None
@@ -134,9 +134,11 @@ class CellContext:
     def trial_blocks(
         self, first_trial: int, end_trial: int
     ) -> Iterator[tuple[TrialEvaluator, Sequence[TrialCalibrator], TrialBatch]]:
-        """Blocks with the trials ``first`` to ``last - 1``, each with the evaluation and calibrators of its geometry.
+        """Blocks of drawn trials from ``first_trial`` to ``end_trial - 1``.
 
-        Trials with an impossible geometry, such as a station without visible targets, are in no block.
+        Each block comes with the evaluation of its geometry and the calibrators of all methods, in the order
+        evaluation, calibrators, block. Trials with an impossible geometry, such as a station without visible targets,
+        are in no block.
         """
         seed, methods = self.campaign.seed, self.campaign.methods
         if self.campaign.geometry == "shared":
@@ -155,7 +157,10 @@ class CellContext:
                 )
 
     def _trial_geometries(self, trials: range) -> dict[int, CellTruth]:
-        """True geometry of each trial that has a possible one; they share the set-up with the common one."""
+        """True geometry by number of the trial, for trials with a possible geometry.
+
+        All of them share the set-up of the common geometry.
+        """
         geometries, seed = {}, self.campaign.seed
         for trial in trials:
             with suppress(SetupError):
@@ -168,7 +173,10 @@ class CellContext:
 
 @lru_cache(maxsize=4)
 def cell_context(campaign: str, scenario: str, validation_scenario: str) -> CellContext:
-    """Cell of a task, from JSON texts; it is cached, because a worker computes many shards of the same cell."""
+    """Context of a cell, from campaign and scenarios as JSON.
+
+    The result is cached, because a worker computes many shards of the same cell.
+    """
     validation_model = Scenario.model_validate_json(validation_scenario) if validation_scenario else None
     return CellContext(
         CampaignFile.model_validate_json(campaign), Scenario.model_validate_json(scenario), validation_model
@@ -176,7 +184,10 @@ def cell_context(campaign: str, scenario: str, validation_scenario: str) -> Cell
 
 
 def run_task(task: ShardTask) -> tuple[ShardTask, bytes]:
-    """Task and the bytes of its shard's file; computed with one thread, so that sums keep their order on any worker."""
+    """Task, and the bytes of its shard's file.
+
+    The shard is computed with one thread, so that sums keep their order on any worker.
+    """
     for kind in task.session_effects:
         CATALOGUE.add(kind)
     with threadpool_limits(limits=1):
@@ -204,7 +215,10 @@ def make_shard_rows(task: ShardTask) -> pa.Table:
 
 
 def _compute_new_rows(task: ShardTask, n_existing: int, *, truth_only: bool = False) -> pa.Table:
-    """New rows of a shard after the existing trials; with `truth_only` only the true values, without a calibration."""
+    """New rows of a shard, after the first `n_existing` trials, which have rows already.
+
+    With `truth_only` the rows contain the true values only, and nothing is calibrated.
+    """
     campaign, given = task.campaign, (task.campaign, task.scenario, task.validation_scenario)
     cell = cell_context(*("" if model is None else model.model_dump_json(by_alias=True) for model in given))
     first_trial = task.shard * campaign.shard
@@ -239,12 +253,13 @@ def _compute_new_rows(task: ShardTask, n_existing: int, *, truth_only: bool = Fa
 
 @dataclass(frozen=True)
 class TrialBlock:
-    """Block that every method calibrates."""
+    """Block of drawn trials that every method calibrates."""
 
     campaign: CampaignFile
     evaluator: TrialEvaluator
     block: TrialBatch
     validation_evaluator: TrialEvaluator | None
+    """Evaluation at the held-out points of `judge_in`; None without the key."""
     wanted_trials: Ints
     """Indices in the block of the trials whose rows are requested."""
     verified_trials: Ints
@@ -259,9 +274,9 @@ class TrialBlock:
 
     @cached_property
     def validation_block(self) -> tuple[TrialEvaluator, TrialBatch, ResultColumns] | None:
-        """Held-out points measured by the same instruments, with independent noise and equal sizes of effects.
+        """Measurements of held-out points by the same instruments: evaluation, drawn trials, and common columns.
 
-        It is None without `judge_in`.
+        Noise is independent, sizes of effects are equal. None without `judge_in`.
         """
         if self.validation_evaluator is None:
             return None
@@ -272,7 +287,7 @@ class TrialBlock:
         return self.validation_evaluator, block, self.validation_evaluator.common_columns(block)
 
     def _drifted_instrument_values(self) -> Floats:
-        """Errors of the instruments (I, p, B) [SI] at the time of evaluation."""
+        """Errors of the instruments (I, p, B) [SI] at the held-out points, after the drift `judge_drift`."""
         values, share = self.block.instrument_values, self.campaign.judge_drift
         if not share:
             return values
@@ -315,6 +330,7 @@ class TrialBlock:
         return columns
 
     def _validation_columns(self, calibrated_block: CalibratedBlock, calibrator: TrialCalibrator) -> ResultColumns:
+        """Columns of the errors of held-out points for a method; empty without `judge_in`."""
         if self.validation_block is None:
             return {}
         there, block, before = self.validation_block

@@ -16,18 +16,18 @@ QUANTILE_LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 
 SUMMARY_FILE = "summary.csv"
 DIFFERENCE_COLUMN = "full_difference_sigma"
-"""Name of the column with differences from the full solver, for the trials that it repeated."""
+"""Name of the column with the largest difference between batch and full solver, for the trials that both solved."""
 PARAMETER_UNIT_TEXT = "of the parameter"
 """Unit of a column whose numbers are in the unit of the parameter that its name contains."""
 TRIAL_STATUSES = BATCH_CONVERGED, FULL_SOLVER, WITHOUT_RESULT = "converged", "full solver", "failed"
-"""Status of a trial without a result."""
+"""Statuses of a trial: calibrated by the batch solver, by the full solver, or without a result."""
 ErrorOrigin = Literal["drawn", "stated"]
 """Origin of the instruments' errors in a recovery check: drawn from the prior, or declared."""
 StatisticGroup = Literal["criteria", "errors", "z-scores", "estimates", "truth"]
 """Group of results that the rows of a campaign hold."""
 READING_ERROR_VARIANTS = (
     "rms over stations and targets of the 3D distance from the true point to the point that a reading describes, each "
-    "station's points fitted rigidly to the true ones; the noise of these readings is in it"
+    "station's points fitted rigidly to the true ones; noise of these readings included"
 )
 NEW_POINT_TEXT = "error of a new point, by readings in the place of `judge_in` that no calibration used: "
 POOLED_RATIOS = (
@@ -46,7 +46,7 @@ class RowColumn(Column):
 
 
 def _result_columns(group: StatisticGroup | None, unit: str, **meanings: str) -> list[RowColumn]:
-    """Columns of a group in one unit, from names and meanings."""
+    """Columns of one group and unit, from their names and meanings."""
     return [RowColumn(name, meaning, unit=unit, group=group) for name, meaning in meanings.items()]
 
 
@@ -120,9 +120,10 @@ def sql_identifier(name: str) -> str:
 
 
 def sql_terms(statistic: str) -> tuple[str, ...]:
-    """SQL of the averaged terms: a column.
+    """SQL expressions whose means give a statistic.
 
-    For a ratio the mean square that was removed, and that which could be removed.
+    For a column it is the column. For a ratio over all trials there are two: the removed mean square, and the mean
+    square that the true parameters remove.
     """
     if statistic not in RATIO_STATISTICS:
         return (sql_identifier(statistic),)
@@ -146,7 +147,7 @@ ROWS_TABLE = Table(
 def summary_table(factors: Mapping[str, str]) -> Table:
     """Table `summary.csv` of a campaign: one row per cell, method and column of the rows.
 
-    Factors are names with kinds.
+    `factors` holds the kind of each factor by its name.
     """
     about = "setting of the cell, in the unit of manifest.json"
     settings = [
@@ -184,7 +185,7 @@ class ScenarioSettings(Entry):
     model_config = ConfigDict(extra="allow")
 
     instrument: TrackerSettings
-    """Tracker of the stations that name none."""
+    """Tracker of the stations for which the scenario names no other one."""
     instruments: dict[str, TrackerSettings] = Field(default_factory=dict)
     """Trackers by name."""
 
@@ -193,7 +194,7 @@ LevelValue = StrictBool | StrictInt | StrictFloat | StrictStr | None
 
 
 class CellEntry(Entry):
-    """Cell of the grid."""
+    """Cell of a campaign: a combination of settings."""
 
     cell: NonNegativeInt
     """Number of the cell."""
@@ -204,7 +205,7 @@ class CellEntry(Entry):
     settings: dict[str, Any] = Field(default_factory=dict)
     """Values that the cell changes in the scenario, by dotted key."""
     digest: str = ""
-    """Digest of all that determines its rows; also in the metadata of its shards."""
+    """Digest of all that determines the rows of the cell; the metadata of its shards contain it too."""
 
 
 FACTORS_TABLE = Table(
@@ -250,7 +251,7 @@ class ManifestFile(ResultFile):
     factors: tuple[Factor, ...] = ()
     """Settings that differ between cells."""
     cells: tuple[CellEntry, ...] = Field(min_length=1)
-    """Cells of grid and design."""
+    """Cells of the campaign."""
     versions: dict[str, str] = Field(default_factory=dict)
     """Versions of the software that computed the rows, by package."""
     processor: str = "unknown"
@@ -271,7 +272,7 @@ class ManifestFile(ResultFile):
     def _belong_together(self) -> Self:
         names = [factor.name for factor in self.factors]
         if len(set(names)) < len(names) or len(set(self.methods)) < len(self.methods):
-            raise ValueError("two of the factors or methods have one name")
+            raise ValueError("two factors or two methods have the same name")
         if not all(factor.keys for factor in self.factors):
             raise ValueError("a factor has no key of the scenario")
         for number, cell in enumerate(self.cells):

@@ -135,23 +135,23 @@ def _validated_estimates(answer: object, origin: str) -> dict[str, ParameterEsti
 
 @dataclass(frozen=True)
 class NetworkScore:
-    """Scores of a trial for the whole network; NaN for unknown ones."""
+    """Scores of a trial for the whole network; NaN for a score that does not exist."""
 
     target_mean_square: float = np.nan
-    """Mean square of error divided by sigma, over all target coordinates."""
+    """Mean square of error divided by standard deviation, over all target coordinates."""
     station_mean_square: float = np.nan
-    """Mean square of error divided by sigma, over all poses except the first one."""
+    """Mean square of error divided by standard deviation, over all poses except the first one."""
     chi2: float = np.nan
     dof: float = np.nan
     expected_chi2: float = np.nan
-    """Mean of chi-square for the truth as it was made, declared or drawn."""
+    """Mean of chi-square over the noise and over the distribution of the truth."""
     chi2_deviation: float = np.nan
-    """Standard deviation of chi-square for truths that are drawn or fixed as in the campaign."""
+    """Standard deviation of chi-square over the noise and over the distribution of the truth."""
 
 
 @dataclass(frozen=True)
 class TrialScore(ValueEquality):
-    """Estimates of a calibrator in one trial, with the truth; parameters in units of display."""
+    """Estimates of p parameters by a calibrator in one trial, with the true values, in units of display."""
 
     parameter_names: tuple[str, ...]
     parameter_units: tuple[str, ...]
@@ -160,8 +160,9 @@ class TrialScore(ValueEquality):
     """Standard deviations that the calibrator declares, (p,); NaN for none."""
     true_values: Floats
     standard_z_scores: Floats
-    """z-scores (p,) that are standard normal for the truths of the campaign, drawn or fixed; NaN for parameters without
-    influence of noise, and for a calibrator with unknown prior."""
+    """z-scores (p,) that are standard normal for a correct calibrator, also with truths that are not drawn from the
+    prior. NaN for parameters without influence of noise, and for a calibrator with unknown prior.
+    """
     network_score: NetworkScore = NetworkScore()
     is_external: bool = False
     """True for an external calibrator, whose prior is unknown."""
@@ -203,24 +204,24 @@ def check_true_parameters(names: Sequence[str], true_names: Collection[str], tru
 
 @dataclass(frozen=True)
 class ExpectedTruth:
-    """Expected truth for an estimator with a prior: P parameters [prior sigma] of instruments and declared errors."""
+    """Distribution of the true values of P parameters [prior sigma], and bias of the estimates by the prior."""
 
     mean_truth: Floats
-    """Mean of the distribution of the truth, (P,); the truth itself if it was not drawn."""
+    """Mean of the distribution of the true parameters, (P,); the true values if they were not drawn."""
     truth_sigmas: Floats
-    """Standard deviation of the distribution of the truth, (P,)."""
+    """Standard deviation of the distribution of the true parameters, (P,); 0 for declared values."""
     bias_matrix: Floats
-    """Matrix (P, P) of the bias of the estimates without noise: the bias is -missed @ truth."""
+    """Matrix (P, P) of the bias by the prior: without noise, estimate minus truth is -bias_matrix @ truth."""
     network_columns: Ints
-    """Columns of the adjusted network for these parameters, (P,); empty without a network."""
-    units: Floats
-    """Prior sigmas, (P,) [SI]."""
+    """Columns of these parameters in the design of the adjusted network, (P,); empty for a method without a network."""
+    prior_sigmas: Floats
+    """Prior standard deviations of the parameters, (P,) [SI]."""
 
     @classmethod
     def from_calibration(
         cls, calibration: Calibration, truth: Truth, distribution: Mapping[str, tuple[float, float]]
     ) -> ExpectedTruth:
-        """Expected truth of a simulated recording; `distribution` as in `score_calibration`."""
+        """Distribution of the truth of a simulated recording; `distribution` as in `score_calibration`."""
         prior = calibration.prior_sigma.ravel()
         mean, drawn = np.array([distribution[name] for name in calibration.instrument_parameter_names]).T / prior
         adjustment = calibration.adjustment
@@ -243,17 +244,17 @@ class ExpectedTruth:
 
     @property
     def is_drawn_from_prior(self) -> bool:
-        """True for a truth that was drawn from the prior."""
+        """True if the true parameters were drawn from the prior."""
         return not np.any(self.mean_truth) and bool(np.all(self.truth_sigmas == 1.0))
 
     @property
     def missing_variance(self) -> Floats:
-        """Fraction of the prior variance that the distribution of the truth lacks, (P,)."""
+        """Fraction (P,) by which the variance of the truth is smaller than that of the prior."""
         return 1.0 - self.truth_sigmas**2
 
 
 def _true_incidence_parameters(truth: Truth) -> Floats:
-    """True parameters (p,) [SI] of the reflectors' incidence error."""
+    """True parameters (14,) [SI] of the range error over incidence (effect `smr-incidence`) of all reflectors."""
     total = SmrIncidence().parameters_from_table
     for applied in truth.applied_effects:
         if isinstance(applied.effect, SmrIncidence) and not applied.effect.place_text:
@@ -309,7 +310,7 @@ def score_calibration(
 
 
 def _effect_parameters(calibration: Calibration) -> dict[str, ParameterEstimate]:
-    """Parameters of the estimated effects of a calibration, with the names of `true_parameters`."""
+    """Estimates of the parameters of effects in a calibration, by the names of `true_parameters`."""
     return {
         f"{entry.effect}:{parameter.name}" + (f" {entry.place_text}" if entry.place_text else ""): ParameterEstimate(
             parameter.value, parameter.sigma, parameter.unit
@@ -321,7 +322,7 @@ def _effect_parameters(calibration: Calibration) -> dict[str, ParameterEstimate]
 
 
 def _expected_chi2(calibration: Calibration, expected: ExpectedTruth) -> tuple[float, float]:
-    """Mean and standard deviation of chi-square for truths that are drawn or fixed as in the campaign."""
+    """Mean and standard deviation of chi-square, over noise and true parameters; NaN if they are unknown."""
     dof, sigma = calibration.fit.dof, calibration.fit.chi2_sigma
     if calibration.method != "network":
         return (dof, sigma) if expected.is_drawn_from_prior and sigma is not None else (np.nan, np.nan)
@@ -331,12 +332,10 @@ def _expected_chi2(calibration: Calibration, expected: ExpectedTruth) -> tuple[f
 
 
 def _network_scores(calibration: Calibration, truth: Truth, expected: ExpectedTruth) -> tuple[float, float]:
-    """Mean square of error divided by sigma, of targets and of poses, relative to the first station.
+    """Mean squares of error divided by standard deviation: of all targets, and of the poses of stations.
 
-    NaN in another frame.
-
-    Both are divided by their expectation for such truths; for truths that are not drawn from the prior, only the
-    network method has one.
+    Bias and variance by the prior are taken into account, so that both have expectation one. NaN for a datum other than
+    the first station, and for a distance method if the truth was not drawn from the prior.
     """
     adjustment = calibration.adjustment
     unknown = calibration.method != "network" and not expected.is_drawn_from_prior
@@ -349,7 +348,7 @@ def _network_scores(calibration: Calibration, truth: Truth, expected: ExpectedTr
     bias, less = size.copy(), size.copy()
     if not expected.is_drawn_from_prior:
         pick = np.zeros((len(size), len(expected.mean_truth)))
-        pick[expected.network_columns, np.arange(len(expected.mean_truth))] = 1.0 / expected.units
+        pick[expected.network_columns, np.arange(len(expected.mean_truth))] = 1.0 / expected.prior_sigmas
         missed = adjustment.factorised_normals.covariance_columns(pick)
         bias, less = -missed @ expected.mean_truth, missed**2 @ expected.missing_variance
     points = (truth.target_points - origin) @ turn + held.station_positions[0]

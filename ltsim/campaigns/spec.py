@@ -24,44 +24,45 @@ from ltsim.simulation.sections import PlacedEffect
 CAMPAIGN_FORMAT = "ltsim-campaign/1"
 """Format and version of a campaign file."""
 MAX_CELLS = 4096
-"""Largest number of cells of a campaign."""
+"""Largest number of cells of a campaign file; a file with more is rejected."""
 MAX_SHARDS = 500_000
-"""Largest number of shards of a campaign."""
+"""Largest number of files of rows (shards) of a campaign; a campaign with more is rejected."""
 VALIDATION_STREAM_KEY = "judge"
-"""Key of the random draws at the place of `judge_in`."""
+"""Key of the random draws for the measurements at the place of `judge_in`."""
 
 
 class Method(TomlSection):
     """Calibration method of a campaign.
 
-    `solver`: ``batch`` calibrates all trials of a geometry together and is hundreds of times as fast, ``single``
-    calibrates each recording with `lt.calibrate`. Both agree, which every campaign verifies.
+    `solver`: ``batch`` calibrates all trials of a geometry together and is hundreds of times as fast; ``single``
+    calibrates each recording with `lt.calibrate`. Every campaign verifies on a sample of its trials that both agree.
     """
 
     name: str = ""
-    """Name of the method in the results; default that of `method`."""
+    """Name of the method in the results; default the value of `method`."""
     method: Literal["network", "distance", "distance-l1", "equation-9", "equation-9-l1"] = "network"
-    """Network adjustment, or the paper's distance objective by least squares or least absolute deviations (`-l1`);
-    `distance` estimates what the readings determine, `equation-9` is the objective as printed.
+    """Estimator: network adjustment, or the paper's distance objective by least squares or least absolute deviations
+    (`-l1`); `distance` estimates the combinations that the readings determine, `equation-9` is the objective as
+    printed.
     """
     construction: Literal["misalignment", "dh", "steering-mirror", "ideal"] = "misalignment"
     """Construction whose parameters are estimated; `ideal` estimates none."""
     harmonics: Annotated[int, Field(ge=0, le=4)] = 2
-    """Harmonics of each joint error of the `dh` chain."""
+    """Number of harmonics of each joint error in a `dh` construction."""
     degree: Annotated[int, Field(ge=0, le=4)] = 2
-    """Degree of the polynomials in the range of the `dh` chain."""
+    """Degree of the polynomials in the range for a `dh` construction."""
     effects: tuple[PlacedEffect, ...] = ()
     """Additional effects to estimate, tables `[[methods.effects]]`."""
     solver: Literal["batch", "single"] = "batch"
     """Solver: all trials of a geometry together, or each recording separately."""
     applied: bool = False
-    """True if the corrections that `ltsim calibrate` applies are evaluated in place of the estimates; for `single` with
-    the network method only.
+    """True to evaluate the corrections that `ltsim calibrate` applies, in place of the estimates; only for the network
+    method with solver `single`.
     """
 
     @property
     def title(self) -> str:
-        """Name in the results."""
+        """Name of the method in the results."""
         return self.name or self.method
 
     @model_validator(mode="after")
@@ -69,20 +70,21 @@ class Method(TomlSection):
         if self.effects and self.method != "network":
             raise ValueError(f"it should have no effects: method {self.method} estimates instrument parameters only")
         if self.applied and (self.effects or self.method != "network" or self.solver != "single"):
-            raise ValueError("it should be the network with solver single and no effects, where `applied` is judged")
+            raise ValueError("it should have method network, solver single and no effects if `applied` is true")
         if self.construction == "ideal" and self.method != "network":
             raise ValueError(f"it should not be ideal: method {self.method} needs parameters to estimate")
         return self
 
 
 class StoppingRule(TomlSection):
-    """Adaptive stopping rule of a cell, evaluated after each round; every round adds 50 % more trials.
+    """Adaptive stopping rule of a cell, evaluated after each round of trials; every round adds 50 % more trials.
 
-    A cell stops when the mean of `statistic` is known `within` its bound for every method.
+    A cell stops when, for every method, the half-width of the confidence interval of the mean of `statistic` is at most
+    `within`.
     """
 
     statistic: str = "target_error_um"
-    """Column of the rows, or an improvement."""
+    """Column of the rows, or one of the paper's improvements in percent."""
     within: Positive
     """Half-width of the 95 % confidence interval of the mean at which a cell stops, in the statistic's unit."""
 
@@ -90,11 +92,11 @@ class StoppingRule(TomlSection):
 class CampaignFile(TomlSection):
     """Contents of a campaign file.
 
-    `settings` changes the scenario for all cells, `grid` holds lists of values that are combined with each other,
-    `design` spreads points over ranges, `cells` lists combinations one by one; each of them is combined with the
-    others. Keys are dotted keys of the scenario, as in ``"instrument.noise_factor"`` (entries of a list by number, as
-    in ``"effects.1.values.x"``), or names of `link`. A value is a number in the key's unit, or a text with its unit
-    (``"2 urad"``). Truth and model are separate: the scenario defines the truth, `methods` the estimated parameters.
+    `settings` changes the scenario for all cells. `grid` holds lists of values that are combined with each other,
+    `design` spreads points over ranges, and `cells` lists combinations one by one; these three are combined with each
+    other. Keys are dotted keys of the scenario, as in ``"instrument.noise_factor"`` (entries of a list by number, as in
+    ``"effects.1.values.x"``), or names of `link`. A value is a number in the key's unit, or a text with its unit (``"2
+    urad"``). Truth and model are separate: the scenario defines the truth, `methods` the estimated parameters.
     """
 
     format: Literal["ltsim-campaign/1"] = "ltsim-campaign/1"
@@ -108,24 +110,26 @@ class CampaignFile(TomlSection):
     trials: Annotated[int, Field(ge=1, le=10**9)] = 1000
     """Number of trials of each cell."""
     shard: Annotated[int, Field(ge=1, le=65_536)] = 4096
-    """Number of trials per output file; if the process is killed at most one unfinished file is lost."""
+    """Number of trials per output file; if the process is killed, at most one unfinished file is lost."""
     geometry: Literal["shared", "per-trial"] = "shared"
     """Placing of stations and targets: a common one for all trials of a cell, or a separate one for each."""
     verify: Annotated[int, Field(ge=0, le=1000)] = 2
-    """Number of trials of each shard (its first ones) that the full solver repeats for verification."""
+    """Number of trials at the start of each output file that the full solver repeats for verification."""
     statistics: tuple[StatisticGroup, ...] = ("criteria", "errors", "z-scores")
     """Groups of results that each row holds."""
     judge_in: str = ""
-    """Hold-out data for scoring: a scenario (built-in, or a file in the folder of this one) measured with the true
-    instruments of each trial, or a table of points (`target,x_mm,y_mm,z_mm` in a file `NAME.csv`) measured from the
-    stations of the cell."""
+    """Held-out points for the evaluation: a scenario (built-in, or a file in the folder of this one) measured with the
+    true instruments of each trial, or a table of points (`target,x_mm,y_mm,z_mm` in a file `NAME.csv`) measured from
+    the stations of the cell.
+    """
     judge_drift: Annotated[float, Field(ge=0)] = 0.0
-    """Random drift of the instruments (except the range scale) between calibration and validation, in units of
-    the prior sigma."""
+    """Random drift of the instruments (except the range scale) between calibration and the measurement of held-out
+    points, in units of the prior sigma.
+    """
     settings: dict[str, Any] = Field(default_factory=dict)
     """Changes of the scenario for all cells, by dotted key."""
     link: dict[str, Annotated[tuple[str, ...], Field(min_length=1)]] = Field(default_factory=dict)
-    """Names for groups of keys that take the same value; the rows' column has this name."""
+    """Names for groups of keys that take the same value; the column of the rows has this name."""
     grid: dict[str, list[Any]] = Field(default_factory=dict)
     """Values that are combined with each other, by dotted key."""
     design: Design | None = None
@@ -191,7 +195,10 @@ class CampaignFile(TomlSection):
         return tuple(dict.fromkeys((*keys, *(self.design.ranges if self.design else ()), *self.grid)))
 
     def factors(self, scenario: Scenario) -> tuple[Factor, ...]:
-        """Factors that differ between cells; `scenario` is that of any cell. A table is represented by its title."""
+        """Factors that differ between cells; `scenario` is the scenario of any cell.
+
+        If a table varies together with the key `title`, the title represents the table.
+        """
         titles, given = (
             short_key_names(self.varied_keys),
             {name: self.link.get(name, (name,)) for name in self.varied_keys},
@@ -219,9 +226,10 @@ class CampaignFile(TomlSection):
 def load_campaign(
     path: Path, changes: Mapping[str, Any] | None = None, tables: Mapping[str, Any] | None = None
 ) -> tuple[CampaignFile, tuple[Scenario, ...]]:
-    """Campaign of a file (or of `tables` in its place), and the scenario of each of its cells; raises SetupError.
+    """Campaign of a file, or of `tables` in place of a file, and the scenario of each of its cells.
 
-    `changes` are new values of keys of the file (`trials`) or dotted keys of the scenario, which are then constant.
+    `changes` are new values of keys of the file (such as `trials`) or of dotted keys of the scenario, which are then
+    the same in all cells. Raises SetupError.
     """
     with as_setup_error():
         given = read_toml(path, "campaign") if tables is None else {"format": CAMPAIGN_FORMAT, **tables}
@@ -276,7 +284,7 @@ class CampaignCell:
 def make_cells(
     campaign: CampaignFile, scenarios: Sequence[Scenario], path: Path
 ) -> tuple[tuple[Factor, ...], tuple[CampaignCell, ...]]:
-    """Factors that differ between cells, and the cells; raises SetupError."""
+    """Factors that differ between cells, and the cells; raises SetupError for a cell without a valid scenario."""
     factors, cells = campaign.factors(scenarios[0]), []
     deciding = {"seed", "shard", "geometry", "verify", "methods", "judge_drift"}
     cell_seed_text = campaign.model_dump_json(include=deciding, by_alias=True)
@@ -291,9 +299,9 @@ def make_cells(
 
 
 def make_validation_scenario(name: str, scenario: Scenario, path: Path) -> Scenario:
-    """Scenario at the place of `judge_in` with the instruments of a scenario; `path` is the file that names it.
+    """Scenario of the held-out points of `judge_in`, with the instruments of a cell's scenario.
 
-    Raises SetupError.
+    `name` is the value of `judge_in`, and `path` the campaign file. Raises SetupError.
     """
     file = local_file(name, path)
     if name.endswith(".csv"):
@@ -320,7 +328,7 @@ def make_validation_scenario(name: str, scenario: Scenario, path: Path) -> Scena
 
 
 def local_file(name: str, path: Path) -> Path | None:
-    """Path of a file that a campaign names, relative to its folder; None if it does not exist."""
+    """Path of a file that a campaign names relative to its folder; None if there is no such file."""
     for candidate in (path.parent / name, path.parent / Path(name).name):
         if candidate.is_file():
             return candidate.resolve()

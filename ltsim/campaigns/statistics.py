@@ -44,8 +44,8 @@ DATABASE_SETTINGS: dict[str, Any] = {
 }
 """Settings of the database: no extension is downloaded or loaded, for any query or file."""
 MAX_ROWS_EXACT_QUANTILES = 50_000_000
-"""Largest number of rows with exact quantiles, which need all values of a column in memory; above it a t-digest is
-used.
+"""Largest number of rows for which quantiles are exact. Exact quantiles need all values of a column in memory; above
+this number they are approximated by a t-digest.
 """
 IMPROVED_CRITERIA = ("distance", "coordinate")
 """Criteria of the paper whose improvement [%] a campaign reports."""
@@ -56,7 +56,7 @@ class StatisticSummary:
     """Statistic over the trials of one cell and method.
 
     `low` and `high` are the 95 % confidence limits of the mean, valid also with adaptive stopping; `quantiles` belong
-    to `QUANTILE_LEVELS`. A ratio over all trials has only a mean and an interval.
+    to the probabilities `QUANTILE_LEVELS`. A ratio over all trials has only a mean and an interval.
     """
 
     cell: int
@@ -74,9 +74,9 @@ class StatisticSummary:
 
 @dataclass(frozen=True)
 class ZScoreSummary:
-    """Summary of the z-scores of one parameter.
+    """Summary of the z-scores of one parameter, (estimate - truth) / sigma.
 
-    They are N(0, 1) if the truth is drawn from the prior and the covariance is correct.
+    The z-scores are standard normal if the truth is drawn from the prior and the covariance is correct.
     """
 
     cell: int
@@ -90,7 +90,7 @@ class ZScoreSummary:
 
 @dataclass(frozen=True)
 class SolverComparison:
-    """Statuses of the trials of a cell and method, and largest difference between the batch and the full solver."""
+    """Numbers of trials by solver for a cell and method, and largest difference [sigma] between the solvers."""
 
     cell: int
     method: str
@@ -108,12 +108,12 @@ class CampaignStatistics:
     ----------
     folder : Path
     max_shards : int, optional
-        Only shards of smaller numbers.
+        Number of files per cell that are read, from the first one; default all.
 
     Raises
     ------
     SetupError
-        When there is no campaign, none of its shards is finished yet, or one is damaged.
+        If there is no campaign, or if no file of rows is complete, or one is damaged.
 
     Attributes
     ----------
@@ -124,14 +124,14 @@ class CampaignStatistics:
     levels : list of dict
         Levels of the factors in each cell, by name.
     columns : tuple of str
-        The columns that hold results, and the shares of all trials together.
+        Columns of results, and ratios over all trials such as `share_removed`.
     units : dict
         Units of columns that have one, by name.
 
     Notes
     -----
-    Table `rows` holds one row a trial and method with the settings of its cell, and two columns added:
-    ``distance_improvement_percent`` and ``coordinate_improvement_percent``. Table `cells` says what each cell is.
+    Table `rows` has one row per trial and method with the settings of the cell, and two additional columns:
+    ``distance_improvement_percent`` and ``coordinate_improvement_percent``. Table `cells` has the settings.
     """
 
     def __init__(self, folder: Path, max_shards: int | None = None) -> None:
@@ -141,7 +141,7 @@ class CampaignStatistics:
         self.levels = [cell.levels for cell in self.manifest.cells]
         shards = store.shards(max_shards)
         if not shards:
-            raise SetupError(f"{folder}: no shard of this campaign is finished yet")
+            raise SetupError(f"{folder}: no file of rows of this campaign is complete yet")
         # One thread: sums keep their order, and tables their last digit.
         self._database = duckdb.connect(config=DATABASE_SETTINGS)
         source = f"read_parquet([{', '.join(map(sql_path, shards))}], union_by_name = true)"
@@ -175,9 +175,9 @@ class CampaignStatistics:
                 raise ValueError(f"cell {cell} by {method} is not in {ManifestFile.FILE}")
 
     def _create_cells_table(self) -> None:
-        """Creation of the table `cells` with the types of the rows.
+        """Creation of the table `cells` with the column types of the rows.
 
-        Without Arrow, which imports pandas for any list.
+        Plain SQL replaces Arrow, which would import pandas.
         """
         cells = self._cells()
         columns = "".join(f", {sql_identifier(factor.name)}" for factor in self.factors)
@@ -225,9 +225,9 @@ class CampaignStatistics:
         Raises
         ------
         ModelError
-            When the query is no SQL of these tables.
+            If the query is not valid SQL for these tables.
         SetupError
-            When a shard is damaged.
+            If a file of rows is damaged.
         """
         try:
             with _interruptible():
@@ -243,7 +243,7 @@ class CampaignStatistics:
         return sql_identifier(column)
 
     def half_interval(self, n_trials: int, deviation: float) -> float:
-        """Half-width of the 95 % confidence interval of a mean, or of a ratio of means."""
+        """Half-width of the 95 % confidence interval of a mean, or of a ratio of means, from its standard deviation."""
         stops = bool(self.manifest.settings.get("stop"))
         level = interval_error_rate(self.manifest.trials, self.manifest.shard or 1, is_stopping=stops)
         return student_quantile(n_trials, level) * deviation / math.sqrt(n_trials)
@@ -278,7 +278,7 @@ class CampaignStatistics:
         return self._cache[sql]
 
     def _ratios_of_means(self, column: str) -> list[StatisticSummary]:
-        """Ratios of means with confidence intervals (delta method)."""
+        """Ratios of two means over all trials, with confidence intervals by the delta method."""
         gained, correctable = sql_terms(column)
         terms = f"(SELECT cell, method, {gained} AS a, {correctable} AS b FROM rows)"
         what = "count(a), avg(a), avg(b), var_samp(a), covar_samp(a, b), var_samp(b)"
@@ -299,7 +299,7 @@ class CampaignStatistics:
         return self.term_values((name,), cell, method, f"isfinite({name}) AND trial < {int(max_trials)}")[0]
 
     def term_values(self, terms: Sequence[str], cell: int, method: str, condition: str) -> Floats:
-        """Values (k, n) of SQL terms for the trials of a cell and method, in their order, under a condition."""
+        """Values (k, n) of k SQL expressions for the n trials of a cell and method that meet a condition, in order."""
         word = method.replace("'", "''")
         rows = self.query(
             f"SELECT {', '.join(terms)} FROM rows WHERE cell = {int(cell)} AND method = '{word}' AND {condition} "
@@ -320,7 +320,7 @@ class CampaignStatistics:
         return sorted(summaries, key=lambda s: (s.cell, s.method))
 
     def solver_comparisons(self) -> list[SolverComparison]:
-        """Statuses of the trials, and largest difference from the full solver in the verified sample."""
+        """Numbers of trials by solver, and largest difference between the solvers in the verified sample."""
         ended = f"count(*) FILTER (status = '{WITHOUT_RESULT}'), count(*) FILTER (status = '{FULL_SOLVER}')"
         return [
             SolverComparison(*row)
@@ -355,7 +355,7 @@ class CampaignStatistics:
 
 @contextmanager
 def _interruptible() -> Iterator[None]:
-    """Context in which an interrupted query raises KeyboardInterrupt in place of DuckDB's RuntimeError."""
+    """Context in which an interrupted query raises KeyboardInterrupt in place of RuntimeError of DuckDB."""
     try:
         yield
     except RuntimeError as problem:

@@ -1,12 +1,12 @@
-"""Adaptive stopping: the trials that are still required, round by round for cells whose mean is not precise enough.
+"""Adaptive stopping: the trials that are still needed, round by round, for cells whose mean is not precise enough.
 
-A round depends only on the rows of previous rounds, and thus neither on the number of workers nor on interruptions.
-Trials are those of the full run, from the first on.
+A round depends only on the rows of previous rounds, and thus neither on the number of workers nor on interruptions. The
+trials of a stopped cell are the first trials of the full run.
 
-Repeated looks favour intervals that are narrow by chance. The error rate of 5 % is therefore divided by the number of
-possible looks of a cell (Bonferroni, with quantiles of t): all intervals together contain the mean with 95 %, and so
-does the one at which a cell stops. The first look has at least `MIN_TRIALS_BEFORE_STOP` trials, so that the variance is
-known and the mean of skewed values is nearly normal.
+A cell is evaluated after every round, and repeated evaluation favours intervals that are narrow by chance. The error
+rate of 5 % is therefore divided by the number of possible evaluations of a cell (Bonferroni, with quantiles of t). All
+intervals together, and thus also the last one, contain the mean with 95 %. The first evaluation has at least
+`MIN_TRIALS_BEFORE_STOP` trials, so that the variance is known and the mean of skewed values is nearly normal.
 """
 
 from __future__ import annotations
@@ -21,11 +21,13 @@ if TYPE_CHECKING:
     from ltsim.campaigns.spec import CampaignFile
 
 ROUND_GROWTH_FACTOR = 1.5
-"""Ratio of the number of trials after a round to that before it."""
+"""Ratio of the number of trials after a round to the number before the round."""
 MIN_TRIALS_BEFORE_STOP = 64
-"""Smallest number of trials before the first look."""
+"""Smallest number of trials before the first evaluation of a cell."""
 INTERVAL_ERROR_RATE = 0.05
-"""Two-sided error rate of all intervals of a cell together; without adaptive stopping, of each interval."""
+"""Probability that any confidence interval of a cell does not contain the mean; without adaptive stopping, the
+probability for each interval.
+"""
 ShardKey = tuple[int, int]
 """Shard as a pair of cell number and shard number."""
 
@@ -36,12 +38,12 @@ def student_quantile(n_values: int, error_rate: float) -> float:
 
 
 def interval_error_rate(trials: int, shard: int, *, is_stopping: bool) -> float:
-    """Error rate of each interval of a cell; the interval at which a cell stops has `INTERVAL_ERROR_RATE`."""
+    """Error rate of each confidence interval of a cell, so that all together have `INTERVAL_ERROR_RATE`."""
     return INTERVAL_ERROR_RATE / len(evaluation_schedule(trials, shard)) if is_stopping else INTERVAL_ERROR_RATE
 
 
 def evaluation_schedule(trials: int, shard: int) -> list[int]:
-    """Numbers of shards after which a cell is evaluated."""
+    """Numbers of finished shards after which a cell is evaluated."""
     n_shards = -(-trials // shard)
     schedule = [min(-(-MIN_TRIALS_BEFORE_STOP // shard), n_shards)]
     while schedule[-1] < n_shards:
@@ -50,17 +52,17 @@ def evaluation_schedule(trials: int, shard: int) -> list[int]:
 
 
 def iterate_rounds(
-    campaign: CampaignFile, cells: int, half_intervals: Callable[[str, int], Mapping[tuple[int, str], float]]
+    campaign: CampaignFile, n_cells: int, half_intervals: Callable[[str, int], Mapping[tuple[int, str], float]]
 ) -> Iterator[list[ShardKey]]:
     """Shards to be computed, round by round; a round begins when all shards of the previous one are finished.
 
-    `half_intervals` returns the half-width of the interval of the statistic's mean over the first shards, by cell and
-    method.
+    `half_intervals` is a function of the statistic's name and the number of shards per cell. It returns the half-width
+    of the confidence interval of the mean, by cell and method.
     """
     if (stop := campaign.stop) is None:
-        yield [(cell, shard) for cell in range(cells) for shard in range(campaign.n_shards_per_cell)]
+        yield [(cell, shard) for cell in range(n_cells) for shard in range(campaign.n_shards_per_cell)]
         return
-    open_, done = list(range(cells)), 0
+    open_, done = list(range(n_cells)), 0
     for goal in evaluation_schedule(campaign.trials, campaign.shard):
         yield [(cell, shard) for cell in open_ for shard in range(done, goal)]
         half, done = half_intervals(stop.statistic, goal), goal

@@ -1,14 +1,13 @@
 """Folder of a campaign: a manifest and shards of rows, written so that no finished shard can be lost.
 
-    manifest.json                          settings, seed, versions, commit; written before the first row, anew to grow
+    manifest.json                          settings, seed, versions, commit; written before the first row
     campaign.toml                          the file as it was given
-    rows/cell-0000/shard-000000.parquet    a fixed run of trials of one cell, all methods
-
+    rows/cell-0000/shard-000000.parquet    rows of consecutive trials of one cell, all methods
     rows.sha256                            digest of each shard, as `sha256sum --check` reads it
 
 A shard gets its name only when it is complete and on the disk (temporary file, fsync, rename). Its bytes depend on
-settings and versions alone. Every reader compares its digest first; for a shard without digest, after a kill, the
-checksums of its pages and its metadata are compared.
+settings and versions alone. Every reader compares the digest first. A shard has no digest if the process was killed
+between both files; then the checksums of its pages and its metadata are compared.
 """
 
 import contextlib
@@ -41,7 +40,7 @@ DIGEST_LINE = re.compile(r"^(?P<digest>[0-9a-f]{64})  (?P<name>rows/cell-\d+/sha
 
 
 def encode_table(table: pa.Table, key: Mapping[str, str]) -> bytes:
-    """Bytes of a table as a Parquet file; `key` is stored as its metadata."""
+    """Bytes of a table as a Parquet file; `key` is stored as metadata of the file."""
     table_with_key = table.replace_schema_metadata({"ltsim": json.dumps(dict(key), sort_keys=True)})
     words = [f.name for f in table_with_key.schema if pa.types.is_string(f.type) or f.name.startswith("sigma:")]
     sink = pa.BufferOutputStream()
@@ -66,9 +65,9 @@ def read_shard(path: Path) -> pa.Table:
 
 
 def interruption_error(folder: Path, reason: object, remedy: str = "") -> SetupError:
-    """Error of a campaign that ends early and can be continued; `remedy` is what to do before."""
+    """Error for a campaign that ended early and can be continued; `remedy` is an action before that."""
     action = f"{remedy} and continue" if remedy else "continue"
-    return SetupError(f"{folder}: {reason}; complete shards remain in the folder: {action} with --resume")
+    return SetupError(f"{folder}: {reason}; complete files of rows remain in the folder: {action} with --resume")
 
 
 @dataclass(frozen=True)
@@ -82,7 +81,7 @@ class CampaignFolder:
         return self.folder / ROWS_FOLDER / f"cell-{cell:04d}" / f"shard-{shard:06d}.parquet"
 
     def shards(self, max_shards: int | None = None) -> list[Path]:
-        """Paths of the finished shards in order; only those with numbers `max_shards` a limit."""
+        """Paths of the finished shards in order, in each cell at most the first `max_shards`."""
         paths = sorted(self.folder.glob(f"{ROWS_FOLDER}/cell-*/shard-*.parquet"))
         return [path for path in paths if max_shards is None or path.name < self.shard_path(0, max_shards).name]
 
@@ -94,10 +93,10 @@ class CampaignFolder:
         except (pa.ArrowException, OSError) as problem:
             raise SetupError(f"{path}: cannot be read ({problem}); continue with --resume to repair it") from None
 
-    def verify(self, shards: Iterable[Path], marks: Mapping[int, str]) -> None:
+    def verify(self, shards: Iterable[Path], cell_digests: Mapping[int, str]) -> None:
         """Check that the shards are unchanged since they were written, and belong to their cells.
 
-        Raises OSError, ValueError or pyarrow.ArrowException.
+        `cell_digests` is the digest of each cell by its number. Raises OSError, ValueError or pyarrow.ArrowException.
         """
         digests = self.digests()
         for path in shards:
@@ -107,7 +106,7 @@ class CampaignFolder:
                     raise ValueError(f"{name} was changed since it was written")
                 continue
             label = _shard_metadata(read_shard(path))
-            if label.get("campaign") != marks.get(int(label.get("cell", -1))):
+            if label.get("campaign") != cell_digests.get(int(label.get("cell", -1))):
                 raise ValueError(f"{name} belongs to another campaign")
 
     def digests(self) -> dict[str, str]:
@@ -146,7 +145,7 @@ class CampaignFolder:
             self._append_digest(name, hashlib.sha256(content).hexdigest())
 
     def record_digest(self, cell: int, shard: int) -> None:
-        """Recording of the digest of a complete shard for which a kill prevented it."""
+        """Recording of the digest of a complete shard, if the process was killed before it could record it."""
         path = self.shard_path(cell, shard)
         with self._storage_errors():
             self._append_digest(path.relative_to(self.folder).as_posix(), _file_digest(path))
@@ -156,7 +155,7 @@ class CampaignFolder:
             stream.write(f"{digest}  {name}\n")
 
     def conflicting_files(self, sources: Mapping[str, bytes]) -> list[str]:
-        """Names of files in the folder that a new campaign with some sources would overwrite with other content."""
+        """Names of files in the folder that the input files of a new campaign would overwrite with other content."""
         remaining = [name for name in (ROWS_FOLDER, DIGESTS_FILE, SUMMARY_FILE) if (self.folder / name).exists()]
         existing_paths = {name: self.folder / name for name in sources if (self.folder / name).exists()}
         return remaining + [
@@ -173,9 +172,9 @@ class CampaignFolder:
                 shutil.rmtree(self.folder / ROWS_FOLDER)
 
     def shard_status(self, cell: int, shard: int, key: Mapping[str, str], rows: int, digests: Mapping[str, str]) -> str:
-        """Status of a shard: `whole` (complete), `missing`, `damaged`, or `short` of rows or columns.
+        """Status of a shard: `whole` (complete), `missing`, `damaged`, or `short` (rows or columns are missing).
 
-        `digests` are the recorded digests.
+        `key` is the metadata that the shard should have, `rows` its number of rows, and `digests` the recorded digests.
         """
         path = self.shard_path(cell, shard)
         if not path.exists():
@@ -194,7 +193,7 @@ class CampaignFolder:
         return "short" if short else "whole"
 
     def quarantine(self, cell: int, shard: int) -> Path:
-        """Path of a damaged shard after it was renamed for inspection."""
+        """New path of a damaged shard, which is renamed for inspection."""
         path = self.shard_path(cell, shard)
         damaged_path = path.with_suffix(".damaged")
         path_in_folder(self.folder, damaged_path.relative_to(self.folder).as_posix())

@@ -1,6 +1,7 @@
-"""Quality of a calibration for a block of trials: the paper's criteria, and errors relative to the truth.
+"""Evaluation of a calibration for a block of trials: the paper's criteria, and errors relative to the truth.
 
-The quantities are those of `ltsim.adjustment.evaluation` for single recordings; tests compare the two.
+The quantities are those of `ltsim.adjustment.evaluation` for single recordings; tests compare the two. S stations, T
+targets, I instruments with p parameters, n pointings, B trials.
 """
 
 from collections.abc import Sequence
@@ -28,12 +29,14 @@ from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import Construction, ideal_construction
 
 MAX_UNDETERMINED_ROTATION_RATIO = 1e-3
-"""Largest ratio of the distance from a line to the spread along it at which targets do not determine a rotation."""
+"""Largest ratio of the spread of targets across a line to their spread along it, at which they do not determine the
+rotation about the line. Such targets give no frame.
+"""
 
 
 @dataclass(frozen=True)
 class TrialEvaluator:
-    """Evaluation of calibrations on the blocks of a truth.
+    """Evaluation of calibrations of trials with one true geometry.
 
     Quantities that do not depend on the method are computed once per block.
     """
@@ -42,6 +45,7 @@ class TrialEvaluator:
 
     @cached_property
     def _mean_weights(self) -> tuple[Bools, Floats]:
+        """Flags (S, T) of the completely measured targets, and weight (n,) of each pointing in its mean point."""
         return set_membership(self.truth, self.truth.recording.station)
 
     @property
@@ -51,19 +55,19 @@ class TrialEvaluator:
 
     @cached_property
     def has_criteria(self) -> bool:
-        """True if the criteria are defined.
+        """True if the paper's criteria are defined.
 
-        At least two stations are needed, each with common targets that determine its frame relative to the first.
+        At least two stations are needed; each must share targets with the first that determine the relative frame.
         """
         return len(self.is_measured) > 1 and bool(self._determines_frame(self.is_measured & self.is_measured[0]).all())
 
     @cached_property
     def has_frame(self) -> Bools:
-        """Flags (S,) of the stations whose targets determine a frame, so that they can be compared with the truth."""
+        """Flags (S,) of the stations whose targets determine a frame; only these are compared with the truth."""
         return self._determines_frame(self.is_measured)
 
     def _determines_frame(self, used_targets: Bools) -> Bools:
-        """Flags (k,) of the sets of targets (k, T) that determine a frame."""
+        """Flags (k,) of the k sets of used targets (k, T) that determine a frame."""
         return determines_pose(
             self._true_targets(1)[:, :, 0], used_targets, min_relative_width=MAX_UNDETERMINED_ROTATION_RATIO
         )
@@ -88,7 +92,7 @@ class TrialEvaluator:
         return clouds
 
     def criteria_columns(self, clouds: Floats, suffix: str) -> ResultColumns:
-        """Columns of the distance and coordinate criteria, mean and maximum [um]."""
+        """Columns of the distance and coordinate criteria, mean and maximum [um], from clouds (S, T, 3, B) [m]."""
         trials = clouds.shape[3]
         columns = {
             f"{kind}_{suffix}_{which}_um": np.empty(trials)
@@ -110,9 +114,10 @@ class TrialEvaluator:
         return points if points.ndim == 3 else np.ascontiguousarray(np.repeat(points[:, :, None], trials, axis=2))
 
     def cloud_error(self, clouds: Floats) -> Floats:
-        """Rms distance (B,) [um] to the true targets over stations, each fitted rigidly, and their targets.
+        """Rms distance (B,) [um] of measured from true targets, after a rigid fit of each station's points.
 
-        Stations whose targets determine no frame are omitted; NaN if no station remains.
+        `clouds` (S, T, 3, B) [m] are the points of each station. Stations whose targets determine no frame are omitted;
+        NaN if no station remains.
         """
         trials = clouds.shape[3]
         truth, total, count = self._true_targets(trials), np.zeros(trials), 0
@@ -123,9 +128,9 @@ class TrialEvaluator:
         return MICROMETRES_PER_METRE * np.sqrt(total / count) if count else np.full(trials, np.nan)
 
     def target_error(self, points: Floats) -> Floats:
-        """Rms error (B,) [um] of adjusted targets, given as increments (T, 3, B) [m], after one rigid fit to the truth.
+        """Rms error (B,) [um] of adjusted targets after one rigid fit to the true ones.
 
-        Undetermined targets (NaN) are omitted.
+        `points` (T, 3, B) [m] are adjusted minus true coordinates. Undetermined targets (NaN) are omitted.
         """
         is_determined = np.isfinite(points).all(axis=1)
         error = np.full(points.shape[2], np.nan)
@@ -141,7 +146,7 @@ class TrialEvaluator:
         return error
 
     def common_columns(self, block: TrialBatch) -> ResultColumns:
-        """Columns that all methods share: criteria and error before calibration, and error with the true parameters."""
+        """Columns that do not depend on the method: criteria and error before, and error with true parameters."""
         raw_clouds = self.station_clouds(block.reading_deviations)
         perfect = self.station_clouds(block.reading_deviations, self.truth.construction, block.instrument_values)
         columns: ResultColumns = self.criteria_columns(raw_clouds, "before") if self.has_criteria else {}
@@ -154,8 +159,9 @@ class TrialEvaluator:
     ) -> ResultColumns:
         """Columns of a method: criteria and errors after correction by its parameters and effects.
 
-        As in `calibrate` and `evaluate`, the estimated incidence errors of reflectors are corrected too; other nuisance
-        errors with a prior remain in the readings. The true parameters correct none of them.
+        As in `calibrate` and `evaluate`, the estimated range errors over incidence of reflectors are corrected too;
+        other nuisance errors with a prior remain in the readings. The correction by true parameters contains neither of
+        them.
         """
         deviation = block.reading_deviations
         if estimates.incidence_parameters:

@@ -1,7 +1,7 @@
-"""Truth of a campaign's cell, and its trials, drawn in blocks exactly as by the simulator.
+"""True geometry of a campaign's cell, and its trials, drawn in blocks exactly as by the simulator.
 
-A trial depends on its number alone, and not on workers, number of trials or compared methods. Cells of a grid use the
-same random streams: they differ by their settings and not by chance.
+A trial depends on its number alone, and not on workers, number of trials or compared methods. All cells of a campaign
+use the same random streams: they differ by their settings and not by chance.
 """
 
 from __future__ import annotations
@@ -36,13 +36,14 @@ from ltsim.simulation.workshop import WorkshopLayout
 FULL_TURN = 2 * np.pi
 """Full turn [rad]."""
 MAX_NONLINEARITY = 1e-3
-"""Largest deviation of an effect from its linear form, in sigmas of a reading, at which the effect is treated as
-linear."""
+"""Largest deviation of a reading from the linear form of an effect, in standard deviations of the reading, for an
+effect of three prior sigmas. Up to it the effect is computed by its linear form, above it trial by trial.
+"""
 
 
 @dataclass(frozen=True)
 class TrialBatch:
-    """Block of drawn trials; the last index is the trial."""
+    """Block of B drawn trials, with n pointings, I instruments of p parameters, and g reference lengths."""
 
     trials: Ints
     """Numbers of the trials, (B,)."""
@@ -55,34 +56,39 @@ class TrialBatch:
     length_errors: Floats
     """Declared minus true reference lengths, (g, B) [m]."""
     single_trials: tuple[TrialBatch, ...] = ()
-    """Single trials, each in the order of its pointings, if geometries differ."""
+    """Each trial separately, in the order of its own pointings, if geometries differ; else empty."""
 
     @property
     def true_values(self) -> Floats:
-        """All true parameters, instrument by instrument and then effects, (I p + q, B) [SI]."""
+        """All true parameters, (I p + q, B) [SI]: those of each instrument, followed by those of effects."""
         return np.concatenate([self.instrument_values.reshape(-1, len(self.trials)), *self.effect_values])
 
 
 @dataclass(frozen=True)
 class CellTruth:
-    """True geometry of a cell, and the distributions from which its trials are drawn."""
+    """True geometry of a cell, and the distributions from which its trials are drawn.
+
+    n pointings, I instruments with p parameters, q parameters of an effect, B trials.
+    """
 
     recording: Recording
     """Recording with nominal readings: those of an ideal tracker at `state`."""
     state: NetworkState
-    """True poses and targets in the start frame of a calibrator, that of the first station."""
+    """True poses and targets in the frame in which a calibrator starts, that of the first station."""
     distributions: TrialDistributions
-    """Distributions of the random values of a trial; its sightings may be in another frame."""
+    """Distributions of the random values of a trial; their sightings may be in another frame than `state`."""
     resolution: Floats = field(default_factory=lambda: np.zeros((1, 3)))
-    """Resolution of the readings; 0 for none, (I, 3) [m, rad, rad]."""
+    """Resolution of the readings of each instrument, (I, 3) [m, rad, rad]; 0 for none."""
     recorded_observables: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
     """Flags (3,) of the observables (range, azimuth, elevation) that are recorded; the others have no deviation."""
     geometry: MeasurementGeometry | None = None
-    """True geometry on which blunders are simulated: trials with blunders are computed one by one."""
+    """True geometry with which blunders are simulated; trials with blunders are computed one by one. None without
+    blunders.
+    """
 
     @property
     def sightings(self) -> Sightings:
-        """True geometry of the pointings including nests, in any frame."""
+        """True geometry of the pointings including nests, in any common frame."""
         return self.distributions.sightings
 
     @property
@@ -97,9 +103,9 @@ class CellTruth:
 
     @cached_property
     def effect_design_function(self) -> Callable[[tuple[Effect, ...]], Floats]:
-        """Function for the change (n, 3, q, 1) of the readings per unit of effects.
+        """Function of effects that returns the change of the readings per unit of their q parameters, (n, 3, q, 1).
 
-        It is (n, 3, q, B) if geometries differ.
+        If trials have separate geometries, the last index is the trial: (n, 3, q, B).
         """
         return lru_cache(maxsize=8)(self._effect_design)
 
@@ -113,7 +119,10 @@ class CellTruth:
         return {name: np.array([other == name for other in names]) for name in dict.fromkeys(names)}
 
     def incidence_errors(self, reflectors: Mapping[str, Floats]) -> Floats:
-        """Range errors (n, B) [m] for parameters (14, B) [SI] of `smr-incidence` of each reflector, by its name."""
+        """Range errors (n, B) [m] of the pointings, from the parameters of each reflector by its name.
+
+        The parameters (14, B) [SI] are those of the effect `smr-incidence`, the range error over incidence.
+        """
         total = np.zeros((len(self.recording), 1))
         for name, pointings in self.reflector_masks.items():
             if name in reflectors:
@@ -125,6 +134,7 @@ class CellTruth:
 
     @cached_property
     def _chain_cache(self) -> list[tuple[Construction, tuple[ChainProgram, Floats]]]:
+        """Kinematic chain and design of each construction that was requested."""
         return []
 
     def chain_and_design(self, construction: Construction) -> tuple[ChainProgram, Floats]:
@@ -146,10 +156,11 @@ class CellTruth:
 
     @cached_property
     def _linear_effects(self) -> list[tuple[Floats, Floats] | None]:
-        """Constant part (n, 3) and design (n, 3, q) of each effect; None for a nonlinear one."""
+        """Constant part (n, 3) and design (n, 3, q) of each effect in linear form; None for a nonlinear effect."""
         return [self._linear_effect(entry) for entry in self.effects]
 
     def _linear_effect(self, entry: EffectDistribution) -> tuple[Floats, Floats] | None:
+        """Constant part (n, 3) and design (n, 3, q) of an effect; None if it is not linear."""
         constant = entry.effect.reading_change(self.sightings, entry.mean_values)
         if not np.any(entry.value_sigmas):  # nothing is drawn
             return constant, np.zeros((*constant.shape, len(entry.mean_values)))
@@ -159,21 +170,22 @@ class CellTruth:
         return (constant, design) if np.all(np.abs(miss) <= MAX_NONLINEARITY * self.recording.sigma()) else None
 
     def draw_block(self, seed: int, block_number: int, width: int = TRIALS_PER_STREAM) -> TrialBatch:
-        """Trials from number ``width * number`` on, as a block."""
+        """Block number `block_number` of drawn trials; each block has `width` trials with consecutive numbers."""
         return self.draw_trials(StandardNormalSource(seed, width * block_number + np.arange(width)))
 
     def draw_trials(
         self, normal_source: StandardNormalSource, values: Floats | None = None, *, stream_key: str = ""
     ) -> TrialBatch:
-        """Block of the trials with these numbers.
+        """Drawn trials, whose numbers are those of the source of random numbers.
 
-        `instrument_values` (I, p, B) [SI] replaces the instrument errors, `stream_key` as in `TrialDistributions`.
+        `values` (I, p, B) [SI] replaces the drawn errors of the instruments; `stream_key` is that of
+        `TrialDistributions`.
         """
         draw = self.distributions.draw(normal_source, values, stream_key=stream_key)
         return self.block_from_draw(draw, self._exact_deviations(draw.instrument_values))
 
     def block_from_draw(self, draw: TrialDraw, deviation: Floats) -> TrialBatch:
-        """Trials with the errors of a draw: their readings, positions and parameters.
+        """Trials with the errors of a draw: their readings, reference lengths and parameters.
 
         `deviation` (n, 3, B), exact minus nominal readings, is overwritten by the result.
         """
@@ -185,11 +197,11 @@ class CellTruth:
             deviation += draw.reading_errors
             deviation = self._round_to_resolution(deviation)
         lengths = self.distributions.reference_lengths
-        gauge_error = draw.certified_lengths * lengths.growth_factors[:, None] - lengths.lengths[:, None]
-        return TrialBatch(draw.trials, draw.instrument_values, draw.effect_values, deviation, gauge_error)
+        length_errors = draw.certified_lengths * lengths.growth_factors[:, None] - lengths.lengths[:, None]
+        return TrialBatch(draw.trials, draw.instrument_values, draw.effect_values, deviation, length_errors)
 
     def _deviations_with_blunders(self, draw: TrialDraw) -> Floats:
-        """Readings minus nominal readings (n, 3, B) of B trials with blunders, as the simulator computes them."""
+        """Readings minus nominal readings (n, 3, B) of trials with blunders, as the simulator computes them."""
         assert self.geometry is not None
         nominal, parts = self.recording.readings, []
         for k in range(len(draw.trials)):
@@ -203,7 +215,10 @@ class CellTruth:
         return np.stack(parts, axis=2)
 
     def _exact_deviations(self, true_parameters: Floats) -> Floats:
-        """Exact readings of the true instrument minus nominal readings, by Newton's method from the linear ones."""
+        """Exact minus nominal readings (n, 3, B) for true parameters (I, p, B) [SI] of the instruments.
+
+        Newton's method starts from the linear form.
+        """
         which, sightings = self.recording.instrument, self.sightings
         program, by_value = self.chain_and_design(self.construction)
         deviation = np.empty((len(which), 3, true_parameters.shape[2]))
@@ -215,7 +230,7 @@ class CellTruth:
         return deviation
 
     def _effect_change(self, effect_index: int, amounts: Floats) -> Floats:
-        """Change (n, 3, B) of the readings by one effect."""
+        """Change (n, 3, B) of the readings by one effect with parameters (q, B) [SI]."""
         entry, linear = self.effects[effect_index], self._linear_effects[effect_index]
         if linear is None:
             return np.stack([entry.effect.reading_change(self.sightings, v) for v in amounts.T], axis=2)
@@ -223,7 +238,7 @@ class CellTruth:
         return constant[:, :, None] + np.tensordot(design, amounts - entry.mean_values[:, None], axes=1)
 
     def _round_to_resolution(self, deviation: Floats) -> Floats:
-        """Deviations (n, 3, B) that give readings rounded to the resolution, in place."""
+        """Readings minus nominal readings (n, 3, B) after rounding of the readings to the resolution, in place."""
         of_row = np.broadcast_to(self.resolution[self.recording.instrument], deviation.shape[:2])
         for column in range(3):
             rows = np.flatnonzero(of_row[:, column])
@@ -233,7 +248,7 @@ class CellTruth:
         return deviation
 
     def trial_readings(self, block: TrialBatch, trial: int) -> Floats:
-        """Readings (n, 3) of one trial of a block as from an instrument, with azimuths within +-180 deg."""
+        """Readings (n, 3) of one trial as an instrument gives them, with azimuths within +-180 deg."""
         readings: Floats = self.recording.readings + block.reading_deviations[:, :, trial]
         readings[:, 1] = np.where(np.abs(readings[:, 1]) < FULL_TURN, wrap_angle(readings[:, 1]), readings[:, 1])
         readings[:, ~self.recorded_observables] = np.nan
@@ -247,10 +262,11 @@ def make_cell_truth(
     reference_truth: CellTruth | None = None,
     plan: WorkshopLayout | None = None,
 ) -> CellTruth:
-    """Truth of a scenario with a geometry that is drawn once; raises SetupError.
+    """True geometry of a scenario, drawn once, with the distributions of its trials; raises SetupError.
 
-    `key` is the stream key of the geometry; default that of `simulate`. `reference_truth`, a truth of the same scenario
-    with another geometry, provides the set-up if the same targets are visible; `plan` is the planned layout.
+    `key` is the key of the random draws of the geometry; default that of `simulate`. `reference_truth`, a truth of the
+    same scenario with another geometry, provides the set-up if the same targets are visible; `plan` is the planned
+    layout.
     """
     read = {frozenset(tracker.observables) for tracker in scenario.trackers_in_use.values()}
     if len(read) > 1:
@@ -285,7 +301,7 @@ def make_cell_truth(
 
 
 def _start_frame(geometry: MeasurementGeometry, mean: Floats) -> NetworkState:
-    """True geometry in the frame of the first station, or of the workshop if levels define the vertical."""
+    """True poses and targets in the frame of the first station, or of the workshop if levels define the vertical."""
     s = geometry.sightings
     if any(station.levelled for station in geometry.scenario.stations.values()):
         return NetworkState(s.station_positions, s.station_rotations, s.target_points, mean)

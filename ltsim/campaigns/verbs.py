@@ -25,7 +25,7 @@ def campaign(
     force: bool = False,
     changes: Mapping[str, Any] | None = None,
 ) -> CampaignResults:
-    """Simulation, calibration and evaluation of many trials, with rows in a folder that survive interruptions.
+    """Simulation, calibration and evaluation of many trials; an interrupted run can be continued.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def campaign(
     backend : {`local`, `dask`}
         Processes on this machine (`local`), or workers of a dask cluster (`dask`).
     scheduler : str
-        Address of the dask scheduler, such as tcp://host:8786, or the file that it wrote.
+        Address of the dask scheduler, such as tcp://host:8786, or the file that the scheduler wrote.
     resume : bool
         True to continue the campaign in the folder. If levels, trials or statistics were added to the file, only what
         is missing is computed.
@@ -55,8 +55,7 @@ def campaign(
     Raises
     ------
     SetupError
-        In one sentence, for a file that cannot be run, a folder that holds another campaign, or the extra `campaigns`
-        that is not installed.
+        If the file is not valid, the folder contains another campaign, or the extra `campaigns` is not installed.
 
     Examples
     --------

@@ -1,10 +1,9 @@
-"""Products of the best law of a step with a second factor: a weight in distance or elevation, or a region of the hall.
+"""Products of the best law of a step with a second factor: a weight in distance, elevation or height, or a region.
 
-A law of time that acts on some lines of sight alone is half seen as a law of all of them; what it acts on is found once
-the time is known.
+A law that acts in proportion to the distance, or on some lines of sight alone, is half seen as a law of all of them:
+what it acts on is found once its first quantity is known. Regions of the hall are factors of laws of time alone.
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -26,32 +25,46 @@ from ltsim.physics.laws.regressors import (
     smooth_regressor,
 )
 from ltsim.scene.regions import candidate_regions
-from ltsim.scene.sightings import Sightings
 
 FACTOR_QUANTITIES = ("distance", "elevation", "height")
 """Quantities to which the effect of a law may be proportional."""
 FACTOR_REGION_SHAPES = ("z", "x", "y", "xy")
 """Shapes of the regions of the hall to which a law may be confined."""
-MAX_TIME_COEFFICIENTS = 2
-"""Largest number of coefficients of the function of time: those of a wave."""
+MAX_FACTOR_COEFFICIENTS = 2
+"""Largest number of coefficients of a law with a second factor: those of a wave."""
 MAX_REFINED_DEFICIT = 10.0
 """Largest deficit of log evidence, before refinement, of a product that is refined."""
 
 
 def may_have_a_second_factor(law: EmpiricalLaw) -> bool:
-    """True for a law of one observable everywhere, with one function of time of at most two coefficients."""
+    """True for a law of one observable everywhere that follows one quantity with at most two coefficients."""
     if law.response.kind != "reading" or law.response.component_units or law.stations or law.targets:
         return False
-    return law.regressor.n_columns <= MAX_TIME_COEFFICIENTS and law.regressor.covariates[:1] in [
-        (name,) for name in CLOCK_COVARIATES
-    ]
+    regressor = law.regressor
+    is_simple = regressor.kind in ("simple", "wave") and len(regressor.covariates) == 1
+    return regressor.n_columns <= MAX_FACTOR_COEFFICIENTS and (is_simple or _is_of_time(regressor))
+
+
+def _is_of_time(regressor: Regressor) -> bool:
+    """True for a function of time, or a switch between its spans."""
+    return regressor.covariates[:1] in [(name,) for name in CLOCK_COVARIATES]
 
 
 def product_forms(calculator: EvidenceCalculator, form: Hypothesis, base_model: Model) -> list[Hypothesis]:
-    """Best product of a law of readings in time with a second factor, refined; empty if none is nearly as good."""
+    """Best product of a law of readings with a second factor, refined; empty if none is nearly as good."""
     law, sightings = form.effect, calculator.space.sightings
     assert isinstance(law, EmpiricalLaw)
-    weights = list(_second_factors(sightings, LEVER_FUNCTION if "distance" not in law.response.observables else ""))
+    weights = [
+        scalar_regressor(name, "power")
+        for name in FACTOR_QUANTITIES
+        if np.ptp(sightings.quantities[name]) > 0 and name not in law.regressor.covariates
+    ]
+    if _is_of_time(law.regressor):
+        function = LEVER_FUNCTION if "distance" not in law.response.observables else ""
+        regions = candidate_regions(sightings, FACTOR_REGION_SHAPES)
+        weights += [passage_regressor(region, function) for region in regions]
+    if not weights:
+        return []
     laws = [_law_product(law, weight) for weight in weights]
     values = calculator.log_evidence(laws, base_model)
     top = index_of_best(values)
@@ -76,11 +89,3 @@ def _law_product(law: EmpiricalLaw, weight: Regressor) -> EmpiricalLaw:
     """Product of a law with a second factor; a region comes first."""
     factors = (weight, law.regressor) if weight.region is not None else (law.regressor, weight)
     return replace(law, regressor=Regressor("product", factors=factors), scale_index=0)
-
-
-def _second_factors(sightings: Sightings, function: str) -> Iterator[Regressor]:
-    """Second factors: powers of quantities, and regions of the hall (`function` of `passage`)."""
-    for name in FACTOR_QUANTITIES:
-        if np.ptp(sightings.quantities[name]) > 0:
-            yield scalar_regressor(name, "power")
-    yield from (passage_regressor(region, function) for region in candidate_regions(sightings, FACTOR_REGION_SHAPES))

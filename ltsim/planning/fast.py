@@ -1,11 +1,12 @@
 """Information of many layouts at once: normal equations in blocks, targets eliminated analytically.
 
-Two steps are used, so that a search computes geometry only once: `NormalBlocks` holds the contribution of each of any
-number of candidate set-ups; `LayoutScorer.evaluate_layouts` joins set-ups into layouts and eliminates targets (3 x 3
+Two steps are used, so that a search computes geometry only once. `NormalBlocks` holds the contribution of each of any
+number of candidate set-ups. `LayoutScorer.evaluate_layouts` joins set-ups into layouts and eliminates targets (3 x 3
 blocks) and poses (the leading rows of a Cholesky factor), which leaves the information on instrument and effects.
 
-The Jacobian is that of the construction, and the other rows are those of the adjustment. `information.py` computes the
-same quantities without blocks; a test compares the two.
+The Jacobian is that of the construction, and the other observations are those of the adjustment. `information.py`
+computes the same quantities without blocks; a test compares the two. Letters in shapes: N set-ups, B layouts of S
+stations, T targets, of which E are not in the gauge, P parameters, K unknowns left after elimination of targets.
 """
 
 from __future__ import annotations
@@ -30,15 +31,12 @@ from ltsim.scene.sightings import Sightings
 from ltsim.solve.design import POINT_RANK_TOLERANCE, cholesky_where_determined, scale_to_unit_diagonal, to_dense
 
 INTERNAL_LENGTH_UNIT = 1e-5
-"""[m, rad] Internal unit of poses and targets, so that all columns have a similar norm."""
+"""[m, rad] Unit of poses and targets in the normal equations, so that all columns have a similar norm."""
 
 
 @dataclass(frozen=True)
 class NormalBlocks:
-    """Contributions of N set-ups to the normal equations.
-
-    P = number of parameters of reflectors, instrument and effects.
-    """
+    """Contributions of N set-ups to the normal equations; P parameters are of reflectors, instrument and effects."""
 
     setup_positions: Floats
     """Positions of the set-ups, (N, 3) [m]."""
@@ -47,25 +45,25 @@ class NormalBlocks:
     is_visible: Bools
     """Flags of the targets that each set-up measures, (N, T)."""
     has_determined_pose: Bools
-    """Flags of the set-ups whose visible targets determine the pose, (N,)."""
+    """Flags of the set-ups whose measured targets determine the pose of the station, (N,)."""
     target_blocks: Floats
-    """Normal matrix blocks of each target, (N, T, 3, 3)."""
+    """Blocks of the normal matrix for each target, (N, T, 3, 3)."""
     coupling_blocks: Floats
-    """Normal matrix blocks between target and pose with parameters, (N, T, 3, 6 + P)."""
+    """Blocks of the normal matrix between each target and the pose followed by the parameters, (N, T, 3, 6 + P)."""
     pose_blocks: Floats
-    """Normal matrix blocks of pose and parameters, summed over targets, (N, 6 + P, 6 + P)."""
+    """Block of the normal matrix for the pose followed by the parameters, summed over targets, (N, 6 + P, 6 + P)."""
 
     def select(self, indices: Ints) -> NormalBlocks:
-        """Selection of the set-ups."""
+        """Contributions of the set-ups with the given indices."""
         return NormalBlocks(*(getattr(self, field.name)[indices] for field in fields(self)))
 
     @classmethod
     def concatenate(cls, groups: Sequence[NormalBlocks]) -> NormalBlocks:
-        """Union of several groups of set-ups."""
+        """Contributions of several groups of set-ups, one group after the other."""
         return cls(*(np.concatenate([getattr(part, field.name) for part in groups]) for field in fields(cls)))
 
     def with_replaced_station(self, station_index: int, replacement: NormalBlocks) -> NormalBlocks:
-        """Layout of these set-ups with another one (N = 1) as station `station_index`."""
+        """Layout in which another set-up (N = 1) replaces the station number `station_index`."""
         stations = np.arange(len(self.setup_positions))
         return self.concatenate([self, replacement]).select(
             np.where(stations == station_index, len(stations), stations)
@@ -73,7 +71,7 @@ class NormalBlocks:
 
 
 def target_weights(errors: IncidenceErrors, target: Ints, n_targets: int) -> Floats:
-    """Weights (T,): 1 for targets among (n,) with the errors of a reflector, else 0."""
+    """Weights (T,): 1 for targets among those of the n pointings, `target` (n,), with a reflector's errors; else 0."""
     acts = np.zeros(n_targets)
     np.maximum.at(acts, target, errors.reflector_weights)
     return acts
@@ -81,24 +79,24 @@ def target_weights(errors: IncidenceErrors, target: Ints, n_targets: int) -> Flo
 
 @dataclass(frozen=True)
 class LayoutPrecision:
-    """Precision of B layouts: information on P parameters after elimination, and point errors."""
+    """Precision of B layouts: information on P parameters after elimination of all other unknowns, and point errors."""
 
     information: Floats
-    """Information on instrument and effect parameters in units of their prior sigma, (B, P, P); NaN for a layout with
-    an undetermined pose.
+    """Information matrix of the parameters of instrument and effects in units of their prior sigma, (B, P, P); NaN for
+    a layout with an undetermined pose.
     """
     weighted_target_rms: Floats
-    """Root mean square point error with the mean of all targets as datum, (B,) [m]; NaN for an undetermined pose, and
-    if not requested.
+    """Weighted root mean square point error with the mean of all targets as datum, (B,) [m]; NaN for an undetermined
+    pose, and if it was not requested.
     """
 
 
 class LayoutScorer:
-    """Evaluation of layouts of one workshop: targets, gauge, noise and priors are fixed, set-ups vary.
+    """Evaluation of many layouts in one workshop: targets, gauge, noise and priors are fixed, set-ups vary.
 
-    `survey` provides everything except the positions of the stations; all layouts have its number of stations;
-    parameters are those of `construction`, by default the 16 misalignments, and of `effects` (unit their prior sigma,
-    no prior).
+    `survey` provides everything except the positions of the stations; all layouts have its number of stations. The
+    parameters are those of `construction`, by default the 16 misalignments, and of `effects`, in units of their prior
+    sigma. The information contains no prior of the effects.
     """
 
     def __init__(
@@ -141,7 +139,10 @@ class LayoutScorer:
         self._target_motions = rigid_motion_design(survey.target_points) @ self._free_motions
 
     def _fixed_blocks(self, rows: Floats, target: Ints, pose: Ints, values: Ints) -> None:
-        """Normal equations of gauge, control, levels and priors, in the order and units of this class."""
+        """Normal equations of gauge, control points, levels and priors, in the order and units of this class.
+
+        `rows` is the whitened design; the columns of targets (T, 3), poses (S, 6) and parameters are given.
+        """
         extra = np.zeros((len(rows), len(self.parameter_scales) - len(values)))
         front = [
             rows[:, pose.ravel()] * INTERNAL_LENGTH_UNIT,
@@ -158,12 +159,15 @@ class LayoutScorer:
         """Number of stations of a layout."""
         return len(self.survey.station_positions)
 
-    def sightings(self, position: Floats, yaw: Floats, slot: Ints) -> Sightings:
-        """Sightings of every target on each face from each of N set-ups; `slot` is the station that they replace."""
+    def sightings(self, position: Floats, yaw: Floats, station_indices: Ints) -> Sightings:
+        """Sightings of every target in each face from N set-ups at `position` (N, 3) [m] with `yaw` (N,) [rad].
+
+        `station_indices` (N,) is the station that each set-up replaces.
+        """
         survey = self.survey
         axes = np.arange(len(position)), np.arange(len(survey.target_points)), np.array(survey.faces)
         station, target, face = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
-        turn = survey.pointing_ranks(slot[station], target, face)
+        turn = survey.pointing_ranks(station_indices[station], target, face)
         visit = survey.seconds_per_move + len(survey.target_points) * len(survey.faces) * survey.seconds_per_pointing
         nests = [survey.setup.targets.get(name) for name in survey.target_names]
         nest_normals = [(nest and nest.nest_normal) or (np.nan, np.nan, np.nan) for nest in nests]
@@ -174,30 +178,32 @@ class LayoutScorer:
             instrument=np.zeros(len(station), dtype=np.int64),
             face=face,
             repeat=np.ones(len(station), dtype=np.int64),
-            time=slot[station] * visit + turn * survey.seconds_per_pointing,
+            time=station_indices[station] * visit + turn * survey.seconds_per_pointing,
             station_positions=position,
             station_rotations=np.stack([rotation_about_z(float(angle)) for angle in yaw]),
             target_points=survey.target_points,
             nest_normals=normal / np.linalg.norm(normal, axis=1, keepdims=True),
             is_reaimed=np.array([nest is None or nest.reaimed for nest in nests], dtype=bool),
-            station_names=tuple(survey.station_names[s] for s in slot),
+            station_names=tuple(survey.station_names[s] for s in station_indices),
             target_names=survey.target_names,
         )
 
-    def whitened_rows(self, position: Floats, yaw: Floats, slot: Ints, is_visible: Bools) -> tuple[Floats, Floats]:
-        """Whitened rows of N set-ups: derivatives (N, T, r, 3) by target, (N, T, r, 6 + P) by pose and parameters.
+    def whitened_rows(
+        self, position: Floats, yaw: Floats, station_indices: Ints, is_visible: Bools
+    ) -> tuple[Floats, Floats]:
+        """Whitened derivatives of the r readings of each target by target (N, T, r, 3) and by other unknowns.
 
-        They are zero for targets that are not `is_visible` (N, T). For effects that depend on time since the start, the
-        first station is included.
+        The latter, (N, T, r, 6 + P), are pose and parameters. They are zero for targets that are not `is_visible` (N,
+        T). For effects that depend on the time since the start, the first station is included in the computation.
         """
-        if self.effects and slot.min() > 0:
+        if self.effects and station_indices.min() > 0:
             first = position[:1], yaw[:1], np.zeros(1, dtype=np.int64)
-            whole = (np.concatenate(pair) for pair in zip(first, (position, yaw, slot), strict=True))
+            whole = (np.concatenate(pair) for pair in zip(first, (position, yaw, station_indices), strict=True))
             by_target, by_value = self._derivatives(self.sightings(*whole))
             first_rows = len(self.survey.target_points) * len(self.survey.faces)
             by_target, by_value = by_target[first_rows:], by_value[first_rows:]
         else:
-            by_target, by_value = self._derivatives(self.sightings(position, yaw, slot))
+            by_target, by_value = self._derivatives(self.sightings(position, yaw, station_indices))
         weight = (np.sqrt(self.survey.repeats) * is_visible)[:, :, None, None]
         shape = (*is_visible.shape, 3 * len(self.survey.faces))
         t, v = by_target.reshape(*shape, 3) * weight, by_value.reshape(*shape, -1) * weight
@@ -205,7 +211,7 @@ class LayoutScorer:
         return t, np.concatenate([-t, rotation_rows, v], axis=3)
 
     def _derivatives(self, sightings: Sightings) -> tuple[Floats, Floats]:
-        """Whitened derivatives by the target (n, 3, 3) and by the parameters (n, 3, P)."""
+        """Whitened derivatives of n pointings by the target (n, 3, 3), and by the parameters (n, 3, P)."""
         by_point, by_value = self.construction.reading_design(
             sightings.raw_readings, np.zeros(self.construction.n_parameters)
         )
@@ -223,14 +229,14 @@ class LayoutScorer:
         )
 
     def normal_blocks(
-        self, position: Floats, yaw: Floats, slot: Ints | None = None, is_visible: Bools | None = None
+        self, position: Floats, yaw: Floats, station_indices: Ints | None = None, is_visible: Bools | None = None
     ) -> NormalBlocks:
-        """Contributions of N set-ups at `setup_positions` (N, 3) and `setup_yaws` (N,).
+        """Contributions of N set-ups at `position` (N, 3) [m] with `yaw` (N,) [rad] to the normal equations.
 
-        `slot` (N,) is the station that each set-up replaces (time and name matter for some effects); `is_visible` (N,
-        T) marks the measured targets, default all.
+        `station_indices` (N,) is the station that each set-up replaces, because some effects depend on the time or name
+        of the station. `is_visible` (N, T) marks the measured targets, default all.
         """
-        at = np.zeros(len(position), dtype=np.int64) if slot is None else slot
+        at = np.zeros(len(position), dtype=np.int64) if station_indices is None else station_indices
         is_visible = (
             np.ones((len(position), len(self.survey.target_points)), dtype=bool) if is_visible is None else is_visible
         )
@@ -245,38 +251,39 @@ class LayoutScorer:
     def evaluate_layouts(
         self, blocks: NormalBlocks, setup_indices: Ints, *, with_target_errors: bool = False
     ) -> LayoutPrecision:
-        """Information of B layouts, and target errors on request.
+        """Information on the parameters in B layouts, and point errors of targets on request.
 
-        Each row of `setup_indices` (B, S) has indices into `normal_blocks`.
+        Each row of `setup_indices` (B, S) has the indices in `blocks` of the set-ups of one layout.
         """
-        schur, length, inverse, weights = self.eliminate_targets(blocks, setup_indices)
+        schur, squared_norms, inverses, coefficients = self.eliminate_targets(blocks, setup_indices)
         size = len(self.parameter_scales) - self._n_nuisances
         information, rms = np.full((len(schur), size, size), np.nan), np.full(len(schur), np.nan)
         has_poses = blocks.has_determined_pose[setup_indices].all(axis=1) & np.isfinite(schur[:, 0, 0])
-        information[has_poses] = self.marginal_information(schur[has_poses], length[has_poses])
+        information[has_poses] = self.marginal_information(schur[has_poses], squared_norms[has_poses])
         if with_target_errors:
             determined = np.isfinite(information).all(axis=(1, 2))
             rms[determined] = self.weighted_target_rms(
-                schur[determined], inverse[determined], weights[determined], self.mesh_targets
+                schur[determined], inverses[determined], coefficients[determined], self.mesh_targets
             )
         return LayoutPrecision(information, rms)
 
-    def marginal_information(self, schur: Floats, length: Floats) -> Floats:
-        """Information (B, P, P) on the parameters after elimination of all other unknowns in normal matrices (B, K, K).
+    def marginal_information(self, schur: Floats, squared_norms: Floats) -> Floats:
+        """Information (B, P, P) on the parameters of instrument and effects; NaN for undetermined unknowns.
 
-        It is NaN for undetermined unknowns; (B, K) are the squared norms of the columns of the design, for that test.
+        All other unknowns are eliminated from normal matrices `schur` (B, K, K); `squared_norms` (B, K) are of the
+        columns of the design, by which undetermined unknowns are recognised.
         """
-        unit, scale = scale_to_unit_diagonal(schur, length)
+        unit, scale = scale_to_unit_diagonal(schur, squared_norms)
         roots, _ = cholesky_where_determined(unit)
         parameter_slice = slice(schur.shape[1] - len(self.parameter_scales) + self._n_nuisances, schur.shape[1])
         corner = roots[:, parameter_slice, parameter_slice] / scale[:, parameter_slice, None]
         return corner @ np.swapaxes(corner, 1, 2)
 
     def eliminate_targets(self, blocks: NormalBlocks, setup_indices: Ints) -> tuple[Floats, Floats, Floats, Floats]:
-        """Schur complement (B, K, K), squared column norms (B, K) before elimination, and terms of eliminated targets.
+        """Normal matrices without targets, squared column norms before elimination, and two terms of the elimination.
 
-        The terms are the inverse blocks (B, E, 3, 3) of the targets, and their products with the coupling blocks. The
-        complement of a layout with an undetermined target is NaN.
+        The matrices are Schur complements (B, K, K), NaN for an undetermined target; the norms are (B, K). The terms
+        are inverse blocks (B, E, 3, 3) of targets, and their products with coupling blocks (B, E, 3, K).
         """
         reduced, tt, tk = self._normal_matrices(blocks, setup_indices)
         if not self._used_observables.all():  # a whole sight places its target
@@ -284,15 +291,15 @@ class LayoutScorer:
             open_ = spread[..., 0] <= POINT_RANK_TOLERANCE * spread[..., 2]
             tt = tt + open_[..., None, None] * np.eye(3)
             reduced[open_.any(axis=1)] = np.nan
-        inverse = np.asarray(np.linalg.inv(tt), dtype=np.float64)
-        weights = inverse @ tk
+        inverses = np.asarray(np.linalg.inv(tt), dtype=np.float64)
+        coefficients = inverses @ tk
         size = reduced.shape[1]
-        flat, flat_weights = tk.reshape(len(reduced), -1, size), weights.reshape(len(reduced), -1, size)
+        flat, flat_weights = tk.reshape(len(reduced), -1, size), coefficients.reshape(len(reduced), -1, size)
         schur = reduced - np.swapaxes(flat, 1, 2) @ flat_weights
-        return 0.5 * (schur + np.swapaxes(schur, 1, 2)), np.einsum("bkk->bk", reduced), inverse, weights
+        return 0.5 * (schur + np.swapaxes(schur, 1, 2)), np.einsum("bkk->bk", reduced), inverses, coefficients
 
     def _normal_matrices(self, blocks: NormalBlocks, setup_indices: Ints) -> tuple[Floats, Floats, Floats]:
-        """Reduced block (B, K, K), blocks of the mesh targets (B, E, 3, 3), and coupling blocks (B, E, 3, K)."""
+        """Blocks of the normal matrices: other unknowns (B, K, K), E targets (B, E, 3, 3), coupling (B, E, 3, K)."""
         layouts, stations = setup_indices.shape
         params, gauge = len(self.parameter_scales), len(self._gauge_targets)
         size = 6 * stations + 3 * gauge + params
@@ -329,9 +336,9 @@ class LayoutScorer:
         )
 
     def _datum_rows(self, position: Floats) -> Floats:
-        """Datum rows (B, f, 6 a) that fix the free rigid motions of stations at `setup_positions` (B, S, 3).
+        """Whitened rows (B, f, 6 a) that fix f free rigid motions of layouts with stations at `position` (B, S, 3).
 
-        They fix the pose of the first station, or for ranges alone the positions of all.
+        They fix the pose of the first station (a = 1), or for ranges alone the positions of all (a = S).
         """
         motion = self._free_motions / np.linalg.norm(self._free_motions, axis=0)
         anchors = position[:, :1] if self._fixes_datum_rotations else position
@@ -340,32 +347,32 @@ class LayoutScorer:
         rows[..., 3:] *= self._fixes_datum_rotations
         return (rows / DATUM_SIGMA * INTERNAL_LENGTH_UNIT).reshape(len(rows), motion.shape[1], -1)
 
-    def weighted_target_rms(self, schur: Floats, inverse: Floats, weights: Floats, mesh: Ints) -> Floats:
-        """Root mean square point error (B,) [m], weighted as in the survey; parameters as of `target_variance`."""
-        variance = self.target_variance(schur, inverse, weights, mesh)
+    def weighted_target_rms(self, schur: Floats, inverses: Floats, coefficients: Floats, mesh: Ints) -> Floats:
+        """Root mean square point error (B,) [m] with the weights of the survey; arguments as of `target_variance`."""
+        variance = self.target_variance(schur, inverses, coefficients, mesh)
         weight = self._target_weights[self.requested_targets(mesh)]
         return np.sqrt(np.sum(weight * variance, axis=1) / np.sum(weight * np.ones_like(variance), axis=1))
 
     def requested_targets(self, mesh: Ints) -> Ints:
-        """Indices of the targets in the survey whose variance `target_variance` returns, (1 or B, E + gauge)."""
+        """Indices in the survey of the targets of `target_variance`, (1, E + gauge) or (B, E + gauge) as `mesh`."""
         indices = np.atleast_2d(mesh)
         return np.concatenate(
             [indices, np.broadcast_to(self._gauge_targets, (len(indices), len(self._gauge_targets)))], axis=1
         )
 
-    def target_variance(self, schur: Floats, inverse: Floats, weights: Floats, mesh: Ints) -> Floats:
-        """Squared point error (B, E + gauge) [m^2] of targets, with inner constraints over them.
+    def target_variance(self, schur: Floats, inverses: Floats, coefficients: Floats, mesh: Ints) -> Floats:
+        """Squared point errors (B, E + gauge) [m^2] of targets, with inner constraints over all of them.
 
-        Only the instrument's parameters and the reflectors' errors are estimated here, not the effects. `schur` (B, K,
-        K), `inverse` (B, E, 3, 3) and `weights` (B, E, 3, K) are results of `eliminate_targets` for the targets `mesh`,
-        (E,) or (B, E). The targets of the gauge are always included.
+        Parameters of the instrument and of reflectors are estimated here, effects are not. `schur` (B, K, K),
+        `inverses` (B, E, 3, 3) and `coefficients` (B, E, 3, K) are results of `eliminate_targets`. `mesh`, (E,) or (B,
+        E), holds the indices of these targets in the survey. The targets of the gauge are always included.
         """
         estimated = self._n_nuisances + len(self.prior_sigma)
         layouts, size = len(schur), schur.shape[1] - (len(self.parameter_scales) - estimated)
         covariance = np.linalg.inv(schur[:, :size, :size])
-        count, gauge = inverse.shape[1], len(self._gauge_targets)
+        count, gauge = inverses.shape[1], len(self._gauge_targets)
         carry = np.zeros((layouts, count + gauge, 3, size))
-        carry[:, :count] = -weights[..., :size]
+        carry[:, :count] = -coefficients[..., :size]
         first = size - estimated - 3 * gauge
         for g in range(gauge):
             carry[:, count + g, :, first + 3 * g : first + 3 * g + 3] = np.eye(3)
@@ -380,11 +387,11 @@ class LayoutScorer:
         flattened = carry.reshape(layouts, axes, size)
         constrained = flattened - rows @ (held @ flattened)
         part = held.reshape(layouts, self._n_free_motions, count + gauge, 3).transpose(0, 2, 1, 3)[:, :count]
-        response = np.einsum("beij,befj->beif", inverse, part)
+        response = np.einsum("beij,befj->beif", inverses, part)
         common = np.einsum("befi,beig->bfg", part, response)
         variance = ((constrained @ covariance) * constrained).reshape(layouts, count + gauge, 3 * size).sum(axis=2)
         variance += ((rows @ common) * rows).reshape(layouts, count + gauge, 3 * self._n_free_motions).sum(axis=2)
-        variance[:, :count] += np.einsum("beii->be", inverse) - 2.0 * np.einsum(
+        variance[:, :count] += np.einsum("beii->be", inverses) - 2.0 * np.einsum(
             "beif,beif->be", motion[:, :count], response
         )
         return INTERNAL_LENGTH_UNIT**2 * variance

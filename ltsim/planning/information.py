@@ -1,11 +1,12 @@
 """Expected precision of a layout without data: standard deviations, undetermined combinations, the paper's criteria.
 
-The calibrator's own problem is linearised at the nominal state, a perfect instrument at the planned places; a
-covariance does not depend on readings.
+The least-squares problem of the calibration is linearised at the nominal state, a perfect instrument at the planned
+places. The covariance does not depend on readings.
 
-How much calibration is expected to help (eq. 11, 12) is linear in the errors: noise, reference lengths, instrument
-parameters and unmodelled effects. A matrix describes the influence of each error on the criteria before and after a
-network calibration. Variances add over groups of errors, so that results for any sizes of these are obtained at once.
+The expected improvement by calibration (eq. 11, 12 of the paper) is linear in the errors: noise, reference lengths,
+instrument parameters and unmodelled effects. A matrix describes the influence of each error on the criteria before and
+after a network calibration. Variances add over groups of errors, so that one matrix gives the results for any sizes of
+these groups.
 """
 
 from __future__ import annotations
@@ -35,9 +36,10 @@ from ltsim.planning.survey import PlannedSurvey
 
 @dataclass(frozen=True)
 class LayoutInformation:
-    """Expected precision of a planned survey."""
+    """Expected precision of a planned survey with S stations and T targets, for p instrument parameters."""
 
     survey: PlannedSurvey
+    """Planned survey."""
     adjustment: Adjustment
     """Adjustment at the nominal state; its precision is that of the planned survey."""
 
@@ -77,7 +79,7 @@ class LayoutInformation:
     def scaled_covariance(self) -> Floats:
         """Covariance of the instrument parameters in units of the prior sigmas, (p, p).
 
-        It is the identity without readings.
+        Without readings it is the identity matrix.
         """
         return self.instrument_covariance / np.outer(self.prior_sigma, self.prior_sigma)
 
@@ -88,11 +90,14 @@ class LayoutInformation:
 
     @cached_property
     def undetermined_combinations(self) -> list[ParameterCombination]:
-        """Undetermined combinations of parameters (gain below one half), the least determined first."""
+        """Combinations of parameters whose prior variance the readings reduce by less than one half.
+
+        The least determined combination is first.
+        """
         return undetermined_combinations(self.instrument_covariance, self.prior_sigma)
 
     def determining_sentences(self) -> list[str]:
-        """Sentences on the measurement that would determine each undetermined combination."""
+        """Sentence for each undetermined combination on a measurement that would determine it."""
         return determining_sentences(self.adjustment, self.construction, [self.undetermined_combinations])[0]
 
     @cached_property
@@ -102,14 +107,17 @@ class LayoutInformation:
 
     @property
     def pose_covariance(self) -> Floats:
-        """Covariance of translation [m] and rotation [rad] of each station, (S, 6, 6), datum as `target_covariance`."""
+        """Covariance of translation [m] and rotation [rad] of each station, (S, 6, 6).
+
+        The datum is the mean of all targets (inner constraints).
+        """
         return self._inner_datum_adjustment.pose_covariance + air_covariance(
             self._inner_datum_adjustment, self._inner_datum_adjustment.problem.unknowns.pose_columns
         )
 
     @cached_property
     def target_covariance(self) -> Floats:
-        """Covariance of each target, (T, 3, 3) [m^2], with the air.
+        """Covariance of each target, (T, 3, 3) [m^2], including the uncertainty of the air.
 
         The datum is the mean of all targets (inner constraints).
         """
@@ -140,6 +148,7 @@ PARAMETER_GROUPS = {
     "range_scale": "range scale",
     "range_offset": "range offset",
 }
+"""Name of the group of errors for each kind of instrument parameter; None is any other kind."""
 RANGE_NOISE_GROUP = "range noise"
 ANGLE_NOISE_GROUP = "angle noise"
 GAUGE_LENGTHS_GROUP = "gauge lengths"
@@ -148,7 +157,10 @@ REFLECTORS_GROUP = "reflectors"
 
 @dataclass(frozen=True)
 class ExpectedCriteria:
-    """Expected mean of both criteria [m] before and after calibration, one value per request (k,)."""
+    """Expected means of the paper's distance and coordinate criteria [m], before and after calibration.
+
+    Each field is (k,): one value for each of k requested sets of error sizes.
+    """
 
     distance_before: Floats
     distance_after: Floats
@@ -168,20 +180,25 @@ class ExpectedCriteria:
 
 @dataclass(frozen=True)
 class CriteriaPredictor:
-    """Contribution of each group of errors, at its nominal size, to the paper's criteria."""
+    """Contribution of each of G groups of errors, at its nominal size, to the paper's criteria."""
 
     error_groups: tuple[str, ...]
     """Names of the groups: noise, gauge lengths, instrument parameters by kind, and the unmodelled effects."""
     distance_variances: Floats
-    """Variance of each station's deviation of each distance, before and after calibration, (2, G, rows) [m^2]."""
+    """Variance of the deviation of each measured distance from its mean over stations, (2, G, rows) [m^2]; the first
+    index is before and after calibration, the last one pair of targets and station.
+    """
     coordinate_covariances: Floats
-    """Covariance of the difference between the positions of each target from two stations, (2, G, rows, 3, 3) [m^2]."""
+    """Covariance of the difference between the positions of each target from two stations, (2, G, rows, 3, 3) [m^2];
+    the first index is before and after calibration, the third one target and pair of stations.
+    """
 
     @classmethod
     def from_information(cls, information: LayoutInformation, unmodelled: Sequence[Effect] = ()) -> CriteriaPredictor:
-        """Predictor of a layout in which all stations see all targets.
+        """Predictor for a layout in which all stations see all targets.
 
-        The effects in `unmodelled` act on the readings but are not estimated; each is a group, with its prior sigma.
+        The effects in `unmodelled` act on the readings but are not estimated; each is a separate group of errors, with
+        the size of its prior sigma.
         """
         ways, group = _displacements_by_error(information, unmodelled)
         names = tuple(dict.fromkeys(group))
@@ -198,7 +215,10 @@ class CriteriaPredictor:
         return cls(names, distance, coordinate)
 
     def expected_errors(self, group_sizes: Mapping[str, Floats | float] | None = None) -> ExpectedCriteria:
-        """Expected criteria (k,), with the errors of each group multiplied by a factor (k,) of its own (default 1)."""
+        """Expected criteria for k sets of error sizes.
+
+        `group_sizes` holds factors (k,) on the nominal size of the errors of each group, default 1.
+        """
         wanted = dict(group_sizes or {})
         for name in wanted:
             if name not in self.error_groups:
@@ -215,7 +235,7 @@ class CriteriaPredictor:
 
 
 def _mean_length(square: Floats, spread: Floats) -> Floats:
-    """Mean over rows of the expected length (k,), computed in batches."""
+    """Mean over rows of the expected length (k,) of normal vectors, computed in batches."""
     means = [
         expected_length(np.asarray(np.linalg.eigvalsh(np.tensordot(part, spread, axes=1)))).mean(axis=1)
         for part in np.array_split(square, max(1, len(square) // 64))
@@ -244,9 +264,9 @@ def expected_length(variances: Floats, nodes: int = 48) -> Floats:
 def _displacements_by_error(
     information: LayoutInformation, unmodelled: Sequence[Effect]
 ) -> tuple[tuple[Floats, Floats], list[str]]:
-    """Displacement (3 S T, errors) of each station's targets per unit error, before and after calibration.
+    """Displacements of the targets of each station per unit error, before and after calibration, and error groups.
 
-    Also returned is the group of each error.
+    The displacements are (3 S T, errors) each; the second result is the name of the group of each error.
     """
     adjustment, construction = information.adjustment, information.construction
     problem, sightings = adjustment.problem, adjustment.sightings
@@ -294,7 +314,7 @@ def _averaging_matrix(information: LayoutInformation) -> Floats:
 
 
 def _distance_deviation_matrix(information: LayoutInformation) -> Floats:
-    """Matrix (rows, 3 S T) from displacements to deviations of each station's distances from the mean over stations."""
+    """Matrix (rows, 3 S T) from displacements to deviations of each measured distance from its mean over stations."""
     state = information.adjustment.state
     stations, targets = len(state.station_positions), len(state.target_points)
     first, second = np.triu_indices(targets, k=1)
@@ -311,7 +331,7 @@ def _distance_deviation_matrix(information: LayoutInformation) -> Floats:
 
 
 def _coordinate_difference_matrix(information: LayoutInformation) -> Floats:
-    """Matrix (rows, 3, 3 S T) from displacements to differences of a target's positions from two stations.
+    """Matrix (rows, 3, 3 S T) from displacements to differences between the positions of a target from two stations.
 
     The stations are aligned rigidly first.
     """

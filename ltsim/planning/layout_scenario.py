@@ -23,7 +23,7 @@ def scenario_of_plan(plan: PlannedNetwork) -> Scenario:
 
 
 def with_layout(scenario: Scenario, survey: PlannedSurvey, title: str = "") -> Scenario:
-    """Scenario with the stations, reflectors, measuring procedure and uncertainty of the air of a survey."""
+    """Scenario with the stations, reflectors, measuring procedure and air of a planned survey."""
     levelled = {name for name, station in scenario.stations.items() if station.levelled}
     stations = {
         place.name: PlannedStation(
@@ -49,7 +49,7 @@ def with_layout(scenario: Scenario, survey: PlannedSurvey, title: str = "") -> S
 
 
 def copy_cad_files(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]]:
-    """Scenario with CAD files in its own folder, and the contents of these files by name; raises SetupError."""
+    """Scenario that names CAD files in its own folder, and contents of these files by name; raises SetupError."""
     names: dict[str, str] = {}
     contents: dict[str, bytes] = {}
     for path in dict.fromkeys(entry.file for entry in scenario.workshop.obstacles if entry.file is not None):

@@ -1,4 +1,4 @@
-"""Reader of plan files, with their lists of points and the scenario or hall that they name or contain."""
+"""Reader of plan files, including their lists of points and the scenario or hall that they name or contain."""
 
 import difflib
 import math
@@ -29,11 +29,13 @@ from ltsim.simulation.workshop import make_obstacles, make_sight_limits, planned
 SCENARIO_TABLES = ("workshop", "instrument", "smr", "work")
 """Tables of a scenario that a plan file may contain."""
 USUAL_HEAD_HEIGHTS_MM = (1400.0, 1800.0)
-"""Lowest and highest centre of the head [mm] on a usual stand."""
+"""Lowest and highest usual centre of the head [mm] on a stand; default range of heights in a hall of a plan."""
 MAX_SAME_POINT_DISTANCE_MM = 0.1
-"""Distance [mm] within which a point of a list equals the scenario's target of the same name."""
+"""Largest distance [mm] between a point of a list and the target of the same name in the scenario, at which they are
+the same point.
+"""
 N_INITIAL_STATIONS = 4
-"""Number of initial stations if the plan does not give one."""
+"""Number of initial stations in a hall if the plan file gives no number."""
 BUILTIN_FOLDER = files("ltsim.planning") / "builtin"
 
 
@@ -44,7 +46,7 @@ def plan_names() -> tuple[str, ...]:
 
 
 def plan_text(name: str) -> str:
-    """Commented file of a built-in plan, as a template."""
+    """Content of the commented file of a built-in plan, as a template."""
     path = BUILTIN_FOLDER / f"{name}.toml"
     if not path.is_file():
         near = _similar_names(name, plan_names())
@@ -53,7 +55,7 @@ def plan_text(name: str) -> str:
 
 
 def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
-    """Plan file (or built-in plan, or scenario used as a plan) and its scenario; raises SetupError."""
+    """Plan and its scenario, from a plan file, the name of a built-in plan, or a scenario; raises SetupError."""
     name = str(name_or_path)
     built = BUILTIN_FOLDER / f"{name}.toml"
     path = Path(str(built)) if built.is_file() else Path(name)
@@ -77,12 +79,12 @@ def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
 
 
 def _similar_names(name: str, candidates: Sequence[str]) -> str:
-    """Names that are most similar to an unknown one."""
+    """Text of the names that are most similar to an unknown name."""
     return ", ".join(difflib.get_close_matches(name, candidates, n=3, cutoff=0.4) or candidates[:8]) or "none is named"
 
 
 def _with_defaults(plan_file: PlanFile, path: Path) -> dict[str, Any]:
-    """Values that the file does not give: the points of its list, and defaults that depend on other keys."""
+    """Content of a plan file with the points of its list, and with defaults that depend on other keys."""
     points = read_points(path.parent / plan_file.points) if isinstance(plan_file.points, str) else plan_file.points
     changes: dict[str, Any] = {"points": points}
     if plan_file.workshop is not None and plan_file.floor.height_mm is None:
@@ -133,10 +135,11 @@ def _check_names(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
     new_names = [p.name for p in plan_file.reflectors.places] + [s.name for s in plan_file.reflectors.surfaces]
     for name in new_names:
         if new_names.count(name) > 1 or name in scenario.target_names:
-            raise SetupError(f"{file}: reflectors has the name '{quoted_text(name)}' twice, or a target has it")
+            raise SetupError(f"{file}: reflectors: the name '{quoted_text(name)}' is given twice, or is a target's")
 
 
 def _check_counts(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
+    """Check that keys that belong together are given together; raises SetupError."""
     if plan_file.goal.tolerances and not plan_file.listed_points:
         raise SetupError(f"{file}: goal.tolerances needs points; give them as a list or a file")
     given = [f"budget.{key}" for key in ("faces", "repeats") if getattr(plan_file.budget, key) is not None]
@@ -153,7 +156,7 @@ def _check_counts(plan_file: PlanFile, scenario: Scenario, file: object) -> None
 
 
 def read_points(path: Path) -> tuple[PointEntry, ...]:
-    """Points of a list of coordinates in any format, with the keys of a point as additional columns.
+    """Points of a file with a list of coordinates in any format; further columns are keys of `PointEntry`.
 
     Raises SetupError.
     """
@@ -168,6 +171,7 @@ def read_points(path: Path) -> tuple[PointEntry, ...]:
 
 
 def _point_from_table(table: PointList, row: int, path: Path) -> PointEntry:
+    """Point in a row of a list; raises SetupError for a cell that is not valid."""
     location: dict[str, Any] = {"file": path, "row": table.line_numbers[row]}
 
     def optional_number(column: str, default: float | None) -> float | None:
@@ -196,7 +200,7 @@ def _point_from_table(table: PointList, row: int, path: Path) -> PointEntry:
 
 
 def _hall_scenario(plan_file: PlanFile, data: Mapping[str, Any], points: Sequence[PointEntry], file: Path) -> Scenario:
-    """Scenario from the tables and points of a plan file; raises SetupError."""
+    """Scenario of a hall that a plan file describes by tables and points; raises SetupError."""
     table: dict[str, Any] = {"format": SCENARIO_FORMAT, "title": plan_file.title}
     table |= {name: data[name] for name in SCENARIO_TABLES if name in data}
     table["work"] = {"order": "as-listed", **data.get("work", {})}
@@ -215,20 +219,20 @@ def _hall_scenario(plan_file: PlanFile, data: Mapping[str, Any], points: Sequenc
 
 
 def _require_plausible_extent(points: Sequence[PointEntry], scenario: Scenario, file: object) -> None:
-    """Check that points extend over more than a thousandth of the room (7.000 may mean seven thousand).
+    """Check that the points extend over more than a thousandth of the room.
 
-    Raises SetupError.
+    A full stop may be meant as separator of thousands: 7.000 for 7000 mm. Raises SetupError.
     """
     spread = np.array([[p.x_mm, p.y_mm, p.z_mm] for p in points]).reshape(-1, 3)
     if len(points) and np.all(1000.0 * np.abs(spread) <= scenario.workshop.size_mm):
         raise SetupError(
             f"{file}: all points lie within {np.abs(spread).max():g} mm of the corner of the room; if their numbers "
-            "are metres, name the columns x_m, y_m, z_m; if their points separate thousands, remove these"
+            "are metres, name the columns x_m, y_m, z_m; if a full stop in a number separates thousands, remove it"
         )
 
 
 def _with_points(scenario: Scenario, points: Sequence[PointEntry], file: object) -> Scenario:
-    """Scenario with additional targets; points that are its targets already do not change."""
+    """Scenario with additional targets; a point that is already a target does not change."""
     _require_plausible_extent(points, scenario, file)
     for point in points:
         there = scenario.targets.get(point.name)
@@ -236,21 +240,26 @@ def _with_points(scenario: Scenario, points: Sequence[PointEntry], file: object)
         if there is not None and np.abs(np.array(there.position_mm) - place).max() < MAX_SAME_POINT_DISTANCE_MM:
             continue
         if point.name in scenario.target_names:
-            raise SetupError(f"{file}: points has the name '{point.name}', which is a target elsewhere in the scenario")
+            raise SetupError(f"{file}: points: '{point.name}' is the name of a target at another place in the scenario")
     existing = scenario.targets
     added = {p.name: PlannedTarget(position_mm=(p.x_mm, p.y_mm, p.z_mm)) for p in points if p.name not in existing}
     return scenario.model_copy(update={"targets": {**existing, **added}})
 
 
 def _initial_places(plan_file: PlanFile, scenario: Scenario, n_stations: int) -> Floats:
-    """Initial places (count, 3) [m], one after the other, at which most targets with few sights are visible."""
+    """Initial places (`n_stations`, 3) [m] of stations.
+
+    Each new station is at the place where it adds most sights to targets with too few.
+    """
     heights = (USUAL_HEAD_HEIGHTS_MM[0] * MILLIMETRE, USUAL_HEAD_HEIGHTS_MM[1] * MILLIMETRE)
     areas, keep_outs = areas_and_keep_outs(plan_file.floor, scenario.workshop.size_mm, heights)
     obstacles, points = make_obstacles(scenario), planned_layout(scenario).target_points
     grid = np.concatenate([grid_over_area(area, grid_step(areas, plan_file.search.grid_mm), 1) for area in areas])
     grid = grid[is_allowed_position(areas, keep_outs, obstacles, grid)]
     if not len(grid):
-        raise SetupError("the floor has no place for a tripod; enlarge it, move obstacles, or give a smaller grid_mm")
+        raise SetupError(
+            "the floor has no place for a tripod; enlarge the floor, move obstacles, or give a smaller grid_mm"
+        )
     visible = compute_visibility(
         grid, points, make_sight_limits(scenario, scenario.instrument), obstacles=obstacles
     ).is_visible
@@ -262,6 +271,7 @@ def _initial_places(plan_file: PlanFile, scenario: Scenario, n_stations: int) ->
     chosen = placement.place_stations(n_stations, 1)
     if len(chosen) < n_stations:
         raise SetupError(
-            f"the floor has no room for {n_stations} tripods {spacing:g} m apart; ask for fewer, or enlarge it"
+            f"the floor has no room for {n_stations} tripods {spacing:g} m apart; "
+            "give fewer stations, or enlarge the floor"
         )
     return placement.candidate_positions[chosen]

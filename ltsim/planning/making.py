@@ -1,4 +1,4 @@
-"""Searches of a plan file, and selection of the plan from their layouts."""
+"""Searches that a plan file asks for, and selection of the plan from the layouts that they give."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -27,19 +27,21 @@ from ltsim.scene.floor import grid_step
 from ltsim.simulation.scenario import Scenario
 
 MAX_SETUPS = 200_000
-"""Largest number of set-ups of a grid that one search holds in memory."""
+"""Largest number of candidate set-ups of a grid; a plan with more is rejected, because one search holds all in memory.
+"""
 SEARCH_PROGRESS_FRACTION = 0.8
-"""Fraction of the progress bar for the search."""
+"""Fraction of the progress bar for the search; the rest is for checks of tolerances and changes."""
 MIN_STATIONS = 2
 """Smallest number of stations of a network."""
 MAX_ERROR_RATIO_PER_STATION = 0.95
-"""Largest factor on the ratio of error to tolerance by which an additional station must reduce it; otherwise the search
-stops.
+"""Largest ratio of the errors after and before an additional station (largest error divided by tolerance). If both of
+the last two stations exceed it, layouts with more stations are not searched.
 """
 UNDETERMINED_LAYOUT_MESSAGE = (
     "no layout of the search determines all poses and points; let stations share more points "
     "(stations.min_stations_per_target = 2), or give more stations or more search.starts"
 )
+"""Error message for a search without a layout that determines all poses and points."""
 STOPPED_MESSAGE = "the search was stopped before it found a layout; let it run longer"
 """Error message for a search that the user stopped before it had a layout."""
 
@@ -49,19 +51,20 @@ class SearchCallbacks:
     """Callbacks for the progress of a search."""
 
     on_progress: ProgressCallback = no_progress
+    """Callback with the name of the present task and its finished fraction."""
     on_sentence: Callable[[str], None] = no_progress
-    """Callback for sentences on the best layout so far."""
+    """Callback with a sentence on the best layout so far."""
     on_layout: Callable[[PlannedSurvey], None] = no_progress
-    """Callback for the best layout so far."""
+    """Callback with the best layout so far."""
 
 
 def make_plan(
     file: PlanFile, scenario: Scenario, *, jobs: int = 1, callbacks: SearchCallbacks | None = None
 ) -> PlannedNetwork:
-    """Planned network of a search; it is equal for any number of processes.
+    """Best planned network of all searches; the result does not depend on the number of processes.
 
-    Ctrl-C ends the search with the best layout so far, which the result states. Raises SetupError if no layout meets
-    the rules of the plan.
+    Ctrl-C ends the search with the best layout so far, and the result says so. Raises SetupError if no layout meets the
+    rules of the plan.
     """
     _require_grid_fits_memory(file, scenario)
     heard = callbacks or SearchCallbacks()
@@ -85,7 +88,7 @@ def make_plan(
 
 @dataclass
 class _PlanSearch:
-    """State of the planning: layouts for each measuring procedure, and selection of the plan."""
+    """State of the planning: layouts for each number of stations and faces, and selection of the plan."""
 
     problem: PlanningProblem
     jobs: int
@@ -100,11 +103,11 @@ class _PlanSearch:
 
     @property
     def procedures(self) -> tuple[list[int], list[int]]:
-        """Numbers of faces and of rounds that may be chosen."""
+        """Numbers of faces, and numbers of rounds, among which the search may choose."""
         return procedures(self.file, self.problem.scenario)
 
     def _run_searches(self, tasks: Sequence[SearchTask], report_progress: Callable[[float], float]) -> LayoutsByCount:
-        """Layouts of the searches; the best so far is passed to the follower."""
+        """Layouts of the searches; the callbacks receive the best one so far."""
         goal = self.file.goal
 
         def keep(survey: PlannedSurvey, value: float) -> None:
@@ -125,7 +128,7 @@ class _PlanSearch:
         return made
 
     def best_with_count(self) -> TradeoffPoint:
-        """Best layout for a given number of stations, or for the working hours of the budget."""
+        """Best layout for the given number of stations, or for the working hours of the budget."""
         scenario = self.problem.scenario
         count, work = self.file.stations.count or len(scenario.stations), scenario.work
         site = make_search_space(self.file, scenario, stations=count, faces=work.faces)
@@ -159,9 +162,9 @@ class _PlanSearch:
         return min(paid, key=lambda o: o.objective_value)
 
     def with_fewest_stations(self) -> TradeoffPoint:
-        """Layout with the fewest stations that meets the tolerances, with the fastest measuring procedure for it.
+        """Layout with the fewest stations that meets the tolerances, with the fastest sufficient measuring procedure.
 
-        If none meets them, it is the closest one.
+        If no layout meets them, it is the closest one.
         """
         demands, scenario = PointTolerances.from_plan_file(self.file), self.problem.scenario
         alone = demands.withstood_loss == "no"
@@ -212,7 +215,7 @@ class _PlanSearch:
     def _closest_layout(
         self, layouts: list[tuple[float, int, PlannedSurvey]], demands: PointTolerances
     ) -> list[tuple[float, int, PlannedSurvey]]:
-        """Layout that comes closest to the tolerances, among the layouts of several starts."""
+        """Layout with the smallest ratio of error to tolerance among those of several starts, as a list of one."""
         if len(layouts) == 1:
             return layouts
         return [
@@ -235,6 +238,7 @@ class _PlanSearch:
         return len(ratios) > 2 and np.isfinite(ratios[-3]) and ratios[-1] > MAX_ERROR_RATIO_PER_STATION**2 * ratios[-3]
 
     def _no_layout_message(self, counts: range) -> str:
+        """Error message if no layout was found for these numbers of stations."""
         hours = self.file.budget.hours
         if self.is_stopped:
             return STOPPED_MESSAGE
@@ -249,7 +253,7 @@ class _PlanSearch:
         return "the search found no layout; enlarge the floor or give more stations.max_count"
 
     def tradeoff_points(self, layouts: LayoutsByCount) -> tuple[TradeoffPoint, ...]:
-        """Best layout of every measuring procedure and number of repeats, in the order of cost."""
+        """Best layout for each number of stations, faces and rounds, in the order of cost."""
         items = []
         for starts in layouts.values():
             survey = min(starts, key=lambda layout: layout[:2])[2]
@@ -270,10 +274,7 @@ class _PlanSearch:
 
 
 def _never_visible_text(site: SearchSpace, placement: StationPlacement) -> str:
-    """Text of the points that are visible neither from any layout on the grid nor from the present layout.
-
-    Empty for none.
-    """
+    """Text of the points that no place on the grid and no station of the present layout sees; empty for none."""
     position = site.survey.station_positions
     if site.is_feasible(position[None], site.is_visible(position)[None])[0]:
         return ""
@@ -283,7 +284,7 @@ def _never_visible_text(site: SearchSpace, placement: StationPlacement) -> str:
 
 
 def _require_grid_fits_memory(file: PlanFile, scenario: Scenario) -> None:
-    """Check that the grid of set-ups fits into memory; raises SetupError."""
+    """Check that the number of candidate set-ups is at most `MAX_SETUPS`; raises SetupError."""
     step = file.search.grid_mm
     if step is None:
         return
@@ -299,9 +300,9 @@ def _require_grid_fits_memory(file: PlanFile, scenario: Scenario) -> None:
 
 
 def max_sights(site: SearchSpace, step: float, heights: int) -> tuple[int, str]:
-    """Largest number of stations that can see every reflector in some layout, and the limiting reflector.
+    """Largest number of stations that see every reflector in some layout, and the name of the limiting reflector.
 
-    It is a lower bound from greedy placement, and exact if one place on the floor sees everything.
+    The number is a lower bound from greedy placement, and exact if one place on the floor sees everything.
     """
     placement, names = site.greedy_placement(step, heights), site.survey.target_names
     limiting = names[int(np.argmin(placement.is_visible.mean(axis=0)))]

@@ -1,13 +1,11 @@
 """Objective of a layout: one number, smaller is better.
 
-The criteria are standard deviations of one covariance or of many at once, (..., p, p) in units of the prior sigmas, so
-that micrometres and microradians can be averaged; one means that the readings contain no information. The criteria are
-ordered as in the literature: a D-optimal design (largest determinant of the information) has the smallest value. The A
-criterion is the trace of the covariance and not of the information matrix, which is no measure of precision.
+The criteria are standard deviations from one covariance matrix or from many at once, (..., p, p), in units of the prior
+sigmas. Micrometres and microradians can thus be averaged, and a criterion of one means that the readings contain no
+information. A D-optimal design (largest determinant of the information) has the smallest value, as in the literature.
+The A criterion is the trace of the covariance and not of the information matrix, which is no measure of precision.
 
-References
-----------
-Atkinson, Donev, Tobias, Optimum Experimental Designs, with SAS (2007), chapter 10.
+References ---------- Atkinson, Donev, Tobias, Optimum Experimental Designs, with SAS (2007), chapter 10.
 """
 
 from collections import Counter
@@ -30,11 +28,11 @@ TARGETS_QUALITY = "targets"
 DIAGNOSIS_QUALITY = "diagnosis"
 """Name of the quality: minimal detectable sizes of effects."""
 MIN_SWEEP_IMPROVEMENT = 1e-4
-"""Relative improvement below which a sweep of exchanges counts as unsuccessful."""
+"""Smallest relative improvement of the objective by a sweep over all stations, at which another sweep follows."""
 
 
 def d_criterion(covariance: Floats) -> Floats:
-    """Geometric mean (...) of the standard deviations along the principal combinations: det^(1 / 2p).
+    """Geometric mean (...) of the standard deviations along the principal axes of the covariance: det^(1 / 2p).
 
     The volume of the confidence ellipsoid is proportional to its p-th power.
     """
@@ -62,19 +60,21 @@ CRITERION_FUNCTIONS: dict[CriterionName, Callable[[Floats], Floats]] = {
 
 @dataclass(frozen=True)
 class LayoutObjective:
-    """Objective as a weighted geometric mean of up to three qualities."""
+    """Objective as a weighted geometric mean of up to three qualities; smaller is better."""
 
     quality_weights: Mapping[str, float] = field(default_factory=lambda: {INSTRUMENT_QUALITY: 1.0})
-    """Weights of `instrument` (a criterion of the parameters, in prior sigmas), `targets` (weighted root mean square
-    point error [m]) and `diagnosis` (geometric mean of the minimal detectable sizes of effects over their plausible
-    sizes).
+    """Weight of each quality by name: `instrument` (a criterion of the parameters, in prior sigmas), `targets`
+    (weighted root mean square point error [m]) and `diagnosis` (geometric mean of the minimal detectable sizes of
+    effects, divided by their plausible sizes).
     """
     criterion_name: CriterionName = "D"
     """Optimality criterion of the instrument parameters: "D", "A" or "E"."""
     effects: tuple[Effect, ...] = ()
     """Effects that a diagnosis should detect."""
     n_places_by_effect: Mapping[str, int] = field(default_factory=dict)
-    """Number of places and shapes that a diagnosis searches, by name of the effect; default the number in `effects`."""
+    """Number of places and shapes that a diagnosis tests for each effect, by name of the effect; default the number of
+    entries in `effects`. More tests need a larger effect for the same false-alarm rate.
+    """
 
     @property
     def needs_target_errors(self) -> bool:
@@ -82,7 +82,7 @@ class LayoutObjective:
         return self.quality_weights.get(TARGETS_QUALITY, 0.0) > 0.0
 
     def qualities(self, precision: LayoutPrecision, parameters: int) -> dict[str, Floats]:
-        """Qualities (B,) with a weight; infinite for an undetermined layout."""
+        """Qualities (B,) of B layouts, by name, for those with a weight; infinite for an undetermined layout."""
         qualities: dict[str, Floats] = {}
         if self.quality_weights.get(INSTRUMENT_QUALITY, 0.0) > 0.0:
             qualities[INSTRUMENT_QUALITY] = self._instrument_quality(precision.information[:, :parameters, :parameters])
@@ -95,13 +95,14 @@ class LayoutObjective:
         return {name: np.where(np.isfinite(value), value, np.inf) for name, value in qualities.items()}
 
     def objective_values(self, precision: LayoutPrecision, parameters: int) -> Floats:
-        """Weighted geometric mean of the qualities, (B,)."""
+        """Weighted geometric mean of the qualities of B layouts, (B,)."""
         qualities = self.qualities(precision, parameters)
         total = sum(self.quality_weights[name] for name in qualities)
         logs = [self.quality_weights[name] / total * np.log(value) for name, value in qualities.items()]
         return np.exp(np.sum(logs, axis=0))
 
     def _instrument_quality(self, information: Floats) -> Floats:
+        """Criterion (B,) of the instrument parameters for information matrices (B, p, p)."""
         value = np.full(len(information), np.inf)
         is_valid = np.isfinite(information).all(axis=(1, 2))
         if is_valid.any():
@@ -112,7 +113,10 @@ class LayoutObjective:
 def mean_detectable_size(
     information: Floats, parameters: int, effects: Sequence[Effect], n_places_by_effect: Mapping[str, int] | None = None
 ) -> Floats:
-    """Geometric mean (B,), over the effects' parameters, of minimal detectable size divided by plausible size."""
+    """Geometric mean (B,), over the parameters of effects, of minimal detectable size divided by plausible size.
+
+    `information` (B, P, P) has the instrument parameters (`parameters` of them) first.
+    """
     sought = {**Counter(effect.name for effect in effects), **(n_places_by_effect or {})}
     parameter_block = information[:, :parameters, :parameters]
     value = np.full(len(information), np.inf)

@@ -19,7 +19,7 @@ def to_degrees(angle: float) -> float:
 
 
 class PlanChange(Entry):
-    """Change of one reflector (moved, added or removed); `quality` is a factor on the plan's objective."""
+    """Change of one reflector of a plan: moved, added or removed."""
 
     do: Literal["move", "add", "remove"]
     """Type of the change."""
@@ -36,11 +36,11 @@ class PlanChange(Entry):
     negative for an increase.
     """
     quality: Finite
-    """Factor on the plan's objective (for an objective of targets alone, on the error of all other targets); smaller is
+    """Factor on the plan's objective, or, if only targets have a weight, on the error of all other targets; smaller is
     better.
     """
     serves: str = ""
-    """Parameter or target that gains most, or loses most if a reflector is removed."""
+    """Parameter or target whose standard deviation falls most, or rises most if a reflector is removed."""
     serves_factor: Finite = 1.0
     """Factor on the standard deviation of that parameter or target; below 1 is better."""
 

@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     from ltsim.planning.survey import PlannedSurvey
 
 QualityValues = dict[str, OptionalFloat]
+"""Qualities of a layout by name; null if undetermined."""
 ComponentSizes = tuple[OptionalFloat, OptionalFloat, OptionalFloat] | tuple[()]
-"""Sizes along x, y and z, or an empty tuple."""
+"""Sizes along x, y and z [um], or an empty tuple if they are unknown."""
 
 
 class StationEntry(Entry):
@@ -41,7 +42,7 @@ class StationEntry(Entry):
 
     @classmethod
     def without_precision(cls, survey: PlannedSurvey) -> tuple[Self, ...]:
-        """Entries of the stations of a survey, without their precision."""
+        """Entries of the stations of a survey, without their standard deviations."""
         rows = zip(survey.station_names, survey.station_positions, survey.station_yaws, strict=True)
         return tuple(
             cls(name=name, position_mm=to_millimetres(place), yaw_deg=to_degrees(yaw)) for name, place, yaw in rows
@@ -65,7 +66,7 @@ class StationEntry(Entry):
 
 
 class ReflectorEntry(Entry):
-    """A reflector with its expected precision."""
+    """Reflector with its expected precision."""
 
     name: str
     """Name of the reflector."""
@@ -74,23 +75,23 @@ class ReflectorEntry(Entry):
     sigma_um: OptionalFloat
     """Expected standard deviation of the reflector [um]: square root of the trace of its covariance."""
     u_um: ComponentSizes = Field(default=(), alias="U_um")
-    """Expanded uncertainty (k = 2) of x, y and z [um], relative to the mean of all points."""
+    """Expanded uncertainty (k = 2) of x, y and z [um], with the mean of all points as datum."""
     stations_seeing: int = 0
     """Number of stations that see the reflector."""
     visible_from: tuple[str, ...] = ()
     """Names of the stations that see the reflector."""
     within_mm: OptionalFloat = None
-    """Distance that the point error does not exceed at the confidence level of the goal; null without a tolerance."""
+    """Point error that is not exceeded at the confidence level of the goal; null without a tolerance."""
     tolerance_mm: OptionalFloat = None
     """Tolerance of the point error."""
     used: OptionalFloat = None
-    """Ratio of point error to tolerance, `within_mm` / `tolerance_mm`; at most 1 if the tolerance is met."""
+    """Ratio of point error to tolerance, `within_mm` divided by `tolerance_mm`; at most 1 if the tolerance is met."""
     met: bool | None = None
     """True if the tolerance is met; null without one."""
 
     @classmethod
     def from_layout(cls, layout: LayoutEvaluation, check: ToleranceCheck | None) -> tuple[Self, ...]:
-        """Entries of the reflectors of a layout with expected precision, and with tolerances if it has a check."""
+        """Entries of the reflectors of a layout with expected precision; `check` adds the tolerances."""
         survey, information = layout.survey, layout.information
         expanded = 2.0 * np.sqrt(np.einsum("tii->ti", information.target_covariance)) / MICROMETRE
         return tuple(
@@ -108,7 +109,7 @@ class ReflectorEntry(Entry):
 
     @staticmethod
     def _tolerance_fields(name: str, check: ToleranceCheck | None) -> dict[str, Any]:
-        """Fields of a point with a tolerance; empty for another point."""
+        """Fields of a reflector with a tolerance; empty for a reflector without one."""
         if check is None or name not in check.error_by_point:
             return {}
         within, used = check.error_by_point[name] / MILLIMETRE, check.tolerance_ratio(name)
@@ -119,7 +120,7 @@ class ReflectorEntry(Entry):
 
 
 class PlannedParameterEntry(Entry):
-    """An instrument parameter with its expected precision."""
+    """Instrument parameter with its expected precision."""
 
     name: str
     """Name of the parameter."""
@@ -130,7 +131,7 @@ class PlannedParameterEntry(Entry):
     prior_sigma: Positive
     """Standard deviation before any reading."""
     gain: OptionalFloat = None
-    """Fraction of the prior variance that the readings would remove."""
+    """Fraction of the prior variance that the readings are expected to remove."""
 
     @classmethod
     def from_information(cls, information: LayoutInformation) -> tuple[Self, ...]:
@@ -162,7 +163,7 @@ class ImprovementEntry(Entry):
 
     @classmethod
     def from_criteria(cls, expected_criteria: ExpectedCriteria) -> dict[str, Self]:
-        """Both criteria of one request, by name."""
+        """Entries of the distance and coordinate criteria, by name, for the first requested set of error sizes."""
         e = expected_criteria
         criteria = {
             "distance": (e.distance_before, e.distance_after, e.distance_improvement),
@@ -180,14 +181,14 @@ class ProcedureEntry(Entry):
     faces: int = 1
     """Number of faces: 1 or 2."""
     repeats: int = 1
-    """Number of rounds."""
+    """Number of rounds: complete measurements of all targets from a station."""
     pointings: int = 0
     """Number of pointings."""
     hours: Finite
     """Duration of the whole measurement [h]."""
     quality: QualityValues = Field(default_factory=dict)
     """Qualities with a weight in the goal, by name; smaller is better. `targets` is the weighted root mean square point
-    error [m]: a point has its `weight` divided by the square of its tolerance.
+    error [m]; the weight of a point is its `weight` divided by the square of its tolerance.
     """
 
     @staticmethod
@@ -207,7 +208,7 @@ class LayoutEntry(ProcedureEntry):
     stations: tuple[StationEntry, ...]
     """Stations of the layout."""
     reflectors: tuple[ReflectorEntry, ...] = ()
-    """Reflectors of the mesh."""
+    """Reflectors of the layout."""
     rms_sigma_um: OptionalFloat = None
     """Root mean square of `sigma_um` over all reflectors, each with equal weight."""
     parameters: tuple[PlannedParameterEntry, ...] = ()
@@ -217,7 +218,7 @@ class LayoutEntry(ProcedureEntry):
     expected_improvement: dict[str, ImprovementEntry] | None = None
     """Expected improvement, by the paper's criteria."""
     blocked_sights: tuple[str, ...] = ()
-    """Station and reflector pairs without visibility, with the reason, one sentence each."""
+    """Pairs of station and reflector without visibility, one sentence each with the reason."""
 
     @classmethod
     def from_evaluation(
@@ -258,7 +259,7 @@ class TradeoffEntry(ProcedureEntry):
     value: OptionalFloat = None
     """Objective of the layout; smaller is better."""
     efficient: bool = False
-    """True if no cheaper procedure is as good."""
+    """True if no procedure with less cost is as good."""
     layout: tuple[StationEntry, ...] = ()
     """Stations of the layout."""
 
@@ -283,7 +284,7 @@ class LossEntry(Entry):
     """Check of the tolerances after the loss of a station or a sight."""
 
     lost: str
-    """Text of the lost station or sight."""
+    """Description of the lost station or sight."""
     met: bool
     """True if all tolerances are met after the loss."""
     ratio: OptionalFloat = None
@@ -328,11 +329,11 @@ class DetectableSize(Entry):
     worst: OptionalFloat = None
     """Minimal detectable size at the worst place or shape."""
     worst_at: str = ""
-    """Station, target or shape with the largest minimal detectable size."""
+    """Station, target or shape constant with the largest minimal detectable size."""
     plausible: Finite = 0.0
     """Large but plausible size of the effect."""
     visible: OptionalFloat = None
-    """Median fraction of the effect's signature that remains in the residuals."""
+    """Median, over places, of the fraction of the effect's signature that remains in the residuals."""
 
     @classmethod
     def from_minimal_size(cls, row: MinimalSize) -> Self:
@@ -354,13 +355,13 @@ class DetectableSize(Entry):
 class ConfusablePair(Entry):
     """Pair of effects that a layout can hardly distinguish.
 
-    `share` is the fraction of the first's signature that the second explains.
+    `share` is the fraction of the first effect's signature in the residuals that the second effect explains.
     """
 
     effect: str
     """Identifier of the effect in the catalogue."""
     taken_for: str
-    """Identifier of the effect that explains the signature too."""
+    """Identifier of the second effect, which explains the signature too."""
     share: Finite
     """Fraction of the signature that the second effect explains; 1 for all of it."""
 

@@ -32,14 +32,15 @@ from ltsim.simulation.scenario import Scenario
 
 @dataclass(frozen=True)
 class TradeoffPoint(ValueEquality):
-    """Point of the trade-off curve: number of rounds and faces, best layout, cost and quality."""
+    """Point of the trade-off curve: measuring procedure with its best layout, cost and quality."""
 
     survey: PlannedSurvey
     objective_value: float
     """Objective; smaller is better."""
     qualities: dict[str, float]
+    """Qualities with a weight in the goal, by name; smaller is better."""
     is_efficient: bool = False
-    """True if no other option is both better and cheaper."""
+    """True if no other point is both better and cheaper."""
 
     @property
     def hours(self) -> float:
@@ -55,10 +56,13 @@ class LayoutEvaluation(ValueEquality):
     objective_value: float
     """Objective; infinite for a layout that breaks rules of the plan."""
     qualities: dict[str, float]
+    """Qualities with a weight in the goal, by name; smaller is better."""
     information: LayoutInformation
+    """Expected precision of the layout."""
     visibility: Visibility
+    """Visibility of each target from each station, with reasons."""
     expected_criteria: ExpectedCriteria | None
-    """Paper's criteria; None if a target is not completely visible from all stations."""
+    """Expected means of the paper's criteria; None if a target is not completely visible from all stations."""
     broken_rules: tuple[BrokenRule, ...] = ()
     """Rules of the plan that the layout breaks."""
 
@@ -70,11 +74,11 @@ class StationCountResult:
     n_stations: int
     """Number of stations."""
     max_error_ratio: float | None
-    """Largest ratio of error to tolerance in the best layout; None without one."""
+    """Largest ratio of error to tolerance in the best layout; None if there is no layout."""
     has_layout: bool
     """True if a layout sees every point."""
     unseen_points_text: str = ""
-    """Text of the points that the nearest layout does not see."""
+    """Text of the points that the layout with the fewest missing sights does not see."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -86,7 +90,7 @@ class PlannedNetwork(ValueEquality):
     search_space: SearchSpace
     """Search space for the chosen measuring procedure."""
     reference: LayoutEvaluation | None
-    """Evaluation of the scenario's own layout with the chosen procedure; None if it is undetermined."""
+    """Evaluation of the layout in the scenario, measured by the same procedure; None if it is undetermined."""
     layout: LayoutEvaluation
     """Evaluation of the planned layout."""
     reflector_changes: ReflectorChanges
@@ -100,9 +104,9 @@ class PlannedNetwork(ValueEquality):
     tradeoff_points: tuple[TradeoffPoint, ...] = ()
     """Trade-off curve in the order of cost."""
     start_objectives: tuple[float, ...] = ()
-    """Final objectives of all starts with the chosen procedure, the best first."""
+    """Final objective of each independent search with the chosen procedure, the best first."""
     station_count_results: tuple[StationCountResult, ...] = ()
-    """Result for each number of stations, if the smallest number is searched."""
+    """Result for each number of stations, if the plan asks for the fewest stations."""
     is_stopped: bool = False
     """True if the user stopped the search."""
 
@@ -174,7 +178,7 @@ def evaluate_layout(
 
 
 def layout_visibility(search_space: SearchSpace, survey: PlannedSurvey) -> Visibility:
-    """Visibility between stations and targets, with fixed nests (including chosen ones) aimed at the stations."""
+    """Visibility between stations and targets; fixed nests with a free direction are aimed at the stations."""
     normal, aimed = aim_nest_normals(survey.station_positions, survey.target_points)[0], _is_aimed(search_space, survey)
     return compute_visibility(
         survey.station_positions,
@@ -187,14 +191,14 @@ def layout_visibility(search_space: SearchSpace, survey: PlannedSurvey) -> Visib
 
 
 def _is_aimed(search_space: SearchSpace, survey: PlannedSurvey) -> Bools:
-    """Flags (T,) of the targets of a survey in fixed nests that are aimed at its stations."""
+    """Flags (T,) of the targets of a survey in fixed nests that are aimed at the stations."""
     aimed = np.full(len(survey.target_points), bool(search_space.is_aimed_nest.any()))
     aimed[: len(search_space.is_aimed_nest)] = search_space.is_aimed_nest[: len(survey.target_points)]
     return aimed
 
 
 def with_aimed_nests(search_space: SearchSpace, survey: PlannedSurvey) -> PlannedSurvey:
-    """Survey whose set-up gives the normals of fixed nests, aimed at the stations of the survey."""
+    """Survey whose set-up declares the normals of fixed nests, aimed at the stations of the survey."""
     targets, normals = dict(survey.setup.targets), aim_nest_normals(survey.station_positions, survey.target_points)[0]
     for at in np.flatnonzero(_is_aimed(search_space, survey)).tolist():
         name = survey.target_names[at]
@@ -206,7 +210,10 @@ def with_aimed_nests(search_space: SearchSpace, survey: PlannedSurvey) -> Planne
 def _reference_evaluation(
     file: PlanFile, scenario: Scenario, search_space: SearchSpace, construction: Construction, procedure: PlannedSurvey
 ) -> LayoutEvaluation | None:
-    """Evaluation of the scenario's own layout with the same procedure; None for a hall described by the plan."""
+    """Evaluation of the layout in the scenario, measured by the procedure of the plan.
+
+    It is None for a hall described by the plan file, and for an undetermined layout.
+    """
     if file.workshop is not None:
         return None
     work = ("faces", "repeats", "seconds_per_pointing", "seconds_per_move", "air")

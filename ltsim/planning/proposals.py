@@ -14,10 +14,7 @@ from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFil
 
 
 class ProposalEntry(Entry):
-    """Proposal of an additional measurement.
-
-    Factors apply to standard deviations, `evidence` is a chi-square between explanations.
-    """
+    """Proposal of an additional measurement."""
 
     do: str
     """Text of the action."""
@@ -26,17 +23,19 @@ class ProposalEntry(Entry):
     minutes: Finite
     """Duration of the measurement [min]."""
     sharper: Finite
-    """Factor on the geometric mean of the standard deviations of the instrument's parameters; below 1 is better."""
+    """Ratio of the geometric mean of the instrument parameters' standard deviations after the measurement to that
+    before; below 1 is better.
+    """
     serves: str = ""
-    """Parameter that gains most."""
+    """Parameter whose standard deviation falls most."""
     serves_factor: Finite = 1.0
-    """Factor on the standard deviation of that parameter; below 1 is better."""
+    """Ratio of the standard deviation of this parameter after the measurement to that before; below 1 is better."""
     evidence: dict[str, Finite] = Field(default_factory=dict)
-    """Expected chi-square difference between the first explanation and each other one, by name."""
+    """Expected chi-square difference between the first of the effects to distinguish and each other one, by name."""
     distinguishes: tuple[str, ...] = ()
-    """Explanations that the measurement would distinguish from the first."""
+    """Effects that the measurement would distinguish from the first one."""
     decides: bool = False
-    """True if the measurement would distinguish all other explanations from the first."""
+    """True if the measurement would distinguish all other effects from the first one."""
     position_mm: Vector | None = None
     """Position of the head at a new set-up, workshop frame; null for other measurements."""
     yaw_deg: OptionalFloat = None
@@ -87,7 +86,7 @@ class NextMeasurement(ResultFile):
     diagnosis: str = ""
     """Result of the diagnosis, as a sentence."""
     between: tuple[str, ...] = ()
-    """Explanations to distinguish."""
+    """Effects that explain the recording equally well and that the measurement should distinguish."""
     evidence_now: dict[str, Finite] = Field(default_factory=dict)
     """Chi-square difference between the first explanation and each other one in the present recording."""
     advice: str = ""
@@ -119,7 +118,7 @@ class NextMeasurement(ResultFile):
         )
 
     def _evidence_table(self) -> Table:
-        """Table of the evidence between the first explanation and each other one: now, and after each measurement."""
+        """Table of chi-square differences between the first effect and each other one: now, after each measurement."""
         rivals = self.between[1:]
         against = tuple(
             Column(f"chi2_against_{name}", "expected difference of chi-square", digits=3) for name in rivals

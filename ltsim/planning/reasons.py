@@ -1,4 +1,4 @@
-"""Sentences on the reasons for a plan, each with its number."""
+"""Sentences on the reasons for a plan, each with a number."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -26,13 +26,13 @@ from ltsim.planning.tolerances import is_met, loss_sentences, text_near_limit
 from ltsim.planning.workshop import layout_objective
 
 BENEFIT_PREFIX = " (gain "
-"""Text before the gain of a measurement; a sentence without it names no measurement."""
+"""Text before the gain in a sentence about a measurement; a sentence without it proposes no measurement."""
 CRITERION_PHRASES = {
     "D": "in the geometric mean of all combinations (D)",
     "A": "in the root mean square (A)",
     "E": "in the worst combination (E)",
 }
-"""Phrases for the optimality criteria."""
+"""Phrase for each optimality criterion of the instrument parameters."""
 
 
 def reason_sentences(plan: PlannedNetwork) -> list[str]:
@@ -54,6 +54,7 @@ def reason_sentences(plan: PlannedNetwork) -> list[str]:
 
 
 def _quality_text(plan: PlannedNetwork) -> str:
+    """Text of the qualities of the plan with a weight in the goal."""
     templates = {
         INSTRUMENT_QUALITY: "instrument parameters known to {:.3f} of their prior sigma "
         + CRITERION_PHRASES[plan.plan_file.goal.criterion],
@@ -66,7 +67,7 @@ def _quality_text(plan: PlannedNetwork) -> str:
 
 
 def _target_rms_text(layout: LayoutEvaluation, weighted_rms: float) -> str:
-    """Text of the root mean square over all points, and of the weighted one [m] if the weights of the points differ."""
+    """Text of the root mean square point error over all points, and of the weighted one [m] if weights differ."""
     text = f"targets known to {layout.information.target_rms / MICROMETRE:.1f} um (root mean square of all points"
     weighted = f"; {_quality_value_text(TARGETS_QUALITY, weighted_rms)} in the search"
     return f"{text}{weighted if layout.survey.target_weights else ''})"
@@ -124,7 +125,7 @@ def _station_count_sentences(plan: PlannedNetwork) -> list[str]:
 
 
 def _count_result_clauses(results: Sequence[StationCountResult], min_stations: int) -> list[str]:
-    """Clauses on the result for each number of stations; equal results are joined."""
+    """Clauses on the result for each number of stations; numbers with the same result share a clause."""
 
     def words(outcome: StationCountResult) -> str:
         if outcome.max_error_ratio is not None and np.isfinite(outcome.max_error_ratio):
@@ -193,6 +194,7 @@ def _reference_sentence(plan: PlannedNetwork) -> list[str]:
 
 
 def _quality_value_text(name: str, value: float) -> str:
+    """Text of the value of a quality."""
     return f"weighted point error {value / MICROMETRE:.1f} um" if name == TARGETS_QUALITY else f"{value:.3f}"
 
 
@@ -277,12 +279,16 @@ def _limit_sentences(plan: PlannedNetwork) -> list[str]:
 
 
 def _has_same_procedure(plan: PlannedNetwork, option: TradeoffPoint) -> bool:
+    """True if a point of the trade-off curve has the faces and rounds of the plan."""
     survey = plan.layout.survey
     return option.survey.faces == survey.faces and option.survey.repeats == survey.repeats
 
 
 def cheapest_equal_option(plan: PlannedNetwork) -> TradeoffPoint | None:
-    """Trade-off point with the fewest stations that is as good as the scenario's layout with the same procedure."""
+    """Point of the trade-off curve with the fewest stations that is as good as the layout in the scenario.
+
+    The procedure is that of the plan. None if there is no such point.
+    """
     if plan.reference is None or not plan.reference.qualities:
         return None
     goal = _reference_objective(plan)
@@ -331,6 +337,7 @@ def _tradeoff_sentences(plan: PlannedNetwork) -> list[str]:
 
 
 def _reference_objective(plan: PlannedNetwork) -> float:
+    """Objective of the layout in the scenario."""
     if plan.reference is None:
         return float("inf")
     survey = plan.reference.survey

@@ -17,16 +17,18 @@ from ltsim.planning.site import SearchSpace
 from ltsim.planning.survey import PlannedSurvey
 
 MIN_REPORTED_IMPROVEMENT = 0.002
-"""Smallest relative improvement of the quality at which a change is reported."""
+"""Smallest relative improvement of the objective at which a move or an addition is reported as useful."""
 UNCHANGED_QUALITY = 5e-4
-"""Relative change of the quality up to which the quality counts as unchanged."""
+"""Largest relative change of the objective that is reported as no difference."""
 MAX_REPORTED_CHANGES = 3
 """Largest number of reported changes of each kind."""
 
 ChangeKind = Literal["move", "add", "remove"]
 CHANGE_KINDS: tuple[ChangeKind, ...] = get_args(ChangeKind)
 ChangeResult = tuple[float, int | None, int | None, Floats]
-"""Factor on the quality, removed reflector, occupied place, and the resulting normal matrix."""
+"""Factor on the objective, index of the removed reflector or None, index of the occupied place or None, and resulting
+normal matrix (K, K).
+"""
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,10 @@ def evaluate_reflector_changes(
     objective: LayoutObjective,
     construction: Construction,
 ) -> ReflectorChanges:
-    """Results of every move, addition and removal of one reflector except the fixed ones (`is_fixed` (T,))."""
+    """Results of every move, addition and removal of one reflector.
+
+    Reflectors flagged in `is_fixed` (T,) do not change.
+    """
     if is_fixed.all() and search_space.candidate_nests is None:
         return ReflectorChanges((), dict.fromkeys(CHANGE_KINDS, 0), dict.fromkeys(CHANGE_KINDS, 0))
     return _ChangeEvaluator(
@@ -75,41 +80,48 @@ def evaluate_reflector_changes(
 class _ChangeEvaluator:
     """Evaluation of changes of a layout, with the reflectors at their present places."""
 
-    def __init__(self, choice: MovableReflectors, objective: LayoutObjective, spacing: float) -> None:
+    def __init__(self, movable_reflectors: MovableReflectors, objective: LayoutObjective, spacing: float) -> None:
         self.movable_reflectors, self.normal_matrix_table, self.objective = (
-            choice,
-            choice.normal_matrix_table,
+            movable_reflectors,
+            movable_reflectors.normal_matrix_table,
             objective,
         )
-        self.present_places = np.arange(choice.n_present)
+        self.present_places = np.arange(movable_reflectors.n_present)
         self.present_normal_matrix = self.normal_matrix_table.normal_matrix(self.present_places)
         self.present_objective = self.normal_matrix_table.objective_values(
             self.present_normal_matrix[None], self.present_places[None], objective
         )[0]
         self.present_sigmas = self._parameter_sigmas(self.present_normal_matrix)
-        gap = np.linalg.norm(choice.places[:, None] - choice.places[None], axis=2)
+        gap = np.linalg.norm(movable_reflectors.places[:, None] - movable_reflectors.places[None], axis=2)
         self.is_too_near = gap < spacing
 
     @property
     def _is_target_goal(self) -> bool:
-        """True if the goal is the error of targets alone."""
+        """True if only the point errors of targets have a weight in the goal."""
         return not any(weight > 0 for name, weight in self.objective.quality_weights.items() if name != TARGETS_QUALITY)
 
-    def _objective_factors(self, totals: Floats, sets: Ints, place_indices: Ints) -> Floats:
-        """Factor (B,) on the objective; for a goal of targets alone, on the point error of the fixed ones."""
+    def _objective_factors(self, normal_matrices: Floats, occupied_places: Ints, other_places: Ints) -> Floats:
+        """Factors (B,) on the objective for normal matrices (B, K, K) with reflectors at `occupied_places` (B, n).
+
+        If only targets have a weight, the factors are on their point error without the changed reflector:
+        `other_places` are the places of all others.
+        """
         if self._is_target_goal:
             rms = self.normal_matrix_table.weighted_target_rms
-            return rms(totals, place_indices) / rms(self.present_normal_matrix[None], place_indices)
-        return self.normal_matrix_table.objective_values(totals, sets, self.objective) / self.present_objective
+            return rms(normal_matrices, other_places) / rms(self.present_normal_matrix[None], other_places)
+        return (
+            self.normal_matrix_table.objective_values(normal_matrices, occupied_places, self.objective)
+            / self.present_objective
+        )
 
     def _parameter_sigmas(self, total: Floats) -> Floats:
-        """Standard deviations of the instrument's parameters in prior sigmas."""
+        """Standard deviations (p,) of the instrument's parameters in prior sigmas, from a normal matrix (K, K)."""
         size = self.normal_matrix_table.scorer.construction.n_parameters
         information = self.normal_matrix_table.information(total[None])[0, :size, :size]
         return np.sqrt(np.diag(np.linalg.inv(information)))
 
     def _free_places(self, used_places: Ints) -> Ints:
-        """Places that are free and far enough from the reflectors in use."""
+        """Indices of the places that are free and far enough from the reflectors in use."""
         open_ = ~self.is_too_near[:, used_places].any(axis=1)
         open_[self.present_places] = False
         return np.flatnonzero(open_)
@@ -126,18 +138,18 @@ class _ChangeEvaluator:
             start_matrix = (
                 self.present_normal_matrix if removed is None else self.present_normal_matrix - terms[chosen[removed]]
             )
-            sets = np.column_stack([np.tile(others, (len(places), 1)), places])
-            totals = start_matrix + terms[places]
+            occupied_places = np.column_stack([np.tile(others, (len(places), 1)), places])
+            normal_matrices = start_matrix + terms[places]
             if kind == "remove":
-                sets, totals = others[None], start_matrix[None]
-            if not len(sets):
+                occupied_places, normal_matrices = others[None], start_matrix[None]
+            if not len(occupied_places):
                 return
-            values = self._objective_factors(totals, sets, others)
+            values = self._objective_factors(normal_matrices, occupied_places, others)
             tried[kind] += len(values)
             helped[kind] += int(np.sum(values < 1 - MIN_REPORTED_IMPROVEMENT))
             for k in np.argsort(values)[: 1 if kind == "move" else None].tolist():
                 place = None if kind == "remove" else int(places[k])
-                candidates[kind].append((float(values[k]), removed, place, totals[k]))
+                candidates[kind].append((float(values[k]), removed, place, normal_matrices[k]))
 
         for i in range(len(chosen)):
             note("move", i, self._free_places(np.delete(chosen, i)))
@@ -194,7 +206,7 @@ def _change_sentence(change: PlanChange) -> str:
 
 
 def _best_per_place(changes: list[ChangeResult]) -> list[ChangeResult]:
-    """Best change for each place, and all changes that need no place."""
+    """Best change for each place, and every change that needs no place (a removal)."""
     distinct, places = [], set()
     for change in changes:
         if change[2] is None or change[2] not in places:

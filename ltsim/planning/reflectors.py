@@ -1,7 +1,8 @@
-"""Reflectors at candidate places: selection of all, or evaluation of every change of a single one.
+"""Reflectors at candidate places: selection of all of them, or evaluation of every change of a single one.
 
 For given stations each reflector adds a separate term to the information (targets are eliminated one by one), so that
-an exchange of two places is the difference of two small matrices.
+an exchange of two places is the difference of two small matrices. Letters in shapes: P places, K unknowns left after
+elimination of targets, E eliminated targets, B layouts.
 """
 
 from __future__ import annotations
@@ -20,43 +21,47 @@ from ltsim.planning.survey import PlannedSurvey
 from ltsim.scene.visibility import aim_nest_normals
 
 MAX_REFLECTOR_SWEEPS = 8
-"""Largest number of rounds of exchanges."""
+"""Largest number of sweeps of exchanges over all reflectors."""
 MAX_SAME_PLACE_DISTANCE = 1e-3
-"""Distance [m] within which a candidate place equals the present place of a reflector."""
+"""Distance [m] within which a candidate place is the present place of a reflector, and is not listed twice."""
 
 
 @dataclass(frozen=True)
 class NormalMatrixTable:
-    """Terms of the normal matrix of poses, gauge and parameters for reflectors at candidate places."""
+    """Terms of the normal matrix of poses, gauge and parameters, for reflectors at each of P candidate places."""
 
     scorer: LayoutScorer
     fixed_normal_matrix: Floats
-    """Normal matrix of fixed targets, reference lengths, priors and datum, (K, K)."""
+    """Normal matrix of the fixed targets, reference lengths, priors and datum, (K, K)."""
     place_normal_matrices: Floats
-    """Normal matrix of a reflector at each place, (P, K, K)."""
+    """Contribution of a reflector at each place to the normal matrix, (P, K, K)."""
     squared_column_norms: Floats
-    """Squared norms of the columns before elimination of targets, with reflectors at all places, (K,)."""
+    """Squared norms of the columns of the design before elimination of targets, with reflectors at all places, (K,)."""
     target_block_inverses: Floats
-    """Inverse blocks (E, 3, 3) of all targets except the gauge's, fixed ones first, then the places
+    """Inverse blocks (E, 3, 3) of the eliminated targets: the fixed ones except the gauge's, followed by the places
     (`LayoutScorer.eliminate_targets`).
     """
     elimination_coefficients: Floats
-    """Products (E, 3, K) of these inverse blocks and the coupling blocks."""
+    """Products (E, 3, K) of the inverse blocks and the coupling blocks."""
 
     @classmethod
     def from_places(
-        cls, survey: PlannedSurvey, is_fixed: Bools, places: Floats, is_visible: Bools, reducer: LayoutScorer
+        cls, survey: PlannedSurvey, is_fixed: Bools, places: Floats, is_visible: Bools, scorer: LayoutScorer
     ) -> NormalMatrixTable:
-        """Terms of `places`; `scorer` has the fixed targets first, then the places; `is_visible` is (S, targets)."""
+        """Terms for reflectors at `places` (P, 3) [m] with the stations of a survey.
+
+        `scorer` evaluates layouts whose targets are the fixed ones followed by the places; `is_visible` (S, targets)
+        has the same order.
+        """
         count, staying = len(survey.station_positions), int(is_fixed.sum())
         slots = np.arange(count)
         only = is_visible.copy()
         only[:, staying:] = False
-        alone = reducer.normal_blocks(survey.station_positions, survey.station_yaws, slots, only)
-        base, length = (block[0] for block in reducer.eliminate_targets(alone, slots[None])[:2])
+        alone = scorer.normal_blocks(survey.station_positions, survey.station_yaws, slots, only)
+        base, length = (block[0] for block in scorer.eliminate_targets(alone, slots[None])[:2])
         t, x = (
             part[:, staying:]
-            for part in reducer.whitened_rows(survey.station_positions, survey.station_yaws, slots, is_visible)
+            for part in scorer.whitened_rows(survey.station_positions, survey.station_yaws, slots, is_visible)
         )
         rows: Floats = np.zeros((len(places), count, t.shape[2], len(base)))
         for s in range(count):
@@ -65,57 +70,62 @@ class NormalMatrixTable:
         rows = rows.reshape(len(places), -1, len(base))
         basis = np.linalg.qr(np.swapaxes(t, 0, 1).reshape(len(places), -1, 3))[0]
         projected = rows - basis @ (np.swapaxes(basis, 1, 2) @ rows)
-        all_blocks = reducer.normal_blocks(survey.station_positions, survey.station_yaws, slots, is_visible)
-        _, _, inverse, weights = reducer.eliminate_targets(all_blocks, slots[None])
+        all_blocks = scorer.normal_blocks(survey.station_positions, survey.station_yaws, slots, is_visible)
+        _, _, inverse, weights = scorer.eliminate_targets(all_blocks, slots[None])
         length = length + np.sum(rows**2, axis=(0, 1))
-        return cls(reducer, base, np.swapaxes(projected, 1, 2) @ projected, length, inverse[0], weights[0])
+        return cls(scorer, base, np.swapaxes(projected, 1, 2) @ projected, length, inverse[0], weights[0])
 
     def normal_matrix(self, places: Ints) -> Floats:
-        """Normal matrix (K, K) with reflectors at the chosen places."""
+        """Normal matrix (K, K) with reflectors at the places with the given indices."""
         return self.fixed_normal_matrix + self.place_normal_matrices[places].sum(axis=0)
 
-    def information(self, totals: Floats) -> Floats:
-        """Information (B, P, P) on the parameters; NaN for undetermined unknowns."""
-        return self.scorer.marginal_information(totals, np.broadcast_to(self.squared_column_norms, totals.shape[:2]))
+    def information(self, normal_matrices: Floats) -> Floats:
+        """Information (B, p, p) on the instrument parameters from normal matrices (B, K, K); NaN if undetermined."""
+        return self.scorer.marginal_information(
+            normal_matrices, np.broadcast_to(self.squared_column_norms, normal_matrices.shape[:2])
+        )
 
-    def weighted_target_rms(self, totals: Floats, place_indices: Ints) -> Floats:
-        """Root mean square point error (B,) [m] of fixed targets and of reflectors at places (n,) or (B, n)."""
-        rows = self._block_rows(len(totals), place_indices)
+    def weighted_target_rms(self, normal_matrices: Floats, place_indices: Ints) -> Floats:
+        """Root mean square point error (B,) [m] of the fixed targets and of reflectors at places (n,) or (B, n)."""
+        rows = self._block_rows(len(normal_matrices), place_indices)
         return self.scorer.weighted_target_rms(
-            totals,
+            normal_matrices,
             self.target_block_inverses[rows],
             self.elimination_coefficients[rows],
             self.scorer.mesh_targets[rows],
         )
 
-    def target_sigma(self, total: Floats, place_indices: Ints) -> dict[str, float]:
-        """Point error [m] of these targets by name, for one normal matrix (K, K)."""
-        at, reducer = self._block_rows(1, place_indices), self.scorer
-        variance = reducer.target_variance(
-            total[None], self.target_block_inverses[at], self.elimination_coefficients[at], reducer.mesh_targets[at]
+    def target_sigma(self, normal_matrix: Floats, place_indices: Ints) -> dict[str, float]:
+        """Point error [m] by name of the fixed targets and of reflectors at places, for one normal matrix (K, K)."""
+        at, scorer = self._block_rows(1, place_indices), self.scorer
+        variance = scorer.target_variance(
+            normal_matrix[None],
+            self.target_block_inverses[at],
+            self.elimination_coefficients[at],
+            scorer.mesh_targets[at],
         )[0]
-        names = [reducer.survey.target_names[t] for t in reducer.requested_targets(reducer.mesh_targets[at])[0]]
+        names = [scorer.survey.target_names[t] for t in scorer.requested_targets(scorer.mesh_targets[at])[0]]
         return dict(zip(names, np.sqrt(variance).tolist(), strict=True))
 
     def _block_rows(self, layouts: int, place_indices: Ints) -> Ints:
-        """Rows of `target_block_inverses` that belong to the fixed targets and to places, (B, fixed + n)."""
+        """Indices in `target_block_inverses` of the fixed targets and of places, (B, fixed + n)."""
         stay = len(self.target_block_inverses) - len(self.place_normal_matrices)
         place_indices = np.broadcast_to(place_indices, (layouts, np.shape(place_indices)[-1]))
         return np.concatenate([np.broadcast_to(np.arange(stay), (layouts, stay)), stay + place_indices], axis=1)
 
-    def objective_values(self, totals: Floats, place_indices: Ints, objective: LayoutObjective) -> Floats:
+    def objective_values(self, normal_matrices: Floats, place_indices: Ints, objective: LayoutObjective) -> Floats:
         """Objective (B,) for normal matrices (B, K, K) with reflectors at the places `place_indices` (B, n)."""
-        information = self.information(totals)
-        rms, determined = np.full(len(totals), np.nan), np.isfinite(information).all(axis=(1, 2))
+        information = self.information(normal_matrices)
+        rms, determined = np.full(len(normal_matrices), np.nan), np.isfinite(information).all(axis=(1, 2))
         if objective.needs_target_errors:
-            rms[determined] = self.weighted_target_rms(totals[determined], place_indices[determined])
+            rms[determined] = self.weighted_target_rms(normal_matrices[determined], place_indices[determined])
         return objective.objective_values(LayoutPrecision(information, rms), self.scorer.construction.n_parameters)
 
 
 def with_targets(
     survey: PlannedSurvey, is_fixed: Bools, places: Floats, names: tuple[str, ...], is_visible: Bools
 ) -> PlannedSurvey:
-    """Survey with the fixed targets and with reflectors at `places`."""
+    """Survey with the fixed targets, and with reflectors at `places` (P, 3) [m]; `is_visible` is (S, targets)."""
     keep = np.flatnonzero(is_fixed)
     count = len(keep) + len(places)
     rank = None if survey.target_ranks is None else np.tile(np.arange(count), (len(survey.station_positions), 1))
@@ -129,15 +139,15 @@ def with_targets(
 
 @dataclass(frozen=True)
 class MovableReflectors:
-    """Places for movable reflectors: their present ones first, then those of the search space."""
+    """Candidate places of the movable reflectors: the present places first, then those of the search space."""
 
     places: Floats
     """Coordinates of the places, (P, 3) [m]."""
     place_names: tuple[str, ...]
     n_present: int
-    """Number of places that are present places of reflectors."""
+    """Number of present places of reflectors."""
     is_visible: Bools
-    """Visibility flags of the k fixed targets and of the places, (S, k + P)."""
+    """Visibility of the k fixed targets and of the places from each station, (S, k + P)."""
     normal_matrix_table: NormalMatrixTable
 
     @classmethod
@@ -184,9 +194,9 @@ def choose_reflectors(
     objective: LayoutObjective,
     construction: Construction,
 ) -> PlannedSurvey:
-    """Survey whose movable reflectors (not `is_fixed` (T,)) are at the best of the present and candidate places.
+    """Survey whose movable reflectors are at the best places, chosen from the present and the candidate ones.
 
-    Raises SetupError if too few places are visible.
+    Reflectors flagged in `is_fixed` (T,) do not move. Raises SetupError if too few places are visible.
     """
     if search_space.candidate_nests is None:
         return survey
@@ -211,7 +221,7 @@ def choose_reflectors(
 
 
 def _is_usable_place(search_space: SearchSpace, survey: PlannedSurvey, places: Floats) -> Bools:
-    """Flags (P,) of the places that enough stations see, and at which a fixed nest can be aimed at all of them."""
+    """Flags (P,) of the places that enough stations see, and at which a fixed nest can face all these stations."""
     good: Bools = search_space.is_visible(survey.station_positions, places).sum(axis=0) >= min(
         search_space.min_sights, len(survey.station_positions)
     )
@@ -227,7 +237,7 @@ def _is_near_point(points: Floats, places: Floats, distance: float) -> Bools:
 
 
 def _initial_places(places: Floats, present_places: Bools, n_reflectors: int, spacing: float) -> Ints:
-    """Indices (wanted,) of the initial places: the present ones, then places far from all others."""
+    """Indices (n_reflectors,) of initial places: the present ones, then places far from all that are chosen."""
     chosen: list[int] = np.flatnonzero(present_places).tolist()
     while len(chosen) < n_reflectors:
         gap = np.linalg.norm(places[:, None] - places[chosen][None], axis=2).min(axis=1, initial=np.inf)
@@ -241,10 +251,13 @@ def _initial_places(places: Floats, present_places: Bools, n_reflectors: int, sp
 def _exchange_places(
     table: NormalMatrixTable, objective: LayoutObjective, places: Floats, place_indices: Ints, spacing: float
 ) -> Ints:
-    """Indices of places after exchanges of single reflectors until none improves the objective (Fedorov)."""
+    """Indices of the places after exchanges of single reflectors until none improves the objective.
+
+    The exchange algorithm is that of Fedorov. Two reflectors stay at least `spacing` [m] apart.
+    """
     place_indices = place_indices.copy()
-    total = table.normal_matrix(place_indices)
-    value = float(table.objective_values(total[None], place_indices[None], objective)[0])
+    normal_matrix = table.normal_matrix(place_indices)
+    value = float(table.objective_values(normal_matrix[None], place_indices[None], objective)[0])
     gap = np.linalg.norm(places[:, None] - places[None], axis=2)
     for _ in range(MAX_REFLECTOR_SWEEPS):
         before = value
@@ -253,13 +266,13 @@ def _exchange_places(
             free = np.setdiff1d(np.flatnonzero((gap[:, others] >= spacing).all(axis=1)), place_indices)
             if not len(free):
                 continue
-            without = total - table.place_normal_matrices[place_indices[i]]
+            without = normal_matrix - table.place_normal_matrices[place_indices[i]]
             tried = np.insert(np.tile(others, (len(free), 1)), i, free, axis=1)
             values = table.objective_values(without + table.place_normal_matrices[free], tried, objective)
             best = int(np.argmin(values))
             if values[best] < value:
                 place_indices[i], value = free[best], float(values[best])
-                total = without + table.place_normal_matrices[place_indices[i]]
+                normal_matrix = without + table.place_normal_matrices[place_indices[i]]
         if value > before * (1 - MIN_SWEEP_IMPROVEMENT):
             break
     return place_indices

@@ -27,7 +27,7 @@ from ltsim.simulation.workshop import placed_obstacles
 FRAME_TEXT = (
     "the workshop's: its corner is the origin, z is up; yaw is the direction of azimuth zero, counter-clockwise from x"
 )
-"""Text of the coordinate system of all coordinates."""
+"""Text on the coordinate system of all coordinates in a plan."""
 
 
 class Plan(ResultFile, LayoutEntry):
@@ -43,7 +43,7 @@ class Plan(ResultFile, LayoutEntry):
     reasons: tuple[str, ...] = ()
     """Reasons for the layout, a sentence each."""
     frame: str = ""
-    """Text of the coordinate system of all coordinates."""
+    """Description of the coordinate system of all coordinates."""
     reference: LayoutEntry | None = None
     """Layout of the scenario, for comparison."""
     fewest_stations: TradeoffEntry | None = None
@@ -51,11 +51,11 @@ class Plan(ResultFile, LayoutEntry):
     tradeoff: tuple[TradeoffEntry, ...] = ()
     """All measuring procedures that were evaluated, in the order of cost."""
     starts: tuple[OptionalFloat, ...] = ()
-    """Value of the objective of each independent search, the best first; smaller is better."""
+    """Final value of the objective of each independent search, the best first; smaller is better."""
     reflector_changes: tuple[PlanChange, ...] = ()
     """Useful changes of one reflector, the best first, then reflectors that can be removed."""
     changes_tried: str = ""
-    """Sentence with the numbers of evaluated and of useful reflector changes."""
+    """Sentence with the numbers of evaluated and of useful changes of single reflectors."""
     bodies: tuple[str, ...] = ()
     """Obstacles in the hall, one sentence each: type of the file, size and position."""
     reached: bool | None = None
@@ -63,9 +63,9 @@ class Plan(ResultFile, LayoutEntry):
     null without tolerances.
     """
     tolerances_met: bool | None = None
-    """True if all points meet their tolerances without a loss; null without tolerances."""
+    """True if all points meet their tolerances while no station and no sight is lost; null without tolerances."""
     losses: tuple[LossEntry, ...] = ()
-    """Tolerances after the loss of each station, and of each sight of a point with a tolerance."""
+    """Check of the tolerances after the loss of each station, and of each sight of a point with a tolerance."""
     settings: PlanFile = PlanFile()
     """Content of the plan file."""
     seed: int | None = None
@@ -75,7 +75,7 @@ class Plan(ResultFile, LayoutEntry):
     confusable: tuple[ConfusablePair, ...] = ()
     """Pairs of effects that the layout cannot distinguish."""
     silent: tuple[str, ...] = ()
-    """Effects that leave no signature in the residuals."""
+    """Effects that change no residual, so that a diagnosis cannot detect them."""
 
     _network: PlannedNetwork | None = PrivateAttr(None)
 
@@ -196,9 +196,9 @@ def write_plan(plan: Plan, folder: Path | None, pictures: Mapping[str, bytes] | 
 
 
 def load_plan_and_scenario(source: str | Path) -> tuple[PlanFile, Scenario]:
-    """Plan and scenario of a source.
+    """Plan file and scenario of a source.
 
-    The source is a plan file, a scenario, a plan's folder, or a file saved by the interactive planner.
+    The source is a plan file, a scenario, the folder of a plan, or a file that the interactive planner saved.
     """
     folder = source_path(source)
     if (folder / PLAN_FILE).is_file():

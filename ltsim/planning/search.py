@@ -1,8 +1,8 @@
 """Search for a layout from many starts: exchange of stations over a grid of set-ups, then continuous refinement.
 
-Both steps replace one station at a time by the best of many candidates, evaluated as one batch; only the candidates'
-own contributions are computed anew. Every step decreases the objective, so that a start ends at a layout that no change
-of a single station improves.
+Both steps replace one station at a time by the best of many candidates, evaluated as one batch; only the contributions
+of the candidates are computed anew. Every step decreases the objective, so that each start ends at a layout that no
+change of a single station improves. Letters in shapes: S stations, T targets, N candidate set-ups, B layouts.
 """
 
 from collections.abc import Callable
@@ -23,13 +23,14 @@ from ltsim.planning.site import SearchSpace, StationPlacement
 SETUPS_PER_BATCH = 64
 """Number of candidate set-ups whose objectives are computed together."""
 MAX_LAYOUT_SWEEPS = 12
-"""Largest number of sweeps of exchanges."""
+"""Largest number of sweeps, in each of which every station may be exchanged."""
 MAX_RANDOM_LAYOUTS = 12
-"""Largest number of random layouts that are drawn for one start."""
+"""Largest number of random layouts that are drawn for one start, until one determines all poses and targets."""
 PROGRESS_FACTOR = 0.985
-"""Factor on the remaining part of the progress bar for each step; the number of steps is unknown in advance."""
+"""Factor on the remaining part of the progress bar for each step of a start; the number of steps is unknown in advance.
+"""
 MIN_REFINEMENT_STEP = 0.004
-"""Step [m] of the last moves away from the grid."""
+"""Step [m] of the pattern search away from the grid, below which the search ends."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class StationLayout:
 
 @dataclass
 class LayoutSearcher:
-    """Search in one search space for one objective."""
+    """Search for layouts in one search space by one objective."""
 
     search_space: SearchSpace
     objective: LayoutObjective = field(default_factory=LayoutObjective)
@@ -58,9 +59,9 @@ class LayoutSearcher:
     n_heights: int = 2
     """Number of candidate heights at each place of the grid."""
     on_progress: Callable[[float], None] = no_progress
-    """Callback for the finished fraction of a start."""
+    """Callback with the finished fraction of a start."""
     on_layout: Callable[[StationLayout], None] = no_progress
-    """Callback for each better layout."""
+    """Callback with each layout that is better than all before."""
 
     def __post_init__(self) -> None:
         self.scorer = LayoutScorer(self.search_space.survey, self.construction, self.objective.effects)
@@ -72,29 +73,35 @@ class LayoutSearcher:
     def candidate_setups(
         self, position: Floats, yaw: Floats, station_index: int, is_visible: Bools | None = None
     ) -> NormalBlocks:
-        """Set-ups as alternatives for station `station_index`; `is_visible` (N, T) is computed unless given."""
+        """Set-ups at `position` (N, 3) [m] with `yaw` (N,) [rad], as alternatives for one station.
+
+        `is_visible` (N, T) is computed unless it is given.
+        """
         is_visible, parts = self.search_space.is_visible(position) if is_visible is None else is_visible, []
         for a in range(0, len(position), SETUPS_PER_BATCH):
             chunk = slice(a, a + SETUPS_PER_BATCH)
-            slots = np.full(len(position[chunk]), station_index, dtype=np.int64)
-            parts.append(self.scorer.normal_blocks(position[chunk], yaw[chunk], slots, is_visible[chunk]))
+            station_indices = np.full(len(position[chunk]), station_index, dtype=np.int64)
+            parts.append(self.scorer.normal_blocks(position[chunk], yaw[chunk], station_indices, is_visible[chunk]))
             self._report_step()
         return NormalBlocks.concatenate(parts)
 
     def grid_setups(self, station_index: int) -> NormalBlocks:
-        """Grid of candidate set-ups; it depends on the slot only for time-dependent effects."""
+        """Candidate set-ups of the grid as alternatives for one station.
+
+        They depend on the station only if an effect in the objective depends on time.
+        """
         key = station_index if self.objective.effects else 0
         if key not in self._grid_tables:
             places, visible = self.placement.candidate_positions, self.placement.is_visible
             whole = self.search_space.min_sights >= self.n_stations
-            good = visible.all(axis=1) if whole else np.ones(len(visible), dtype=bool)
-            if not good.any():
+            is_permitted = visible.all(axis=1) if whole else np.ones(len(visible), dtype=bool)
+            if not is_permitted.any():
                 raise SetupError(self._invisible_targets_sentence())
             turns = np.arange(self.n_yaws) * (2 * np.pi / self.n_yaws)
-            position: Floats = np.repeat(places[good], self.n_yaws, axis=0)
-            yaw = np.tile(turns, int(good.sum()))
+            position: Floats = np.repeat(places[is_permitted], self.n_yaws, axis=0)
+            yaw = np.tile(turns, int(is_permitted.sum()))
             self._grid_tables[key] = self.candidate_setups(
-                position, yaw, key, np.repeat(visible[good], self.n_yaws, axis=0)
+                position, yaw, key, np.repeat(visible[is_permitted], self.n_yaws, axis=0)
             )
         return self._grid_tables[key]
 
@@ -104,7 +111,7 @@ class LayoutSearcher:
         return self.search_space.greedy_placement(self.grid_step, self.n_heights)
 
     def _invisible_targets_sentence(self) -> str:
-        """Sentence on targets that cannot be seen from all stations, or from any."""
+        """Sentence on targets that no place sees, or on the target that the fewest places see."""
         share = self.placement.is_visible.mean(axis=0)
         if not share.all():
             return self.search_space.invisible_targets_sentence(np.flatnonzero(share == 0))
@@ -115,25 +122,26 @@ class LayoutSearcher:
         )
 
     def layout_blocks(self, position: Floats, yaw: Floats) -> NormalBlocks:
-        """Stations of a layout (positions (S, 3), yaws (S,)) as set-ups."""
+        """Stations of a layout, at positions (S, 3) [m] with yaws (S,) [rad], as set-ups."""
         return NormalBlocks.concatenate(
             [self.candidate_setups(position[[s]], yaw[[s]], s) for s in range(self.n_stations)]
         )
 
     def evaluate_layout(self, position: Floats, yaw: Floats) -> StationLayout:
-        """Layout with its objective."""
-        here = self.layout_blocks(position, yaw)
-        good = (
+        """Layout with its objective; the objective is infinite if a rule is broken."""
+        blocks = self.layout_blocks(position, yaw)
+        is_permitted = (
             self.search_space.is_allowed(position).all()
-            and self.search_space.is_feasible(position[None], here.is_visible[None])[0]
+            and self.search_space.is_feasible(position[None], blocks.is_visible[None])[0]
         )
-        return StationLayout(position, yaw, self._objective_of(here) if good else np.inf)
+        return StationLayout(position, yaw, self._objective_of(blocks) if is_permitted else np.inf)
 
     def _objective_of(self, layout: NormalBlocks) -> float:
+        """Objective of one layout."""
         return float(self._objectives_of(layout, np.arange(self.n_stations)[None])[0])
 
     def _objectives_of(self, blocks: NormalBlocks, setup_indices: Ints) -> Floats:
-        """Objective (B,) of layouts; each row of `setup_indices` (B, S) has indices into `blocks`."""
+        """Objectives (B,) of layouts; each row of `setup_indices` (B, S) has the indices of its set-ups in `blocks`."""
         values = [
             self.objective.objective_values(
                 self.scorer.evaluate_layouts(
@@ -153,20 +161,23 @@ class LayoutSearcher:
         self.on_progress(1.0 - PROGRESS_FACTOR**self._n_steps)
 
     def replacement_objectives(self, layout: NormalBlocks, station_index: int, candidates: NormalBlocks) -> Floats:
-        """Objective (N,) of the layout with each candidate as station `station_index`; infinite if a rule is broken."""
+        """Objective (N,) of the layout with each candidate in place of one station; infinite if a rule is broken."""
         count, (position, visible) = (
             len(candidates.setup_positions),
             _with_each_candidate(layout, station_index, candidates),
         )
-        good = np.flatnonzero(self.search_space.is_feasible(position, visible))
+        permitted_candidates = np.flatnonzero(self.search_space.is_feasible(position, visible))
         values = np.full(count, np.inf)
-        chosen = np.tile(np.arange(self.n_stations), (len(good), 1))
-        chosen[:, station_index] = self.n_stations + good
-        values[good] = self._objectives_of(NormalBlocks.concatenate([layout, candidates]), chosen)
+        chosen = np.tile(np.arange(self.n_stations), (len(permitted_candidates), 1))
+        chosen[:, station_index] = self.n_stations + permitted_candidates
+        values[permitted_candidates] = self._objectives_of(NormalBlocks.concatenate([layout, candidates]), chosen)
         return values
 
     def best_replacement(self, layout: NormalBlocks, station_index: int, candidates: NormalBlocks) -> tuple[int, float]:
-        """Best candidate for station `station_index` and its objective; infinite if all candidates break a rule."""
+        """Index of the best candidate in place of one station, and the objective with this candidate.
+
+        The objective is infinite if every candidate breaks a rule.
+        """
         self._report_step()
         values = self.replacement_objectives(layout, station_index, candidates)
         best_index = int(np.argmin(values))
@@ -175,22 +186,27 @@ class LayoutSearcher:
     def _exchange_sweep(
         self, layout: NormalBlocks, value: float, candidates: Callable[[NormalBlocks, int], NormalBlocks | None]
     ) -> tuple[NormalBlocks, float]:
-        """Layout after one sweep, in which each station is replaced by the best of its candidates if that is better."""
-        for slot in self._movable_stations:
-            offered = candidates(layout, slot)
-            if offered is None:
+        """Layout and objective after one sweep, in which each station is replaced by its best candidate if better."""
+        for station_index in self._movable_stations:
+            alternatives = candidates(layout, station_index)
+            if alternatives is None:
                 continue
-            which, best = self.best_replacement(layout, slot, offered)
+            which, best = self.best_replacement(layout, station_index, alternatives)
             if best < value:
-                layout, value = layout.with_replaced_station(slot, offered.select(np.array([which]))), best
+                layout, value = (
+                    layout.with_replaced_station(station_index, alternatives.select(np.array([which]))),
+                    best,
+                )
                 self.on_layout(StationLayout(layout.setup_positions, layout.setup_yaws, value))
         return layout, value
 
     def exchange_on_grid(self, layout: NormalBlocks, value: float) -> tuple[NormalBlocks, float]:
-        """Layout after exchanges of stations for set-ups of the grid, until none improves it."""
+        """Layout and objective after exchanges of stations for set-ups of the grid, until none is an improvement."""
         for _ in range(MAX_LAYOUT_SWEEPS):
             before = value
-            layout, value = self._exchange_sweep(layout, value, lambda _, slot: self.grid_setups(slot))
+            layout, value = self._exchange_sweep(
+                layout, value, lambda _, station_index: self.grid_setups(station_index)
+            )
             if not value < before * (1 - MIN_SWEEP_IMPROVEMENT):
                 break
         return layout, value
@@ -198,23 +214,25 @@ class LayoutSearcher:
     def refine_off_grid(
         self, layout: NormalBlocks, value: float, random_generator: np.random.Generator
     ) -> tuple[NormalBlocks, float]:
-        """Layout after moves of stations away from the grid: pattern search with shrinking steps.
+        """Layout and objective after moves of stations away from the grid.
 
         It is a pattern search with shrinking steps along the axes and at random.
         """
         reach = 0.5 * self.grid_step
 
-        def neighbouring_setups(layout: NormalBlocks, slot: int) -> NormalBlocks | None:
+        def neighbouring_setups(layout: NormalBlocks, station_index: int) -> NormalBlocks | None:
             """Set-ups near a station, with x, y, height and yaw changed separately and together."""
             axes = np.concatenate([np.eye(4), -np.eye(4)])
             steps = [reach, reach, reach, reach / self.grid_step]
             moves = np.concatenate([axes, random_generator.uniform(-1, 1, (16, 4))]) * steps
-            position = layout.setup_positions[slot] + moves[:, :3]
+            position = layout.setup_positions[station_index] + moves[:, :3]
             position[:, 2] = np.clip(position[:, 2], *self.search_space.head_heights)
-            good = self.search_space.is_allowed(position)
+            is_permitted = self.search_space.is_allowed(position)
             return (
-                self.candidate_setups(position[good], layout.setup_yaws[slot] + moves[good, 3], slot)
-                if good.any()
+                self.candidate_setups(
+                    position[is_permitted], layout.setup_yaws[station_index] + moves[is_permitted, 3], station_index
+                )
+                if is_permitted.any()
                 else None
             )
 
@@ -226,13 +244,13 @@ class LayoutSearcher:
         return layout, value
 
     def random_layout(self, random_generator: np.random.Generator) -> NormalBlocks:
-        """Permitted random layout; fixed stations remain.
+        """Random layout that meets the rules; fixed stations remain.
 
-        It determines all poses and targets if a few draws give such a layout. Raises SetupError, with the targets that
-        lack sights, if none is permitted.
+        It determines all poses and targets if one of a few draws does. Raises SetupError, with the targets that lack
+        sights, if no layout meets the rules.
         """
         survey, free, places = self.search_space.survey, self._movable_stations, self.placement
-        tables = {slot: self.grid_setups(slot) for slot in free}
+        tables = {station_index: self.grid_setups(station_index) for station_index in free}
         lacking = ""
         loose: NormalBlocks | None = None
         for _ in range(MAX_RANDOM_LAYOUTS):
@@ -241,10 +259,14 @@ class LayoutSearcher:
                 lacking = self.search_space.unseen_targets_text(places, chosen) if chosen else ""
                 break
             made = self.layout_blocks(survey.station_positions, survey.station_yaws)
-            for slot, place in zip(free, chosen, strict=True):
-                at = np.flatnonzero((tables[slot].setup_positions == places.candidate_positions[place]).all(axis=1))
+            for station_index, place in zip(free, chosen, strict=True):
+                at = np.flatnonzero(
+                    (tables[station_index].setup_positions == places.candidate_positions[place]).all(axis=1)
+                )
                 if len(at):
-                    made = made.with_replaced_station(slot, tables[slot].select(random_generator.choice(at, size=1)))
+                    made = made.with_replaced_station(
+                        station_index, tables[station_index].select(random_generator.choice(at, size=1))
+                    )
             if self.search_space.is_feasible(made.setup_positions[None], made.is_visible[None])[0]:
                 if np.isfinite(self._objective_of(made)):
                     return made
@@ -261,24 +283,24 @@ class LayoutSearcher:
         )
 
     def _connect_stations(self, layout: NormalBlocks) -> NormalBlocks:
-        """Layout in which stations are exchanged for better connected ones until the network is determined."""
-        for slot in self._movable_stations * 2:
-            table = self.grid_setups(slot)
-            position, visible = _with_each_candidate(layout, slot, table)
+        """Layout after exchanges of stations for better connected ones until all poses and targets are determined."""
+        for station_index in self._movable_stations * 2:
+            table = self.grid_setups(station_index)
+            position, visible = _with_each_candidate(layout, station_index, table)
             worth = np.where(
                 self.search_space.is_feasible(position, visible), self.search_space.connectivity(visible), -1.0
             )
             if worth.max() < 0:
                 continue
-            layout = layout.with_replaced_station(slot, table.select(np.array([worth.argmax()])))
+            layout = layout.with_replaced_station(station_index, table.select(np.array([worth.argmax()])))
             if np.isfinite(self._objective_of(layout)):
                 break
         return layout
 
     def search_from(self, seed: int, start_number: int) -> StationLayout:
-        """Result of the search from one start. Start 0 is the declared layout if the rules permit it.
+        """Result of the search from one start.
 
-        The others are random.
+        Start 0 is the layout in the scenario if the rules permit it; all other starts are random.
         """
         rng = stream(seed, "plan", self.n_stations, start_number)
         current = self.search_space.survey.station_positions, self.search_space.survey.station_yaws
@@ -293,7 +315,7 @@ class LayoutSearcher:
 
 
 def _with_each_candidate(layout: NormalBlocks, station_index: int, candidates: NormalBlocks) -> tuple[Floats, Bools]:
-    """Positions (N, S, 3) and visibility (N, S, T) of the layout with each candidate as station `station_index`."""
+    """Positions (N, S, 3) and visibility (N, S, T) of the layout with each candidate in place of one station."""
     count = len(candidates.setup_positions)
     position: Floats = np.repeat(layout.setup_positions[None], count, axis=0)
     visible: Bools = np.repeat(layout.is_visible[None], count, axis=0)

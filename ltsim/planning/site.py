@@ -1,7 +1,7 @@
 """Search space of a plan: candidate places, and the rules of a layout (floor, heights, obstacles, sights, spacing).
 
-`SearchSpace.is_feasible` tests many layouts at once in a search; `SearchSpace.broken_rules` names the rules that a
-single layout breaks. Both use the same functions.
+`SearchSpace.is_feasible` tests many layouts at once in a search; `SearchSpace.broken_rules` describes the rules that a
+single layout breaks. Both use the same functions. Letters in shapes: B layouts of S stations, T targets, N positions.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from ltsim.scene.meshes import Obstacles
 from ltsim.scene.visibility import SightLimits, compute_visibility, narrowest_cone_axes
 
 MIN_VISIBLE_TARGETS = 3
-"""Smallest number of visible targets of a station."""
+"""Smallest number of targets that a station must see; fewer do not determine its pose."""
 MAX_COINCIDENCE_DISTANCE = 1e-3
-"""Distance [m] within which a station and a point coincide."""
+"""Distance [m] below which a station and a target are at the same point, which breaks a rule."""
 SPACING_TOLERANCE = 1e-9
-"""Tolerance [m] of the minimum spacing of two stations, for rounding."""
+"""Shortfall [m] of the distance between two stations that counts as rounding and breaks no rule."""
 MAX_NEST_AIMING_STEPS = 60
 """Largest number of steps of the iteration that aims a fixed nest."""
 NEST_ANGLE_MARGIN = 0.004
@@ -38,9 +38,13 @@ MAX_NAMES_IN_RULE_TEXT = 8
 N_PLACEMENT_DRAWS = 24
 """Number of candidate places that are drawn for a station of a random layout."""
 MAX_BRANCH_NODES = 3000
-"""Largest number of nodes in the branch-and-bound tree; a few were sufficient in all halls that were tried."""
+"""Largest number of nodes in the branch-and-bound tree for the places of stations; a few were sufficient in all halls
+that were tried.
+"""
 RANDOM_PLACE_COST = 1e-4
-"""Size of the random costs of places that vary the result; they are small compared with the cost of a missing sight."""
+"""Size of the random costs of places, which make each draw different; they are small compared with the cost of one
+missing sight.
+"""
 
 
 class BrokenRule(NamedTuple):
@@ -49,16 +53,19 @@ class BrokenRule(NamedTuple):
     sentence: str
     """Sentence without its full stop, with the numbers and the key of the plan file."""
     stations: tuple[str, ...] = ()
-    """Stations whose positions break it; empty for a rule about sights."""
+    """Stations whose positions break the rule; empty for a rule about sights."""
 
 
 def broken_rules_text(rules: Sequence[BrokenRule]) -> str:
-    """Broken rules in one line; empty for none."""
+    """Sentences of the broken rules in one line; empty for none."""
     return "; ".join(rule.sentence for rule in rules)
 
 
 def is_too_near(position: Floats, spacing: float) -> Bools:
-    """Flags (B, S, S), once per pair, of stations of layouts (B, S, 3) [m] nearer than the horizontal spacing [m]."""
+    """Flags (B, S, S) of pairs of stations, at (B, S, 3) [m], that are closer than the horizontal spacing [m].
+
+    Each pair is flagged once.
+    """
     gap = np.linalg.norm(position[:, :, None, :2] - position[:, None, :, :2], axis=3)
     return np.asarray(np.triu(gap <= spacing - SPACING_TOLERANCE, 1))
 
@@ -83,12 +90,12 @@ class SearchSpace(ValueEquality):
     """Areas where tripods may stand."""
     sight_limits: SightLimits
     is_aimed_nest: Bools
-    """Flags (T,) of the targets in fixed nests, which are aimed for every layout and must serve all its stations."""
+    """Flags (T,) of the targets in fixed nests that are aimed anew for every layout; each must serve all stations."""
     obstacles: Obstacles | None = None
     forbidden_areas: tuple[KeepOutArea, ...] = ()
     """Areas where no tripod may stand, even inside `allowed_areas`."""
     min_station_spacing: float = 1.0
-    """Smallest distance between stations [m]."""
+    """Smallest horizontal distance between two stations [m]."""
     position_tolerance: float = 0.0
     """Largest offset [m] of an instrument from its planned position at which every sight is still free."""
     min_sights: int = 1
@@ -115,7 +122,10 @@ class SearchSpace(ValueEquality):
         return is_allowed_position(self.allowed_areas, self.forbidden_areas, self.obstacles, position)
 
     def is_visible(self, position: Floats, points: Floats | None = None) -> Bools:
-        """Flags (N, T) of the targets visible within the position tolerance; nests are aimed later and not tested."""
+        """Flags (N, T) of the targets that are visible from anywhere within the position tolerance.
+
+        Fixed nests are aimed later, so that their incidence is not tested here.
+        """
         goal = self.survey.target_points if points is None else points
         table = compute_visibility(position, goal, self.sight_limits, obstacles=self.obstacles)
         turn = self.position_tolerance / table.ranges
@@ -134,7 +144,10 @@ class SearchSpace(ValueEquality):
         return good
 
     def is_feasible(self, position: Floats, is_visible: Bools) -> Bools:
-        """Flags (B,) of the layouts (B, S, 3) with sights (B, S, T) that meet all rules (spacing, targets, nests)."""
+        """Flags (B,) of the layouts that meet all rules on spacing, sights and nests.
+
+        `position` (B, S, 3) [m] are the stations, `is_visible` (B, S, T) their sights.
+        """
         good: Bools = np.asarray(~has_too_few_sights(is_visible, self.min_sights).any(axis=1))
         good &= ~has_too_few_targets(is_visible).any(axis=1)
         good &= ~is_too_near(position, self.min_station_spacing).any(axis=(1, 2))
@@ -143,11 +156,11 @@ class SearchSpace(ValueEquality):
         return good
 
     def broken_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
-        """All rules that a layout breaks, rules of positions first; empty for a permitted layout."""
+        """All rules that a layout breaks: first those on positions, then those on sights; empty for none."""
         return (*self.broken_position_rules(survey), *self.broken_sight_rules(survey))
 
     def broken_position_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
-        """Rules that the positions of stations break, without those on sights."""
+        """Rules that the positions of stations break, without rules on sights."""
         names, position = survey.station_names, survey.station_positions
         rules = []
         for name, place in zip(names, position, strict=True):
@@ -166,7 +179,7 @@ class SearchSpace(ValueEquality):
         return tuple(rules)
 
     def broken_sight_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
-        """Rules on sights that a layout breaks, from its `is_visible`."""
+        """Rules on sights that a layout breaks, from the flags `is_visible` of the survey."""
         visible, targets, rules = survey.is_visible[None], survey.target_names, []
         deficient_names = [targets[t] for t in np.flatnonzero(has_too_few_sights(visible, self.min_sights)[0])]
         if deficient_names:
@@ -210,7 +223,7 @@ class SearchSpace(ValueEquality):
         return np.asarray(incidence.max(axis=2) < self.sight_limits.max_incidence - NEST_ANGLE_MARGIN)
 
     def invisible_targets_sentence(self, target_indices: Ints) -> str:
-        """Sentence on targets that no place on the floor sees, with a remedy."""
+        """Sentence on targets that no place on the floor sees, with the action to take."""
         held = (
             target_indices[self.obstacles.is_inside_body(self.survey.target_points[target_indices])]
             if self.obstacles
@@ -228,7 +241,7 @@ class SearchSpace(ValueEquality):
         )
 
     def unseen_targets_text(self, placement: StationPlacement, place_indices: list[int]) -> str:
-        """Text of the targets with too few sights from stations at places of a placement; empty for none."""
+        """Names of the targets with too few sights from stations at the given places; empty for none."""
         deficient_names = np.flatnonzero(placement.missing_sights(place_indices, self.min_sights))
         return (
             listing([self.survey.target_names[t] for t in deficient_names], MAX_NAMES_IN_RULE_TEXT)
@@ -237,7 +250,7 @@ class SearchSpace(ValueEquality):
         )
 
     def grid_places(self, step: float, heights: int) -> Floats:
-        """Places (N, 3) [m] of a grid at which a tripod may stand."""
+        """Places (N, 3) [m] of a grid with the given step [m] at which a tripod may stand."""
         grid = np.concatenate([grid_over_area(area, step, heights) for area in self.allowed_areas])
         return np.unique(grid[self.is_allowed(grid)], axis=0)
 
@@ -257,7 +270,7 @@ class SearchSpace(ValueEquality):
 
 @dataclass(frozen=True)
 class StationPlacement:
-    """Candidate places of stations, in addition to the fixed stations."""
+    """Candidate places for stations, in addition to the fixed stations."""
 
     candidate_positions: Floats
     """Candidate places, (N, 3) [m]."""
@@ -273,10 +286,10 @@ class StationPlacement:
     def place_stations(
         self, n_stations: int, wanted_sights: int, random_generator: np.random.Generator | None = None
     ) -> list[int]:
-        """Places of `n_stations` stations that give each target `wanted_sights` sights, or the fewest missing sights.
+        """Indices of the places of `n_stations` stations that give each target `wanted_sights` sights.
 
-        With `random_generator` each station is at the best of a few random places, so that each draw gives another
-        result.
+        If that is not possible, the fewest sights are missing. With `random_generator` each station is at the best of a
+        few random places, so that each draw gives another result.
         """
         place_indices: list[int] = []
         while (
@@ -289,7 +302,7 @@ class StationPlacement:
         return self._optimal_places(n_stations, wanted_sights, random_generator) or place_indices
 
     def missing_sights(self, place_indices: list[int], wanted_sights: int) -> Ints:
-        """Number of missing sights of each target, (T,), until it has `wanted_sights`."""
+        """Number of sights, (T,), that each target lacks until it has `wanted_sights`."""
         return np.asarray(
             np.maximum(wanted_sights - self.n_fixed_sights - self.is_visible[place_indices].sum(axis=0), 0)
         )
@@ -297,9 +310,9 @@ class StationPlacement:
     def _best_place(
         self, used_places: list[int], wanted_sights: int, random_generator: np.random.Generator | None
     ) -> int:
-        """Place that adds most missing sights, with a small weight for sights beyond the wanted number.
+        """Index of the place that sees most targets with too few sights; -1 if no place keeps the spacing.
 
-        It is -1 if no place is permitted.
+        Sights beyond the wanted number have a small weight.
         """
         count = len(self.candidate_positions)
         rows = (
@@ -307,16 +320,21 @@ class StationPlacement:
             if random_generator is None
             else random_generator.integers(count, size=min(N_PLACEMENT_DRAWS, count))
         )
-        had = self.n_fixed_sights + self.is_visible[used_places].sum(axis=0)
-        worth = (
-            (np.minimum(had + self.is_visible[rows], wanted_sights) - np.minimum(had, wanted_sights))
+        present_sights = self.n_fixed_sights + self.is_visible[used_places].sum(axis=0)
+        added_sights = (
+            (
+                np.minimum(present_sights + self.is_visible[rows], wanted_sights)
+                - np.minimum(present_sights, wanted_sights)
+            )
             .sum(axis=1)
             .astype(np.float64)
         )
-        worth += 1e-3 * (self.is_visible[rows] / (1.0 + had) ** 2).sum(axis=1)
+        added_sights += 1e-3 * (self.is_visible[rows] / (1.0 + present_sights) ** 2).sum(axis=1)
         for place in (*self.fixed_positions, *self.candidate_positions[used_places]):
-            worth[np.linalg.norm(self.candidate_positions[rows, :2] - place[:2], axis=1) < self.min_spacing] = -1.0
-        return int(rows[np.argmax(worth)]) if worth.max(initial=-1.0) >= 0.0 else -1
+            added_sights[
+                np.linalg.norm(self.candidate_positions[rows, :2] - place[:2], axis=1) < self.min_spacing
+            ] = -1.0
+        return int(rows[np.argmax(added_sights)]) if added_sights.max(initial=-1.0) >= 0.0 else -1
 
     def _optimal_places(
         self, n_stations: int, wanted_sights: int, random_generator: np.random.Generator | None

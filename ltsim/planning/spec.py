@@ -12,8 +12,9 @@ from ltsim.scene.floor import Floor
 from ltsim.simulation.sections import ScenarioInstrument, Smr, Work, Workshop
 
 WALLS_NAME = "walls"
-"""Name of the room's walls in the list of bodies that can hold nests."""
+"""Name of the walls of the room in the list of bodies on which reflectors may be placed."""
 SmallCount = Annotated[int, Field(ge=2, le=40)]
+"""Number of stations, 2 to 40."""
 
 
 class PointEntry(TomlSection):
@@ -33,15 +34,15 @@ class PointEntry(TomlSection):
     group: str = ""
     """Group of the point, used by tolerances."""
     weight: NonNegative = 1.0
-    """Weight of the squared point error in the objective of the search. In a plan with tolerances it is divided by the
-    square of the point's tolerance; a point without one counts as if it had ten times the widest tolerance.
+    """Weight of the squared point error in the objective of the search. In a plan with tolerances the weight is divided
+    by the square of the point's tolerance; for a point without a tolerance, ten times the widest tolerance is used.
     """
     tolerance_mm: Positive | None = None
     """Largest permitted point error, at the confidence level of the goal."""
 
 
 class StationSettings(TomlSection):
-    """Number of stations, numbers of the trade-off curve, fixed stations, and rules.
+    """Number of stations, numbers for the trade-off curve, fixed stations, and rules of their positions.
 
     Every sight must be free for an instrument up to `position_tolerance_mm` from its planned position.
     """
@@ -49,9 +50,10 @@ class StationSettings(TomlSection):
     count: SmallCount | None = None
     """Number of stations; default that of the scenario."""
     max_count: SmallCount = 8
-    """Largest number of stations up to which layouts are searched for the tolerances, if no count is given."""
+    """Largest number of stations of the search for the fewest stations that meet the tolerances, if no count is given.
+    """
     tradeoff_counts: tuple[SmallCount, ...] = ()
-    """Numbers of stations of the trade-off curve."""
+    """Further numbers of stations that are searched, for the curve of cost against quality."""
     fixed: tuple[str, ...] = ()
     """Stations of the scenario that do not move."""
     spacing_mm: Annotated[Finite, Field(ge=1)] = 1000.0
@@ -59,20 +61,20 @@ class StationSettings(TomlSection):
     position_tolerance_mm: NonNegative = 50.0
     """Largest distance of an instrument from its planned position at which every sight must still be free."""
     min_stations_per_target: Literal["all"] | Annotated[int, Field(ge=1, le=40)] = "all"
-    """Smallest number of stations that see each reflector; default all of them, or as many as some layout permits."""
+    """Smallest number of stations that see each reflector; default all, or the largest number that a layout permits."""
 
 
 class CandidateSurface(TomlSection):
-    """Flat surface with candidate places in rows and columns: origin, its two sides, number along each."""
+    """Flat rectangle with candidate places of reflectors in rows and columns, given by a corner and two sides."""
 
     name: str
     """Name of the surface; its places are called NAME-ROW-COLUMN."""
     origin_mm: Vector
-    """Corner of the grid."""
+    """Corner of the rectangle."""
     across_mm: Vector
-    """Vector from the origin along the rows."""
+    """Side of the rectangle along the rows, as a vector from the corner."""
     up_mm: Vector
-    """Vector from the origin along the columns."""
+    """Side of the rectangle along the columns, as a vector from the corner."""
     columns: Annotated[int, Field(ge=1, le=200)] = 10
     """Number of places in a row."""
     rows: Annotated[int, Field(ge=1, le=200)] = 6
@@ -83,13 +85,13 @@ class CandidatePlace(TomlSection):
     """Candidate place of a reflector."""
 
     name: str
-    """Name of a reflector at this place."""
+    """Name that a reflector at this place gets."""
     position_mm: Vector
     """Coordinates of the place."""
 
 
 class ReflectorSettings(TomlSection):
-    """Candidate places of the mesh's reflectors; without any they do not move. The gauge never moves."""
+    """Candidate places of the reflectors. Without candidates no reflector moves; those of the gauge never move."""
 
     surfaces: tuple[CandidateSurface, ...] = ()
     """Tables `[[reflectors.surfaces]]`: surfaces with a grid of candidate places."""
@@ -102,8 +104,8 @@ class ReflectorSettings(TomlSection):
     standoff_mm: Positive = 40.0
     """Height of a reflector's centre above the surface on which it may be placed."""
     movable: tuple[str, ...] = ()
-    """Points of the list, or groups of them, that could be moved: the search does not move them, but the benefit of
-    moving each is reported.
+    """Points of the list, or groups of them, that could be moved. The search does not move them, but the plan reports
+    the benefit of moving each.
     """
     keep: tuple[str, ...] = ()
     """Reflectors of the scenario that do not move; the points of a list never move."""
@@ -117,7 +119,7 @@ class BudgetSettings(TomlSection):
     faces: Annotated[tuple[Literal[1, 2], ...], Field(min_length=1)] | None = None
     """Candidate numbers of faces, with `hours` or tolerances; default one face and both."""
     repeats: Annotated[tuple[Annotated[int, Field(ge=1, le=20)], ...], Field(min_length=1)] | None = None
-    """Candidate numbers of rounds, with `hours` or tolerances; default 1 and 2."""
+    """Numbers of rounds to choose from, used with `hours` or tolerances; default 1 and 2."""
     seconds_per_pointing: Positive | None = None
     """Time from one pointing to the next."""
     minutes_per_move: NonNegative | None = None
@@ -129,22 +131,23 @@ class BudgetSettings(TomlSection):
 
 
 class PointTolerance(TomlSection):
-    """Tolerance of points: all points of a group within a distance, at the confidence level of the goal.
+    """Tolerance for points: each point of a group must be within a distance of its true position.
 
-    Tolerances of lengths between points are not goals of a plan; `ltsim uncertainty` evaluates them.
+    The probability is the confidence level of the goal. Tolerances of lengths between points are not goals of a plan;
+    `ltsim uncertainty` evaluates them.
     """
 
     group: str = ""
     """Group in the list of points; default all points of the list."""
     within_mm: Positive
-    """Largest distance of a point from its true position, in the datum of all reflectors."""
+    """Largest distance of a point from its true position, with the mean of all reflectors as datum."""
 
 
 class GoalSettings(TomlSection):
-    """Goal of a layout: weights of its qualities (0: ignored), and tolerances that points must meet.
+    """Goal of a layout: weights of its qualities (0 for a quality that does not count), and tolerances of points.
 
     With tolerances and without a number of stations, the smallest sufficient number is searched. With a list of points
-    the default weights are those of targets alone.
+    the default is a weight for the targets alone.
     """
 
     instrument: NonNegative = 1.0
@@ -174,7 +177,7 @@ class GoalSettings(TomlSection):
     @model_validator(mode="after")
     def _something(self) -> GoalSettings:
         if self.instrument + self.targets + self.diagnosis == 0:
-            raise ValueError("it should weigh at least one of instrument, targets and diagnosis")
+            raise ValueError("it should give a weight above 0 to at least one of instrument, targets and diagnosis")
         return self
 
 
@@ -186,8 +189,8 @@ class SearchSettings(TomlSection):
     tradeoff_starts: Annotated[int, Field(ge=1, le=1000)] = 1
     """Number of independent searches for each other point of the trade-off curve."""
     grid_mm: Positive | None = None
-    """Step of the candidate places on the floor; default about 250 places, at least 500 mm apart. Stations are moved
-    off the grid afterwards.
+    """Step of the grid of candidate places on the floor; default about 250 places, at least 500 mm apart. The stations
+    are moved off the grid at the end of the search.
     """
     yaws: Annotated[int, Field(ge=1, le=72)] = 6
     """Number of candidate yaws at each place."""
@@ -209,13 +212,13 @@ class PlanFile(TomlSection):
     points: str | tuple[PointEntry, ...] = ()
     """Points to measure: the name of a CSV file in the same folder, or tables `[[points]]`."""
     workshop: Workshop | None = None
-    """Hall in place of a scenario, as in a scenario file; the default height of heads is 1400 to 1800 mm."""
+    """Hall in place of a scenario, with the keys of a scenario file; the default height of heads is 1400 to 1800 mm."""
     instrument: ScenarioInstrument | None = None
-    """Tracker for that hall, as in a scenario file."""
+    """Tracker for this hall, with the keys of a scenario file."""
     smr: Smr | None = None
-    """Reflectors, as in a scenario file."""
+    """Reflectors, with the keys of a scenario file."""
     work: Work | None = None
-    """Order and timing of the measurement, as in a scenario file; the default order is as listed."""
+    """Order and timing of the measurement, with the keys of a scenario file; the default order is as listed."""
     air: AirUncertainty | None = None
     """Uncertainty of the air for long ranges, included in all results; default that of the scenario."""
     floor: Floor = Floor()
@@ -244,7 +247,7 @@ class PlanFile(TomlSection):
 
     @property
     def chooses_procedure(self) -> bool:
-        """True if the procedure is chosen: by a budget of hours, or as the fastest one that meets the tolerances."""
+        """True if the search chooses the procedure: by a budget of hours, or the fastest that meets the tolerances."""
         return self.budget.hours is not None or self.searches_station_count
 
     @property
@@ -255,5 +258,5 @@ class PlanFile(TomlSection):
 
     @property
     def listed_points(self) -> tuple[PointEntry, ...]:
-        """Points of the list after its file was read."""
+        """Points of the list, after its file has been read."""
         return () if isinstance(self.points, str) else self.points

@@ -1,4 +1,4 @@
-"""Searches from many starts, in one or several processes, and their layouts for each procedure."""
+"""Searches from many starts, in one or several processes, and their layouts for each measuring procedure."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -23,21 +23,21 @@ from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
 
 N_ALTERNATIONS = 2
-"""Number of times that stations and reflectors are chosen alternately."""
+"""Number of times that stations and reflectors are chosen in turn, if reflectors are movable."""
 REPORT_INTERVAL = 5.0
 """Shortest time [s] between two reports of the best layout so far."""
 MIN_REPORTED_GAIN = 0.01
-"""Smallest relative improvement of the objective at which a layout is reported."""
+"""Smallest relative improvement of the objective since the last report at which a layout is reported."""
 
 RatedLayout = tuple[float, PlannedSurvey]
-"""Value and survey of a layout."""
+"""Objective and survey of a layout."""
 LayoutsByCount = dict[tuple[int, int], list[tuple[float, int, PlannedSurvey]]]
-"""Value, start and survey of each layout, by number of stations and of faces."""
+"""Objective, number of the start, and survey of each layout, by number of stations and number of faces."""
 
 
 @dataclass(frozen=True)
 class SearchTask:
-    """Search as a task for a worker process."""
+    """Task of a worker process: one start of the search."""
 
     n_stations: int
     n_faces: int
@@ -46,7 +46,7 @@ class SearchTask:
 
 @dataclass(frozen=True)
 class PlanningProblem:
-    """Search problem: a plan file with its scenario."""
+    """Plan file with its scenario."""
 
     file: PlanFile
     scenario: Scenario
@@ -57,7 +57,7 @@ class PlanningProblem:
         return planned_construction(self.scenario)
 
     def search_space(self, task: SearchTask) -> SearchSpace:
-        """Search space of a task."""
+        """Search space for the numbers of stations and faces of a task."""
         return make_search_space(self.file, self.scenario, stations=task.n_stations, faces=task.n_faces)
 
     def make_searcher(
@@ -66,7 +66,7 @@ class PlanningProblem:
         report_progress: Callable[[float], None] = no_progress,
         store_layout: Callable[[StationLayout], None] = no_progress,
     ) -> LayoutSearcher:
-        """Search in a search space for the file's objective."""
+        """Searcher for the objective of the plan file in a search space."""
         settings, objective = self.file.search, layout_objective(self.file, site.survey)
         step = grid_step(site.allowed_areas, settings.grid_mm)
         return LayoutSearcher(
@@ -81,9 +81,9 @@ def run_searches(
     report_progress: Callable[[float], None],
     store_survey: Callable[[PlannedSurvey, float], None],
 ) -> tuple[LayoutsByCount, bool]:
-    """Layouts of all searches, and True if Ctrl-C ended them; results are collected as searches end.
+    """Layouts of all searches, and True if Ctrl-C ended them.
 
-    `report_progress` is called with the finished fraction, `store_layout` with each better layout and its objective.
+    `report_progress` is called with the finished fraction, `store_survey` with each better layout and its objective.
     With one job the search runs in this process, reports its progress, and keeps its best layout after Ctrl-C.
     """
     best_by_task: dict[int, RatedLayout] = {}
@@ -133,7 +133,10 @@ def _layout_of_start(
     report_progress: Callable[[float], None] = no_progress,
     store_layout: Callable[[StationLayout], None] = no_progress,
 ) -> tuple[int, RatedLayout | None]:
-    """Layout of one start; None if the rules permit none, or if ranges from too few stations determine none."""
+    """Task number and layout of one start.
+
+    The layout is None if no layout meets the rules, or if ranges from too few stations determine no layout.
+    """
     try:
         return task_number, search_from_start(problem, task, report_progress, store_layout)
     except (SetupError, NetworkError):
@@ -141,7 +144,7 @@ def _layout_of_start(
 
 
 def _layout_in_worker(problem: PlanningProblem, task: SearchTask, task_number: int) -> tuple[int, RatedLayout | None]:
-    """Layout of one start in a worker process, which ignores Ctrl-C and leaves it to the main process."""
+    """Task number and layout of one start in a worker process; only the main process reacts to Ctrl-C."""
     signal(SIGINT, SIG_IGN)
     return _layout_of_start(problem, task, task_number)
 
@@ -152,7 +155,7 @@ def search_from_start(
     report_progress: Callable[[float], None] = no_progress,
     store_layout: Callable[[StationLayout], None] = no_progress,
 ) -> RatedLayout:
-    """Layout of a start: search of stations, of reflectors if these are movable, and of stations again."""
+    """Layout of a start: stations are searched, then reflectors if they are movable, then stations again."""
     site, stays, seed = (
         problem.search_space(task),
         is_fixed_target(problem.file, problem.scenario),
@@ -175,4 +178,5 @@ def search_from_start(
 
 
 def _with_moved_stations(site: SearchSpace, position: Floats, yaw: Floats) -> PlannedSurvey:
+    """Survey of a search space with stations at other positions (S, 3) [m] and yaws (S,) [rad]."""
     return site.survey.replace(station_positions=position, station_yaws=yaw, is_visible=site.is_visible(position))

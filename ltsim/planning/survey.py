@@ -1,4 +1,4 @@
-"""Planned survey: positions of stations and targets, pointings and their cost, before measurement."""
+"""Planned survey: positions of stations and targets, pointings, and duration."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class PlannedSurvey:
-    """Survey with upright stations, targets, and the pointings between them."""
+    """Planned survey of T targets from S upright stations."""
 
     setup: Setup
     """Set-up of the survey: noise, priors, gauge, nests, as in a recording."""
@@ -41,21 +41,24 @@ class PlannedSurvey:
     repeats: int = 1
     """Number of pointings to each target on each face."""
     seconds_per_pointing: float = 10.0
+    """Time [s] from one pointing to the next."""
     seconds_per_move: float = 1200.0
     """Time [s] to move the instrument and set it up, per station."""
     target_ranks: Ints | None = None
-    """Rank of each target in each station's visit, (S, T); default as listed."""
+    """Rank of each target in the order of measurement of each station, (S, T); default the order of the list."""
     measures_face_by_face: bool = True
-    """True if all targets are measured on one face and then on the other; False if both faces of each target follow
-    each other.
+    """True if a station measures all targets in one face and then in the other; False if both faces of each target
+    follow each other.
     """
     observables: tuple[str, ...] = OBSERVABLES
-    """Observables of each pointing: range and both angles, or the range alone."""
+    """Observables of each pointing: range and both angles, or range alone."""
     target_weights: Mapping[str, float] = field(default_factory=dict)
-    """Weight of targets by name in the weighted root mean square of point errors; default 1."""
+    """Weight of each target by name, in the weighted root mean square of point errors; default 1."""
 
     air: AirUncertainty | None = None
-    """Air that a search includes; None if no line of sight can be long enough. Final results use that of the set-up."""
+    """Uncertainty of the air that a search includes; None if no line of sight is long enough for an influence. Final
+    results use the air of the set-up.
+    """
 
     def __post_init__(self) -> None:
         stations, targets = len(self.station_names), len(self.target_names)
@@ -69,7 +72,7 @@ class PlannedSurvey:
             raise SetupError(f"faces are {list(self.faces)}, expected [1], [2] or [1, 2]")
 
     def nominal_noise(self, sightings: Sightings) -> Floats:
-        """Nominal standard deviations (n, 3) [m, rad, rad] of the readings, without the air."""
+        """Declared standard deviations (n, 3) [m, rad, rad] of the readings, without the uncertainty of the air."""
         nominal = [self.setup.instrument.noise]
         return noise_sigma(nominal, sightings.instrument, sightings.range_, sightings.elevation)
 
@@ -112,7 +115,7 @@ class PlannedSurvey:
 
     @property
     def station_rotations(self) -> Floats:
-        """Instrument frame to network frame, (S, 3, 3)."""
+        """Rotation from the instrument frame of each station to the network frame, (S, 3, 3)."""
         return np.stack([rotation_about_z(float(yaw)) for yaw in self.station_yaws])
 
     def nominal_state(self, construction: Construction) -> NetworkState:
@@ -125,7 +128,8 @@ class PlannedSurvey:
     def noise_free_recording(self, construction: Construction) -> Recording:
         """Recording of a perfect instrument without noise.
 
-        Rows are in the order of measurement, station by station; a repeat is another complete visit.
+        Rows are in the order of measurement, station by station; a further round is another complete measurement at the
+        same station.
         """
         empty = self._empty_recording()
         readings = MeasurementModel(empty, construction).predict(self.nominal_state(construction))
@@ -133,7 +137,7 @@ class PlannedSurvey:
         return empty.with_readings(readings)
 
     def pointing_ranks(self, station: Ints, target: Ints, face: Ints) -> Ints:
-        """Rank (n,) of pointings in the first round of their station's visit, from 0."""
+        """Rank (n,) of pointings, from 0, in the first round of their station."""
         rank = target if self.target_ranks is None else self.target_ranks[station, target]
         number = np.searchsorted(np.sort(self.faces), face)
         if self.measures_face_by_face:
@@ -142,7 +146,7 @@ class PlannedSurvey:
 
     @property
     def _placed_setup(self) -> Setup:
-        """Set-up with the survey's positions of the stations, which determine the directions of nests."""
+        """Set-up that declares the planned positions of the stations, towards which nests are aimed."""
         places = zip(
             self.station_names,
             (self.station_positions / MILLIMETRE).tolist(),
@@ -156,6 +160,7 @@ class PlannedSurvey:
         return self.setup.model_copy(update={"stations": station_by_name})
 
     def _empty_recording(self) -> Recording:
+        """Recording of the planned pointings without readings."""
         rounds, faces = np.arange(1, self.repeats + 1), np.sort(self.faces)
         axes = np.arange(len(self.station_positions)), rounds, faces, np.arange(len(self.target_points))
         station, repeat, face, target = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
@@ -175,7 +180,7 @@ class PlannedSurvey:
         )
 
     def without_station(self, station: int) -> PlannedSurvey:
-        """The survey without one station."""
+        """Survey without one station."""
         keep = np.arange(len(self.station_positions)) != station
         return self.replace(
             station_names=tuple(n for n, k in zip(self.station_names, keep, strict=True) if k),
@@ -186,7 +191,7 @@ class PlannedSurvey:
         )
 
     def with_targets_only(self, targets: Bools) -> PlannedSurvey:
-        """Survey with a selection of its targets."""
+        """Survey with the targets that are flagged, (T,)."""
         if targets.all():
             return self
         return self.replace(

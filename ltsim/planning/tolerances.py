@@ -19,24 +19,25 @@ from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
 
 DEFAULT_TOLERANCE_FACTOR = 10.0
-"""Factor on the widest tolerance that gives the tolerance of points without one in the objective."""
+"""Ratio of the tolerance that is assumed in the objective for points without one to the widest tolerance of the plan.
+"""
 MIN_POINT_WEIGHT = 1e-6
-"""Smallest weight of a point in the objective."""
+"""Smallest weight of a point in the objective, so that every point counts."""
 MAX_POINTS_IN_VERDICT = 5
-"""Largest number of points that a sentence lists."""
+"""Largest number of points that a sentence of the verdict lists."""
 LOST_SIGHT_PREFIX = "the sight"
-"""First words of the name of a lost sight."""
+"""First words of the description of a lost sight; that of a lost station is its name."""
 UNDETERMINED_TEXT = "the network no longer determines its points"
-"""Text for a network with undetermined motions."""
+"""Text for a network with free motions, in which point errors do not exist."""
 
 
 def is_met(ratio: float) -> bool:
-    """True if an error meets its tolerance; `max_ratio` is the unrounded error divided by the unrounded tolerance."""
+    """True if an error meets its tolerance; `ratio` is the unrounded error divided by the unrounded tolerance."""
     return ratio <= 1.0
 
 
 def text_near_limit(value: float, limit: float, digits: int = 3) -> str:
-    """Text of a value, with enough digits (at least `digits`) to show on which side of its limit the value is."""
+    """Text of a value with enough digits to show on which side of its limit the value is, at least `digits`."""
     texts = (f"{value:.{count}g}" for count in range(digits, 17))
     return next((text for text in texts if (float(text) > limit) == (value > limit)), repr(value))
 
@@ -48,18 +49,21 @@ def percent_text(ratio: float) -> str:
 
 @dataclass(frozen=True)
 class PointTolerances:
-    """Tolerances of points, their confidence level, and the loss after which they must be met."""
+    """Tolerances of points, their confidence level, and the losses after which they must still be met."""
 
     tolerance_by_point: Mapping[str, float]
     """Tolerance of each point [m], by name."""
     confidence_level: float = 0.95
     """Confidence level: fraction of cases in which a point must be within its tolerance."""
     withstood_loss: str = "no"
-    """Loss after which all tolerances must still be met: `sight` or `station`; `no` for none."""
+    """Loss after which all tolerances must still be met: of any `sight`, of any `station`, or `no` loss."""
 
     @classmethod
     def from_plan_file(cls, file: PlanFile) -> PointTolerances:
-        """Tolerances of a plan file: that of the point, else the smallest one of its group or of all points."""
+        """Tolerances of a plan file.
+
+        A point has its own tolerance if there is one, else the smallest tolerance of its group or of all points.
+        """
         limits = {}
         for point in file.listed_points:
             named = [t.within_mm for t in file.goal.tolerances if t.group in ("", point.group)]
@@ -87,33 +91,34 @@ def point_weights(file: PlanFile) -> dict[str, float]:
     }
 
 
-def error_radius(covariance: Floats, coverage: float) -> Floats:
-    """Radius (T,) that errors of points with covariances (T, 3, 3) do not exceed with probability `confidence_level`.
+def error_radius(covariance: Floats, confidence_level: float) -> Floats:
+    """Radius (T,) [m] that the error of each point does not exceed with probability `confidence_level`.
 
-    The squared length of a normal error is a weighted sum of chi-squares; its quantile is that of the scaled chi-square
-    with the same mean and variance (Satterthwaite, Biometrics Bulletin 2 (1946) 110-114), which is exact for errors
-    along one axis and for isotropic errors in a plane or in space.
+    `covariance` (T, 3, 3) [m^2] are the covariances of the points. The squared length of a normal error is a weighted
+    sum of chi-squares; its quantile is that of the scaled chi-square with the same mean and variance (Satterthwaite,
+    Biometrics Bulletin 2 (1946) 110-114), which is exact for errors along one axis and for isotropic errors in a plane
+    or in space.
     """
     mean = np.einsum("tii->t", covariance)
     square = np.einsum("tij,tji->t", covariance, covariance)
     freedom = np.where(square > 0, mean**2 / np.where(square > 0, square, 1.0), 1.0)
-    return np.sqrt(mean / freedom * 2.0 * gammaincinv(0.5 * freedom, coverage))
+    return np.sqrt(mean / freedom * 2.0 * gammaincinv(0.5 * freedom, confidence_level))
 
 
 @dataclass(frozen=True)
 class ToleranceCheck:
-    """Check of a layout against its tolerances, complete or after a loss."""
+    """Check of a layout against its tolerances: of the complete layout, or after the loss of a station or sight."""
 
     lost_text: str
-    """Text of the lost station or sight; empty for the complete layout."""
+    """Description of the lost station or sight; empty for the complete layout."""
     tolerance_by_point: Mapping[str, float]
     """Tolerance of each point [m], by name."""
     error_by_point: Mapping[str, float]
-    """Error [m] at the confidence level of each determined point with a tolerance."""
+    """Error [m] of each determined point with a tolerance, by name, that is not exceeded at the confidence level."""
     max_ratio: float
-    """Largest ratio of radius to tolerance; infinite if a point is undetermined."""
+    """Largest ratio of error to tolerance; infinite if a point is undetermined."""
     worst_point_name: str
-    """Point with the largest ratio."""
+    """Name of the point with the largest ratio of error to tolerance."""
     unseen_points: tuple[str, ...] = ()
     """Points with a tolerance that no station sees."""
 
@@ -124,7 +129,7 @@ class ToleranceCheck:
 
     @property
     def is_sight_loss(self) -> bool:
-        """True if the loss is a sight and not a station."""
+        """True if the layout lacks a sight; False if it lacks a station or is complete."""
         return self.lost_text.startswith(LOST_SIGHT_PREFIX)
 
     @property
@@ -138,7 +143,7 @@ class ToleranceCheck:
 
     @property
     def worst_point_numbers(self) -> str:
-        """Text of the worst point with its numbers."""
+        """Text of the worst point with error and tolerance."""
         return (
             self.point_text(self.worst_point_name)
             if self.worst_point_name in self.error_by_point
@@ -186,7 +191,7 @@ class ToleranceCheck:
 def check_tolerances(
     survey: PlannedSurvey, tolerances: PointTolerances, construction: Construction, lost_text: str = ""
 ) -> ToleranceCheck:
-    """Check of a survey; points that no station sees are removed from the network and reported."""
+    """Check of a survey. Points that no station sees are removed from the network and reported."""
     visible: Bools = np.asarray(survey.is_visible.any(axis=0))
     unseen = tuple(
         n for n, s in zip(survey.target_names, visible, strict=True) if not s and n in tolerances.tolerance_by_point
@@ -217,7 +222,10 @@ def check_tolerances(
 def checks_after_losses(
     survey: PlannedSurvey, tolerances: PointTolerances, construction: Construction, loss_kind: str
 ) -> Iterator[ToleranceCheck]:
-    """Checks of a survey without each station (`station`), or without each sight of a point (`sight`)."""
+    """Checks of a survey after each single loss of one kind.
+
+    `loss_kind` is `station`, or `sight` for the sights of points with a tolerance.
+    """
     if loss_kind == "station":
         for s, name in enumerate(survey.station_names):
             yield check_tolerances(survey.without_station(s), tolerances, construction, name)
@@ -242,7 +250,7 @@ def checks_after_every_loss(
 def checks_after_required_losses(
     survey: PlannedSurvey, tolerances: PointTolerances, construction: Construction
 ) -> list[ToleranceCheck]:
-    """Checks without each station, and without each sight if tolerances must withstand that, for a verdict."""
+    """Checks for a verdict: without each station, and without each sight if the tolerances must withstand that loss."""
     kinds = ("station", "sight") if tolerances.withstood_loss == "sight" else ("station",)
     return [loss for kind in kinds for loss in checks_after_losses(survey, tolerances, construction, kind)]
 
@@ -250,7 +258,10 @@ def checks_after_required_losses(
 def feasibility_and_ratio(
     survey: PlannedSurvey, tolerances: PointTolerances, construction: Construction
 ) -> tuple[bool, float]:
-    """Flag that a survey meets its tolerances (after any single loss if required), and the largest ratio."""
+    """Flag that a survey meets its tolerances, and the largest ratio of error to tolerance.
+
+    Both include the losses that the tolerances must withstand.
+    """
     verdict = check_tolerances(survey, tolerances, construction)
     if not verdict.meets_all or tolerances.withstood_loss == "no":
         return verdict.meets_all, verdict.max_ratio
@@ -262,7 +273,7 @@ def feasibility_and_ratio(
 
 @dataclass(frozen=True)
 class PlanVerdict:
-    """Verdict on a layout by the rules and tolerances of its plan; search, planner and page use the same one."""
+    """Verdict on a layout by the rules and tolerances of its plan, the same in the search, the planner and the page."""
 
     is_goal_reached: bool
     """True if no rule is broken and all tolerances are met, after any single loss if required."""

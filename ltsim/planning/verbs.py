@@ -27,7 +27,7 @@ from ltsim.recordings.result_file import SourceEntry
 from ltsim.simulation.scenario import Scenario
 
 MIN_ALTERNATIVE_DISTANCE = 2.0
-"""Distance [m] of proposed places from an impossible place and from each other."""
+"""Smallest horizontal distance [m] of a proposed place from the impossible place and from other proposed places."""
 MAX_ALTERNATIVES = 4
 """Largest number of proposed places."""
 
@@ -65,7 +65,7 @@ def plan(
     Raises
     ------
     SetupError
-        In one sentence, for a plan that cannot be made.
+        If the plan file is not valid, or no layout meets its rules.
 
     Examples
     --------
@@ -131,19 +131,24 @@ def next_measurement(
 
 @dataclass(frozen=True)
 class StationAlternative:
-    """Alternative to a station: another position with all others unchanged, or the layout without it."""
+    """Alternative to a station that cannot stand at its planned position.
+
+    It is another position with all other stations unchanged, or the layout without the station.
+    """
 
     position_text: str
-    """Text of the position of the station."""
+    """Description of the new position of the station."""
     survey: PlannedSurvey
     verdict: str
-    """Sentence on the layout."""
+    """Sentence on the layout with this alternative."""
     max_error_ratio: float
-    """Largest ratio of error to tolerance, after relevant losses too; without tolerances the largest sigma [m]."""
+    """Largest ratio of error to tolerance, after the losses that must be withstood; without tolerances the largest
+    error [m] at 95 %.
+    """
     meets_goal: bool
-    """True if no rule is broken and the goal (if there are tolerances) is reached."""
+    """True if no rule is broken and all tolerances are met, if there are any."""
     move_option: str = ""
-    """Value of `--move` that evaluates it; empty for the layout without the station."""
+    """Value of the option `--move` that evaluates this alternative; empty for the layout without the station."""
 
 
 def station_alternatives(source: str | Path, station: str) -> tuple[StationAlternative, ...]:
@@ -164,12 +169,16 @@ def station_alternatives(source: str | Path, station: str) -> tuple[StationAlter
     named, scenario = load_plan_and_scenario(source)
     file, site = unsearched_plan(named, scenario)
     problem, survey = PlanningProblem(file, scenario), site.survey
-    slot = _station_index(survey, station)
-    others = [s for s in range(len(survey.station_positions)) if s != slot]
+    station_index = _station_index(survey, station)
+    others = [s for s in range(len(survey.station_positions)) if s != station_index]
     work = problem.make_searcher(site.replace(survey=survey, fixed_stations=tuple(others), min_sights=0))
-    table = work.grid_setups(slot)
-    values = work.replacement_objectives(work.layout_blocks(survey.station_positions, survey.station_yaws), slot, table)
-    values[_distances(table.setup_positions, survey.station_positions[slot]) < MIN_ALTERNATIVE_DISTANCE] = np.inf
+    table = work.grid_setups(station_index)
+    values = work.replacement_objectives(
+        work.layout_blocks(survey.station_positions, survey.station_yaws), station_index, table
+    )
+    values[_distances(table.setup_positions, survey.station_positions[station_index]) < MIN_ALTERNATIVE_DISTANCE] = (
+        np.inf
+    )
     # Sights of points with a tolerance that would be missing decide first.
     demanded = PointTolerances.from_plan_file(file).tolerance_by_point or survey.target_names
     asked = np.array([name in demanded for name in survey.target_names])
@@ -179,20 +188,21 @@ def station_alternatives(source: str | Path, station: str) -> tuple[StationAlter
     alternatives: list[StationAlternative] = []
     for best in np.lexsort((values, lacking)).tolist():
         near = [
-            _distances(table.setup_positions[[best]], option_.survey.station_positions[slot])[0]
+            _distances(table.setup_positions[[best]], option_.survey.station_positions[station_index])[0]
             < MIN_ALTERNATIVE_DISTANCE
             for option_ in alternatives
         ]
         if len(alternatives) == MAX_ALTERNATIVES or not np.isfinite(values[best]) or any(near):
             continue
         position, yaw = survey.station_positions.copy(), survey.station_yaws.copy()
-        position[slot], yaw[slot] = table.setup_positions[best], table.setup_yaws[best]
+        position[station_index], yaw[station_index] = table.setup_positions[best], table.setup_yaws[best]
         there = survey.replace(station_positions=position, station_yaws=yaw, is_visible=site.is_visible(position))
-        words = f"{_survey_with_station_at(station, position[slot])}, turned by {yaw[slot] / DEGREE:.0f} deg"
-        x, y, z = position[slot] / MILLIMETRE
-        move = f"{station}={x:.1f},{y:.1f},{z:.1f},{yaw[slot] / DEGREE:g}"
+        yaw_deg = yaw[station_index] / DEGREE
+        words = f"{_position_text(station, position[station_index])}, turned by {yaw_deg:.0f} deg"
+        x, y, z = position[station_index] / MILLIMETRE
+        move = f"{station}={x:.1f},{y:.1f},{z:.1f},{yaw_deg:g}"
         alternatives.append(_evaluate_alternative(problem, site, there, words, move))
-    alone = _evaluate_alternative(problem, site, survey.without_station(slot), f"without {station}")
+    alone = _evaluate_alternative(problem, site, survey.without_station(station_index), f"without {station}")
     return (alone, *sorted(alternatives, key=lambda option_: (not option_.meets_goal, option_.max_error_ratio)))
 
 
@@ -201,17 +211,15 @@ def _plan_with_moved_stations(
 ) -> PlannedNetwork:
     """Planned network with stations at other positions: x, y, z [mm] and yaw [deg] of each.
 
-    The last ones may be missing.
-
-    Raises SetupError for a position where no tripod may stand.
+    The yaw, or z and yaw, may be missing. Raises SetupError for a position where no tripod may stand.
     """
     file, site = unsearched_plan(plan, scenario)
     survey = site.survey
     position, yaw = survey.station_positions.copy(), survey.station_yaws.copy()
     for name, given in new_positions.items():
-        slot, place = _station_index(survey, name), _position_numbers(name, given)
-        position[slot, : len(place[:3])] = place[:3] * MILLIMETRE
-        yaw[slot] = place[3] * DEGREE if len(place) == 4 else yaw[slot]
+        station_index, place = _station_index(survey, name), _position_numbers(name, given)
+        position[station_index, : len(place[:3])] = place[:3] * MILLIMETRE
+        yaw[station_index] = place[3] * DEGREE if len(place) == 4 else yaw[station_index]
     survey = survey.replace(station_positions=position, station_yaws=yaw)
     wrong = [rule for rule in site.broken_position_rules(survey) if {*rule.stations} & {*new_positions}]
     if wrong:
@@ -220,7 +228,7 @@ def _plan_with_moved_stations(
 
 
 def _position_numbers(name: str, position: object) -> Floats:
-    """Numbers (2 to 4) of a new position; raises SetupError."""
+    """Numbers of a new position: x and y [mm], then z [mm] and yaw [deg] if given; raises SetupError."""
     words = np.ravel(np.asarray(position, dtype=object)).tolist()
     try:
         place = np.array(words, dtype=np.float64)
@@ -231,12 +239,14 @@ def _position_numbers(name: str, position: object) -> Floats:
     return place
 
 
-def _survey_with_station_at(station: str, place: Floats) -> str:
+def _position_text(station: str, place: Floats) -> str:
+    """Text of the position (3,) [m] of a station."""
     x, y, z = place
     return f"{station} at ({x:.2f}, {y:.2f}, {z:.2f}) m"
 
 
 def _distances(places: Floats, place: Floats) -> Floats:
+    """Horizontal distances (N,) [m] of places (N, 3) from one place (3,)."""
     return np.linalg.norm(places[:, :2] - place[:2], axis=1)
 
 
@@ -249,7 +259,7 @@ def _station_index(survey: PlannedSurvey, name: str) -> int:
 def _evaluate_alternative(
     problem: PlanningProblem, site: SearchSpace, survey: PlannedSurvey, description: str, move: str = ""
 ) -> StationAlternative:
-    """Alternative layout, evaluated by the rules and tolerances, or by its worst point if there are none."""
+    """Alternative with the verdict by rules and tolerances, or by the worst point if there are no tolerances."""
     demands, built, broken = (
         PointTolerances.from_plan_file(problem.file),
         problem.construction,

@@ -14,40 +14,51 @@ from ltsim.physics.model.measurement import sightings_of
 from ltsim.planning.planner import PlannedNetwork
 
 MAX_PLUMB_HEIGHT = 2.2
-"""Largest height [m] from which a point can be plumbed to the floor."""
+"""Largest height [m] from which a point is plumbed to the floor; distances to higher points are measured straight."""
 MAX_TAPE_DISTANCE = 15.0
-"""Longest distance [m] for a tape or a distance meter."""
+"""Largest distance [m] for a tape or a distance meter; longer ones are used only if there is no other."""
 MAX_CONSIDERED_MARKS = 16
-"""Largest number of marks that are considered for a station."""
-MIN_SLOPE_FIRMNESS_GAIN = 0.1
-"""Smallest gain in firmness of a distance straight to a reflector compared with one along the floor."""
+"""Largest number of marks among which the three of a station are selected."""
+MIN_STRAIGHT_STRENGTH_GAIN = 0.1
+"""Smallest gain in `intersection_strength` at which a distance straight to a reflector is preferred to one along the
+floor.
+"""
 TAPE_RESOLUTION = 0.01
-"""Resolution [m] of a tape."""
+"""Resolution [m] with which a distance is read from a tape."""
 MAX_POSITION_AMBIGUITY = 0.03
-"""Largest ambiguity [m] of the position from three distances."""
+"""Largest uncertainty [m] of the position from three distances read with `TAPE_RESOLUTION`; above it the work order
+asks for another way.
+"""
 MIN_TAPE_MISCLOSURE = 0.1
-"""Smallest misclosure [m] of three distances at any other position."""
+"""Smallest misclosure [m] of the third distance at the second intersection of the other two; below it the position is
+ambiguous.
+"""
 MIN_TAPE_DISTANCE = 0.3
-"""Shortest useful distance [m]."""
+"""Smallest distance [m] to a mark that is used."""
 FREE_TAPE_HEIGHT = 0.1
-"""Height [m] above the floor at which the tape must pass freely."""
-MIN_FIRMNESS_GAIN_PER_METRE = 0.03
-"""Smallest gain in firmness of three distances per additional metre of tape."""
+"""Height [m] above the floor at which no obstacle may cross the tape."""
+MIN_STRENGTH_GAIN_PER_METRE = 0.03
+"""Smallest gain in `intersection_strength` per additional metre of the longest distance."""
 MIN_MOVED_SIGMAS = 3.0
-"""Number of standard deviations from which a repeated point counts as moved."""
+"""Difference of a repeated point, in standard deviations, above which tripod or point count as moved."""
 N_REPEATED_POINTS = 3
-"""Number of points that are measured again at the end of a station."""
+"""Number of points that are measured once more at the end of a station."""
 
 
 @dataclass(frozen=True)
 class TapeDistance:
-    """Distance along the floor from below the head to below a point, or straight from the head to a reflector."""
+    """Distance between the place of a tripod and a mark, along the floor or straight.
+
+    Along the floor it leads from the point below the head to the point below the mark, straight from the head to a
+    reflector.
+    """
 
     end_name: str
     end_point: Floats
     """Coordinates of the point, (3,) [m]."""
     length: float
     is_along_floor: bool
+    """True along the floor, False straight."""
 
     @property
     def text(self) -> str:
@@ -63,13 +74,13 @@ class TapeDistance:
 
 @dataclass(frozen=True)
 class StationInstruction:
-    """Station in the work order."""
+    """Instructions for one station in the work order."""
 
     name: str
     head_height: float
     """Height [m] of the head's centre above the floor."""
     tape_distances: tuple[TapeDistance, ...]
-    """Three distances, which determine one position unless `deficiency_sentence` says otherwise."""
+    """Three distances, which determine one position unless `deficiency_sentence` says why not."""
     deficiency_sentence: str
     """Sentence on the deficiency of the distances; empty if they determine the position."""
     zero_direction_text: str
@@ -83,7 +94,7 @@ class StationInstruction:
 
 
 def station_instructions(plan: PlannedNetwork) -> tuple[StationInstruction, ...]:
-    """Stations of a plan in the order of measurement."""
+    """Instructions for the stations of a plan, in the order of measurement."""
     survey, built = plan.layout.survey, plan.layout.information.construction
     recording = survey.noise_free_recording(built)
     sightings = sightings_of(recording, survey.nominal_state(built))
@@ -117,10 +128,9 @@ def station_instructions(plan: PlannedNetwork) -> tuple[StationInstruction, ...]
 def _tape_marks(plan: PlannedNetwork, place: Floats, is_visible: Bools) -> list[TapeDistance]:
     """Marks for tape distances to a station, in order of preference.
 
-    They are first those within reach of a tape, then along the floor, then the nearest.
-
-    Distances along the floor lead to points that can be plumbed and to corners of the room, if no body and no keep-out
-    area is in the path; others lead straight to visible reflectors.
+    First come those within reach of a tape, then those along the floor, then the nearest. Distances along the floor
+    lead to points that can be plumbed and to corners of the room, if no body and no keep-out area is in the path;
+    others lead straight to visible reflectors.
     """
     survey, obstacles = plan.layout.survey, plan.search_space.obstacles
     targets = list(zip(survey.target_names, survey.target_points, strict=True))
@@ -148,35 +158,38 @@ def _tape_marks(plan: PlannedNetwork, place: Floats, is_visible: Bools) -> list[
 
 
 def _best_tape_distances(marks: Sequence[TapeDistance], place: Floats) -> tuple[TapeDistance, ...]:
-    """Three short distances with good intersection that determine one position only.
+    """Three short distances with a good intersection that determine one position only.
 
-    If there are none, the firmest three.
+    If there are none, the three with the strongest intersection.
     """
 
-    def worth(three: tuple[TapeDistance, ...]) -> tuple[bool, bool, float]:
-        firm, good = position_firmness(three, place), not tape_deficiency_sentence(three, place)
+    def preference(three: tuple[TapeDistance, ...]) -> tuple[bool, bool, float]:
+        strength, good = intersection_strength(three, place), not tape_deficiency_sentence(three, place)
         longest, straight = max(mark.length for mark in three), sum(not mark.is_along_floor for mark in three)
         return (
             good,
             good and longest <= MAX_TAPE_DISTANCE,
-            firm - good * (MIN_FIRMNESS_GAIN_PER_METRE * longest + MIN_SLOPE_FIRMNESS_GAIN * straight),
+            strength - good * (MIN_STRENGTH_GAIN_PER_METRE * longest + MIN_STRAIGHT_STRENGTH_GAIN * straight),
         )
 
-    return max(combinations(marks, 3), key=worth, default=tuple(marks))
+    return max(combinations(marks, 3), key=preference, default=tuple(marks))
 
 
-def position_firmness(distances: Sequence[TapeDistance], place: Floats) -> float:
-    """Smallest change of distances per step on the floor: the smallest singular value of their gradients."""
+def intersection_strength(distances: Sequence[TapeDistance], place: Floats) -> float:
+    """Strength of the intersection of distances: their smallest change per unit step of the station on the floor.
+
+    It is the smallest singular value of the gradients.
+    """
     slopes = np.array([(place[:2] - mark.end_point[:2]) / mark.length for mark in distances])
     return float(np.linalg.svd(slopes, compute_uv=False).min())
 
 
 def tape_deficiency_sentence(tapes: Sequence[TapeDistance], place: Floats) -> str:
-    """Sentence on why distances with resolution `TAPE_RESOLUTION` do not determine one position; empty if they do."""
+    """Sentence on why distances read to `TAPE_RESOLUTION` do not determine one position; empty if they do."""
     if len(tapes) < 3:
         return "Fewer than three points are within reach of a tape: mark the place in another way."
-    if (firm := position_firmness(tapes, place)) * MAX_POSITION_AMBIGUITY < TAPE_RESOLUTION:
-        wide = f"by {100 * TAPE_RESOLUTION / firm:.0f} cm" if firm > TAPE_RESOLUTION else "along a line"
+    if (strength := intersection_strength(tapes, place)) * MAX_POSITION_AMBIGUITY < TAPE_RESOLUTION:
+        wide = f"by {100 * TAPE_RESOLUTION / strength:.0f} cm" if strength > TAPE_RESOLUTION else "along a line"
         return f"The tapes meet at a flat angle, and the place is uncertain {wide}: mark it in another way."
     end_points = np.array([mark.end_point[:2] for mark in tapes])
     rise = np.array([mark.length for mark in tapes]) ** 2 - np.sum((place[:2] - end_points) ** 2, axis=1)

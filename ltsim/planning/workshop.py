@@ -33,13 +33,13 @@ from ltsim.simulation.workshop import (
 )
 
 MAX_TILT_COSINE_DEFICIT = 1e-3
-"""Largest cosine deficit of an instrument's axis that a plan of upright stations neglects (2.6 deg)."""
+"""Largest value of 1 - cos(tilt) of an instrument's axis at which a plan treats the station as upright (2.6 deg)."""
 RANGES_ONLY = ("distance",)
 """Observables of an instrument that measures distances only."""
 MIN_RANGE_STATIONS = 3
-"""Number of stations whose ranges determine a reflector."""
+"""Smallest number of stations whose ranges alone determine a reflector."""
 NO_SCATTER = Placing(station_mm=0.0, yaw_deg=0.0, tilt_deg=0.0, target_mm=0.0, gauge_mm=0.0)
-"""Placing without deviations: stations, targets and gauge stand exactly as planned."""
+"""Placing without random deviations: stations, targets and gauge stand exactly as planned."""
 
 
 def planned_survey(scenario: Scenario) -> PlannedSurvey:
@@ -78,7 +78,7 @@ def planned_survey(scenario: Scenario) -> PlannedSurvey:
 
 
 def _target_ranks(recording: Recording, layout: WorkshopLayout) -> Ints:
-    """Rank (S, T) of each target in each station's first round; invisible targets are last."""
+    """Rank (S, T) of each target in the first round of each station; targets that are not visible come last."""
     count = len(layout.target_names)
     first = np.full((len(layout.station_names), count), np.inf)
     target = np.array([layout.target_names.index(name) for name in recording.targets])[recording.target]
@@ -90,7 +90,7 @@ def _target_ranks(recording: Recording, layout: WorkshopLayout) -> Ints:
 def make_search_space(
     plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, repeats: int = 1
 ) -> SearchSpace:
-    """Search space of a plan with a number of stations and a measuring procedure."""
+    """Search space of a plan for a number of stations and a measuring procedure (faces and rounds)."""
     survey, layout, mm, air = (
         planned_survey(scenario),
         planned_layout(scenario),
@@ -108,7 +108,7 @@ def make_search_space(
     if not survey.records_angles and least < MIN_RANGE_STATIONS:
         if stations < MIN_RANGE_STATIONS or plan.requires_sights:
             raise SetupError(
-                f"ranges alone place a reflector from {MIN_RANGE_STATIONS} stations, not from {least}; ask for more"
+                f"ranges alone determine a reflector from {MIN_RANGE_STATIONS} stations, not from {least}; require more"
             )
         least = MIN_RANGE_STATIONS
     return SearchSpace(
@@ -141,7 +141,7 @@ def min_sights_of_reflector(scenario: Scenario) -> int:
 
 
 def unsearched_plan(file: PlanFile, scenario: Scenario) -> tuple[PlanFile, SearchSpace]:
-    """Plan of a layout that is not searched, and its search space, whose survey is that layout.
+    """Plan of the layout in the scenario, and its search space, for an evaluation without a search.
 
     If the plan does not give the number of stations per reflector, the smallest sufficient number is used.
     """
@@ -152,7 +152,7 @@ def unsearched_plan(file: PlanFile, scenario: Scenario) -> tuple[PlanFile, Searc
 
 
 def procedures(plan: PlanFile, scenario: Scenario) -> tuple[list[int], list[int]]:
-    """Numbers of faces and of rounds that may be chosen; those of the scenario if the plan gives no choice."""
+    """Numbers of faces, and numbers of rounds, to choose from; those of the scenario if the plan gives no choice."""
     if not plan.chooses_procedure:
         return [scenario.work.faces], [scenario.work.repeats]
     usual = sorted({1, 2, scenario.work.repeats})
@@ -160,7 +160,7 @@ def procedures(plan: PlanFile, scenario: Scenario) -> tuple[list[int], list[int]
 
 
 def with_station_count(survey: PlannedSurvey, n_stations: int) -> PlannedSurvey:
-    """Survey with its first stations, or with placeholders for additional ones."""
+    """Survey with the first `n_stations` of its stations; missing ones are added at provisional positions."""
     have = len(survey.station_positions)
     names = [*survey.station_names]
     free = (f"S{i}" for i in range(1, have + n_stations + 1) if f"S{i}" not in names)
@@ -178,7 +178,7 @@ def with_station_count(survey: PlannedSurvey, n_stations: int) -> PlannedSurvey:
 
 
 def candidate_places(plan: PlanFile, scenario: Scenario) -> tuple[Floats | None, tuple[str, ...]]:
-    """Candidate places (P, 3) [m] of reflectors and their names; None if they do not move."""
+    """Candidate places (P, 3) [m] of reflectors, and their names; None if reflectors do not move."""
     points = [np.array(p.position_mm, dtype=np.float64)[None] for p in plan.reflectors.places]
     names = [p.name for p in plan.reflectors.places]
     for body in plan.reflectors.on:
@@ -195,7 +195,7 @@ def candidate_places(plan: PlanFile, scenario: Scenario) -> tuple[Floats | None,
 
 
 def _places_on_body(plan: PlanFile, scenario: Scenario, obstacle_name: str) -> Floats:
-    """Places (P, 3) [mm], rounded to a millimetre, on the surfaces of an obstacle or on the walls."""
+    """Places (P, 3) [mm] on the surfaces of an obstacle or on the walls, rounded to a millimetre."""
     if obstacle_name == WALLS_NAME:
         triangles = wall_triangles(np.array(scenario.workshop.size_mm) * MILLIMETRE)
     else:
@@ -210,7 +210,7 @@ def _places_on_body(plan: PlanFile, scenario: Scenario, obstacle_name: str) -> F
 
 
 def is_fixed_target(plan: PlanFile, scenario: Scenario) -> Bools:
-    """Flags (T,) of the targets that the search does not move: all without candidate places, else the fixed ones."""
+    """Flags (T,) of the targets that the search does not move: all if there are no candidate places."""
     names, given = scenario.target_names, plan.reflectors
     if not (given.surfaces or given.places or given.on):
         return np.ones(len(names), dtype=bool)
@@ -218,7 +218,7 @@ def is_fixed_target(plan: PlanFile, scenario: Scenario) -> Bools:
 
 
 def is_immovable_target(plan: PlanFile, scenario: Scenario, survey: PlannedSurvey) -> Bools:
-    """Flags (T,) of the targets of a survey that are neither free nor declared movable."""
+    """Flags (T,) of the targets of a survey that neither the search moves nor the plan declares as movable."""
     free = plan.reflectors.movable
     demanded = [point.name for point in plan.listed_points if point.name not in free and point.group not in free]
     return _fixed_flags(plan, scenario, survey.target_names, demanded)
@@ -230,7 +230,7 @@ def _fixed_flags(plan: PlanFile, scenario: Scenario, names: Sequence[str], fixed
 
 
 def layout_objective(plan: PlanFile, survey: PlannedSurvey) -> LayoutObjective:
-    """Objective of the plan; an effect of one station is considered at each of them."""
+    """Objective of the plan; an effect that acts on one station is evaluated at every station."""
     goal = plan.goal
     weights = {INSTRUMENT_QUALITY: goal.instrument, TARGETS_QUALITY: goal.targets, DIAGNOSIS_QUALITY: goal.diagnosis}
     effects: list[Effect] = []

@@ -111,7 +111,12 @@ range_um_per_m = 0
             "",
             "row 2, column y2_mm: found 'x', expected a number",
         ),
-        ('instrument = "leica-at500"\ntests = "plan.csv"', PLAN.replace("2000,0", "0,0"), "", "own axis"),
+        (
+            'instrument = "leica-at500"\ntests = "plan.csv"',
+            PLAN.replace("2000,0", "0,0"),
+            "",
+            "vertical axis of the instrument",
+        ),
         (
             'instrument = "leica-at500"\ntests = "plan.csv"\nmeasured = "found.csv"',
             PLAN,

@@ -253,7 +253,7 @@ def test_full_disk_is_a_sentence_and_finished_shards_stay(
         real(handle)
 
     monkeypatch.setattr(store.os, "fsync", full)
-    with pytest.raises(SetupError, match="the disk is full; complete shards remain in the folder"):
+    with pytest.raises(SetupError, match="the disk is full; complete files of rows remain in the folder"):
         run_campaign(file, out)
     kept = contents(out)
     assert 0 < len(kept) < 6

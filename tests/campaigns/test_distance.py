@@ -9,7 +9,7 @@ import pytest
 
 from ltsim.calibration.distance_solver import mean_deviation_rows
 from ltsim.calibration.objective import DistanceProblem
-from ltsim.campaigns.cloud_kernels import distance_forces
+from ltsim.campaigns.cloud_kernels import distance_gradient
 from ltsim.campaigns.distance import BatchDistance
 from ltsim.campaigns.engine import TRIAL_STATUSES, recording_of_trial
 from ltsim.campaigns.truth import TRIALS_PER_STREAM, CellTruth
@@ -45,7 +45,7 @@ def test_objective_is_that_of_the_single_calibrator(make_truth: Callable[..., Ce
     clouds[..., 5:] = clouds[..., 3:4]
     length = batch.distance_problem.reference_lengths.lengths[:, None] + block.length_errors
     cost = np.zeros(TRIALS_PER_STREAM)
-    distance_forces(clouds, seen, gauge, length, np.zeros_like(clouds), cost)
+    distance_gradient(clouds, seen, gauge, length, np.zeros_like(clouds), cost)
     for k in (3, 4):
         problem = DistanceProblem(
             recording_of_trial(truth, block, k), misalignment_construction(), batch.distance_problem.prior_sigma

@@ -157,7 +157,7 @@ def test_methods_are_compared_on_one_recording_as_the_campaign_compares_them_in_
     assert alone.table().column("error_calibrated_um") == judged.column("error_calibrated_um")[:1]
     with pytest.raises(SetupError, match="'network' calibrates another recording than that of seed 3, trial 16"):
         lt.compare_calibrations(scenario, found, "paper-laboratory", seed=3, trial=16)
-    with pytest.raises(SetupError, match="no calibration to judge"):
+    with pytest.raises(SetupError, match="no calibration is given"):
         lt.compare_calibrations(scenario, {}, "paper-laboratory", seed=3, trial=17)
 
 
@@ -240,7 +240,7 @@ def test_a_manifest_that_does_not_belong_to_its_rows_is_refused(sweep: Any, tmp_
         "cells.0.levels.faces": {"cells": [cells[0] | {"levels": cells[0]["levels"] | {"faces": {}}}, *cells[1:]]},
         "cell 3 by": {"cells": cells[:-1]},
         "by distance is not in": {"methods": ["network"]},
-        "one name": {"methods": ["network", "network"]},
+        "the same name": {"methods": ["network", "network"]},
         "no key": {"factors": [factors[0] | {"keys": []}, *factors[1:]]},
         "names of statistics": {"settings": {"statistics": 3}},
     }

@@ -9,8 +9,8 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.diagnosis.evidence import log_evidence_of_coefficients
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
-from ltsim.diagnosis.hypotheses import Model
-from ltsim.diagnosis.products import product_forms
+from ltsim.diagnosis.hypotheses import Hypothesis, Model
+from ltsim.diagnosis.products import may_have_a_second_factor, product_forms
 from ltsim.diagnosis.switches import _best_span_states, _span_moments, switched_forms
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressors import (
@@ -100,6 +100,24 @@ def test_air_that_is_cold_for_a_time_is_found_from_the_times(space: ResidualSpac
     found = max(product_forms(exact, of_time[0], base), key=lambda form: form.log_evidence)
     assert isinstance(found.effect, EmpiricalLaw) and found.effect.regressor.hall_region is not None
     assert found.log_evidence > of_time[0].log_evidence + 20.0
+
+
+def test_a_wave_in_azimuth_that_grows_with_the_distance_is_found_from_the_wave(space: ResidualSpace) -> None:
+    wave = Regressor("wave", ("azimuth",), constant=3.0)
+    response = RESPONSES_BY_NAME["elevation"][0]
+    growing = EmpiricalLaw(
+        (), (), response, Regressor("product", factors=(wave, scalar_regressor("distance", "power"))), scale_index=0
+    )
+    base, exact = with_law(space, growing, 2000.0), EvidenceCalculator(space)
+    plain = EmpiricalLaw((), (), response, wave)
+    assert may_have_a_second_factor(plain) and not may_have_a_second_factor(growing)
+    value = float(exact.log_evidence([plain], base)[0])
+    best = max(
+        product_forms(exact, Hypothesis(plain, 0.0, value, plain.name), base), key=lambda form: form.log_evidence
+    )
+    assert isinstance(best.effect, EmpiricalLaw)
+    assert {q for factor in best.effect.regressor.factors for q in factor.covariates} == {"azimuth", "distance"}
+    assert best.log_evidence > value + 20.0
 
 
 @pytest.mark.parametrize("axis", ["x", "y"])
