@@ -30,7 +30,8 @@ def background(file: str, clockwise: bool, told_noise: bool) -> tuple[Recording,
     told = lt.diagnose(recording, held_out=False)
     sigma = told.final_adjustment.problem.sigma / [MILLIMETRE, ARCSECOND, ARCSECOND]
     columns = dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))
-    weighted = recording.replace(covariates={**recording.covariates, **columns})
+    setup = recording.setup.model_copy(update={"centring": told.final_adjustment.recording.setup.centring})
+    weighted = recording.replace(covariates={**recording.covariates, **columns}, setup=setup)
     if told_noise:
         recording, told = weighted, lt.diagnose(weighted, held_out=False)
     return recording, weighted, tuple(told.findings)

@@ -26,6 +26,7 @@ from ltsim.diagnosis.held_out import HeldOutErrors, cross_validated_errors
 from ltsim.diagnosis.hypotheses import Model, most_probable_name, name_probabilities
 from ltsim.diagnosis.instruments import (
     ConstantContradiction,
+    ContradictingConstants,
     HistoryExpectation,
     find_contradictions,
 )
@@ -154,7 +155,7 @@ def _varies_constant(constant: str, effects: Sequence[CandidateEffect]) -> bool:
     return any(constant in varied for varied in (*laws, *drifts, *parameters))
 
 
-ConstantComparison = Callable[[Adjustment, float], list[ConstantContradiction]]
+ConstantComparison = Callable[[Adjustment, float], ContradictingConstants]
 """Function from an adjustment and a smallest log evidence to the constants that contradict their reference."""
 
 
@@ -169,21 +170,21 @@ def _search_recording(
 
 def _contradicting_constants(
     case: SelectionState, model: Model, final_adjustment: Adjustment, comparison: ConstantComparison
-) -> list[ConstantContradiction]:
+) -> tuple[ConstantContradiction, ...]:
     """Constants that contradict their reference with nearly equal offsets with and without the model."""
-    with_model = comparison(final_adjustment, MIN_EFFECT_LOG_EVIDENCE)
+    with_model = comparison(final_adjustment, MIN_EFFECT_LOG_EVIDENCE).contradictions
     if not model.members:
         return with_model
-    contradictions = comparison(case.space.adjustment, MIN_EFFECT_LOG_EVIDENCE)
+    contradictions = comparison(case.space.adjustment, MIN_EFFECT_LOG_EVIDENCE).contradictions
     size = {
         (contradiction.instruments, contradiction.parameter.name): abs(contradiction.difference)
         for contradiction in contradictions
     }
-    return [
+    return tuple(
         c
         for c in with_model
         if abs(c.difference) > MIN_REMAINING_OFFSET * size.get((c.instruments, c.parameter.name), np.inf)
-    ]
+    )
 
 
 def _select_model(case: SelectionState, threshold: float, comparison: ConstantComparison) -> Model:
@@ -200,11 +201,9 @@ def _select_model(case: SelectionState, threshold: float, comparison: ConstantCo
     else:
         model = case.searcher.select_model(threshold, requires_member=True)
     contradicting = comparison(case.space.adjustment, MIN_EFFECT_LOG_EVIDENCE)
-    if (
-        contradicting
-        and contradicting[0].joint_evidence - model.score > (len(contradicting) - len(model.members)) * threshold
-    ):
-        case.release_priors(contradicting)
+    constants = contradicting.contradictions
+    if constants and contradicting.joint_evidence - model.score > (len(constants) - len(model.members)) * threshold:
+        case.release_priors(constants)
         model = case.searcher.select_model(threshold, requires_member=False)
     return _alternate_mean_and_variance(case, model, threshold)
 

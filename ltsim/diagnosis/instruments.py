@@ -77,9 +77,6 @@ class ConstantContradiction:
         [SI], from the other instruments, from zero for a corrected instrument, or from its history.
     evidence : float
         Log marginal likelihood ratio given the other contradictions, prior odds included.
-    joint_evidence : float
-        Log evidence of all contradictions of the recording together against the prior of the adjustment, prior odds
-        included: comparable with that of a model of effects.
     p_value : float
         Two-sided p-value of the difference, corrected for all constants compared.
     against : str
@@ -93,10 +90,26 @@ class ConstantContradiction:
     difference: float
     sigma: float
     evidence: float
-    joint_evidence: float
     p_value: float
     against: str
     rivals: Mapping[Parameter, float]
+
+
+@dataclass(frozen=True)
+class ContradictingConstants:
+    """Constants of a recording's instruments that contradict their reference.
+
+    Attributes
+    ----------
+    contradictions : tuple of ConstantContradiction
+        The most significant first.
+    joint_evidence : float
+        Log evidence of all contradictions together against the prior of the adjustment, prior odds included: comparable
+        with that of a model of effects; 0 without any.
+    """
+
+    contradictions: tuple[ConstantContradiction, ...] = ()
+    joint_evidence: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -133,7 +146,7 @@ class ExpectedConstants:
     changes: tuple[ConstantChange, ...]
 
 
-def find_contradictions(adjustment: Adjustment, min_log_evidence: float) -> list[ConstantContradiction]:
+def find_contradictions(adjustment: Adjustment, min_log_evidence: float) -> ContradictingConstants:
     """Constants that differ from those of the other instruments, or from zero for a corrected instrument.
 
     Of two instruments that differ the readings do not identify the one in error; the one farther from zero is the more
@@ -161,7 +174,7 @@ def find_contradictions(adjustment: Adjustment, min_log_evidence: float) -> list
 
 def compare_constants(
     adjustment: Adjustment, expectation: ExpectedConstants, min_log_evidence: float
-) -> list[ConstantContradiction]:
+) -> ContradictingConstants:
     """Constants that differ from their expectation, each with more than `min_log_evidence` given the others.
 
     They follow from forward selection with exchange, in which selected constants have the prior variance
@@ -212,7 +225,7 @@ def compare_constants(
         if np.linalg.eigvalsh(scale_to_unit_diagonal(square, np.diag(square))[0])[0] > MIN_EIGENVALUE:
             contradictions.append(k)
     if not contradictions:
-        return []
+        return ContradictingConstants()
     changed = [
         np.log(share)
         + log_marginal_likelihood(
@@ -228,17 +241,11 @@ def compare_constants(
     gap, sigma = covariance @ ways[contradictions] @ score, np.sqrt(np.diag(covariance))
     units = [unit[expectation.changes[k].instruments[0], expectation.changes[k].constant] for k in contradictions]
     chance = np.minimum(len(ways) * erfc(np.abs(gap) / sigma / np.sqrt(2.0)), 1.0)
-    return [
-        _contradiction_of_change(
-            adjustment,
-            expectation.changes,
-            odds_by_change[k],
-            k,
-            joint + odds * len(contradictions),
-            *map(float, (g * u, s * u, c)),
-        )
+    entries = (
+        _contradiction_of_change(adjustment, expectation.changes, odds_by_change[k], k, *map(float, (g * u, s * u, c)))
         for k, g, s, c, u in zip(contradictions, gap, sigma, chance, units, strict=True)
-    ]
+    )
+    return ContradictingConstants(tuple(entries), joint + odds * len(contradictions))
 
 
 def _contradiction_of_change(
@@ -246,7 +253,6 @@ def _contradiction_of_change(
     changes: Sequence[ConstantChange],
     logs: Floats,
     change_index: int,
-    joint_evidence: float,
     gap: float,
     sigma: float,
     chance: float,
@@ -261,7 +267,6 @@ def _contradiction_of_change(
         difference=gap,
         sigma=sigma,
         evidence=float(logs[change_index]),
-        joint_evidence=joint_evidence,
         p_value=chance,
         against=change.reference_text,
         rivals={
@@ -316,7 +321,7 @@ class HistoryExpectation:
             calibrations, calibrations.replace_nominal_prior(nominal_prior, construction, names), nominal_prior.sigma
         )
 
-    def find_contradictions(self, adjustment: Adjustment, min_log_evidence: float) -> list[ConstantContradiction]:
+    def find_contradictions(self, adjustment: Adjustment, min_log_evidence: float) -> ContradictingConstants:
         """Constants that have changed, each with more than `min_log_evidence`, the most significant first."""
         parameters, unit = adjustment.construction.parameters, self.specification
         at = [k for k, p in enumerate(parameters) if p.name in self.earlier.parameters]

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 import ltsim as lt
+from ltsim.adjustment import adjust
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError
+from ltsim.diagnosis.diagnose import diagnose
 from ltsim.recordings import read
 
 COUNT = 11
@@ -65,3 +67,37 @@ def test_a_leg_without_a_length_is_named(tmp_path: Path) -> None:
     traverse(tmp_path / "a.gkf", skipped=(4, 3))
     with pytest.raises(NetworkError, match=r"no reading determines the horizontal length of the lines 3-4$"):
         lt.adjust(read(tmp_path / "a.gkf"))
+
+
+def test_a_wrong_height_of_a_set_up_with_two_pointings_is_no_physics(tmp_path: Path) -> None:
+    """A levelled polygon of five points, one of which is occupied twice: one of its instrument heights is omitted."""
+    rng = np.random.default_rng(4)
+    turn = np.arange(5) * 2 * np.pi / 5
+    points = np.column_stack([60 * np.sin(turn), 55 * np.cos(turn), [0.0, 1.5, 4.0, 2.0, -0.5]])
+    rows = ['<gama-local><network axes-xy="en" angles="left-handed"><parameters sigma-apr="1" sigma-act="apriori"/>']
+    rows.append('<points-observations direction-stdev="6" zenith-angle-stdev="6" distance-stdev="1">')
+    rows += [f'<point id="{name}" adj="xyz"/>' for name in "ABCDE"]
+    for i, true_height, stated_height in (
+        (0, 0.0, 0.0),
+        (1, 0.0, 0.0),
+        (1, 0.25, 0.0),
+        *((i, 0.0, 0.0) for i in (2, 3, 4)),
+    ):
+        rows.append(f'<obs from="{"ABCDE"[i]}">')
+        zero, height = rng.uniform(0, 400), f'from_dh="{stated_height}" to_dh="0"'
+        for j in ((i - 1) % 5, (i + 1) % 5):
+            east, north, up = points[j] - points[i] - [0.0, 0.0, true_height]
+            plan, to = np.hypot(east, north), f'to="{"ABCDE"[j]}"'
+            turned = np.arctan2(east, north) * 200 / np.pi + zero + rng.normal(0, 6e-4)
+            zenith = np.arctan2(plan, up) * 200 / np.pi + rng.normal(0, 6e-4)
+            rows.append(f'<direction {to} val="{turned % 400:.5f}"/><z-angle {to} val="{zenith:.5f}" {height}/>')
+            rows.append(f'<s-distance {to} val="{np.hypot(plan, up) + rng.normal(0, 1e-3):.5f}" {height}/>')
+        rows.append("</obs>")
+    file = tmp_path / "polygon.gkf"
+    file.write_text("\n".join([*rows, "</points-observations></network></gama-local>"]))
+    recording = read(file)
+    (wrong,) = adjust(recording).rejected_references
+    assert (wrong.kind, wrong.name) == ("mark", "B#2")
+    (finding,) = diagnose(recording, held_out=False).findings
+    assert finding.where.stations == ("B#2",)
+    assert finding.sentence.startswith("The set-up of B#2 is off by 2")

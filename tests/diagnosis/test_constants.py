@@ -47,7 +47,7 @@ def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of
     )
     expected = 0.04 * np.eye(32)
     changes = tuple(ConstantChange((1,), k, "nothing") for k in range(16))
-    found = compare_constants(adjustment, ExpectedConstants(np.zeros(32), expected, changes), 2.0)
+    found = compare_constants(adjustment, ExpectedConstants(np.zeros(32), expected, changes), 2.0).contradictions
     assert found[0].instruments == ("B",)
     k = 16 + adjustment.construction.parameter_names.index(found[0].parameter.name)
     seen = np.linalg.eigh(said.information)
@@ -69,7 +69,9 @@ def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of
 
 def test_an_index_that_one_face_shows_only_with_the_circle_is_told_as_that():
     """Three trackers in one face: 10 urad of one are far within the prior, and far from what the others share."""
-    found = find_contradictions(adjust(trackers(3, "vertical-index", 10e-6, 1), misalignment_construction()), 2.0)
+    found = find_contradictions(
+        adjust(trackers(3, "vertical-index", 10e-6, 1), misalignment_construction()), 2.0
+    ).contradictions
     assert found
     first = found[0]
     assert first.instruments == ("B",)
@@ -99,14 +101,21 @@ def test_a_scale_against_known_points_is_told_of_both_trackers():
     )
     exact = MeasurementModel(recording, built).predict(state)
     recording = recording.with_readings(exact + recording.sigma() * stream(8, "noise").standard_normal(exact.shape))
-    found = find_contradictions(adjust(recording, built), 2.0)
+    found = find_contradictions(adjust(recording, built), 2.0).contradictions
     (both,) = found
     assert (both.instruments, both.parameter.name) == (("A", "B"), "range-scale")
     assert abs(both.difference - 20e-6) < 4 * both.sigma
 
 
 def test_trackers_alike_contradict_nothing_and_chances_are_bounded():
-    assert find_contradictions(adjust(trackers(3, "vertical-index", 0.0, 1), misalignment_construction()), 2.0) == []
-    found = find_contradictions(adjust(trackers(3, "vertical-index", 40e-6, 2), misalignment_construction()), 2.0)
+    assert (
+        find_contradictions(
+            adjust(trackers(3, "vertical-index", 0.0, 1), misalignment_construction()), 2.0
+        ).contradictions
+        == ()
+    )
+    found = find_contradictions(
+        adjust(trackers(3, "vertical-index", 40e-6, 2), misalignment_construction()), 2.0
+    ).contradictions
     assert [(c.instruments, c.parameter.name) for c in found] == [(("B",), "vertical-index")]
     assert 0.0 <= found[0].p_value < 1e-6

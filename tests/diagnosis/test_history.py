@@ -54,7 +54,9 @@ def estimated(faces: int, truth: Floats, rng: np.random.Generator) -> Floats:
     return covariance @ (information @ truth + noise)
 
 
-def told(faces: int, count: int, seed: int, blow: float = 0.0, constant: int = INDEX) -> list[ConstantContradiction]:
+def told(
+    faces: int, count: int, seed: int, blow: float = 0.0, constant: int = INDEX
+) -> tuple[ConstantContradiction, ...]:
     """Contradictions of a day with some calibrations before it, one constant off by `blow` guarantees."""
     rng = stream(61, "days", faces, count, seed)
     calibration, adjustment = measured(faces)
@@ -72,7 +74,7 @@ def told(faces: int, count: int, seed: int, blow: float = 0.0, constant: int = I
     return against(known, adjustment, values[-1])
 
 
-def against(known: EarlierCalibrations, adjustment: Adjustment, values: Floats) -> list[ConstantContradiction]:
+def against(known: EarlierCalibrations, adjustment: Adjustment, values: Floats) -> tuple[ConstantContradiction, ...]:
     """Contradictions of an adjustment that had found other values (p,)."""
     state = SimpleNamespace(instrument_parameters=values[None])
     covariance, recording = adjustment.constants_covariance, adjustment.recording
@@ -83,9 +85,8 @@ def against(known: EarlierCalibrations, adjustment: Adjustment, values: Floats) 
         recording=recording,
         problem=adjustment.problem,
     )
-    return HistoryExpectation.from_calibrations(known, recording, BUILT).find_contradictions(
-        other, MIN_EFFECT_LOG_EVIDENCE
-    )
+    expectation = HistoryExpectation.from_calibrations(known, recording, BUILT)
+    return expectation.find_contradictions(other, MIN_EFFECT_LOG_EVIDENCE).contradictions
 
 
 @pytest.mark.long

@@ -81,9 +81,9 @@ def screened_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
     if fit.is_outlier.any():
         offers += [(_outlier_log_evidence(fit, np.array(h.rows) - 1) + h.log_prior, h) for h in row_corrections(fit)]
         offers += [
-            (_outlier_log_evidence(fit, _rows_with_targets(fit, h)) + h.log_prior, h)
+            (_outlier_log_evidence(fit, _rows_at(fit, h)) + h.log_prior, h)
             for h in reference_omissions(fit)
-            if h.targets
+            if h.targets or h.stations
         ]
         offers += local_centring_hypotheses(fit)
     offers += _noise_hypotheses(fit)
@@ -321,10 +321,12 @@ def _outlier_log_evidence(fit: NetworkFit, rows: Ints) -> float:
     )
 
 
-def _rows_with_targets(fit: NetworkFit, hypothesis: Hypothesis) -> Ints:
-    """Rows with pointings to the targets of a hypothesis."""
-    indices = [fit.recording.targets.index(name) for name in hypothesis.targets]
-    return np.flatnonzero(np.isin(fit.recording.target, indices))
+def _rows_at(fit: NetworkFit, hypothesis: Hypothesis) -> Ints:
+    """Rows of the pointings to the targets, or from the stations, of a hypothesis."""
+    recording = fit.recording
+    targets = [recording.targets.index(name) for name in hypothesis.targets]
+    stations = [recording.stations.index(name) for name in hypothesis.stations]
+    return np.flatnonzero(np.isin(recording.target, targets) | np.isin(recording.station, stations))
 
 
 def _reference_hypotheses(fit: NetworkFit, adjustment: Adjustment) -> list[tuple[float, Hypothesis]]:

@@ -50,7 +50,9 @@ MAX_SELECTED_HYPOTHESES = 8
 MAX_CAUSES_BEFORE_CENTRING = 3
 """Number of simple causes whose evidence together is compared with that of centring errors."""
 N_FITTED_HYPOTHESES = 4
-"""Number of hypotheses that are fitted in a step, in the order of their approximate gains."""
+"""Number of hypotheses that are fitted in a step, in the order of their approximate gains; as many may be
+undetermined.
+"""
 MIN_POINTINGS_LARGE_NETWORK = 1500
 """Number of pointings from which a network that agrees as a whole is not searched place by place (5 s of processor
 time).
@@ -232,13 +234,13 @@ def _fit_best_hypotheses(
     If the first reaches its approximate gain, only hypotheses that may explain the same readings are fitted too,
     because the order of causes at different places has no influence.
     """
-    first, attempts = 0.0, 0
+    first, undetermined = 0.0, 0
     tried: list[tuple[Hypothesis, NetworkFit]] = []
     places = {h.place_key for h in fit.hypotheses if isinstance(h.model_change, NoiseFactor)}
     places |= {replaced_hypothesis.place_key} if replaced_hypothesis is not None else set()
     for promised, hypothesis in screened_hypotheses(fit):
         best = max((made.log_evidence for _, made in tried), default=-np.inf) - fit.log_evidence
-        if promised <= max(min_count, 0.0) or attempts >= N_FITTED_HYPOTHESES or best > promised:
+        if promised <= max(min_count, 0.0) or max(len(tried), undetermined) >= N_FITTED_HYPOTHESES or best > promised:
             break
         if isinstance(hypothesis.model_change, excluded_changes):
             continue
@@ -246,10 +248,12 @@ def _fit_best_hypotheses(
             continue
         if tried and best > MIN_GAIN_FRACTION_TRUSTED * first and not hypothesis.competes_with(tried[0][0]):
             continue
-        first, attempts = promised if not attempts else first, attempts + 1
         made = refit_with(fit, hypothesis, promised)
-        if made is not None:
-            tried.append((hypothesis, made))
+        if made is None:
+            undetermined += 1
+            continue
+        first = first if tried else promised
+        tried.append((hypothesis, made))
     return sorted(tried, key=lambda pair: -pair[1].log_evidence)
 
 

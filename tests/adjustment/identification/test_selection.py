@@ -29,6 +29,7 @@ from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import fit_robust_state
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.randomness import stream
+from ltsim.core.units import ARCSECOND
 from ltsim.geometry.alignment import align_robustly
 from ltsim.geometry.rotations import rotation_about_z
 from ltsim.physics.effects.motions import exact_station_change, exact_target_change
@@ -36,7 +37,7 @@ from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.model.construction import declared_construction, misalignment_construction
 from ltsim.physics.model.measurement import sightings_of
 from ltsim.recordings.centring_errors import CentringUncertainty
-from ltsim.recordings.recording import Recording
+from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.setup import Target
 from tests.families import family
 from tests.networks import Truth, network
@@ -60,7 +61,7 @@ def identified(recording: Recording) -> CauseSelection:
     return select_causes(FitInput(recording, misalignment_construction()))
 
 
-def shifted(recording: Recording, rows: Floats, column: int, size: float) -> Recording:
+def shifted(recording: Recording, rows: Floats, column: int, size: float | Floats) -> Recording:
     readings = recording.readings.copy()
     readings[rows, column] += size
     return recording.with_readings(readings)
@@ -103,6 +104,34 @@ def test_a_scale_error_of_a_station(share: float) -> None:
     readings = recording.readings.copy()
     readings[recording.station == 1, 0] *= 1.0 + share
     assert the_one(identified(recording.with_readings(readings))) == ("scale-error", ("S2",), ())
+
+
+@pytest.mark.parametrize(
+    ("observable", "size"), [("distance", 1e-4), *family([("elevation", 3e-5), ("distance", 0.02)])]
+)
+def test_a_constant_that_drifts_evenly_at_a_station(observable: str, size: float) -> None:
+    recording, truth = hall()
+    at = recording.station == 1
+    elapsed = (recording.time - recording.time[at].min()) / np.ptp(recording.time[at])
+    wrong = shifted(recording, at, OBSERVABLES.index(observable), (size * elapsed)[at])
+    selection = identified(wrong)
+    assert the_one(selection) == ("constant-drift", ("S2",), ())
+    (test,) = [t for t in cause_tests(selection) if t.accepted and t.kind != "outlier"]
+    assert test.acts_on == observable
+    unit = 1e-3 if observable == "distance" else ARCSECOND
+    assert test.estimate == pytest.approx(size / unit, abs=5.0 * test.sigma)
+    assert "drifted by" in test.sentence
+    assert np.allclose(selection.fit.state.target_points, truth.state.target_points, atol=1e-4)
+
+
+def test_a_station_that_moves_evenly_is_no_drift_of_a_constant() -> None:
+    recording, truth = hall()
+    at = recording.station == 1
+    elapsed = np.where(at, (recording.time - recording.time[at].min()) / np.ptp(recording.time[at]), 0.0)
+    motion = elapsed[:, None] * np.array([2e-4, -1e-4, -3e-4, 2e-5, 0.0, 0.0])
+    change = exact_station_change(sightings_of(recording, truth.state), motion)
+    selection = identified(recording.with_readings(recording.readings + change))
+    assert the_one(selection) == ("station-drift", ("S2",), ())
 
 
 @pytest.mark.parametrize("size", [1e-3, 10.0])
