@@ -33,7 +33,7 @@ ForceOption = Annotated[
 GENERATOR_TAG = '<meta name="generator" content="ltsim'
 """Text by which a page written by ltsim is recognised."""
 MAX_SEARCHED_BYTES = 4096
-"""Bytes of a file that are searched for the mark of ltsim."""
+"""Number of bytes at the beginning of a file that are searched for the text by which ltsim recognises its files."""
 LTSIM_FILE_PATTERN = re.compile(rf'"?format"? ?[:=] ?"ltsim-|{re.escape(GENERATOR_TAG)}')
 """Pattern at the beginning of a file of ltsim, written by a command or by a user."""
 
@@ -104,7 +104,7 @@ def check_overwrite(
 def _is_replaceable(
     folder: Path, model: type[ResultFile], existing_names: list[str], is_of_same_command: Callable[[Any], bool]
 ) -> bool:
-    """True if this command wrote the existing files and no one was changed since."""
+    """True if this command wrote all existing files and none of them was changed since."""
     from ltsim.recordings.result_file import read_result
 
     try:

@@ -28,7 +28,7 @@ QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print only err
 
 @dataclass(frozen=True)
 class Terminal:
-    """Terminal output of one command."""
+    """Output of one command on the terminal: text or JSON, remarks, progress."""
 
     quiet: QuietOption = False
     as_json: Annotated[bool, typer.Option("--json", help="Print only the answer, as JSON.")] = False
