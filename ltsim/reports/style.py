@@ -209,9 +209,9 @@ def legend_height(labels: Sequence[str], max_columns: int) -> float:
 
 def shortened_name(name: str, max_length: int = 34) -> str:
     """Name of at most `max_length` characters, cut in the middle, since names often differ at their ends."""
-    one_line, n_end_letters = " ".join(name.split()), max_length // 2
+    text_line, n_end_letters = " ".join(name.split()), max_length // 2
     return (
-        one_line
-        if len(one_line) <= max_length
-        else f"{one_line[: max_length - 1 - n_end_letters]}…{one_line[-n_end_letters:]}"
+        text_line
+        if len(text_line) <= max_length
+        else f"{text_line[: max_length - 1 - n_end_letters]}…{text_line[-n_end_letters:]}"
     )

@@ -145,7 +145,7 @@ def workshop_from_adjustment(adjustment: Adjustment, *, without_parameters: Adju
         stations=recording.stations,
         station_positions=state.station_positions,
         station_rotations=state.station_rotations,
-        targets=tuple(name for name, is_kept in zip(recording.targets, has_plan_position, strict=True) if is_kept),
+        targets=tuple(name for name, is_drawn in zip(recording.targets, has_plan_position, strict=True) if is_drawn),
         target_points=state.target_points[has_plan_position],
         sights=DrawnSights(
             recording.station[rows],
