@@ -57,11 +57,11 @@ def parameter_figure(rows: Sequence[ParameterEntry], true_values: Sequence[float
             ax.plot(
                 values[chosen], places[chosen], "o", ms=4.5, mfc=face_colour, mec=style.COLOUR_AFTER, label=legend_label
             )
-    improved_indices = [i for i, value in enumerate(true_values) if value is not None]
-    if improved_indices:
-        truth = np.array([true_values[i] for i in improved_indices], dtype=np.float64) / scales[improved_indices]
+    indices_with_truth = [i for i, value in enumerate(true_values) if value is not None]
+    if indices_with_truth:
+        truth = np.array([true_values[i] for i in indices_with_truth], dtype=np.float64) / scales[indices_with_truth]
         ax.plot(
-            truth, places[improved_indices], "|", ms=9, mew=1.8, color=style.INK_COLOUR, zorder=4, label="true value"
+            truth, places[indices_with_truth], "|", ms=9, mew=1.8, color=style.INK_COLOUR, zorder=4, label="true value"
         )
     style.write_at_right(ax, places, [with_sigma(r.value, r.sigma, r.unit) for r in rows])
     ax.set_xlabel("estimate / sigma of the prior")
