@@ -238,7 +238,8 @@ def _adjust_with_options(
         require_usable(adjustment)
         return _require_available_datum(adjustment, datum)
     how["tested_kinds"] = TESTED_REFERENCE_KINDS if prior is None or prior.is_fixed.all() else SCALE_DEPENDENT_KINDS
-    effects = (*effects, *(() if selection is None else selection.certain_motions))
+    if selection is not None:
+        effects = (*effects, *selection.certain_motions, *selection.certain_target_motions)
     adjustment = adjusted_network(recording, construction, effects=effects, **how)
     if adjustment.sigma0 >= MAX_SIGMA0_FOR_WIDENING and any(
         test.kind == "scale" for test in adjustment.rejected_references

@@ -21,6 +21,7 @@ from ltsim.adjustment.snooping import MAX_TRACKER_ERROR
 from ltsim.adjustment.station_motions import FittedMotion, SuddenMotion
 from ltsim.core.arrays import Floats
 from ltsim.physics.effects.station_bump import StationBump
+from ltsim.physics.effects.target_moved import TargetMoved
 
 MAX_LOG_EVIDENCE_GAIN = 1e30
 """Finite number in place of an infinite gain of log evidence: that of a hypothesis without which no fit is possible."""
@@ -126,6 +127,14 @@ class CauseSelection:
             if isinstance(motion, FittedMotion):
                 motions.setdefault(motion.stations, motion)
         return tuple(motions.values())
+
+    @property
+    def certain_target_motions(self) -> tuple[TargetMoved, ...]:
+        """Certain motions of targets."""
+        certain = (c for c in self.selected_hypotheses if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN)
+        changes = (c.hypothesis.model_change for c in certain)
+        effects = (change.effect for change in changes if isinstance(change, ReadingShiftChange))
+        return tuple(effect for effect in effects if isinstance(effect, TargetMoved))
 
     @property
     def has_shifts_other_than_motions(self) -> bool:

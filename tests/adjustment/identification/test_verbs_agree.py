@@ -165,6 +165,14 @@ def test_every_verb_names_a_simple_cause_first_at_its_place(cause: Cause, size: 
     assert all(name in checked.sentence for names in place for name in names)
 
 
+def test_a_target_that_moved_is_in_the_model_of_a_calibration() -> None:
+    recording, (_, targets) = moved_target(1e-3)
+    calibrated = lt.calibrate(recording)
+    assert calibrated.fit.chi2 < 1.2 * calibrated.fit.dof
+    assert calibrated.fit.dof == lt.calibrate(workshop()).fit.dof - 3
+    assert f"The model corrects 1 error at {targets[0]}, with 3 degrees" in result_section(calibrated).terminal_text()
+
+
 def test_a_cause_without_which_no_network_fits_is_written_and_read(tmp_path: Path) -> None:
     recording, (_, targets) = exchanged_reference_points(0.0)
     folder = tmp_path / "adjusted"
