@@ -11,7 +11,7 @@ class RangeDrift(Drift):
     Size: 1 to 2 um/h after the warm-up; tenths of a millimetre over two hours from cold.
     Like: mesh-expansion (0.955), dead-path.
     Separate by: a new homing during the measurement; thermometers; one target measured every quarter of an hour.
-    Valid: the same drift at every station, or a drift at one station; time constants of 10 min to 4 h.
+    Valid: the same drift at every station; time constants of 10 min to 4 h.
     Source: Pollack Periodica 15(3), 2020, on the warm-up of a Leica AT960 (size); the exponential is that of a body
     that reaches its temperature.
     Status: validated against the range zero at a given time.
@@ -33,4 +33,3 @@ class RangeDrift(Drift):
     parameters = (rate_parameter,)
 
     linear_laws = ("linear", "visit")
-    tries_single_stations = True
