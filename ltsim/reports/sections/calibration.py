@@ -179,7 +179,7 @@ def _corrected_faults(content: Calibration) -> list[CauseTest]:
 
 def _corrections_sentence(content: Calibration) -> str:
     """Sentence on the causes in the model of the result, with a leading blank; empty without one."""
-    faults = _corrected_faults(content)
+    faults = [test for test in _corrected_faults(content) if test.kind != "noise-level"]
     if not faults:
         return ""
     places = dict.fromkeys(name for test in faults for name in (*test.where.stations, *test.where.targets))

@@ -184,6 +184,15 @@ COVERED = """(() => { stations[1].mm = [stations[0].mm[0] - 1200, stations[0].mm
 """Pairs of names that cover each other, the second station 1.2 m beside the first."""
 
 
+LATE_VERDICT = """(() => {
+  let answer; const late = new Promise(resolve => { answer = resolve; }), present = post;
+  post = endpoint => endpoint === "verdict" ? late : present(endpoint);
+  verdict(); updateLater(); clearTimeout(timer); answer({ words: "Reached: an earlier layout", reached: true });
+  setTimeout(() => { post = present; window.answered = true; }, 50);
+})()"""
+"""Script in which a station is moved while a verdict on the earlier layout is on its way."""
+
+
 def test_a_dragged_station_changes_the_accuracy_on_the_page(hall: Path, tmp_path: Path) -> None:
     find_browser()
     command = [sys.executable, "-c", START, "view", "--plan", str(hall), "--out", str(tmp_path / "moved")]
@@ -208,6 +217,9 @@ def test_a_dragged_station_changes_the_accuracy_on_the_page(hall: Path, tmp_path
             assert tab.value("layer.sights.childElementCount") > 0
             tab.until("/eached: /.test(document.querySelector('#verdict').textContent)")
             assert tab.value("document.querySelector('#verdict').className") in ("reached", "lost")
+            tab.value(LATE_VERDICT)
+            tab.until("window.answered")
+            assert tab.value("document.querySelector('#verdict').textContent") == "…"
             tab.value("document.querySelector('#add').click()")
             tab.until("!busy && evaluation.reasons.length === 4 && stations.length === 4")
             assert "S4" not in tab.value("evaluation.problem")
