@@ -38,7 +38,8 @@ MAX_CALIBRATED_POINTINGS = 30_000
 networks up to three times as large."""
 MAX_DIAGNOSED_POINTINGS = 8_000
 """Largest number of pointings of a network that is diagnosed. With a cause, 2,000 take 24 s of processor time and
-310 MB, a ring of 3,360 takes 60 s and 450 MB, and 8,000 take 115 s and 0.85 GB (measured with other processes).
+310 MB, a ring of 3,360 takes 30 to 95 s and 450 to 530 MB, and 8,000 take 115 s and 0.85 GB (measured with other
+processes).
 """
 POINTINGS_LIMIT_VARIABLE = "LTSIM_MAX_POINTINGS"
 """Environment variable that raises the largest number of pointings of every command, for machines with more memory."""
