@@ -20,6 +20,7 @@ from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.adjustment.snooping import MAX_TRACKER_ERROR
 from ltsim.adjustment.station_motions import FittedMotion, SuddenMotion
 from ltsim.core.arrays import Floats
+from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.effects.target_moved import TargetMoved
 
@@ -100,13 +101,24 @@ class CauseSelection:
     selected_hypotheses: tuple[SelectedHypothesis, ...]
 
     @property
+    def _certain_hypotheses(self) -> list[Hypothesis]:
+        """Selected hypotheses with a gain of log evidence of more than `MIN_LOG_EVIDENCE_CERTAIN`."""
+        return [c.hypothesis for c in self.selected_hypotheses if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN]
+
+    @property
+    def _certain_effects(self) -> list[Signature]:
+        """Effects of the certain shifts of readings, in their order."""
+        changes = (h.model_change for h in self._certain_hypotheses)
+        return [change.effect for change in changes if isinstance(change, ReadingShiftChange)]
+
+    @property
     def requires_initial_causes(self) -> bool:
         """True if the network must be adjusted with the selected hypotheses before other tests are possible.
 
         This is necessary after a certain error that all readings of a set-up or target share, and after a reference
         value with a large error. Other motions of stations and reference values have separate tests in the adjustment.
         """
-        sure = [c.hypothesis for c in self.selected_hypotheses if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN]
+        sure = self._certain_hypotheses
         shared = [h for h in sure if h.kind in SHARED_CAUSE_KINDS]
         values = [h for h in sure if h.kind == "reference-value" and h.acts_on != "mark"]
         far = [h for h in values if largest_displacement(self.fit, h) > MAX_REFERENCE_MISCLOSURE]
@@ -119,10 +131,8 @@ class CauseSelection:
     @property
     def certain_motions(self) -> tuple[FittedMotion, ...]:
         """Certain motions of stations, at most one per station: that with the largest gain of log evidence."""
-        certain = (c for c in self.selected_hypotheses if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN)
-        sure = [c.hypothesis.model_change for c in certain]
         motions: dict[tuple[str, ...], FittedMotion] = {}
-        for effect in (change.effect for change in sure if isinstance(change, ReadingShiftChange)):
+        for effect in self._certain_effects:
             motion = SuddenMotion(effect.stations, time=effect.time) if isinstance(effect, StationBump) else effect
             if isinstance(motion, FittedMotion):
                 motions.setdefault(motion.stations, motion)
@@ -131,10 +141,7 @@ class CauseSelection:
     @property
     def certain_target_motions(self) -> tuple[TargetMoved, ...]:
         """Certain motions of targets."""
-        certain = (c for c in self.selected_hypotheses if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN)
-        changes = (c.hypothesis.model_change for c in certain)
-        effects = (change.effect for change in changes if isinstance(change, ReadingShiftChange))
-        return tuple(effect for effect in effects if isinstance(effect, TargetMoved))
+        return tuple(effect for effect in self._certain_effects if isinstance(effect, TargetMoved))
 
     @property
     def has_shifts_other_than_motions(self) -> bool:
