@@ -65,6 +65,8 @@ MAX_OPEN_BLOCKS = 4
 """Largest number of blocks that are open on the page."""
 MAX_CELL_ROWS = 48
 """Number of cells above which means are tabulated by level and not by cell."""
+DECLARATION_FACTORS = ("noise_factor", "error_factor", "prior_factor")
+"""Keys of an instrument that make its noise or errors differ from the declared ones if they are not 1."""
 IMPROVEMENT_COLUMN = "distance_improvement_percent"
 """Column of the statistic that the summary of a campaign reports."""
 
@@ -153,8 +155,8 @@ def _answer_sentence(
         if len(means) == 1:
             mean_texts.append(f"{method} by {_mean_text(means[0])} %")
         elif means:
-            low, high = min(s.mean for s in means), max(s.mean for s in means)
-            mean_texts.append(f"{method} by {number_text(low)} to {number_text(high)} %")
+            ends = dict.fromkeys(number_text(limit(s.mean for s in means)) for limit in (min, max))
+            mean_texts.append(f"{method} by {' to '.join(ends)} %")
     text = f"{trials_text}, calibration improves the distance criterion on average: {'; '.join(mean_texts)}."
     return (text if mean_texts else f"{trials_text} with {', '.join(manifest.methods)}.") + _extreme_cells_sentence(
         results, summaries
@@ -201,12 +203,27 @@ def _key_figures(
                 assessment_of(max(differences) < 1e-3),
             )
         )
-    if z_scores:
-        shares, n_intervals = [s.coverage_95 for s in z_scores], sum(s.trials for s in z_scores)
-        mean_share = sum(s.coverage_95 * s.trials for s in z_scores) / n_intervals
+    return facts + _coverage_figures(manifest, z_scores)
+
+
+def _coverage_figures(manifest: ManifestFile, z_scores: Sequence[ZScoreSummary]) -> list[KeyFigure]:
+    """Coverage of the intervals, one key figure for each combination of `DECLARATION_FACTORS` in the settings.
+
+    The intervals are expected to hold only where all of these factors are 1.
+    """
+    trackers = {entry.cell: s.instrument for entry, s in zip(manifest.cells, manifest.scenarios, strict=False)}
+    groups: dict[str, list[ZScoreSummary]] = {}
+    for summary in z_scores:
+        factors = {name: getattr(trackers.get(summary.cell), name, 1.0) for name in DECLARATION_FACTORS}
+        text = ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in factors.items() if value != 1.0)
+        groups.setdefault(text, []).append(summary)
+    facts = []
+    for text, summaries in sorted(groups.items(), key=lambda group: group[0]):
+        shares, n_intervals = [s.coverage_95 for s in summaries], sum(s.trials for s in summaries)
+        mean_share = sum(s.coverage_95 * s.trials for s in summaries) / n_intervals
         range_text = f"; by parameter and setting {100 * min(shares):.1f} to {100 * max(shares):.1f} %"
-        value = f"{100 * mean_share:.1f} % of {n_intervals} intervals" + (range_text if len(z_scores) > 1 else "")
-        facts.append(KeyFigure("coverage of 95 % intervals", value))
+        value = f"{100 * mean_share:.1f} % of {n_intervals} intervals" + (range_text if len(summaries) > 1 else "")
+        facts.append(KeyFigure("coverage of 95 % intervals" + (f" with {text}, not declared" if text else ""), value))
     return facts
 
 
