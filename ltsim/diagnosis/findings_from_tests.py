@@ -12,8 +12,8 @@ from ltsim.diagnosis.instruments import ConstantContradiction
 from ltsim.diagnosis.prior import P_CAP_TESTS
 from ltsim.diagnosis.schema import Equivalent, Finding, FindingEvidence, ParameterEstimate
 from ltsim.diagnosis.scopes import confined_scope
-from ltsim.diagnosis.words import parameter_text, percent_text
-from ltsim.physics.effects import BASELINE_EFFECTS
+from ltsim.diagnosis.words import percent_text
+from ltsim.physics.effects import BASELINE_EFFECTS, parameter_text
 from ltsim.physics.effects.signature import Parameter
 from ltsim.recordings.recording import OBSERVABLES
 

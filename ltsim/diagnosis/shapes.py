@@ -13,6 +13,7 @@ from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Model
 from ltsim.diagnosis.schema import ParameterEstimate
 from ltsim.physics.effects.signature import CandidateEffect, ShapeParameter
+from ltsim.scene.sightings import Sightings
 
 PLACE_DIFFERENCE_STEP = 0.05
 """Step [m] of the second differences over a place of the hall."""
@@ -72,11 +73,23 @@ class ShapeNode(NamedTuple):
     """Time [s] between the pointings before and after a change."""
 
 
-def _cell_widths(effects: Sequence[CandidateEffect]) -> dict[float, float]:
-    """Width [s] of the cell of each time of a change, from the midpoints to its neighbours."""
-    times = np.unique([float(vars(effect).get("time", np.nan)) for effect in effects])
-    times = times[np.isfinite(times)]
-    return dict(zip(times.tolist(), np.gradient(times).tolist(), strict=True)) if len(times) > 1 else {}
+def _gap_of_change(effect: CandidateEffect, sightings: Sightings) -> tuple[int, float]:
+    """Number of the gap between pointings in which an effect changes, and its width [s]; -1 and 0 without a change."""
+    ordered = np.unique(sightings.time[effect.row_weights(sightings) > 0])
+    time = vars(effect).get("time")
+    if time is None or not np.isfinite(time) or len(ordered) < 2:
+        return -1, 0.0
+    after = int(np.searchsorted(ordered, time))
+    return after, float(np.diff(ordered)[min(max(after - 1, 0), len(ordered) - 2)])
+
+
+def _distinct_neighbours(effect: CandidateEffect, sightings: Sightings) -> list[CandidateEffect]:
+    """Effect and its neighbours, one for each place and gap, so that no gap has twice the weight."""
+    by_gap = {}
+    for instance in [*effect.neighbours(sightings), effect]:
+        gap, _ = _gap_of_change(instance, sightings)
+        by_gap[instance.stations, instance.targets, instance if gap < 0 else gap] = instance
+    return list(by_gap.values())
 
 
 def shape_nodes(
@@ -101,10 +114,12 @@ def shape_nodes(
     count = 33 if len(shapes) == 1 and not near else 15
     axes = [_dense_grid(s, float(vars(effect)[s.name]), spread.get(s.name, 0.0), count) for s in shapes]
     sizes = effect.size_scales
-    gaps = _cell_widths([effect, *near])
+    sightings = calculator.space.sightings
     points = [
         (instance, {s.name: float(value) for s, (value, _) in zip(shapes, point, strict=True)}, [w for _, w in point])
-        for instance, *point in product([effect, *near], *(zip(*axis, strict=True) for axis in axes))
+        for instance, *point in product(
+            _distinct_neighbours(effect, sightings), *(zip(*axis, strict=True) for axis in axes)
+        )
     ]
     shaped = [instance.with_constants(**constants) for instance, constants, _ in points]
     posteriors = [wide_prior_posterior(*moments, sizes) for moments in calculator.gram_and_score(shaped, base_model)]
@@ -118,7 +133,7 @@ def shape_nodes(
         points, shaped, posteriors, weighed, strict=True
     ):
         constants |= {"time": float(vars(instance)["time"])} if "time" in vars(effect) else {}
-        gap = gaps.get(constants.get("time", np.nan), 0.0)
+        _, gap = _gap_of_change(instance, sightings)
         weight = evidence + float(np.sum(np.log(widths))) + (np.log(gap) if gap else 0.0)
         nodes.append(ShapeNode(shape, weight, constants, mean, np.diag(covariance), gap))
     return nodes

@@ -6,7 +6,7 @@ import numpy as np
 
 from ltsim.core.notation import listing, with_sigma
 from ltsim.diagnosis.schema import Finding, FindingScope, InstrumentEntry, Misfit, ParameterEstimate
-from ltsim.physics.effects import catalogue_entry, find_effect, title_of
+from ltsim.physics.effects import catalogue_entry, find_effect, parameter_text, title_of
 
 MAX_LISTED_ESTIMATES = 4
 """Largest number of estimates in a sentence."""
@@ -31,12 +31,6 @@ def estimates_phrase(parameters: Sequence[ParameterEstimate]) -> str:
 def effect_text(name: str) -> str:
     """Title of the effect of a finding within a sentence."""
     return "physics outside the catalogue" if name == "unknown" else title_of(name)
-
-
-def parameter_text(name: str) -> str:
-    """Text of a parameter's name in a sentence."""
-    words = name.replace("_", " ").replace("-", " ").split()
-    return " ".join({"cos": "cosine", "sin": "sine"}.get(word, word) for word in words)
 
 
 def _estimate_text(parameter: ParameterEstimate) -> str:

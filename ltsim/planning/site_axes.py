@@ -104,7 +104,7 @@ def _require_same_axes(
     nominal = np.array(nominal_mm) * MILLIMETRE
     if np.linalg.norm(nominal - position) > MAX_NOMINAL_POSITION_ERROR:
         raise SetupError(
-            f"setup.toml places station {station} at {_place_text(nominal)}, but by the points of {site_name} it stands "
+            f"setup.toml places station {station} at {_place_text(nominal)}, but the points of {site_name} place it "
             f"at {_place_text(position)}: the axes differ; set position_mm and yaw_deg in the axes of this plan"
         )
 

@@ -134,7 +134,7 @@ def test_rounded_positions_of_stations_do_not_move_the_network_on_the_site(hall:
 
 
 def test_a_site_in_other_axes_is_refused(hall: Path, measured: Recording, tmp_path: Path) -> None:
-    with pytest.raises(SetupError, match=r"places station S1 at \(.*\) m, but .* it stands at .*: the axes differ"):
+    with pytest.raises(SetupError, match=r"places station S1 at \(.*\) m, but .* place it at .*: the axes differ"):
         lt.next_measurement(with_stated_places(measured, 3000.0, 0.0), site=hall)
     other = tmp_path / "other.toml"
     mirrored = "\n".join(
