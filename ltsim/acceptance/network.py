@@ -21,6 +21,7 @@ from ltsim.adjustment import Adjustment
 from ltsim.adjustment.identification import CauseTest
 from ltsim.adjustment.identification.actions import cause_actions
 from ltsim.adjustment.identification.signatures import ReadingShift
+from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.verbs import calibrate
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
@@ -31,6 +32,8 @@ from ltsim.physics.effects.signature import Signature
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.specification import Specification
 
+MAX_OUTLIER_ROUNDS = 3
+"""Largest number of adjustments in which outliers are identified."""
 CENTRING_KIND = "centring"
 """Kind of a cause that is not removed from the readings: the uncertainties contain it."""
 TRACKER_CAUSE_KINDS = ("constant-drift", "noise-level", CENTRING_KIND)
@@ -90,7 +93,7 @@ class NetworkTests:
     uncorrected_causes: tuple[CauseTest, ...]
     """Errors of the recording that are not removed; the tests are not valid with them."""
     outliers: tuple[CauseTest, ...]
-    """Outlying readings, whose pointings are not tested."""
+    """Outlying readings, whose pointings are neither adjusted nor tested."""
     unexplained_factor: float
     """Ratio of the scatter of the readings to the declared noise if no cause of it is identified; otherwise 1."""
 
@@ -104,10 +107,7 @@ class NetworkTests:
         )
         lines = [f"{c.sentence} This is {_treatment(c, words)}." for causes, words in groups for c in causes]
         if self.outliers:
-            names = listing(
-                [f"{t.where.stations[0]} to {t.where.targets[0]} (row {t.rows[0]})" for t in self.outliers], 3
-            )
-            lines.append(f"Pointings with outlying readings are not tested: {names}.")
+            lines.append(f"Pointings with outlying readings are not tested: {self._outlier_names}.")
         if self.unexplained_factor > 1.0:
             lines.append(
                 f"The readings scatter {self.unexplained_factor:.2f} times as much as declared, and the cause is not "
@@ -116,15 +116,23 @@ class NetworkTests:
         return tuple(lines)
 
     @property
+    def _outlier_names(self) -> str:
+        """Stations, targets and rows of the pointings with outlying readings, the first three by name."""
+        names = (f"{t.where.stations[0]} to {t.where.targets[0]} (row {t.rows[0]})" for t in self.outliers)
+        return listing(list(dict.fromkeys(names)), 3)
+
+    @property
     def urgent_actions(self) -> tuple[str, ...]:
-        """Actions without which the tests are not valid."""
+        """Actions without which the tests are not valid, or which separate the tracker from its surroundings."""
         unexplained = ["Run ltsim diagnose to find the cause of the scatter before you judge the tracker."]
-        return (*cause_actions(self.uncorrected_causes), *(unexplained if self.unexplained_factor > 1.0 else []))
+        actions = cause_actions((*self.uncorrected_causes, *self.tracker_causes))
+        return (*actions, *(unexplained if self.unexplained_factor > 1.0 else []))
 
     @property
     def further_actions(self) -> tuple[str, ...]:
         """Actions after errors that do not impair the tests."""
-        return tuple(cause_actions((*self.corrected_causes, *self.outliers)))
+        again = [f"Measure again: {self._outlier_names}."] if self.outliers else []
+        return (*cause_actions(self.corrected_causes), *again)
 
 
 def evaluate_network(recording: Recording, instrument_specification: Specification) -> NetworkTests:
@@ -137,14 +145,12 @@ def evaluate_network(recording: Recording, instrument_specification: Specificati
     """
     if len(recording.stations) < 2:
         raise NetworkError("the recording has one station; the network method needs at least two")
-    calibration = calibrate(recording, advise=False)
+    calibration, outliers = _calibrate_without_outliers(recording)
     adjustment = calibration.adjustment
     assert adjustment is not None
     adjustment.solution.require_success()
     network = TestedNetwork(adjustment, calibration.uncertainty_factor)
-    outliers = tuple(test for test in calibration.tests if test.is_fault and test.kind == "outlier")
-    is_tested = adjustment.recording.is_measured.all(axis=1) & ~adjustment.is_gross_pointing
-    is_tested[[row - 1 for test in outliers for row in test.rows]] = False
+    is_tested = adjustment.problem.used_readings.all(axis=1)
     entries: list[TestEntry] = []
     for s in range(len(recording.stations)):
         entries += network.station_entries(s, is_tested, instrument_specification)
@@ -156,6 +162,26 @@ def evaluate_network(recording: Recording, instrument_specification: Specificati
     rest = tuple(c for c in causes if c not in corrected and c not in tracker)
     factor = 1.0 if causes else calibration.uncertainty_factor
     return NetworkTests(tuple(entries), corrected, tracker, rest, outliers, factor)
+
+
+def _calibrate_without_outliers(recording: Recording) -> tuple[Calibration, tuple[CauseTest, ...]]:
+    """Calibration without the pointings in which outliers are identified, and the tests of the outliers.
+
+    Outliers are identified again without the first ones, at most `MAX_OUTLIER_ROUNDS` times.
+    """
+    outliers: list[CauseTest] = []
+    for _ in range(MAX_OUTLIER_ROUNDS):
+        calibration = calibrate(recording, advise=False)
+        identified = [test for test in calibration.tests if test.kind == "outlier"]
+        if not identified:
+            break
+        outliers += identified
+        readings = recording.readings.copy()
+        readings[[row - 1 for test in identified for row in test.rows]] = np.nan
+        recording = recording.with_readings(readings)
+    else:
+        calibration = calibrate(recording, advise=False)
+    return calibration, tuple(outliers)
 
 
 @dataclass(frozen=True)

@@ -297,3 +297,14 @@ def test_centring_is_in_the_uncertainty_of_a_network_length():
     entries = evaluate_network(recording.replace(setup=setup), LIMITS).entries
     expanded = np.array([t.expanded_um for t in entries if t.expanded_um is not None])
     assert np.all(expanded >= 2 * np.sqrt(2) * 100) and np.all(expanded < 2 * np.sqrt(2) * 100 * 1.5)
+
+
+def test_outlying_readings_are_neither_adjusted_nor_tested():
+    """A pointing that is 1 mm off, in both faces, rejects no test of a good tracker and is named."""
+    recording, _ = lt.simulate(lt.scenario("paper-workshop-two-face", GOOD_TRACKER), seed=4)
+    readings = recording.readings.copy()
+    readings[(recording.station == 3) & (recording.target == 9), 0] += 1e-3
+    tests = evaluate_network(recording.with_readings(readings), LIMITS)
+    assert not [t.name for t in tests.entries if t.judgement == "rejected"]
+    assert not [t.name for t in tests.entries if t.name == "S4: T10" or "S4: T10 to" in t.name]
+    assert "Pointings with outlying readings are not tested: S4 to T10 (row" in " ".join(tests.sentences)

@@ -133,8 +133,8 @@ def _local_gain(fit: NetworkFit, place: _CentringPlace, rows: Ints) -> tuple[flo
     displacements at a set-up is removed, because the pose of the set-up absorbs it.
     """
     used, sigma = fit.problem_with_all_readings.used_readings[rows], fit.problem.sigma[rows]
-    sightings, of = fit.adjustment.sightings, place.occupation[rows]
-    first = np.unique(of, return_index=True)[1]
+    sightings = fit.adjustment.sightings
+    _, first, of = np.unique(place.occupation[rows], return_index=True, return_inverse=True)
     displacement = np.zeros((len(first), 3))
     residual = np.where(used, fit.residuals[rows], 0.0)
     for _ in range(N_LOCAL_ITERATIONS):
