@@ -140,17 +140,19 @@ def evaluate_network(recording: Recording, instrument_specification: Specificati
 
     The network is adjusted together with the instrument's constants and with the errors identified in the recording, so
     that its lengths contain neither. The lengths of each station in one face are compared with them. They contain the
-    errors of the instrument. Raises NetworkError for a network with one station, which has no independent lengths, and
-    for one that cannot be adjusted.
+    errors of the instrument. Raises NetworkError for a network with one station, which has no independent lengths, for
+    several instruments, and for a network that cannot be adjusted.
     """
     if len(recording.stations) < 2:
         raise NetworkError("the recording has one station; the network method needs at least two")
+    if len(recording.instruments) > 1:
+        raise NetworkError(f"the recording has {len(recording.instruments)} instruments; an acceptance test needs one")
     calibration, outliers = _calibrate_without_outliers(recording)
     adjustment = calibration.adjustment
     assert adjustment is not None
     adjustment.solution.require_success()
     network = TestedNetwork(adjustment, calibration.uncertainty_factor)
-    is_tested = adjustment.problem.used_readings.all(axis=1)
+    is_tested: Bools = np.asarray(adjustment.problem.used_readings.all(axis=1))
     entries: list[TestEntry] = []
     for s in range(len(recording.stations)):
         entries += network.station_entries(s, is_tested, instrument_specification)

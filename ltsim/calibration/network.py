@@ -201,7 +201,11 @@ def _fit_with_constants(adjustment: Adjustment) -> FitEntry | None:
     try:
         built = declared_construction(recording)
         problem = adjustment.problem
-        how = {"effects": adjustment.effects, "sigma": problem.sigma, "reading_mask": problem.used_readings}
+        how: dict[str, Any] = {
+            "effects": adjustment.effects,
+            "sigma": problem.sigma,
+            "reading_mask": problem.used_readings,
+        }
         fitted = adjusted_network(recording, built, **how)
     except LtsimError:
         return None

@@ -18,6 +18,7 @@ from ltsim.core.errors import NetworkError
 from ltsim.physics.effects.target_moved import TargetMoved
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.centring_errors import CentringUncertainty
+from ltsim.recordings.setup import Station
 from ltsim.recordings.specification import Specification
 
 SHEET = {"standard": "asme-b89.4.19-2006", "instrument": "leica-at500"}
@@ -308,3 +309,14 @@ def test_outlying_readings_are_neither_adjusted_nor_tested():
     assert not [t.name for t in tests.entries if t.judgement == "rejected"]
     assert not [t.name for t in tests.entries if t.name == "S4: T10" or "S4: T10 to" in t.name]
     assert "Pointings with outlying readings are not tested: S4 to T10 (row" in " ".join(tests.sentences)
+
+
+def test_several_instruments_are_refused():
+    """A judgement is that of one tracker, and an error at its only set-up may be its own."""
+    recording, _ = lt.simulate("paper-workshop", seed=1)
+    stations = {name: Station(instrument=f"T{i % 2}") for i, name in enumerate(recording.stations)}
+    setup = recording.setup.model_copy(
+        update={"stations": stations, "instruments": dict.fromkeys(("T0", "T1"), recording.setup.instrument)}
+    )
+    with pytest.raises(NetworkError, match="has 2 instruments; an acceptance test needs one"):
+        evaluate_network(recording.replace(setup=setup), LIMITS)
