@@ -33,8 +33,7 @@ from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing, with_sigma
 from ltsim.core.probability import AGREEMENT_LEVEL
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE, PPM
-from ltsim.geometry.rigid import rigid_motion_design
-from ltsim.geometry.rotations import quaternion_from_matrix
+from ltsim.geometry.rigid import quaternion_from_matrix, rigid_motion_design
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.smr_incidence import SmrIncidence

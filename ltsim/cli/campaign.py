@@ -13,10 +13,9 @@ import typer
 
 import ltsim as lt
 from ltsim.campaigns import require_packages
-from ltsim.cli import streams
 from ltsim.cli.places import COMMAND_CHECKED_OUTPUT, FILE_OUTPUT, ForceOption
 from ltsim.cli.simulate import ScenarioArgument
-from ltsim.cli.terminal import ResultTerminal, Terminal
+from ltsim.cli.terminal import ResultTerminal, Terminal, write_line
 from ltsim.core.arguments import bounded_parser, range_text
 from ltsim.core.errors import SetupError, StoppedError
 from ltsim.core.storage import with_digest_comment
@@ -112,7 +111,7 @@ def campaign(
         if (e["largest_difference_sigma"] or 0.0) > MAX_BATCH_SOLVER_DIFFERENCE
     ]
     for failure in failures:
-        streams.write_line(failure, sys.stderr)
+        write_line(failure, sys.stderr)
     return 1 if failures else 0
 
 
@@ -187,7 +186,7 @@ def recover(
             meaning = " ".join(table.meanings["absolute error difference"].split())
             terminal.print_text(f"absolute error difference: {meaning[0].lower()}{meaning[1:]}.")
     for sentence in result.failure_sentences():
-        streams.write_line(sentence, sys.stderr)
+        write_line(sentence, sys.stderr)
     if not result.passed:
         raise typer.Exit(1)
     chance_text = f" (a correct model fails this check in {100 * FALSE_ALARM_RATE:.0f} % of runs)"

@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 import typer
 
 import ltsim as lt
-from ltsim.cli import streams
 from ltsim.cli.places import OutputPlace, check_outputs
-from ltsim.cli.terminal import Terminal
+from ltsim.cli.terminal import Terminal, is_output_closed
 from ltsim.core.arguments import ARGUMENT_BOUNDS, MOVE_SYNTAX, bounded_parser, check_choice, range_text
 from ltsim.core.errors import FLAG_SPELLINGS, RecordError, SetupError
 
@@ -184,7 +183,7 @@ def typer_command(name: str, function: Callable[..., Any]) -> Callable[..., Any]
     def run(**values: Any) -> Any:
         places = ((flag, values[name], output) for name, flag, output in outputs if values[name] is not None)
         check_outputs(places, force=values.get("force", False))
-        if values.get("as_json") and streams.is_output_closed():
+        if values.get("as_json") and is_output_closed():
             raise SetupError("--json prints to standard output, which is closed; open it, or omit --json")
         for key, group in groups.items():
             values[key] = group(**{f.name: values.pop(f.name) for f in fields(group)})

@@ -19,13 +19,13 @@ from itertools import combinations
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.coordinate_uncertainty import air_covariance
 from ltsim.adjustment.remedies.undetermined import (
     ParameterCombination,
     determining_sentences,
     undetermined_combinations,
 )
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.adjustment.unmodelled import air_covariance
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, unknown_name
 from ltsim.geometry.rigid import rigid_motion_design

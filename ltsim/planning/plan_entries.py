@@ -10,7 +10,7 @@ from pydantic import Field
 from ltsim.calibration.combinations import UndeterminedEntry
 from ltsim.core.units import MICROMETRE, MILLIMETRE, SI_PER_UNIT
 from ltsim.planning.objective import TARGETS_QUALITY
-from ltsim.planning.plan_change import to_degrees, to_millimetres
+from ltsim.planning.reflector_changes import to_degrees, to_millimetres
 from ltsim.planning.tolerances import ToleranceCheck, is_met, percent_text
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, Positive, Vector
 

@@ -6,7 +6,7 @@ from itertools import groupby
 
 import numpy as np
 
-from ltsim.adjustment.unmodelled import longest_range, relevant_air
+from ltsim.adjustment.coordinate_uncertainty import longest_range, relevant_air
 from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing
 from ltsim.core.units import MICROMETRE, MILLIMETRE

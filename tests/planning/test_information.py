@@ -10,7 +10,7 @@ from ltsim.adjustment.remedies.detectability import detectability_at_places
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.errors import NetworkError, SetupError
 from ltsim.core.randomness import stream
-from ltsim.geometry.rotations import from_rotation_vector
+from ltsim.geometry.rigid import from_rotation_vector
 from ltsim.physics.effects.index_drift import IndexDrift
 from ltsim.physics.effects.range_offset import RangeOffset
 from ltsim.physics.effects.station_weather import StationWeather

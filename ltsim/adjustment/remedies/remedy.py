@@ -18,7 +18,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rotations import rotation_about_z
+from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Limits, Setup
