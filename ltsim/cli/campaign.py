@@ -16,7 +16,7 @@ from ltsim.campaigns import require_packages
 from ltsim.cli.places import COMMAND_CHECKED_OUTPUT, FILE_OUTPUT, ForceOption
 from ltsim.cli.simulate import ScenarioArgument
 from ltsim.cli.terminal import ResultTerminal, Terminal, write_line
-from ltsim.core.arguments import bounded_parser, range_text
+from ltsim.core.arguments import bounded_parser, range_text, source_path
 from ltsim.core.errors import SetupError, StoppedError
 from ltsim.core.storage import with_digest_comment
 from ltsim.recordings.files import write_text
@@ -33,9 +33,7 @@ A larger difference on a verified trial gives exit status 1.
 """
 
 
-CampaignFileArgument = Annotated[
-    Path | None, typer.Argument(metavar="FILE", help="A campaign file (ltsim-campaign/1).")
-]
+CampaignFileArgument = Annotated[str | None, typer.Argument(metavar="FILE", help="A campaign file (ltsim-campaign/1).")]
 ShowTemplateOption = Annotated[
     bool, typer.Option("--show", help="Print a commented template of a campaign file, and stop.")
 ]
@@ -82,13 +80,14 @@ def campaign(
     from ltsim.reports.sections.campaign import campaign_section
 
     workers = WorkerSettings(*(options.pop(name) for name in ("jobs", "backend", "scheduler")))
-    folder = out or file.with_suffix("")
-    settings, scenarios = load_campaign(file, options["changes"])
+    path = source_path(file)
+    folder = out or path.with_suffix("")
+    settings, scenarios = load_campaign(path, options["changes"])
     n_trials = settings.trials * len(settings.methods) * len(scenarios)
     terminal.print_note_on_compilation()
     try:
         with terminal.show_progress("trials", n_trials) as advance:
-            outcome = run_campaign(file, folder, progress=advance, workers=workers, force=force, **options)
+            outcome = run_campaign(path, folder, progress=advance, workers=workers, force=force, **options)
     except KeyboardInterrupt:
         n_finished_files = len(CampaignFolder(folder).shards())
         raise StoppedError(
