@@ -237,9 +237,11 @@ class LayoutEntry(ProcedureEntry):
             rms_sigma_um=information.target_rms / MICROMETRE,
             parameters=PlannedParameterEntry.from_information(information),
             undetermined=tuple(
-                UndeterminedEntry(combination=d.coefficients(names), gain=d.gain, cure=cure)
-                for d, cure in zip(
-                    information.undetermined_combinations, information.determining_sentences(), strict=True
+                UndeterminedEntry(
+                    combination=d.coefficients(names), gain=d.gain, cure=m.sentence, measurement=m.instruction
+                )
+                for d, m in zip(
+                    information.undetermined_combinations, information.determining_measurements(), strict=True
                 )
             ),
             expected_improvement=None

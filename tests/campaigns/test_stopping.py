@@ -148,7 +148,8 @@ def test_looks_are_half_as_many_trials_again() -> None:
 
 
 def test_a_statistic_that_rows_do_not_hold_is_named(tmp_path: Path) -> None:
-    (tmp_path / "c.toml").write_text(FILE.replace("[grid]", STOP + 'statistic = "target_error"\n\n[grid]').replace("2048", "64"))
+    text = FILE.replace("[grid]", STOP + 'statistic = "target_error"\n\n[grid]').replace("2048", "64")
+    (tmp_path / "c.toml").write_text(text)
     with pytest.raises(SetupError, match=r"no column of the rows called 'target_error'; did you mean target_error_um"):
         run_campaign(tmp_path / "c.toml", tmp_path / "c")
     assert not (tmp_path / "c").exists()

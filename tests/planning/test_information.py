@@ -51,7 +51,7 @@ def test_undetermined_combinations_have_the_gain_they_state() -> None:
         assert direction.gain < 0.5
     first = information.undetermined_combinations[0].coefficients(information.construction.parameter_names)
     assert {"vertical-index", "elevation-eccentricity-cos"} <= set(first)
-    assert "both faces" in information.determining_sentences()[0]
+    assert "both faces" in information.determining_measurements()[0].sentence
 
 
 def test_pose_covariance_does_not_depend_on_the_frame() -> None:
