@@ -27,8 +27,7 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import ModelError, NetworkError
 from ltsim.core.limits import MAX_ADJUSTED_POINTINGS
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.alignment import align_robustly
-from ltsim.geometry.rigid import rigid_motion_design
+from ltsim.geometry.rigid import align_robustly, rigid_motion_design
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.model.construction import Construction, ideal_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, smr_radius_offsets, with_plumb_lines

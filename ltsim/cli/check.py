@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import ltsim as lt
-from ltsim.cli import streams
 from ltsim.cli.examples import example_text
 from ltsim.cli.options import ControlledReadingOptions, ReadingOptions, RecordingArgument
-from ltsim.cli.terminal import ResultTerminal, Terminal
+from ltsim.cli.terminal import ResultTerminal, Terminal, is_reader_gone
 from ltsim.core.errors import NetworkError, RecordError, SetupError
 from ltsim.core.notation import align_columns
 from ltsim.recordings.files import is_number
@@ -152,7 +151,7 @@ def watch_recording(terminal: Terminal, run_check: Callable[[], Check], changes:
         if (reported_failures and not failed) or not reported_failures.union(map(_item_key, failed)):
             terminal.print_unbuffered(f"{len(result.arrays.recording)} pointings: {result.sentence}")
         reported_failures = set(map(_item_key, failed))
-        if streams.is_reader_gone():
+        if is_reader_gone():
             return
 
 

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.special import ndtri
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.coordinate_uncertainty import air_covariance
 from ltsim.adjustment.refit import Refit
-from ltsim.adjustment.unmodelled import air_covariance
 from ltsim.core.arrays import Floats
 from ltsim.diagnosis.diagnosis import AveragedTargets
 from ltsim.diagnosis.evidence import coefficient_posterior, normalised_probabilities, wide_prior_posterior

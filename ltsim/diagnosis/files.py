@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from ltsim.adjustment.joint import COVARIANCE_FILE, covariance_csv
-from ltsim.adjustment.unmodelled import joint_air_covariance
+from ltsim.adjustment.coordinate_uncertainty import COVARIANCE_FILE, covariance_csv, joint_air_covariance
 from ltsim.calibration.schema import RESIDUALS_TABLE
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import DIAGNOSED_TARGETS_TABLE, RESIDUALS_BEFORE_TABLE

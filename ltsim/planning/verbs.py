@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.adjustment.remedies.next_measurement import ProgressCallback, no_progress, rank_next_measurements as ranked
 from ltsim.adjustment.remedies.remedy import SiteSights
-from ltsim.core.arguments import MOVE_SYNTAX, check_bounds, check_mapping
+from ltsim.core.arguments import MAX_MAPPING_NUMBER, MOVE_SYNTAX, check_bounds, check_mapping
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import SetupError, option, unknown_name
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
@@ -262,7 +262,7 @@ def _position_numbers(name: str, position: object) -> Floats:
         place = np.array(words, dtype=np.float64)
     except (TypeError, ValueError):
         place = np.zeros(0)
-    if not 2 <= len(place) <= 4 or not np.all(np.isfinite(place)):
+    if not 2 <= len(place) <= 4 or not np.all(np.abs(place) <= MAX_MAPPING_NUMBER):
         raise SetupError(f"{option('move')} {name}={','.join(map(str, words))}: expected {MOVE_SYNTAX}")
     return place
 

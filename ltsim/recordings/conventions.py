@@ -18,9 +18,8 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError, RecordError
 from ltsim.core.notation import listing
 from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT
-from ltsim.geometry.alignment import align_rigidly
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rotations import rotation_about_z
+from ltsim.geometry.rigid import align_rigidly, rotation_about_z
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Setup

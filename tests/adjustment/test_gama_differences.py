@@ -11,7 +11,7 @@ import pytest
 
 from ltsim import calibrate, diagnose
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.unmodelled import displacement_per_row
+from ltsim.adjustment.coordinate_uncertainty import displacement_per_row
 from ltsim.adjustment.verdict import verdict_on
 from ltsim.core.errors import NetworkError, RecordError
 from ltsim.diagnosis import instruments

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.adjustment.joint import COVARIANCE_FILE
+from ltsim.adjustment.coordinate_uncertainty import COVARIANCE_FILE
 from ltsim.core.errors import RecordError
 from ltsim.core.randomness import stream
 from ltsim.recordings.coordinates import read_coordinates

@@ -9,8 +9,8 @@ import pytest
 
 from ltsim.core.errors import RecordError
 from ltsim.core.units import GON
-from ltsim.geometry.alignment import align_rigidly
 from ltsim.geometry.polar import from_polar
+from ltsim.geometry.rigid import align_rigidly
 from ltsim.recordings import Recording, read
 from tests.recordings.samples import outcome, shared
 

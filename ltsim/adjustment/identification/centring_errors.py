@@ -33,7 +33,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.rotations import cross_matrix
+from ltsim.geometry.rigid import cross_matrix
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.physics.model.nuisances import CentringErrors
 from ltsim.recordings.centring_errors import CentringUncertainty

@@ -38,6 +38,7 @@ from ltsim.reports.figures.campaign import (
     TrialDistribution,
     distributions_figure,
     factor_axis_title,
+    factor_title,
 )
 from ltsim.reports.figures.campaign_factors import (
     cell_descriptions,
@@ -64,15 +65,15 @@ MAX_CELL_ROWS = 48
 IMPROVEMENT_COLUMN = "distance_improvement_percent"
 """Column of the statistic that the summary of a campaign reports."""
 
-STATISTIC_LABELS = MappingProxyType(
+STATISTIC_TITLES = MappingProxyType(
     {
-        "distance_improvement_percent": "distance criterion, improvement [%]",
-        "coordinate_improvement_percent": "coordinate criterion, improvement [%]",
-        "share_removed": "fraction of the correctable error removed",
-        "target_error_um": "error of the targets [µm]",
+        "distance_improvement_percent": ("distance criterion, improvement", " [%]"),
+        "coordinate_improvement_percent": ("coordinate criterion, improvement", " [%]"),
+        "share_removed": ("fraction of the correctable error removed", ""),
+        "target_error_um": ("error of the targets", " [µm]"),
     }
 )
-"""Axis label of a statistic, by its column."""
+"""Title of a statistic and its unit on an axis, by its column."""
 
 
 def campaign_section(folder: Path) -> Section:
@@ -140,9 +141,7 @@ def _answer_sentence(
     trials_text = f"Over {fewest} trials" if fewest == most else f"Over {fewest} to {most} trials"
     if len(manifest.cells) > 1:
         trials_text += f" in each of {len(manifest.cells)} settings"
-        trials_text += (
-            f" of {_list_text([factor_axis_title(f).partition(' [')[0] for f in factors])}" if factors else ""
-        )
+        trials_text += f" of {_list_text([factor_title(f) for f in factors])}" if factors else ""
     mean_texts = []
     for method in manifest.methods:
         means = [s for s in summaries.get(IMPROVEMENT_COLUMN, []) if s.method == method]
@@ -218,7 +217,7 @@ def _means_by_level_table(
         return []
     groups: dict[tuple[str, ...], list[float]] = {}
     for factor in sorted(varying_factors(results), key=lambda f: len(set(levels_of_cells(results, f)))):
-        for name in filter(summaries.get, STATISTIC_LABELS):
+        for name in filter(summaries.get, STATISTIC_TITLES):
             for s in summaries[name]:
                 key = factor_axis_title(factor), factor.level_text(results.levels[s.cell][factor.name]), s.method, name
                 groups.setdefault(key, []).append(s.mean)
@@ -233,9 +232,9 @@ def _improvement_figures(
     blocks: list[Block] = []
     if len(results.levels) == 1:  # shown by the distributions
         return blocks
-    for column, label in STATISTIC_LABELS.items():
+    for column, (title, unit) in STATISTIC_TITLES.items():
         rows, published_value = summaries.get(column, []), published_values.get(column)
-        for text, figure in statistic_figures(results, rows, label, published_value) if rows else ():
+        for text, figure in statistic_figures(results, rows, title + unit, published_value) if rows else ():
             outside = [
                 s
                 for s in rows
@@ -249,16 +248,16 @@ def _improvement_figures(
                 f"the trials in {which}."
             )
             caption = text if published_value is None else text + comparison
-            blocks.append(PictureBlock(label.split(" [")[0].capitalize(), figure, caption))
+            blocks.append(PictureBlock(title.capitalize(), figure, caption))
     return blocks
 
 
 def campaign_figure(results: CampaignResults) -> Figure:
     """Figure of the first main statistic over the factors; distributions over the trials if no setting varies."""
     if len(results.levels) > 1:
-        for column, label in STATISTIC_LABELS.items():
+        for column, (title, unit) in STATISTIC_TITLES.items():
             if column in results.columns:
-                return next(statistic_figures(results, results.distribution(column), label, None))[1]()
+                return next(statistic_figures(results, results.distribution(column), title + unit, None))[1]()
     return distributions_figure(_trial_distributions(results, {}))
 
 

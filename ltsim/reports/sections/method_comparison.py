@@ -13,8 +13,7 @@ from ltsim.reports.figures.campaign_factors import cell_descriptions
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from ltsim.campaigns.paired import PairedDifference
-    from ltsim.campaigns.results import CampaignResults
+    from ltsim.campaigns.results import CampaignResults, PairedDifference
     from ltsim.campaigns.statistics import StatisticSummary
 
 COMPARED_STATISTICS = {
