@@ -38,8 +38,8 @@ def assemble_diagnosis(
     shifts = [
         model_fit.finding(i) for i, finding in enumerate(model.members) if finding.key not in model_fit.withheld_keys
     ]
-    clock = case.recording.has_clock
-    noises = [noise_finding(finding, baseline.sightings, detection, clock=clock) for finding in case.noise]
+    has_clock = case.recording.has_clock
+    noises = [noise_finding(finding, baseline.sightings, detection, has_clock=has_clock) for finding in case.noise]
     certain = [finding for finding in (*shifts, *noises) if finding.evidence.p_real >= MIN_PROBABLE]
     is_noise_only = not certain_findings and all(finding.effect == NoiseLevel.name for finding in certain)
     likely = (

@@ -186,7 +186,7 @@ class ExplainedRecording:
         if isinstance(effect, EmpiricalLaw):
             extra_fields = {
                 "carrier": effect.response.name,
-                "driver": regressor_text(effect.regressor, clock=self.state.recording.has_clock),
+                "driver": regressor_text(effect.regressor, has_clock=self.state.recording.has_clock),
             }
             extra_fields["curve"] = response_curve(effect, space.sightings, *searcher.law_coefficients(effect, others))
             law = law_text(effect, extra_fields["driver"])
@@ -316,9 +316,9 @@ class ExplainedRecording:
 
 
 def noise_finding(
-    hypothesis: NoiseHypothesis, sightings: Sightings, detection: Detection, *, clock: bool = True
+    hypothesis: NoiseHypothesis, sightings: Sightings, detection: Detection, *, has_clock: bool = True
 ) -> Finding:
-    """Finding on a change of the noise in observables with a significant change; time in rows without a `clock`."""
+    """Finding on a change of the noise, limited to the observables in which the change is significant."""
     effect = hypothesis.effect
     scope = effect_scope(effect, _observables_with_changed_noise(hypothesis, sightings))
     sizes = zip(effect.parameters, hypothesis.sizes, hypothesis.size_sigmas, strict=True)
@@ -334,7 +334,7 @@ def noise_finding(
             names = [f"{name} ({times})" for name, times in reversed(worst.items())][:2]
             most = f", most at {' and '.join(names)}, as a factor on the declared standard deviation"
         if effect.covariate_band:
-            ends = [covariate_value_text(effect.covariates[0], value, clock=clock) for value in effect.covariate_band]
+            ends = [covariate_value_text(effect.covariates[0], x, has_clock=has_clock) for x in effect.covariate_band]
             most = f", from {', '.join(f'{low} to {high}' for low, high in zip(ends[::2], ends[1::2], strict=True))}"
         if effect.region is not None:
             most += f", {region_text(effect.region)}"

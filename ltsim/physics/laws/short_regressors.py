@@ -10,7 +10,7 @@ from ltsim.physics.laws.regressors import CLOCK_COVARIATES, Regressor, scalar_re
 from ltsim.scene.sightings import Sightings
 
 ANGULAR_COVARIATES = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
-"""Angles whose sines, cosines and tangents a search tries."""
+"""Covariates that are angles, whose sines, cosines and tangents a search tries."""
 SAW_PERIODS = np.array([1.0, 0.5, 0.25, 0.125])
 """Periods of saw-tooth functions that a search tries, as fractions of the covariate's span."""
 SPAN_FRACTIONS = np.array([0.05, 0.15, 0.5])
@@ -20,7 +20,7 @@ SPAN_FRACTIONS = np.array([0.05, 0.15, 0.5])
 def short_regressors(sightings: Sightings, name: str, *, reduced: bool = False) -> Iterator[Regressor]:
     """Iterator over functions of the covariate `name` with at most one constant.
 
-    The list is shorter if `reduced`, for products of functions of several covariates.
+    If `reduced`, it has fewer functions, to limit the number of products with functions of other covariates.
     """
     times = SPAN_FRACTIONS * float(np.ptp(sightings.quantities[name]))
     circular = name in CIRCULAR_COVARIATES
