@@ -1,7 +1,7 @@
-"""Moments and evidence of effects given a model, without approximation, for many effects at a time.
+"""Gram matrices, scores and log evidence of effects given a model, without approximation, for many effects at a time.
 
-Residuals and the columns of a set lie in the residual space: a projection is needed for a signature's products with
-itself alone, and these are the same for every model.
+The residuals and the basis of a model lie in the residual space. A signature therefore has to be projected only for its
+products with itself, which are the same for every model.
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,21 +25,24 @@ from ltsim.physics.laws.responses import RESPONSES_BY_NAME
 
 CachedType = TypeVar("CachedType", bound=CandidateEffect)
 PlaceKey = tuple[tuple[str, ...], tuple[str, ...]]
+"""Place of an effect: the names of its stations, and of its targets."""
 MAX_SEARCH_STEPS = 12
-"""Largest number of steps of the local search."""
+"""Largest number of steps of the local search for the constants of an effect."""
 MAX_SIGNATURE_ENTRIES = 3_000_000
 """Largest number of entries of signatures in memory at a time, some tens of MB."""
 
 
 class ResidualRows(NamedTuple):
-    """Rows of the residual space, and the pointing (r,) of each row that is a reading."""
+    """Rows of the residual space on which an effect acts."""
 
     rows: Ints | slice
+    """Indices of the rows, or their slice."""
     pointing: Ints
+    """Index (r,) of the pointing of each of the r rows that are readings."""
 
 
 class EvidenceCalculator:
-    """Moments and evidence of effects in one residual space."""
+    """Calculator of Gram matrices, scores and log evidence of effects in one residual space."""
 
     def __init__(self, space: ResidualSpace) -> None:
         self.space = space
@@ -49,7 +52,10 @@ class EvidenceCalculator:
         self._rows: dict[PlaceKey, ResidualRows] = {}
 
     def gram_and_score(self, effects: Sequence[CandidateEffect], base_model: Model) -> list[tuple[Floats, Floats]]:
-        """Gram matrix (k, k) and score (k,) of each effect's signature, projected off the adjustment and a model."""
+        """Gram matrix (k, k) and score (k,) of each effect, given the adjustment and a model.
+
+        They are the products of the projected signature of its k parameters with itself and with the residuals.
+        """
         moments: dict[int, tuple[Floats, Floats]] = {}
         for rows, members in self._batches(effects):
             chosen = [effects[i] for i in members]
@@ -62,7 +68,7 @@ class EvidenceCalculator:
         return [moments[i] for i in range(len(effects))]
 
     def log_evidence(self, effects: Sequence[CandidateEffect], base_model: Model) -> Floats:
-        """Log marginal likelihood ratio of each effect given a model, averaged over sizes."""
+        """Log marginal likelihood ratio (effects,) of each effect given a model, averaged over sizes."""
         values = np.zeros(len(effects))
         by_size: dict[int, list[int]] = {}
         moments = self.gram_and_score(effects, base_model)
@@ -78,7 +84,10 @@ class EvidenceCalculator:
         return values
 
     def refine_locally(self, effects: Sequence[CachedType], base_model: Model) -> list[tuple[CachedType, float]]:
-        """Local search from each effect over its neighbours; the evidence is the mean over the last neighbourhood."""
+        """Best effect of a local search from each effect over its neighbours, with a log evidence.
+
+        The evidence is the mean over the best effect and its neighbours, not its maximum.
+        """
         best, values = list(effects), self.log_evidence(effects, base_model)
         means, moving = values.copy(), list(range(len(best)))
         for _ in range(MAX_SEARCH_STEPS):
@@ -100,14 +109,17 @@ class EvidenceCalculator:
         return list(zip(best, means.tolist(), strict=True))
 
     def whitened_signature(self, effect: CandidateEffect) -> Floats:
-        """Whitened signature (m, k) of an effect."""
+        """Whitened signature (m, k) of an effect with k parameters, on all m rows of the residual space."""
         rows = self._rows_of(effect)
         signature = np.zeros((self.space.n_rows, len(effect.parameters)))
         signature[rows.rows] = self._adjacent_signatures([effect], rows)[0]
         return signature
 
     def _batches(self, effects: Sequence[CandidateEffect]) -> Iterator[tuple[ResidualRows, list[int]]]:
-        """Batches of effects that act on the same rows, as large as memory permits."""
+        """Batches of effects that act on the same rows, as pairs of the rows and the indices of the effects.
+
+        A batch has at most `MAX_SIGNATURE_ENTRIES` entries.
+        """
         by_rows: dict[int, tuple[ResidualRows, list[int]]] = {}
         for i, effect in enumerate(effects):
             rows = self._rows_of(effect)
@@ -118,7 +130,7 @@ class EvidenceCalculator:
             yield from ((rows, part.tolist()) for part in parts)
 
     def _rows_of(self, effect: CandidateEffect) -> ResidualRows:
-        """Rows on which a law acts; all rows for other effects."""
+        """Rows on which an effect acts: those at the places of a law, and all rows for an effect of the catalogue."""
         place = (effect.stations, effect.targets) if isinstance(effect, EmpiricalLaw) else (("",), ("",))
         if place not in self._rows:
             if not isinstance(effect, EmpiricalLaw):
@@ -131,7 +143,10 @@ class EvidenceCalculator:
         return self._rows[place]
 
     def _adjacent_signatures(self, effects: Sequence[CandidateEffect], rows: ResidualRows) -> tuple[Floats, Ints]:
-        """Whitened signatures (r, q) of effects in adjacent columns on their rows, and the limits of each effect."""
+        """Whitened signatures of effects side by side, (r, q) on r rows, and the index of the first column of each.
+
+        The q columns are the parameters of all effects. The indices end with q.
+        """
         edges = np.append(0, np.cumsum([len(effect.parameters) for effect in effects]))
         if not isinstance(effects[0], EmpiricalLaw):
             return np.hstack([self.space.whitened_signature(effect) for effect in effects]), edges
@@ -149,7 +164,7 @@ class EvidenceCalculator:
         return signatures, edges
 
     def _response_changes(self, name: str) -> Floats:
-        """Whitened change (m, c) of the readings by each component of a response, computed once."""
+        """Whitened change (m, c) of the readings per unit of each of c components of a response, computed once."""
         if name not in self._changes_by_response:
             self._changes_by_response[name] = self.space.whiten(RESPONSES_BY_NAME[name][1](self.space.sightings))
         return self._changes_by_response[name]
@@ -157,7 +172,10 @@ class EvidenceCalculator:
     def _cache_projected_grams(
         self, effects: Sequence[CandidateEffect], signatures: Floats, edges: Ints, rows: ResidualRows
     ) -> None:
-        """Computation of the Gram matrices of projected signatures of new effects, which are then cached."""
+        """Computation of the Gram matrices of the projected signatures of new effects, which are then cached.
+
+        `edges` are the indices of the first column of each effect in `signatures`, and their number at the end.
+        """
         new = sorted({effect: i for i, effect in enumerate(effects) if effect not in self._grams}.values())
         if not new:
             return

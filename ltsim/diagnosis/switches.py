@@ -76,8 +76,8 @@ def switched_forms(
         law = calculator.refine_locally([law], base_model)[0][0]
     first = scalar_regressor(edges[0].covariates[0], "step", -np.inf)
     spans = _span_moments(calculator, law, [first, *edges], base_model)
-    spread = law.with_switch([first]).size_scales
-    on, value, toggled = _best_span_states(spans, spread)
+    plausible_sizes = law.with_switch([first]).size_scales
+    on, value, toggled = _best_span_states(spans, plausible_sizes)
     chosen = [edges[i] for i in np.flatnonzero(np.diff(on.astype(int)))]
     starts_on = bool(on[0]) and law.depends_on_fixed_region  # elsewhere a constant is absorbed: on and off are alike
     if not _acts_temporarily(law, chosen, sightings):
@@ -133,7 +133,7 @@ def _span_differences(values: Floats) -> Floats:
     return values - np.concatenate([values[1:], np.zeros_like(values[:1])])
 
 
-def _best_span_states(spans: SpanMoments, spread: Floats) -> tuple[Bools, float, int]:
+def _best_span_states(spans: SpanMoments, plausible_sizes: Floats) -> tuple[Bools, float, int]:
     """Best states (S,) of the spans, their log evidence less the price, and the number of toggled intervals."""
     count, ways = spans.score.shape
     first, last = np.triu_indices(count + 1, 1)
@@ -157,7 +157,7 @@ def _best_span_states(spans: SpanMoments, spread: Floats) -> tuple[Bools, float,
         size = np.sqrt(np.maximum(square, MIN_SWITCHED_MEAN_SQUARE))
         scored = (state @ spans.score + scores[last] - scores[first]) / size[:, None]
         values = log_evidence_of_coefficients(
-            grams / size[:, None, None] ** 2, scored, np.broadcast_to(spread, scored.shape)
+            grams / size[:, None, None] ** 2, scored, np.broadcast_to(plausible_sizes, scored.shape)
         )
         intervals = (np.arange(count) >= first[:, None]) & (np.arange(count) < last[:, None])
         states = state ^ intervals
