@@ -1,6 +1,7 @@
-"""Functional forms of a law: curve, short formulas, steps and ramps, common to all set-ups or separate for each.
+"""Functional forms of a law: curve, formulas, steps and ramps, common to all set-ups or separate for each.
 
-Screening scores a law by one form; the best few laws are evaluated here in all forms, without approximation.
+The screening evaluates each law in one form only. The best few laws are evaluated here in all forms, without
+approximation.
 """
 
 from collections.abc import Sequence
@@ -34,22 +35,29 @@ from ltsim.physics.laws.regressors import CONSTANT_REGRESSOR, COORDINATE_COVARIA
 from ltsim.scene.sightings import Sightings
 
 TILT_REGRESSOR = Regressor("field", COORDINATE_COVARIATES, constant=1.0)
-"""Regressor of a group that moves and tilts as one."""
+"""Regressor of a group of targets that moves and tilts as a rigid body."""
 MAX_ABSORBED_EVIDENCE_DIFFERENCE = 0.5
-"""Difference of log evidence up to which a law is equal to the one at one set-up: poses absorb it at all others."""
+"""Difference of log evidence up to which a law at all set-ups counts as equal to the same law at one set-up. The poses
+of the other set-ups then absorb it, and only the law at the one set-up is kept."""
 MAX_PIECES = 10
-"""Largest number of steps and ramps of a law."""
+"""Largest number of steps and ramps in the sum that forms a law."""
 
 
 def min_promising_evidence(best_evidence: float) -> float:
-    """Screened log evidence, relative to the best, from which a law is evaluated in all forms: forms may double it."""
+    """Log evidence in the screening, above which a law is evaluated in all forms.
+
+    It is about half that of the best law, because another form may double the evidence.
+    """
     return 0.5 * best_evidence - 5.0
 
 
 def evaluate_forms(
     calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, base_model: Model, *, pieces: bool
 ) -> list[Hypothesis]:
-    """Evidence of a law in all its forms: the best form of each name, with the total evidence of that name."""
+    """Best form of a law for each name of an effect, with the summed evidence of all forms with that name.
+
+    Steps, ramps and switches are tried only with `pieces`.
+    """
     sightings = calculator.space.sightings
     law = law.equivalent_index_law(sightings)
     base_evidence = log_prior + float(np.log(len(law.regressor.coefficient_sigmas)))
@@ -87,14 +95,14 @@ def evaluate_forms(
 
 
 def _index_of_best(forms: Sequence[Hypothesis]) -> int:
-    """Index of the form with the largest evidence."""
+    """Index of the form with the largest log evidence."""
     return index_of_best(np.array([form.log_evidence for form in forms]))
 
 
 def _functional_forms(
     calculator: EvidenceCalculator, law: EmpiricalLaw, prior: float, base_model: Model
 ) -> list[Hypothesis]:
-    """Functional forms of a law at its place."""
+    """Forms of a law as a curve, a formula and the like, at the place of the law and with their log evidence."""
     forms = law.candidate_forms(calculator.space.sightings)
     weight_sum = sum(FORM_WEIGHTS[kind] for kind in forms)
     shares = {kind: prior + float(np.log(FORM_WEIGHTS[kind] / weight_sum / len(sets))) for kind, sets in forms.items()}
@@ -113,7 +121,7 @@ def _functional_forms(
 
 
 def _forms_with_ratio(calculator: EvidenceCalculator, form: Hypothesis, base_model: Model) -> list[Hypothesis]:
-    """Form of a law as it is and, if several components have several coefficients each, with a fixed ratio."""
+    """Form of a law and the same form with a fixed ratio of its components, if these have several coefficients each."""
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
     if law.components == 1 or law.regressor.n_columns == 1 or law.direction:
@@ -134,7 +142,10 @@ def _forms_with_ratio(calculator: EvidenceCalculator, form: Hypothesis, base_mod
 
 
 def _forms_at_set_ups(calculator: EvidenceCalculator, form: Hypothesis, base_model: Model) -> list[Hypothesis]:
-    """Form of a law, and its forms at one set-up alone; only the latter if the law changes nothing at the others."""
+    """Form of a law, and its forms at a single set-up, in a list.
+
+    If the poses of all other set-ups absorb the law, the list contains only its form at the one set-up.
+    """
     law, stations = form.effect, calculator.space.sightings.station_names
     assert isinstance(law, EmpiricalLaw)
     if law.stations or law.instruments or len(stations) < 2:
@@ -175,7 +186,10 @@ def _forms_at_set_ups(calculator: EvidenceCalculator, form: Hypothesis, base_mod
 def _piecewise_forms(
     calculator: EvidenceCalculator, law: EmpiricalLaw, prior: float, base_model: Model
 ) -> list[Hypothesis]:
-    """Forms of a law with a few steps and ramps, by forward selection while the evidence increases."""
+    """Form of a law as a sum of steps and ramps, from a forward selection while the evidence increases, in a list.
+
+    The list is empty for a law without a curve, and for a law of a single target.
+    """
     atoms = law.candidate_pieces(calculator.space.sightings)
     if not atoms or len(law.targets) == 1:  # a target that moves, or sits badly, has cards
         return []
@@ -204,7 +218,7 @@ def _piecewise_forms(
 
 
 N_CURVE_POINTS = 61
-"""Number of points of a reported curve."""
+"""Number of points of a reported curve, except for waves with many cycles."""
 N_POINTS_PER_CYCLE = 16
 """Number of points of each cycle of a wave in a reported curve."""
 MAX_CURVE_POINTS = 600
@@ -212,9 +226,10 @@ MAX_CURVE_POINTS = 600
 
 
 def response_curve(law: EmpiricalLaw, sightings: Sightings, mean: Floats, covariance: Floats) -> ResponseCurve | None:
-    """Curve at the set-up and in the direction of the largest response; None with several covariates.
+    """Curve of a law over its covariate, at the set-up and in the direction where its effect is largest.
 
-    The coefficients have a `mean` (k,) and a `covariance` (k, k) [SI].
+    None for a law with several covariates, or with separate amounts. The k coefficients of the law have a `mean` (k,)
+    and a `covariance` (k, k) [SI].
     """
     regressor = law.regressor
     if len(regressor.covariates) != 1 or regressor.kind in ("amounts", "passage"):
