@@ -1,8 +1,8 @@
-"""Search space of laws (responses x regressors x places), and the division of the prior among them.
+"""Search space of laws (combinations of responses, regressors and places), and their prior probabilities.
 
-The prior odds of a law are the product of those of its place, of the kind of its response and of its regressor; each is
-divided equally among all of its kind in the recording, and the total is normalised to the prior of laws outside the
-catalogue.
+The prior odds of a law are the product of the odds of its place, of its response and of its regressor. The odds of a
+kind of place, response or regressor are divided equally among all of this kind in the recording. The sum over all laws
+is then normalised to the prior probability of a law outside the catalogue.
 """
 
 from collections.abc import Mapping, Sequence
@@ -39,41 +39,43 @@ from ltsim.physics.laws.regressors import CLOCK_COVARIATES, Regressor
 from ltsim.physics.laws.responses import Response, response_designs
 
 MAX_SEPARATE_PLACES = 400
-"""Largest number of set-ups, or targets, of a network in which each is a separate place (cost)."""
+"""Largest number of set-ups, or of targets, for which each is a separate place of a law. With more, such laws are not
+tried, to limit the computing time."""
 GROUPED_TARGET_COUNTS = range(12, 101)
-"""Numbers of targets of networks in which groups of targets are places: fewer hardly form a group,
-more cost too much.
-"""
+"""Numbers of targets in a network for which groups of targets are places of laws. Fewer targets hardly form a group,
+and more take too much computing time."""
 MIN_POINTINGS_PER_FINE_COEFFICIENT = 4
-"""Smallest number of pointings of a set-up per coefficient for a fine curve; otherwise it is coarse."""
+"""Number of pointings of a set-up per coefficient, above which a curve of one set-up has `N_MODES_DEFAULT`
+eigenfunctions. With fewer pointings it has `N_MODES_FACTOR`."""
 MIN_POINTINGS_PER_COEFFICIENT = 2
-"""Smallest number of pointings on which a law acts per coefficient: the adjustment absorbs about half of their
-information.
+"""Smallest number of pointings per coefficient at the places of a law; otherwise the law is not tried. The adjustment
+absorbs about half of the information of the pointings.
 """
 PER_SETUP_REGRESSOR_KINDS = ("constant", "sign", "curve", "decay", "memory", "lag", "state", "latch")
-"""Kinds of regressors of one instrument, and of one set-up."""
+"""Kinds of regressors that a search tries for a law of one instrument, or of one set-up."""
 REGION_REGRESSOR_KINDS = ("passage", "lever", "passage for a time", "lever for a time", "near")
-"""Kinds of regressors of regions of the hall."""
+"""Kinds of regressors that depend on a region of the hall."""
 RESPONSE_KINDS_BY_REGRESSOR = dict.fromkeys(("product", *REGION_REGRESSOR_KINDS), ("reading",)) | {"room": ("target",)}
-"""Kinds of responses that such regressors are restricted to: with others the space would be large
-and hardly physical.
+"""Kinds of responses with which a kind of regressor is combined; kinds that are not listed are combined with all. Other
+combinations would be many, and hardly physical.
 """
 WAVE_COVARIATES = (*CLOCK_COVARIATES, *ACCUMULATED_ROTATIONS)
-"""Covariates of waves of responses other than readings."""
+"""Covariates of waves for responses that are not readings: times, and accumulated rotations of the axes."""
 JOINT_REGRESSOR_KINDS = ("constant", "sign", "curve", "decay", "wave", "memory", "lag", "shape", "passage", "lever")
-"""Kinds of regressors for several observables together: products of curves would have too many coefficients."""
+"""Kinds of regressors for responses of several observables together. Others would have too many coefficients."""
 MAX_CACHED_COLUMN_ENTRIES = 10_000_000
-"""Largest number of entries of the columns of all regressors that stay in memory, 40 MB; computing them anew takes a
-sixth of the time of a scoring.
-"""
+"""Largest number of entries, 40 MB, of the columns of all regressors for which these remain in memory. Computing them
+again takes a sixth of the time in which all laws are scored."""
 RegressorsByKind = Mapping[str, Sequence[Regressor]]
+"""Regressors by kind, such as `curve` or `wave`."""
 
 
 def law_batches(space: ResidualSpace, *, with_constants: bool = True) -> list[LawBatch]:
-    """Batches of laws of a recording; their priors add up to that of laws outside the catalogue.
+    """Batches of laws of a recording, whose prior probabilities add up to that of a law outside the catalogue.
 
-    Constants of the instruments are included if `with_constants`; a history is compared separately. A constant
-    displacement of a target is not included, because its coordinates are estimated.
+    Constant changes of the instruments' constants are included if `with_constants`. They are left out if the constants
+    are compared with earlier calibrations. A constant displacement of a target is not included, because its coordinates
+    are estimated.
     """
     made = _LawBatchBuilder(space)
     for place, where, drivers in _kinds_of_places(space):
@@ -83,7 +85,7 @@ def law_batches(space: ResidualSpace, *, with_constants: bool = True) -> list[La
 
 
 def _kinds_of_places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ...], RegressorsByKind]]:
-    """Kinds of places, the places, and the regressors that are tried there."""
+    """Kinds of places of laws, each as a tuple of its name, its places, and the regressors by kind tried there."""
     s = space.sightings
     everywhere = (LawPlace((), (), np.arange(len(s))),)
     stations = tuple(
@@ -118,12 +120,12 @@ def _kinds_of_places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ..
 
 
 def _separate_names(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Names that are tried separately; empty for a single one, and for too many."""
+    """Names of the stations or targets that are separate places; empty for one name, and for too many names."""
     return names if 1 < len(names) <= MAX_SEPARATE_PLACES else ()
 
 
 class _LawBatchBuilder:
-    """Builder of law batches: laws that differ only in their place are scored together."""
+    """Builder of batches of laws. Laws that differ only in their place are in the same batch."""
 
     def __init__(self, space: ResidualSpace) -> None:
         self._sightings = space.sightings
@@ -141,16 +143,16 @@ class _LawBatchBuilder:
 
     def register(
         self,
-        place: str,
+        place_kind: str,
         places: tuple[LawPlace, ...],
         regressors_by_kind: RegressorsByKind,
         excluded_kinds: tuple[str, ...],
     ) -> None:
-        """Registration of laws at some places, of responses and of their regressors.
+        """Addition of the laws at places of one kind, with all admissible responses and regressors.
 
-        Some kinds are excluded (`excluded_kinds`).
+        Responses of the kinds `excluded_kinds` are not combined with the constant regressor.
         """
-        kinds = RESPONSE_PRIOR_AT_TARGETS if place in ("target", "group") else RESPONSE_PRIOR
+        kinds = RESPONSE_PRIOR_AT_TARGETS if place_kind in ("target", "group") else RESPONSE_PRIOR
         for (kind, ways), carriers_of_kind in self._responses.items():
             together = len(carriers_of_kind[0][0].component_units)  # observables of a joint response; 0 for all others
             carriers = sum(
@@ -165,7 +167,7 @@ class _LawBatchBuilder:
                     or (name == "constant" and kind in excluded_kinds)
                 ):
                     continue
-                if together and (name not in JOINT_REGRESSOR_KINDS or place in ("target", "group")):
+                if together and (name not in JOINT_REGRESSOR_KINDS or place_kind in ("target", "group")):
                     continue
                 moved = [
                     d
@@ -173,7 +175,7 @@ class _LawBatchBuilder:
                     if is_admissible(kind, d, self._sightings) and (name != "wave" or _is_wave_candidate(kind, d))
                 ]
                 depth = OPERATOR_COUNTS[name] + max(together - 1, 0)
-                weight = PLACE_PRIOR[place] * kinds[kind] * OPERATOR_ODDS**depth / carriers
+                weight = PLACE_PRIOR[place_kind] * kinds[kind] * OPERATOR_ODDS**depth / carriers
                 self._divide_weight(
                     tuple(c for c, _ in carriers_of_kind if _changes_with_region(name, c)), moved, places, weight, ways
                 )
@@ -186,7 +188,10 @@ class _LawBatchBuilder:
         weight: float,
         n_components: int,
     ) -> None:
-        """Division of the weight of each response equally among regressors and the places with enough pointings."""
+        """Registration of laws with prior `weight` for each response, divided equally among regressors and places.
+
+        Places with too few pointings for the coefficients of a regressor are left out.
+        """
         by_shape: dict[tuple[int, int], list[Regressor]] = {}
         for driver in regressors if responses else ():
             by_shape.setdefault((driver.n_columns, len(driver.coefficient_sigmas)), []).append(driver)
@@ -200,7 +205,7 @@ class _LawBatchBuilder:
                 self._registered.setdefault((responses, tuple(same)), []).append((fit[size], weight / count))
 
     def law_batches(self) -> list[LawBatch]:
-        """Batches of the registered laws: equal responses and regressors at all their places in one batch."""
+        """Batches of the registered laws. A batch contains the same responses and regressors at all their places."""
         weights = {c: w for carriers_of_kind in self._responses.values() for c, w in carriers_of_kind}
         whole = sum(
             prior * len(group) * len(carriers) * sum(len(d.coefficient_sigmas) for d in drivers)
@@ -239,18 +244,24 @@ class _LawBatchBuilder:
         return batches
 
 
-def _changes_with_region(name: str, response: Response) -> bool:
-    """True unless a region changes the response in another way: ranges by the path in it, angles by its lever."""
-    way = name.removesuffix(" for a time")
+def _changes_with_region(regressor_kind: str, response: Response) -> bool:
+    """True if a response is combined with a kind of regressor of a region, and for all other kinds of regressors.
+
+    A range changes in proportion to the path in the region, and an angle in proportion to its lever.
+    """
+    way = regressor_kind.removesuffix(" for a time")
     return way not in ("passage", "lever") or ("distance" in response.observables) == (way == "passage")
 
 
-def _is_wave_candidate(kind: str, wave: Regressor) -> bool:
-    """True if a wave is a candidate for a kind of response: readings with any covariate, others with the work done."""
-    return kind == "reading" or wave.covariates[0] in WAVE_COVARIATES
+def _is_wave_candidate(response_kind: str, wave: Regressor) -> bool:
+    """True if a wave is tried with a kind of response: all waves with readings, `WAVE_COVARIATES` with others."""
+    return response_kind == "reading" or wave.covariates[0] in WAVE_COVARIATES
 
 
 def scaled_to_noise(response: Response, weights: Floats) -> Response:
-    """Response with a plausible size that at least reaches the noise; `weights` (n, 3, c) belong to its unit."""
+    """Response whose plausible size is raised to the noise level if it is smaller.
+
+    `weights` (n, 3, c) are the whitened changes of the three readings of n pointings per unit of each component.
+    """
     strength = response.plausible_size * np.sqrt(np.mean(np.sum(weights**2, axis=1), axis=1))
     return replace(response, plausible_size=response.plausible_size * noise_level_factor(strength))
