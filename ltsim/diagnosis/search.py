@@ -63,8 +63,7 @@ MAX_LOCAL_OPTIMA = 3
 MAX_COMPARED_MEMBERS = 40
 """Number of members of a family, the best first, among which local optima are sought."""
 MAX_OPTIMUM_DEFICIT = 10.0
-"""Largest difference of log evidence between the best member of a family and another local optimum that is evaluated.
-"""
+"""Largest difference of log evidence between the best member of a family and a local optimum that is evaluated."""
 MAX_CACHED_SIGNATURES = 16
 """Largest number of projected signatures in the cache."""
 MAX_RANKED_LAWS = 400
