@@ -19,8 +19,8 @@ CAUSE_PRIOR = {"named": 0.53, "law": 0.3, "noise": 0.095, "scatter": 0.035, "con
 CAUSE_TEXTS = {
     "named": "an effect of the catalogue that shifts readings",
     "law": "an empirical law outside the catalogue",
-    "noise": "a change of the noise of the catalogue",
-    "scatter": "another variance function of the noise",
+    "noise": "a change of the noise that the catalogue contains",
+    "scatter": "another change of the noise",
     "constant": (
         "a constant of an instrument that contradicts the other instruments, its history or a declared correction"
     ),
