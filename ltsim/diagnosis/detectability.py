@@ -91,7 +91,7 @@ def _undetectable_entry(space: ResidualSpace, effect: Effect, size_ratio: float)
         max(target_distortion(space, space.whitened_signature(effect) @ size) for size in sizes), DISTORTION_DECIMALS
     )
     size = f"only from {size_ratio:.0f} times its plausible size on" if np.isfinite(size_ratio) else "at no size"
-    reason = f"absorbed by poses, targets and instrument parameters: it would be detected {size}"
+    reason = f"poses, targets and instrument parameters absorb the effect, which would be detected {size}"
     factor = size_ratio if np.isfinite(size_ratio) else None
     return Undetectable(
         effect=effect.name,

@@ -278,7 +278,7 @@ class ExplainedRecording:
             declared = ((p.sigma_from(prior) / p.si_per_display_unit, p.unit) for p in effect.parameters)
             sigmas = ", ".join(f"{number_text(sigma, 2)} {unit}" for sigma, unit in declared)
             return f" Its declared prior is zero with a standard deviation of {sigmas}."
-        implausible = " Such a size is hardly plausible for this cause: check other causes too."
+        implausible = " Such a size is hardly plausible for this cause. Check other causes too."
         return implausible if _is_implausible_size(effect, estimates) else ""
 
     def _constants_without_prior(self, effect: CandidateEffect) -> tuple[ParameterEstimate, ...]:
