@@ -104,23 +104,23 @@ def law_sentence(scope: FindingScope, parameters: Sequence[ParameterEstimate], p
     response, verb, regressor = law.partition(" follows " if " follows " in law else " differs")
     if p_located < MIN_PROBABLE:
         return (
-            f"An effect outside the catalogue is present{_place_suffix(scope)}. The readings do not determine its form. "
+            f"An effect outside the catalogue is present{_place_suffix(scope)}. "
+            "The readings do not determine its form. "
             f"One of several possible forms is that the {response}{at}{verb}{regressor}{size}, "
             f"with a probability of {percent_text(p_located)}."
         )
-    probability_text = (
-        f"An effect like this has a probability of {percent_text(p_located)}, and is not in the catalogue."
+    return (
+        f"The {response}{at}{verb}{regressor}{size}. "
+        f"The catalogue has no such effect. An effect like this has a probability of {percent_text(p_located)}."
     )
-    return f"The {response}{at}{verb}{regressor}{size}. {probability_text}"
 
 
 def unknown_effect_sentence(scope: FindingScope, law: str) -> str:
     """Sentences on a change of the noise outside the catalogue: place, covariates, description (`law`)."""
     covariates = listing([COVARIATE_TEXTS.get(name, name) for name in scope.covariates])
     dependence = f" It depends on {covariates}." if covariates else ""
-    return (
-        f"An effect outside the catalogue is present{_place_suffix(scope)}.{dependence} The best description is {law}."
-    )
+    present = f"An effect outside the catalogue is present{_place_suffix(scope)}."
+    return f"{present}{dependence} The best description is {law}."
 
 
 def _place_suffix(scope: FindingScope) -> str:
