@@ -22,7 +22,7 @@ from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
 from ltsim.physics.effects.effect import Effect, LightPathStage, NoiseEffect
 from ltsim.physics.effects.range_scale import RangeScale
 from ltsim.physics.effects.signature import CandidateEffect
-from ltsim.physics.laws.places import instrument_places
+from ltsim.physics.laws.row_indices import instrument_places
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
@@ -59,13 +59,13 @@ class SignatureGroup:
     The matrix is sparse, or dense on the r rows of the residual space that the effects change.
     """
 
-    size: int
+    n_parameters: int
     """Number k of parameters of each effect."""
-    members: Ints
+    effect_indices: Ints
     """Indices (h,) of the effects."""
-    places: Ints | slice
+    row_indices: Ints | slice
     """Indices (r,) of the rows of the residual space."""
-    rows: Singles | sp.csr_array
+    signature_rows: Singles | sp.csr_array
     """Signatures (h k, r) in units of plausible sizes, one row per parameter."""
     row_weights: Singles
     """Factors (r,) by which the signatures are multiplied, for an adjustment with other weights."""
@@ -76,30 +76,40 @@ class SignatureGroup:
 
     def parts(self, n_vectors: int) -> Iterator[slice]:
         """Ranges of members whose products with `n_vectors` vectors are in memory at a time."""
-        step = max(1, MAX_SIGNATURE_PRODUCTS // (self.size * max(n_vectors, 1)))
-        yield from (slice(i, min(i + step, len(self.members))) for i in range(0, len(self.members), step))
+        step = max(1, MAX_SIGNATURE_PRODUCTS // (self.n_parameters * max(n_vectors, 1)))
+        yield from (slice(i, min(i + step, len(self.effect_indices))) for i in range(0, len(self.effect_indices), step))
 
-    def weighted_products(self, members: slice, vectors: Floats | Singles) -> Floats:
+    def weighted_products(self, effect_indices: slice, vectors: Floats | Singles) -> Floats:
         """Products (h, k, v) of the weighted signatures of a range of h members with `vectors` (m, v)."""
-        rows, count = self.rows[members.start * self.size : members.stop * self.size], vectors.shape[1]
-        products = np.empty((rows.shape[0], count))
+        signature_rows, count = (
+            self.signature_rows[effect_indices.start * self.n_parameters : effect_indices.stop * self.n_parameters],
+            vectors.shape[1],
+        )
+        products = np.empty((signature_rows.shape[0], count))
         for i in range(0, count, N_VECTORS_PER_PART):
             few = slice(i, i + N_VECTORS_PER_PART)
-            products[:, few] = rows @ np.multiply(
-                vectors[self.places, few], self.row_weights[:, None], dtype=np.float32
+            products[:, few] = signature_rows @ np.multiply(
+                vectors[self.row_indices, few], self.row_weights[:, None], dtype=np.float32
             )
-        return products.reshape(members.stop - members.start, self.size, count)
+        return products.reshape(effect_indices.stop - effect_indices.start, self.n_parameters, count)
 
     def scaled_rows(self, ratio: Singles) -> SignatureGroup:
         """Group for a residual space whose rows are multiplied by `ratio` (m,)."""
-        weight = self.row_weights * ratio[self.places]
-        if isinstance(self.rows, np.ndarray):
-            parts = (self.rows[p.start * self.size : p.stop * self.size] * weight for p in self.parts(len(weight)))
-            products = np.concatenate([row_gram(rows.reshape(-1, self.size, len(weight))) for rows in parts])
+        weight = self.row_weights * ratio[self.row_indices]
+        if isinstance(self.signature_rows, np.ndarray):
+            parts = (
+                self.signature_rows[p.start * self.n_parameters : p.stop * self.n_parameters] * weight
+                for p in self.parts(len(weight))
+            )
+            products = np.concatenate(
+                [row_gram(signature_rows.reshape(-1, self.n_parameters, len(weight))) for signature_rows in parts]
+            )
         else:
-            data = self.rows.data * weight[self.rows.indices]
-            ends = self.rows.indptr[:: self.size].tolist()
-            products = np.stack([row_gram(data[low:high].reshape(self.size, -1)) for low, high in pairwise(ends)])
+            data = self.signature_rows.data * weight[self.signature_rows.indices]
+            ends = self.signature_rows.indptr[:: self.n_parameters].tolist()
+            products = np.stack(
+                [row_gram(data[low:high].reshape(self.n_parameters, -1)) for low, high in pairwise(ends)]
+            )
         return replace(
             self, row_weights=weight, unscaled_gram=products.astype(np.float64), gram=np.zeros_like(self.gram)
         )
@@ -132,27 +142,34 @@ class CatalogueSignatures:
         pointing, kind = (np.append(of, n * other) for of, n in zip(read, space.used_readings.shape, strict=True))
         for effect in effects:
             signature = space.whitened_signature(effect)
-            places = np.flatnonzero(np.logical_or.reduce(np.not_equal(signature.T, 0.0, order="C")))
-            if not len(places):
+            row_indices = np.flatnonzero(np.logical_or.reduce(np.not_equal(signature.T, 0.0, order="C")))
+            if not len(row_indices):
                 continue
-            touched = np.bincount(kind[places], minlength=len(OBSERVABLES) + 1) > 0
-            is_sparse = len(places) < MAX_SPARSE_FRACTION * space.n_rows
-            stored = places if is_sparse else np.flatnonzero(touched[kind])
+            touched = np.bincount(kind[row_indices], minlength=len(OBSERVABLES) + 1) > 0
+            is_sparse = len(row_indices) < MAX_SPARSE_FRACTION * space.n_rows
+            stored = row_indices if is_sparse else np.flatnonzero(touched[kind])
             signature = signature[stored]
             signature *= effect.size_scales
             effect, coarser = _scaled_to_noise(effect, signature, pointing[stored])
-            rows = np.ascontiguousarray(signature.T * coarser, dtype=np.float32)
+            signature_rows = np.ascontiguousarray(signature.T * coarser, dtype=np.float32)
             if is_sparse:
-                sparse_signatures.setdefault(len(rows), []).append((len(touching), stored.astype(np.int32), rows))
+                sparse_signatures.setdefault(len(signature_rows), []).append(
+                    (len(touching), stored.astype(np.int32), signature_rows)
+                )
             else:
-                members, made = dense_signatures.setdefault((len(rows), tuple(touched.tolist())), ([], []))
-                members.append(len(touching))
-                made.append(rows)
+                effect_indices, made = dense_signatures.setdefault(
+                    (len(signature_rows), tuple(touched.tolist())), ([], [])
+                )
+                effect_indices.append(len(touching))
+                made.append(signature_rows)
             touching.append(effect)
-        groups = [_sparse_group(size, sparse_signatures.pop(size), space.n_rows) for size in sorted(sparse_signatures)]
+        groups = [
+            _sparse_group(n_parameters, sparse_signatures.pop(n_parameters), space.n_rows)
+            for n_parameters in sorted(sparse_signatures)
+        ]
         groups += [
-            _dense_group(size, members, stack_and_release(made), np.flatnonzero(np.array(kinds)[kind]))
-            for (size, kinds), (members, made) in sorted(dense_signatures.items())
+            _dense_group(n_parameters, effect_indices, stack_and_release(made), np.flatnonzero(np.array(kinds)[kind]))
+            for (n_parameters, kinds), (effect_indices, made) in sorted(dense_signatures.items())
         ]
         names = tuple(dict.fromkeys(effect.name for effect in touching))
         index = {name: i for i, name in enumerate(names)}
@@ -189,10 +206,10 @@ class CatalogueSignatures:
                     gram = gram - row_gram(group.weighted_products(part, null_ensemble.model_basis))
                 strength, turn = np.linalg.eigh(gram)
                 strength, turn = np.maximum(strength, 0.0), np.swapaxes(turn, 1, 2)
-                members = group.members[part]
-                values[members] = log_evidence(np.einsum("hij,hj->hi", turn, score) ** 2, strength)
+                effect_indices = group.effect_indices[part]
+                values[effect_indices] = log_evidence(np.einsum("hij,hj->hi", turn, score) ** 2, strength)
                 if null_ensemble.n_trials:
-                    chance.add(members, simulated_log_evidence(turn @ trials, strength))
+                    chance.add(effect_indices, simulated_log_evidence(turn @ trials, strength))
         return values, chance.log_means
 
     def effects_by_family(self) -> list[list[Effect]]:
@@ -229,9 +246,9 @@ class FamilyMeans:
         """Means before any effect is added."""
         return cls(family, np.full((n_families, n_trials), -np.inf))
 
-    def add(self, members: Ints, values: Floats) -> None:
-        """Addition of the log evidence `values` (b, trials) of the b effects with the indices `members`."""
-        present, group = np.unique(self.family[members], return_inverse=True)
+    def add(self, effect_indices: Ints, values: Floats) -> None:
+        """Addition of the log evidence `values` (b, trials) of the b effects with the indices `effect_indices`."""
+        present, group = np.unique(self.family[effect_indices], return_inverse=True)
         means = log_means_by_group(values, group, len(present))
         means += np.log(np.bincount(group))[:, None]
         self.sums[present] = np.logaddexp(self.sums[present], means)
@@ -259,22 +276,30 @@ def _scaled_to_noise(effect: CandidateEffect, signature: Floats, pointing: Ints)
     return replace(effect, size_factor=factor) if factor > 1.0 else effect, factor
 
 
-def _dense_group(size: int, members: Sequence[int], rows: Singles, places: Ints) -> SignatureGroup:
-    """Group of h effects with `size` parameters each, from signatures `rows` (h, size, r) on the rows `places` (r,)."""
-    products, weight = row_gram(rows).astype(np.float64), np.ones(len(places), dtype=np.float32)
-    flattened = rows.reshape(-1, len(places))
-    return SignatureGroup(size, np.array(members), places, flattened, weight, products, np.zeros_like(products))
+def _dense_group(
+    n_parameters: int, effect_indices: Sequence[int], signature_rows: Singles, row_indices: Ints
+) -> SignatureGroup:
+    """Group of h effects with k parameters each, from `signature_rows` (h, k, r) on the rows `row_indices` (r,)."""
+    products, weight = row_gram(signature_rows).astype(np.float64), np.ones(len(row_indices), dtype=np.float32)
+    flattened = signature_rows.reshape(-1, len(row_indices))
+    return SignatureGroup(
+        n_parameters, np.array(effect_indices), row_indices, flattened, weight, products, np.zeros_like(products)
+    )
 
 
-def _sparse_group(size: int, signatures: Sequence[tuple[int, Ints, Singles]], length: int) -> SignatureGroup:
-    """Group of effects with `size` parameters each, from the index, rows and values of each signature.
+def _sparse_group(n_parameters: int, signatures: Sequence[tuple[int, Ints, Singles]], length: int) -> SignatureGroup:
+    """Group of effects with k parameters each, from the index, the rows and the values (k, r) of each signature.
 
     Each effect changes only a few of `length` rows of the residual space.
     """
-    products = np.stack([row_gram(rows) for _, _, rows in signatures]).astype(np.float64)
-    indices = np.concatenate([np.tile(places, size) for _, places, _ in signatures])
-    ends = np.cumsum([0, *(len(places) for _, places, _ in signatures for _ in range(size))]).astype(np.int32)
-    data = np.concatenate([rows.ravel() for _, _, rows in signatures])
-    rows = sp.csr_array((data, indices, ends), (len(signatures) * size, length))
-    weight, members = np.ones(length, dtype=np.float32), np.array([i for i, _, _ in signatures])
-    return SignatureGroup(size, members, slice(None), rows, weight, products, np.zeros_like(products))
+    products = np.stack([row_gram(signature_rows) for _, _, signature_rows in signatures]).astype(np.float64)
+    indices = np.concatenate([np.tile(row_indices, n_parameters) for _, row_indices, _ in signatures])
+    ends = np.cumsum([0, *(len(row_indices) for _, row_indices, _ in signatures for _ in range(n_parameters))]).astype(
+        np.int32
+    )
+    data = np.concatenate([signature_rows.ravel() for _, _, signature_rows in signatures])
+    signature_rows = sp.csr_array((data, indices, ends), (len(signatures) * n_parameters, length))
+    weight, effect_indices = np.ones(length, dtype=np.float32), np.array([i for i, _, _ in signatures])
+    return SignatureGroup(
+        n_parameters, effect_indices, slice(None), signature_rows, weight, products, np.zeros_like(products)
+    )

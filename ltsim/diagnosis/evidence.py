@@ -49,11 +49,11 @@ def index_of_best(values: Floats) -> int:
     return int(ties[(len(ties) - 1) // 2])
 
 
-def ranked_indices(values: Floats, tie: float = MAX_EVIDENCE_TIE) -> Ints:
-    """Indices in the order of decreasing values. Values that differ by up to `tie` remain in their original order."""
+def ranked_indices(values: Floats, max_difference: float = MAX_EVIDENCE_TIE) -> Ints:
+    """Indices in the order of decreasing values. Values within `max_difference` keep their order."""
     falling = np.nan_to_num(-values)
     order = np.argsort(falling, kind="stable")
-    group = np.cumsum(np.diff(falling[order]) > tie)
+    group = np.cumsum(np.diff(falling[order]) > max_difference)
     return order[np.lexsort((order, np.append(0, group)[: len(order)]))]
 
 
@@ -105,13 +105,13 @@ def _log_sum_exp_in_place(logs: Singles, axis: int | tuple[int, ...]) -> Singles
     return total
 
 
-def log_restricted_likelihood_ratio(squares: Floats, redundancy: Floats, factor: Floats) -> Floats:
-    """Log restricted likelihood ratio of variances that are `factor` times as large as declared, for each reading.
+def log_restricted_likelihood_ratio(squares: Floats, redundancy: Floats, variance_factor: Floats) -> Floats:
+    """Log restricted likelihood ratio of variances `variance_factor` times as large as declared, for each reading.
 
     This is the diagonal form, in which the readings are independent. `squares` are squares of whitened residuals, and
     `redundancy` the redundancy numbers of the readings. Both may be sums over readings with the same factor.
     """
-    ratio: Floats = 0.5 * (squares * (1.0 - 1.0 / factor) - redundancy * np.log(factor))
+    ratio: Floats = 0.5 * (squares * (1.0 - 1.0 / variance_factor) - redundancy * np.log(variance_factor))
     return ratio
 
 

@@ -225,12 +225,12 @@ class ExplainedRecording:
             **_non_empty_entries(extra_fields),
         )
 
-    def _readings_sentence(self, gain: Floats) -> str:
-        """Sentence on the readings that contribute most to a chi-square decrease (m,); empty for many readings."""
+    def _readings_sentence(self, chi2_decreases: Floats) -> str:
+        """Sentence on the readings with most of the decrease of chi-square (m,) by row; empty for many readings."""
         use, recording = self.state.searcher.space.used_readings, self.state.recording
-        reading_gain = gain[: int(use.sum())]
+        reading_gain = chi2_decreases[: int(use.sum())]
         order = np.argsort(-reading_gain)
-        min_sum = MIN_LISTED_CHI2_FRACTION * max(float(gain.sum()), MIN_TESTED_INFORMATION)
+        min_sum = MIN_LISTED_CHI2_FRACTION * max(float(chi2_decreases.sum()), MIN_TESTED_INFORMATION)
         count = int(np.searchsorted(np.cumsum(reading_gain[order]), min_sum)) + 1
         if count > MAX_LISTED_READINGS:
             return ""

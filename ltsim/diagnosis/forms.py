@@ -100,12 +100,14 @@ def _index_of_best(forms: Sequence[Hypothesis]) -> int:
 
 
 def _functional_forms(
-    calculator: EvidenceCalculator, law: EmpiricalLaw, prior: float, base_model: Model
+    calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, base_model: Model
 ) -> list[Hypothesis]:
     """Forms of a law as a curve, a formula and the like, at the place of the law and with their log evidence."""
     forms = law.candidate_forms(calculator.space.sightings)
     weight_sum = sum(FORM_WEIGHTS[kind] for kind in forms)
-    shares = {kind: prior + float(np.log(FORM_WEIGHTS[kind] / weight_sum / len(sets))) for kind, sets in forms.items()}
+    shares = {
+        kind: log_prior + float(np.log(FORM_WEIGHTS[kind] / weight_sum / len(sets))) for kind, sets in forms.items()
+    }
     form_scales = [(shares[kind], scales) for kind, sets in forms.items() for scales in sets]
     single, several = (
         [form for form in form_scales if (len(form[1]) == 1) == is_single] for is_single in (True, False)
@@ -124,10 +126,10 @@ def _forms_with_ratio(calculator: EvidenceCalculator, form: Hypothesis, base_mod
     """Form of a law and the same form with a fixed ratio of its components, if these have several coefficients each."""
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
-    if law.components == 1 or law.regressor.n_columns == 1 or law.direction:
+    if law.n_components == 1 or law.regressor.n_columns == 1 or law.direction:
         return [form]
     gram, score = calculator.gram_and_score([law], base_model)[0]
-    ratio, evidence, log_share = best_ratio(gram, score, law.size_scales, law.components)
+    ratio, evidence, log_share = best_ratio(gram, score, law.size_scales, law.n_components)
     gain = evidence - float(log_evidence_of_coefficients(gram, score, law.size_scales))
     share, other = np.log(P_FIXED_RATIO) + log_share, np.log(1.0 - P_FIXED_RATIO)
     return [
@@ -164,10 +166,11 @@ def _forms_at_set_ups(calculator: EvidenceCalculator, form: Hypothesis, base_mod
     mask = [law.row_weights(calculator.space.sightings).sum() for law in laws]
     laws = [x for x, n in zip(laws, mask, strict=True) if n >= MIN_POINTINGS_PER_COEFFICIENT * len(x.parameters)]
     share = P_SINGLE_SET_UP.get(law.response.kind, P_SINGLE_SET_UP_OTHERS)
-    prior = form.log_prior + float(np.log(share / max(len(laws), 1)))
+    log_prior = form.log_prior + float(np.log(share / max(len(laws), 1)))
     values = calculator.log_evidence(laws, base_model)
     hypotheses = [
-        Hypothesis(x, prior, float(value) + prior, catalogue_name(x)) for x, value in zip(laws, values, strict=True)
+        Hypothesis(x, log_prior, float(value) + log_prior, catalogue_name(x))
+        for x, value in zip(laws, values, strict=True)
     ]
     with_ratios = [
         other for hypothesis in hypotheses for other in _forms_with_ratio(calculator, hypothesis, base_model)
@@ -184,7 +187,7 @@ def _forms_at_set_ups(calculator: EvidenceCalculator, form: Hypothesis, base_mod
 
 
 def _piecewise_forms(
-    calculator: EvidenceCalculator, law: EmpiricalLaw, prior: float, base_model: Model
+    calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, base_model: Model
 ) -> list[Hypothesis]:
     """Form of a law as a sum of steps and ramps, from a forward selection while the evidence increases, in a list.
 
@@ -213,8 +216,8 @@ def _piecewise_forms(
     refined, value = calculator.refine_locally(
         [law.with_pieces([atoms[i] for i in sorted(atom_indices[:taken])])], base_model
     )[0]
-    prior -= taken * price
-    return [Hypothesis(refined, prior, max(best + taken * price, value) + prior, catalogue_name(refined))]
+    log_prior -= taken * price
+    return [Hypothesis(refined, log_prior, max(best + taken * price, value) + log_prior, catalogue_name(refined))]
 
 
 N_CURVE_POINTS = 61

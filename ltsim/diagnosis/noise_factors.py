@@ -29,13 +29,13 @@ class PatternGroup:
 
     members: Ints
     """Indices (h,) of the h hypotheses of the group."""
-    pattern: Ints
+    pattern_index: Ints
     """Index (h,) of the pattern of each hypothesis, in ascending order."""
     size: Singles
-    """Size (h,) of each hypothesis. Its variance factor is 1 + size * added."""
-    places: Ints | slice
+    """Size (h,) of each hypothesis. Its variance factor is 1 plus the size times the added variance."""
+    row_indices: Ints | slice
     """Indices (r,) of the rows of dense patterns; all rows for sparse patterns."""
-    added: Singles | sp.csr_array
+    added_variance: Singles | sp.csr_array
     """Added variance (p, r) of p patterns per unit of the size, divided by the declared variance."""
 
     def log_likelihood_ratios(self, squares: Singles, redundancy: Floats) -> Iterator[tuple[Ints, Floats]]:
@@ -50,9 +50,9 @@ class PatternGroup:
         redundancy : (m,) float
             Redundancy numbers k.
         """
-        squares, redundancy = squares[self.places], redundancy[self.places]
-        count = self.added.size if isinstance(self.added, np.ndarray) else self.added.nnz
-        step = max(1, MAX_VARIANCE_FACTORS * self.added.shape[0] // max(count, 1))
+        squares, redundancy = squares[self.row_indices], redundancy[self.row_indices]
+        count = self.added_variance.size if isinstance(self.added_variance, np.ndarray) else self.added_variance.nnz
+        step = max(1, MAX_VARIANCE_FACTORS * self.added_variance.shape[0] // max(count, 1))
         for start in range(0, len(self.members), step):
             part = slice(start, start + step)
             logs = self._log_variance_factors_of(part)
@@ -65,16 +65,16 @@ class PatternGroup:
         if not isinstance(logs, np.ndarray):
             return logs.indices, logs.data.astype(np.float64)
         changed_indices = np.flatnonzero(logs[0])
-        rows = np.arange(logs.shape[1]) if isinstance(self.places, slice) else self.places
+        rows = np.arange(logs.shape[1]) if isinstance(self.row_indices, slice) else self.row_indices
         return rows[changed_indices], logs[0, changed_indices].astype(np.float64)
 
     def _log_variance_factors_of(self, members: slice) -> Singles | sp.csr_array:
         """Log variance factors (h, r) of a range of h members."""
-        added, size = self.added[self.pattern[members]], self.size[members]
-        if isinstance(added, np.ndarray):
-            return np.log1p(size[:, None] * added)
-        data = np.log1p(np.repeat(size, np.diff(added.indptr)) * added.data)
-        return sp.csr_array((data, added.indices, added.indptr), added.shape)
+        added_variance, size = self.added_variance[self.pattern_index[members]], self.size[members]
+        if isinstance(added_variance, np.ndarray):
+            return np.log1p(size[:, None] * added_variance)
+        data = np.log1p(np.repeat(size, np.diff(added_variance.indptr)) * added_variance.data)
+        return sp.csr_array((data, added_variance.indices, added_variance.indptr), added_variance.shape)
 
 
 def _precision_loss(logs: Singles | sp.csr_array) -> Singles | sp.csr_array:
@@ -109,16 +109,18 @@ class NoiseFactors:
         sparse: list[tuple[Ints, Singles]] = []
         few: list[PatternHypotheses] = []
         kinds, count = int(kind.max(initial=0)) + 1, 0
-        for added, sizes in patterns:
-            places = np.flatnonzero(added)
-            touched = np.bincount(kind[places], minlength=kinds) > 0
+        for added_variance, sizes in patterns:
+            row_indices = np.flatnonzero(added_variance)
+            touched = np.bincount(kind[row_indices], minlength=kinds) > 0
             rows = np.flatnonzero(touched[kind])
-            if len(places) < MIN_DENSE_FRACTION * len(rows) or not len(places):
-                sparse.append((places.astype(np.int32), added[places].astype(np.float32)))
+            if len(row_indices) < MIN_DENSE_FRACTION * len(rows) or not len(row_indices):
+                sparse.append((row_indices.astype(np.int32), added_variance[row_indices].astype(np.float32)))
                 few.append((count, sizes))
             else:
                 filled, owners = dense.setdefault(tuple(touched.tolist()), ([], []))
-                filled.append(np.append(added, np.zeros(len(kind) - len(added)))[rows].astype(np.float32))
+                filled.append(
+                    np.append(added_variance, np.zeros(len(kind) - len(added_variance)))[rows].astype(np.float32)
+                )
                 owners.append((count, sizes))
             count += len(sizes)
         groups = [_pattern_group(few, slice(None), _sparse_rows(sparse, len(kind)))] if sparse else []
@@ -154,16 +156,16 @@ PatternHypotheses = tuple[int, tuple[float, ...]]
 
 
 def _pattern_group(
-    owners: Sequence[PatternHypotheses], places: Ints | slice, added_variance: Singles | sp.csr_array
+    owners: Sequence[PatternHypotheses], row_indices: Ints | slice, added_variance: Singles | sp.csr_array
 ) -> PatternGroup:
     members = np.concatenate([first + np.arange(len(sizes)) for first, sizes in owners])
-    pattern = np.repeat(np.arange(len(owners)), [len(sizes) for _, sizes in owners])
+    pattern_index = np.repeat(np.arange(len(owners)), [len(sizes) for _, sizes in owners])
     size = np.concatenate([sizes for _, sizes in owners]).astype(np.float32)
-    return PatternGroup(members, pattern, size, places, added_variance)
+    return PatternGroup(members, pattern_index, size, row_indices, added_variance)
 
 
 def _sparse_rows(row_entries: Sequence[tuple[Ints, Singles]], length: int) -> sp.csr_array:
     """Sparse matrix (p, length) of p rows, from the indices and the values of the nonzero elements of each row."""
-    ends = np.cumsum([0, *(len(places) for places, _ in row_entries)]).astype(np.int32)
-    places, values = (np.concatenate([part[k] for part in row_entries]) for k in (0, 1))
-    return sp.csr_array((values, places, ends), (len(row_entries), length))
+    ends = np.cumsum([0, *(len(row_indices) for row_indices, _ in row_entries)]).astype(np.int32)
+    row_indices, values = (np.concatenate([part[k] for part in row_entries]) for k in (0, 1))
+    return sp.csr_array((values, row_indices, ends), (len(row_entries), length))

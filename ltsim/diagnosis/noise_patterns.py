@@ -37,15 +37,18 @@ NOISY_REGION_SHAPES = ("xyz", "xy", "x", "y")
 
 
 def variance_functions(
-    sightings: Sightings, trackers: Sequence[LawPlace]
+    sightings: Sightings, instrument_places: Sequence[LawPlace]
 ) -> Iterator[tuple[str, VarianceFunction, tuple[float, ...]]]:
     """Iterator over changes of the noise outside the catalogue: family, variance function, and the sizes to be tried.
 
-    `trackers` are the places of the instruments.
+    `instrument_places` are the places of laws of single instruments.
     """
     regressors = ["elevation", "distance", "time", "station-time", "move-azimuth", "move-elevation"]
     regressors += ["incidence"] if np.isfinite(sightings.incidence).any() else []
-    places = [VarianceFunction(), *(VarianceFunction(stations=p.stations, instruments=p.instruments) for p in trackers)]
+    places = [
+        VarianceFunction(),
+        *(VarianceFunction(stations=p.stations, instruments=p.instruments) for p in instrument_places),
+    ]
     for at, acts, name, falling in product(
         places, NOISY_OBSERVABLE_SETS[:-1], [*regressors, *additional_columns(sightings)], (False, True)
     ):

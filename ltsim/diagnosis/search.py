@@ -80,7 +80,7 @@ class ScreeningResult(NamedTuple):
     """Log evidence (h,) of each of h effects of the catalogue, without prior."""
     family_log_evidence: Floats
     """Log evidence (families,) of each family of the catalogue, averaged over its members, with prior."""
-    hits: list[ScreenedLaw]
+    laws: list[ScreenedLaw]
     """Best laws of each place."""
     statistic: float
     """Log of the summed evidence of all hypotheses."""
@@ -157,12 +157,12 @@ class Searcher:
         )
         values, chance = self.catalogue_signatures.log_evidence_and_trials(probe)
         families = self.catalogue_signatures.family_evidence(values) + self._log_family_prior
-        hits: list[ScreenedLaw] = []
+        laws: list[ScreenedLaw] = []
         statistic, null = log_sum_exp(families), log_sum_exp(chance + self._log_family_prior)
         for hits_here, law_total, law_chance in score_batches(self.law_batches, probe):
-            hits += hits_here
+            laws += hits_here
             statistic, null = np.logaddexp(statistic, law_total), np.logaddexp(null, law_chance)
-        return ScreeningResult(values, families, hits, float(statistic), null)
+        return ScreeningResult(values, families, laws, float(statistic), null)
 
     @property
     def _log_family_prior(self) -> float:
@@ -170,8 +170,8 @@ class Searcher:
         return log_prior_share("named", len(self.catalogue_signatures.families))
 
     def _compute_ranking(self, base_model: Model) -> Ranking:
-        values, families, hits, _, _ = self._screening(base_model) if base_model.members else self.empty_model_screening
-        entries = self._law_hypotheses(hits, base_model)
+        values, families, laws, _, _ = self._screening(base_model) if base_model.members else self.empty_model_screening
+        entries = self._law_hypotheses(laws, base_model)
         for i, family in enumerate(ranked_indices(families, MAX_SCREENED_EVIDENCE_TIE)):
             entries.append(
                 self._best_of_family(
@@ -250,23 +250,23 @@ class Searcher:
         height = np.exp(logs - logs.max())
         return best, float(logs.max() + np.log(max(np.trapezoid(height, u), 1e-300)))
 
-    def _law_hypotheses(self, hits: Sequence[ScreenedLaw], base_model: Model) -> list[Hypothesis]:
-        """Hypotheses of the screened laws `hits`, of which the best are evaluated in all forms.
+    def _law_hypotheses(self, laws: Sequence[ScreenedLaw], base_model: Model) -> list[Hypothesis]:
+        """Hypotheses of the screened `laws`, of which the best are evaluated in all forms.
 
         In small networks these include the best law of each response and kind of regressor. The screening is coarser
         for some kinds than for others: a local search for a region can increase the evidence several times.
         """
         entries, evaluated = [], set[tuple[object, ...]]()
         kinds = set[tuple[str, str, bool]]()
-        order = ranked_indices(np.array([h.log_evidence for h in hits]), MAX_SCREENED_EVIDENCE_TIE)
-        hits = [hits[i] for i in order[:MAX_RANKED_LAWS]]
-        for hit in hits:
+        order = ranked_indices(np.array([h.log_evidence for h in laws]), MAX_SCREENED_EVIDENCE_TIE)
+        laws = [laws[i] for i in order[:MAX_RANKED_LAWS]]
+        for hit in laws:
             place, driver = hit.place, hit.regressor.centred_on(hit.place.targets)
             law = EmpiricalLaw(place.stations, place.targets, hit.response, driver, place.instruments)
             key = (hit.response.name, driver.kind, driver.covariate_labels, place.stations, place.targets)
             kind = hit.response.name, driver.kind, len(place.targets) == 1
             chosen = len(evaluated) < self._n_refined or (self._refines_every_kind and kind not in kinds)
-            if chosen and key not in evaluated and hit.log_evidence > min_promising_evidence(hits[0].log_evidence):
+            if chosen and key not in evaluated and hit.log_evidence > min_promising_evidence(laws[0].log_evidence):
                 evaluated.add(key)
                 kinds.add(kind)
                 entries += evaluate_forms(
@@ -306,9 +306,9 @@ class Searcher:
         parts = [self._projected_signature(h) for h in members]
         return Model(tuple(members), tuple(p[0] for p in parts), tuple(p[1] for p in parts), self.space.residuals)
 
-    def model_without(self, model: Model, member: int) -> Model:
-        """Model without the member with the index `member`."""
-        return self.model_of(model.members[:member] + model.members[member + 1 :])
+    def model_without(self, model: Model, member_index: int) -> Model:
+        """Model without the member with the index `member_index`."""
+        return self.model_of(model.members[:member_index] + model.members[member_index + 1 :])
 
     def _projected_signature(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
         """Projected signature (m, k), and lengths (k,) of its columns before the projection; the last are cached."""
@@ -394,7 +394,7 @@ class Searcher:
         return model
 
 
-def _best_model(sets: Sequence[Model]) -> Model:
+def _best_model(models: Sequence[Model]) -> Model:
     """Model with the largest log evidence, the first of several equal ones."""
-    most = max(model.score for model in sets)
-    return next(model for model in sets if model.score >= most - MAX_EVIDENCE_TIE)
+    most = max(model.score for model in models)
+    return next(model for model in models if model.score >= most - MAX_EVIDENCE_TIE)

@@ -61,7 +61,7 @@ def n_resembling_waves(law: EmpiricalLaw, sightings: Sightings) -> int:
 
 
 def switched_forms(
-    calculator: EvidenceCalculator, law: EmpiricalLaw, prior: float, base_model: Model, *, refine: bool = True
+    calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, base_model: Model, *, refine: bool = True
 ) -> list[Hypothesis]:
     """Forms of a law that act only in some spans of its covariate; empty if the law cannot have such a form.
 
@@ -85,7 +85,7 @@ def switched_forms(
         0
     ]
     price = float(np.log(len(edges) * (len(edges) + 1) / 2)) * toggled
-    form = Hypothesis(refined, prior - price, max(value, mean - price) + prior, catalogue_name(refined))
+    form = Hypothesis(refined, log_prior - price, max(value, mean - price) + log_prior, catalogue_name(refined))
     return [form, *_formulas_of_second_factor(calculator, form, base_model)]
 
 
@@ -102,8 +102,8 @@ def _formulas_of_second_factor(calculator: EvidenceCalculator, form: Hypothesis,
         return []
     best = formulas[index_of_best(calculator.log_evidence(formulas, base_model))]
     refined, value = calculator.refine_locally([best], base_model)[0]
-    prior = form.log_prior - float(np.log(len(formulas)))
-    return [Hypothesis(refined, prior, value + prior, catalogue_name(refined))]
+    log_prior = form.log_prior - float(np.log(len(formulas)))
+    return [Hypothesis(refined, log_prior, value + log_prior, catalogue_name(refined))]
 
 
 def _span_moments(

@@ -93,15 +93,15 @@ def catalogue_sentence(
     return f"{title} ({at}){f': {sizes}' if sizes else ''}. {located}{cause}"
 
 
-def law_sentence(scope: FindingScope, parameters: Sequence[ParameterEstimate], p_located: float, law: str) -> str:
+def law_sentence(scope: FindingScope, parameters: Sequence[ParameterEstimate], p_located: float, law_text: str) -> str:
     """Sentences on a law outside the catalogue: response, regressor, place, size, probability.
 
-    `law` is the text of the law, and `p_located` the probability of any such effect at the same place.
+    `law_text` is the text of the law, and `p_located` the probability of any such effect at the same place.
     """
     sizes = estimates_phrase(parameters)
     size = f" ({sizes})" if sizes else ""
     at = _place_suffix(scope.model_copy(update={"observables": ()}))
-    response, verb, regressor = law.partition(" follows " if " follows " in law else " differs")
+    response, verb, regressor = law_text.partition(" follows " if " follows " in law_text else " differs")
     if p_located < MIN_PROBABLE:
         return (
             f"An effect outside the catalogue is present{_place_suffix(scope)}. "
@@ -115,12 +115,12 @@ def law_sentence(scope: FindingScope, parameters: Sequence[ParameterEstimate], p
     )
 
 
-def unknown_effect_sentence(scope: FindingScope, law: str) -> str:
-    """Sentences on a change of the noise outside the catalogue: place, covariates, description (`law`)."""
+def unknown_effect_sentence(scope: FindingScope, law_text: str) -> str:
+    """Sentences on a change of the noise outside the catalogue: place, covariates, description (`law_text`)."""
     covariates = listing([COVARIATE_TEXTS.get(name, name) for name in scope.covariates])
     dependence = f" It depends on {covariates}." if covariates else ""
     present = f"An effect outside the catalogue is present{_place_suffix(scope)}."
-    return f"{present}{dependence} The best description is {law}."
+    return f"{present}{dependence} The best description is {law_text}."
 
 
 def _place_suffix(scope: FindingScope) -> str:

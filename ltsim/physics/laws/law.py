@@ -95,14 +95,14 @@ class EmpiricalLaw(CandidateEffect):
     def parameters(self) -> tuple[Parameter, ...]:
         """Coefficients with priors, one for each component of the response, separate set-up and regressor column."""
         spread = self.regressor.coefficient_sigmas[self.scale_index] * self.response.plausible_size
-        spreads = spread * np.sqrt(self.components) if self.direction else np.tile(spread, self.components)
+        spreads = spread * np.sqrt(self.n_components) if self.direction else np.tile(spread, self.components)
         return tuple(
             Parameter(f"coefficient {i + 1}", self.response.display_unit, "coefficient", float(s))
             for i, s in enumerate(spreads)
         )
 
     @property
-    def components(self) -> int:
+    def n_components(self) -> int:
         """Number of components of the response, times the number of set-ups if they have separate coefficients."""
         return len(self.response.component_names) * (len(self.stations) if self.is_per_setup else 1)
 

@@ -32,12 +32,12 @@ class LawPlace:
     instruments: tuple[str, ...] = ()
 
 
-def rows_by_name(names: Sequence[str], members: Ints) -> Iterator[tuple[str, Ints]]:
+def rows_by_name(names: Sequence[str], group_indices: Ints) -> Iterator[tuple[str, Ints]]:
     """Pairs of a name and the row indices of its pointings, for each name with pointings.
 
-    `members` (n,) is the index in `names` of each pointing.
+    `group_indices` (n,) is the index in `names` of each pointing.
     """
-    rows = ((name, np.flatnonzero(members == i)) for i, name in enumerate(names))
+    rows = ((name, np.flatnonzero(group_indices == i)) for i, name in enumerate(names))
     return (pair for pair in rows if len(pair[1]))
 
 

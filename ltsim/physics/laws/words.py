@@ -271,9 +271,9 @@ def parse_law(
         regressor,
         is_per_setup=is_per_setup,
     )
-    if direction and len(direction) != law.components:
+    if direction and len(direction) != law.n_components:
         raise ModelError(
-            f"'{regressor_text}': expected a ratio of {law.components} components, not of {len(direction)}"
+            f"'{regressor_text}': expected a ratio of {law.n_components} components, not of {len(direction)}"
         )
     return replace(law, direction=direction)
 
