@@ -22,7 +22,7 @@ from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
 from ltsim.physics.effects.effect import Effect, LightPathStage, NoiseEffect
 from ltsim.physics.effects.range_scale import RangeScale
 from ltsim.physics.effects.signature import CandidateEffect
-from ltsim.physics.laws.row_indices import instrument_places
+from ltsim.physics.laws.places import instrument_places
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
@@ -79,10 +79,10 @@ class SignatureGroup:
         step = max(1, MAX_SIGNATURE_PRODUCTS // (self.n_parameters * max(n_vectors, 1)))
         yield from (slice(i, min(i + step, len(self.effect_indices))) for i in range(0, len(self.effect_indices), step))
 
-    def weighted_products(self, effect_indices: slice, vectors: Floats | Singles) -> Floats:
+    def weighted_products(self, member_range: slice, vectors: Floats | Singles) -> Floats:
         """Products (h, k, v) of the weighted signatures of a range of h members with `vectors` (m, v)."""
         signature_rows, count = (
-            self.signature_rows[effect_indices.start * self.n_parameters : effect_indices.stop * self.n_parameters],
+            self.signature_rows[member_range.start * self.n_parameters : member_range.stop * self.n_parameters],
             vectors.shape[1],
         )
         products = np.empty((signature_rows.shape[0], count))
@@ -91,7 +91,7 @@ class SignatureGroup:
             products[:, few] = signature_rows @ np.multiply(
                 vectors[self.row_indices, few], self.row_weights[:, None], dtype=np.float32
             )
-        return products.reshape(effect_indices.stop - effect_indices.start, self.n_parameters, count)
+        return products.reshape(member_range.stop - member_range.start, self.n_parameters, count)
 
     def scaled_rows(self, ratio: Singles) -> SignatureGroup:
         """Group for a residual space whose rows are multiplied by `ratio` (m,)."""
@@ -287,10 +287,10 @@ def _dense_group(
     )
 
 
-def _sparse_group(n_parameters: int, signatures: Sequence[tuple[int, Ints, Singles]], length: int) -> SignatureGroup:
+def _sparse_group(n_parameters: int, signatures: Sequence[tuple[int, Ints, Singles]], n_rows: int) -> SignatureGroup:
     """Group of effects with k parameters each, from the index, the rows and the values (k, r) of each signature.
 
-    Each effect changes only a few of `length` rows of the residual space.
+    Each effect changes only a few of `n_rows` rows of the residual space.
     """
     products = np.stack([row_gram(signature_rows) for _, _, signature_rows in signatures]).astype(np.float64)
     indices = np.concatenate([np.tile(row_indices, n_parameters) for _, row_indices, _ in signatures])
@@ -298,8 +298,8 @@ def _sparse_group(n_parameters: int, signatures: Sequence[tuple[int, Ints, Singl
         np.int32
     )
     data = np.concatenate([signature_rows.ravel() for _, _, signature_rows in signatures])
-    signature_rows = sp.csr_array((data, indices, ends), (len(signatures) * n_parameters, length))
-    weight, effect_indices = np.ones(length, dtype=np.float32), np.array([i for i, _, _ in signatures])
+    signature_rows = sp.csr_array((data, indices, ends), (len(signatures) * n_parameters, n_rows))
+    weight, effect_indices = np.ones(n_rows, dtype=np.float32), np.array([i for i, _, _ in signatures])
     return SignatureGroup(
         n_parameters, effect_indices, slice(None), signature_rows, weight, products, np.zeros_like(products)
     )

@@ -164,8 +164,8 @@ def _pattern_group(
     return PatternGroup(members, pattern_index, size, row_indices, added_variance)
 
 
-def _sparse_rows(row_entries: Sequence[tuple[Ints, Singles]], length: int) -> sp.csr_array:
-    """Sparse matrix (p, length) of p rows, from the indices and the values of the nonzero elements of each row."""
+def _sparse_rows(row_entries: Sequence[tuple[Ints, Singles]], n_rows: int) -> sp.csr_array:
+    """Sparse matrix (p, n_rows) of p patterns, from the indices and the values of the nonzero elements of each row."""
     ends = np.cumsum([0, *(len(row_indices) for row_indices, _ in row_entries)]).astype(np.int32)
     row_indices, values = (np.concatenate([part[k] for part in row_entries]) for k in (0, 1))
-    return sp.csr_array((values, row_indices, ends), (len(row_entries), length))
+    return sp.csr_array((values, row_indices, ends), (len(row_entries), n_rows))
