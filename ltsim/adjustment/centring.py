@@ -108,13 +108,13 @@ def repeated_occupations(recording: Recording, station_marks: tuple[str, ...]) -
     from_mark, to_mark = np.array(station_marks)[recording.station], np.array(recording.targets)[recording.target]
     for mark in dict.fromkeys(name for name in station_marks if name):
         roles = (("instrument", from_mark == mark, -1.0), ("target", to_mark == mark, 1.0))
-        of_mark = [
+        mark_occupations = [
             MarkOccupation(mark, role, day, sign * (rows & (days == day)))
             for role, rows, sign in roles
             for day in dict.fromkeys(days[rows].tolist())
         ]
-        if len({occupation.day for occupation in of_mark}) > 1:
-            all_occupations += of_mark
+        if len({occupation.day for occupation in mark_occupations}) > 1:
+            all_occupations += mark_occupations
     return all_occupations
 
 
@@ -132,13 +132,16 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
     model = adjustment.problem.model
     axes = 2 if model.head_heights else 3  # heights that the network corrects anyway tell of no tripod
     height_sigma = max((heads.sigma for heads in model.head_heights), default=0.0)
-    moves = model.linearise(adjustment.state).target_derivatives[:, :, :axes]
-    shifts = {i: whole.whiten(moves * occupation.shift_sign[:, None, None]) for i, occupation in enumerate(candidates)}
+    axis_derivatives = model.linearise(adjustment.state).target_derivatives[:, :, :axes]
+    shifts = {
+        i: whole.whiten(axis_derivatives * occupation.shift_sign[:, None, None])
+        for i, occupation in enumerate(candidates)
+    }
     occupations: list[int] = []
     while len(occupations) < min(MAX_CENTRING_ERRORS, len(candidates)):
-        fall = {i: space.chi2_drop(shift) for i, shift in shifts.items() if i not in occupations}
-        best = max(fall, key=lambda i: fall[i])
-        drop, rank = fall[best]
+        chi2_drops = {i: space.chi2_drop(shift) for i, shift in shifts.items() if i not in occupations}
+        best = max(chi2_drops, key=lambda i: chi2_drops[i])
+        drop, rank = chi2_drops[best]
         ratio = (drop / max(rank, 1)) / max((chi2 - drop) / max(dof - rank, 1), 1e-30)
         if rank < axes or dof <= rank or not special.fdtrc(rank, dof - rank, ratio) * len(candidates) < SINGLE_LEVEL:
             break
@@ -158,8 +161,8 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
 
 def correct_centring(adjustment: Adjustment) -> tuple[Recording, list[IdentifiedBlunder]]:
     """Recording with readings corrected for centring errors, and a blunder for each error."""
-    moved, recording = estimate_centring_errors(adjustment), adjustment.recording
-    if moved is None:
+    centring_errors, recording = estimate_centring_errors(adjustment), adjustment.recording
+    if centring_errors is None:
         return recording, []
     by_target, readings, findings = (
         adjustment.problem.model.linearise(adjustment.state).target_derivatives,
@@ -167,7 +170,11 @@ def correct_centring(adjustment: Adjustment) -> tuple[Recording, list[Identified
         [],
     )
     for occupation, value, (size, sigma), named in zip(
-        moved.occupations, moved.shifts, moved.sizes, moved.descriptions, strict=True
+        centring_errors.occupations,
+        centring_errors.shifts,
+        centring_errors.sizes,
+        centring_errors.descriptions,
+        strict=True,
     ):
         readings = readings - occupation.shift_sign[:, None] * (by_target[:, :, : len(value)] @ value)
         sentence = f"Centring error (tripod not re-occupied at the same point): {named}."

@@ -31,8 +31,8 @@ from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.variance import VarianceFunction
 
 MAX_ERROR_INCREASE = 0.05
-"""Relative increase of the coordinate error by the correction for a law, which is exceeded with the probability
-`P_ERROR_INCREASE_EXCEEDED` at most."""
+"""Limit on the relative increase of the coordinate error by the correction for a law. The probability that the increase
+exceeds it is at most `P_ERROR_INCREASE_EXCEEDED`."""
 P_ERROR_INCREASE_EXCEEDED = 0.03
 """Largest permitted probability that the relative increase of the coordinate error exceeds `MAX_ERROR_INCREASE`."""
 MAX_AVERAGED_EXPLANATIONS = 12
@@ -45,21 +45,21 @@ MIN_AVERAGED_PROBABILITY = 0.003
 def average_over_explanations(
     searcher: Searcher, model: Model, rankings: Sequence[Ranking], fitted: Refit
 ) -> tuple[AveragedTargets, Floats]:
-    """Average over the alternative explanations of each member of a refitted model.
+    """Target coordinates and change of the readings, averaged over the explanations of each member of a model.
 
-    `rankings` are the alternatives to each member of the model.
+    `rankings` contain the alternatives to each member, and `fitted` is the nonlinear refit of the model.
 
     Returns
     -------
     AveragedTargets
-        Coordinates and their covariance. They start from the nonlinear refit.
+        Coordinates and their covariance: those of the refit, corrected by the average over the explanations.
     (n, 3) float
         Averaged change of the three readings of n pointings, minus their change by the refit [m, rad, rad].
     """
     refitted = [replace(h, effect=effect) for h, effect in zip(model.members, fitted.effects, strict=True)]
     space, linear = searcher.space, first_order_change(searcher, searcher.model_of(refitted))
     points, change = fitted.adjustment.state.target_points + space.target_shifts(linear), -linear
-    by_laws, open_ = np.zeros_like(points), [np.zeros((0, *points.shape))]
+    shift_by_laws, weighted_deviations = np.zeros_like(points), [np.zeros((0, *points.shape))]
     for i, ranking in enumerate(rankings):
         others = searcher.model_without(model, i)
         weights, changes = model_weights(searcher, others, model.members[i], ranking, 1.0 + model.discrepancy_penalty)
@@ -67,10 +67,10 @@ def average_over_explanations(
         mean = np.einsum("k,kti->ti", weights, shifts)
         points += mean
         change += weights @ changes
-        by_laws += mean if not model.members[i].is_catalogued else 0.0
-        open_.append(np.sqrt(weights)[:, None, None] * (shifts - mean))
-    deviations = np.concatenate(open_)
-    residual_shift = (1.0 - _safe_fraction_of_change(fitted.adjustment, by_laws, deviations)) * by_laws
+        shift_by_laws += mean if not model.members[i].is_catalogued else 0.0
+        weighted_deviations.append(np.sqrt(weights)[:, None, None] * (shifts - mean))
+    deviations = np.concatenate(weighted_deviations)
+    residual_shift = (1.0 - _safe_fraction_of_change(fitted.adjustment, shift_by_laws, deviations)) * shift_by_laws
     spread = np.concatenate([deviations, residual_shift[None]])
     adjustment = fitted.adjustment
     covariance = adjustment.target_covariance + air_covariance(adjustment, adjustment.problem.unknowns.target_columns)
@@ -88,11 +88,12 @@ def _safe_fraction_of_change(adjustment: Adjustment, change: Floats, deviations:
     shift = remove_rigid_motion(
         np.nan_to_num(change).reshape(-1, 1), points - points.mean(axis=0), problem.free_motions
     )[:, 0]
-    along = np.zeros(adjustment.solution.system.design.shape[1])
-    along[problem.unknowns.target_columns.ravel()] = shift
-    disagreements = np.nan_to_num(deviations).reshape(len(deviations), len(shift)) @ shift
+    shift_vector = np.zeros(adjustment.solution.system.design.shape[1])
+    shift_vector[problem.unknowns.target_columns.ravel()] = shift
+    deviations_along_shift = np.nan_to_num(deviations).reshape(len(deviations), len(shift)) @ shift
     spread = float(
-        along @ adjustment.factorised_normals.covariance_columns(along[:, None])[:, 0] + disagreements @ disagreements
+        shift_vector @ adjustment.factorised_normals.covariance_columns(shift_vector[:, None])[:, 0]
+        + deviations_along_shift @ deviations_along_shift
     )
     noise = float(np.nansum(np.einsum("tii->t", adjustment.target_covariance)) + np.nansum(deviations**2))
     return safe_fraction(float(shift @ shift), spread, noise)

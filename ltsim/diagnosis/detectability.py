@@ -47,16 +47,16 @@ def detectability_report(space: ResidualSpace, catalogue_signatures: CatalogueSi
     An effect with several parameters is reported with the one that has the smallest ratio of the detectable to the
     plausible size, at a median place. `catalogue_signatures` contain all effects of the catalogue at all places.
     """
-    detectable, hidden = [], []
+    detectable, undetectable = [], []
     for effects in catalogue_signatures.effects_by_family():
         rows = _detectability_of_effects(space, effects).table()
-        times = np.array([row.median_size / row.prior_sigma for row in rows])
-        best = int(np.flatnonzero(times <= times.min() * (1.0 + MAX_EQUAL_SIZE_DIFFERENCE))[0])
-        if times[best] < MAX_DETECTABLE_SIZE_RATIO:
+        size_ratios = np.array([row.median_size / row.prior_sigma for row in rows])
+        best = int(np.flatnonzero(size_ratios <= size_ratios.min() * (1.0 + MAX_EQUAL_SIZE_DIFFERENCE))[0])
+        if size_ratios[best] < MAX_DETECTABLE_SIZE_RATIO:
             detectable.append(rows[best])
         else:
-            hidden.append(_undetectable_entry(space, effects[(len(effects) - 1) // 2], float(times[best])))
-    return tuple(detectable), tuple(sorted(hidden, key=lambda entry: -(entry.undetected_target_error_um or 0.0)))
+            undetectable.append(_undetectable_entry(space, effects[(len(effects) - 1) // 2], float(size_ratios[best])))
+    return tuple(detectable), tuple(sorted(undetectable, key=lambda entry: -(entry.undetected_target_error_um or 0.0)))
 
 
 def _detectability_of_effects(space: ResidualSpace, effects: Sequence[Effect]) -> EffectDetectability:
@@ -87,7 +87,7 @@ def _undetectable_entry(space: ResidualSpace, effect: Effect, size_ratio: float)
     `size_ratio` is its smallest detectable size divided by a large but plausible size.
     """
     sizes = np.diag([p.prior_sigma for p in effect.parameters])
-    hides = round(
+    distortion = round(
         max(target_distortion(space, space.whitened_signature(effect) @ size) for size in sizes), DISTORTION_DECIMALS
     )
     size = f"only from {size_ratio:.0f} times its plausible size on" if np.isfinite(size_ratio) else "at no size"
@@ -96,7 +96,7 @@ def _undetectable_entry(space: ResidualSpace, effect: Effect, size_ratio: float)
     return Undetectable(
         effect=effect.name,
         reason=reason,
-        undetected_target_error_um=hides,
+        undetected_target_error_um=distortion,
         detectable_at_factor=factor,
         cure=advice_sentence("cause"),
     )

@@ -58,9 +58,9 @@ class EvidenceCalculator:
         """
         moments: dict[int, tuple[Floats, Floats]] = {}
         for rows, members in self._batches(effects):
-            chosen = [effects[i] for i in members]
-            signatures, edges = self._adjacent_signatures(chosen, rows)
-            self._cache_projected_grams(chosen, signatures, edges, rows)
+            batch_effects = [effects[i] for i in members]
+            signatures, edges = self._adjacent_signatures(batch_effects, rows)
+            self._cache_projected_grams(batch_effects, signatures, edges, rows)
             overlap, score = base_model.basis[rows.rows].T @ signatures, base_model.residual[rows.rows] @ signatures
             for i, low, high in zip(members, edges[:-1], edges[1:], strict=True):
                 part = overlap[:, low:high]
@@ -89,23 +89,25 @@ class EvidenceCalculator:
         The evidence is the mean over the best effect and its neighbours, not its maximum.
         """
         best, values = list(effects), self.log_evidence(effects, base_model)
-        means, moving = values.copy(), list(range(len(best)))
+        means, moving_indices = values.copy(), list(range(len(best)))
         for _ in range(MAX_SEARCH_STEPS):
-            candidates = {i: neighbours for i in moving if (neighbours := best[i].neighbours(self.space.sightings))}
-            means[moving] = values[moving]
+            candidates = {
+                i: neighbours for i in moving_indices if (neighbours := best[i].neighbours(self.space.sightings))
+            }
+            means[moving_indices] = values[moving_indices]
             if not candidates:
                 break
             logs = self.log_evidence(
                 [neighbour for neighbours in candidates.values() for neighbour in neighbours], base_model
             )
             edges = np.cumsum([len(neighbours) for neighbours in candidates.values()])[:-1]
-            moving = []
+            moving_indices = []
             for (i, neighbours), parts in zip(candidates.items(), np.split(logs, edges), strict=True):
                 means[i] = log_sum_exp(np.append(parts, values[i])) - np.log(len(parts) + 1)
                 top = index_of_best(parts)
                 if parts[top] > values[i] + MAX_EVIDENCE_TIE:
                     best[i], values[i] = neighbours[top], parts[top]
-                    moving.append(i)
+                    moving_indices.append(i)
         return list(zip(best, means.tolist(), strict=True))
 
     def whitened_signature(self, effect: CandidateEffect) -> Floats:
@@ -138,8 +140,8 @@ class EvidenceCalculator:
             elif place == ((), ()):
                 self._rows[place] = ResidualRows(slice(len(self._pointing)), self._pointing)
             else:
-                acting = np.flatnonzero(effect.row_weights(self.space.sightings)[self._pointing])
-                self._rows[place] = ResidualRows(acting, self._pointing[acting])
+                acting_rows = np.flatnonzero(effect.row_weights(self.space.sightings)[self._pointing])
+                self._rows[place] = ResidualRows(acting_rows, self._pointing[acting_rows])
         return self._rows[place]
 
     def _adjacent_signatures(self, effects: Sequence[CandidateEffect], rows: ResidualRows) -> tuple[Floats, Ints]:
@@ -151,13 +153,13 @@ class EvidenceCalculator:
         if not isinstance(effects[0], EmpiricalLaw):
             return np.hstack([self.space.whitened_signature(effect) for effect in effects]), edges
         signatures = np.empty((len(rows.pointing), edges[-1]))
-        carried: dict[str, Floats] = {}
+        response_changes: dict[str, Floats] = {}
         for effect, low, high in zip(effects, edges[:-1], edges[1:], strict=True):
             assert isinstance(effect, EmpiricalLaw)
             name = effect.response.name
-            if name not in carried:
-                carried[name] = self._response_changes(name)[rows.rows]
-            moved = effect.change_along_direction(carried[name], self.space.sightings, rows.pointing)
+            if name not in response_changes:
+                response_changes[name] = self._response_changes(name)[rows.rows]
+            moved = effect.change_along_direction(response_changes[name], self.space.sightings, rows.pointing)
             columns = effect.columns(self.space.sightings)[rows.pointing]
             shape = len(signatures), moved.shape[1], columns.shape[1]
             np.multiply(moved[:, :, None], columns[:, None, :], out=signatures[:, low:high].reshape(shape))
@@ -174,14 +176,14 @@ class EvidenceCalculator:
     ) -> None:
         """Computation of the Gram matrices of the projected signatures of new effects, which are then cached.
 
-        `edges` are the indices of the first column of each effect in `signatures`, and their number at the end.
+        `edges` are the indices of the first column of each effect in `signatures`, followed by the number of columns.
         """
-        new = sorted({effect: i for i, effect in enumerate(effects) if effect not in self._grams}.values())
-        if not new:
+        new_indices = sorted({effect: i for i, effect in enumerate(effects) if effect not in self._grams}.values())
+        if not new_indices:
             return
         columns = signatures
-        if len(new) < len(effects):
-            columns = np.hstack([signatures[:, edges[i] : edges[i + 1]] for i in new])
-        ends = np.append(0, np.cumsum(np.diff(edges)[new]))
+        if len(new_indices) < len(effects):
+            columns = np.hstack([signatures[:, edges[i] : edges[i + 1]] for i in new_indices])
+        ends = np.append(0, np.cumsum(np.diff(edges)[new_indices]))
         grams = self.space.projector.gram_matrices(columns, ends, rows.rows)
-        self._grams.update(zip((effects[i] for i in new), grams, strict=True))
+        self._grams.update(zip((effects[i] for i in new_indices), grams, strict=True))

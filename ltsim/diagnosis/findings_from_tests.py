@@ -70,7 +70,7 @@ def instrument_finding(contradiction: ConstantContradiction) -> Finding:
     sentence = (
         f"The {parameter_text(p.name)} of {owners} differs by "
         f"({with_sigma(estimate.value, estimate.sigma)}) {p.unit} from {contradiction.against}, "
-        f"probability {percent_text(off)}.{ambiguity}"
+        f"with a probability of {percent_text(off)}.{ambiguity}"
     )
     chi2_drop = (contradiction.difference / contradiction.sigma) ** 2
     return Finding(

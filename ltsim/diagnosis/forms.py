@@ -65,8 +65,8 @@ def evaluate_forms(
         _piecewise_forms(calculator, law, base_evidence + float(np.log(P_PIECEWISE)), base_model) if pieces else []
     )
     base_evidence += float(np.log(1.0 - P_PIECEWISE)) if hypotheses else 0.0
-    always, share = law.without_switch(), float(np.log(P_SWITCHED * n_resembling_waves(law, sightings)))
-    switch_hypotheses = switched_forms(calculator, always, base_evidence + share, base_model) if pieces else []
+    permanent_law, share = law.without_switch(), float(np.log(P_SWITCHED * n_resembling_waves(law, sightings)))
+    switch_hypotheses = switched_forms(calculator, permanent_law, base_evidence + share, base_model) if pieces else []
     base_evidence += float(np.log(1.0 - P_SWITCHED)) if switch_hypotheses else 0.0
     hypotheses += switch_hypotheses
     setup_laws = law.per_setup(sightings)
@@ -76,7 +76,9 @@ def evaluate_forms(
     hypotheses += (
         _functional_forms(calculator, setup_laws, base_evidence + np.log(P_PER_SETUP), base_model) if setup_laws else []
     )
-    hypotheses += _functional_forms(calculator, always, base_evidence, base_model) if always != law else []
+    hypotheses += (
+        _functional_forms(calculator, permanent_law, base_evidence, base_model) if permanent_law != law else []
+    )
     factors = (
         [h for h in hypotheses if isinstance(h.effect, EmpiricalLaw) and may_have_a_second_factor(h.effect)]
         if pieces
@@ -163,8 +165,8 @@ def _forms_at_set_ups(calculator: EvidenceCalculator, form: Hypothesis, base_mod
         for driver in drivers
         for name in stations
     ]
-    mask = [law.row_weights(calculator.space.sightings).sum() for law in laws]
-    laws = [x for x, n in zip(laws, mask, strict=True) if n >= MIN_POINTINGS_PER_COEFFICIENT * len(x.parameters)]
+    n_pointings = [law.row_weights(calculator.space.sightings).sum() for law in laws]
+    laws = [x for x, n in zip(laws, n_pointings, strict=True) if n >= MIN_POINTINGS_PER_COEFFICIENT * len(x.parameters)]
     share = P_SINGLE_SET_UP.get(law.response.kind, P_SINGLE_SET_UP_OTHERS)
     log_prior = form.log_prior + float(np.log(share / max(len(laws), 1)))
     values = calculator.log_evidence(laws, base_model)
@@ -201,23 +203,29 @@ def _piecewise_forms(
     spread = full_law.size_scales
     places = np.arange(len(score)).reshape(len(full_law.response.component_names), len(atoms), -1)
     atom_indices: list[int] = []
-    taken, best, price = 0, -np.inf, float(np.log(2 * len(atoms)))  # which one, and that there is a further one
-    while len(atom_indices) < min(taken + N_INTERVALS_AFTER_MAXIMUM, MAX_PIECES, len(atoms)):
+    n_selected, best, log_price = (
+        0,
+        -np.inf,
+        float(np.log(2 * len(atoms))),
+    )  # which one, and that there is a further one
+    while len(atom_indices) < min(n_selected + N_INTERVALS_AFTER_MAXIMUM, MAX_PIECES, len(atoms)):
         values = np.full(len(atoms), -np.inf)
-        free = [i for i in range(len(atoms)) if i not in atom_indices]
-        columns = np.stack([places[:, [*atom_indices, i]].ravel() for i in free])
-        values[free] = log_evidence_of_coefficients(
+        remaining = [i for i in range(len(atoms)) if i not in atom_indices]
+        columns = np.stack([places[:, [*atom_indices, i]].ravel() for i in remaining])
+        values[remaining] = log_evidence_of_coefficients(
             gram[columns[:, :, None], columns[:, None, :]], score[columns], spread[columns]
         )
         atom_indices.append(index_of_best(values))
-        value = float(log_sum_exp(values)) - len(atom_indices) * price
+        value = float(log_sum_exp(values)) - len(atom_indices) * log_price
         if value > best + MAX_EVIDENCE_TIE:
-            best, taken = value, len(atom_indices)
+            best, n_selected = value, len(atom_indices)
     refined, value = calculator.refine_locally(
-        [law.with_pieces([atoms[i] for i in sorted(atom_indices[:taken])])], base_model
+        [law.with_pieces([atoms[i] for i in sorted(atom_indices[:n_selected])])], base_model
     )[0]
-    log_prior -= taken * price
-    return [Hypothesis(refined, log_prior, max(best + taken * price, value) + log_prior, catalogue_name(refined))]
+    log_prior -= n_selected * log_price
+    return [
+        Hypothesis(refined, log_prior, max(best + n_selected * log_price, value) + log_prior, catalogue_name(refined))
+    ]
 
 
 N_CURVE_POINTS = 61

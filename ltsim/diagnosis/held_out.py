@@ -69,8 +69,8 @@ def cross_validated_errors(
 def fold_rows(space: ResidualSpace, seed: int) -> list[Ints]:
     """Rows of the residual space of each fold: the used readings of pointings that are drawn at random."""
     pointing = np.nonzero(space.used_readings)[0]
-    dealt = stream(seed, "diagnose", "folds").permutation(len(space.used_readings)) % N_FOLDS
-    groups = (np.flatnonzero(dealt[pointing] == fold) for fold in range(N_FOLDS))
+    fold_of_pointing = stream(seed, "diagnose", "folds").permutation(len(space.used_readings)) % N_FOLDS
+    groups = (np.flatnonzero(fold_of_pointing[pointing] == fold) for fold in range(N_FOLDS))
     return [rows for rows in groups if len(rows)]
 
 

@@ -152,8 +152,8 @@ def find_contradictions(adjustment: Adjustment, min_log_evidence: float) -> Cont
     owners = [(i,) for i in np.flatnonzero(is_corrected | is_compared).tolist()] + (
         [corrected_indices] if len(corrected_indices) > 1 else []
     )
-    words = {group: CONSTANT_REFERENCE_PHRASES[bool(is_corrected[group[0]])] for group in owners}
-    changes = tuple(ConstantChange(group, k, words[group]) for group in owners for k in range(unit.shape[1]))
+    reference_texts = {group: CONSTANT_REFERENCE_PHRASES[bool(is_corrected[group[0]])] for group in owners}
+    changes = tuple(ConstantChange(group, k, reference_texts[group]) for group in owners for k in range(unit.shape[1]))
     return compare_constants(adjustment, ExpectedConstants(np.zeros(unit.size), covariance, changes), min_log_evidence)
 
 
@@ -171,37 +171,40 @@ def compare_constants(
     likelihood = likelihood_information(
         adjustment.state.instrument_parameters.ravel(), adjustment.constants_covariance, prior.ravel(), unit.ravel()
     )
-    surprise, odds = (
+    score_vector, log_prior = (
         likelihood.information_vector - likelihood.information @ expectation.mean,
         log_prior_share("constant", len(expectation.changes)),
     )
-    ways = np.zeros((len(expectation.changes), *unit.shape))
-    for way, change in zip(ways, expectation.changes, strict=True):
-        way[list(change.instruments), change.constant] = 1.0
-    ways = ways.reshape(len(ways), unit.size)
+    change_directions = np.zeros((len(expectation.changes), *unit.shape))
+    for change_direction, change in zip(change_directions, expectation.changes, strict=True):
+        change_direction[list(change.instruments), change.constant] = 1.0
+    change_directions = change_directions.reshape(len(change_directions), unit.size)
 
     def logs(other_changes: Collection[int]) -> Floats:
         """Log evidence (changes,) of each change, given that `other_changes` (their indices) are selected."""
-        given_changes = ways[list(other_changes)]
+        given_changes = change_directions[list(other_changes)]
         score, weight = score_test(
             likelihood.information,
-            surprise,
+            score_vector,
             expectation.covariance + CHANGED_PRIOR_VARIANCE * given_changes.T @ given_changes,
         )
-        strength, score_along = np.einsum("hi,ij,hj->h", ways, weight, ways), ways @ score
-        values = np.full(len(ways), -np.inf)
+        strength, score_along = (
+            np.einsum("hi,ij,hj->h", change_directions, weight, change_directions),
+            change_directions @ score,
+        )
+        values = np.full(len(change_directions), -np.inf)
         for k in np.flatnonzero(
-            (strength > MIN_TESTED_INFORMATION) & ~np.isin(np.arange(len(ways)), list(other_changes))
+            (strength > MIN_TESTED_INFORMATION) & ~np.isin(np.arange(len(change_directions)), list(other_changes))
         ):
             change = expectation.changes[k]
-            values[k] = odds + _change_log_evidence(
+            values[k] = log_prior + _change_log_evidence(
                 score_along[k] / strength[k], 1.0 / strength[k] + change.added_variances, change.log_weights
             )
         return values
 
     odds_by_change = forward_select(logs, min_log_evidence)
-    score, weight = score_test(likelihood.information, surprise, expectation.covariance)
-    information = ways @ weight @ ways.T
+    score, weight = score_test(likelihood.information, score_vector, expectation.covariance)
+    information = change_directions @ weight @ change_directions.T
     contradictions: list[int] = []
     for k in sorted(
         (k for k in odds_by_change if odds_by_change[k][k] > min_log_evidence), key=lambda k: -odds_by_change[k][k]
@@ -216,21 +219,21 @@ def compare_constants(
         + log_marginal_likelihood(
             likelihood,
             expectation.mean,
-            expectation.covariance + size**2 * ways[contradictions].T @ ways[contradictions],
+            expectation.covariance + size**2 * change_directions[contradictions].T @ change_directions[contradictions],
         )
         for size, share in SIZE_PRIOR.items()
     ]
     unchanged = log_marginal_likelihood(likelihood, np.zeros(unit.size), np.diag((prior / unit).ravel() ** 2))
-    joint = float(log_sum_exp(np.array(changed))) - unchanged
+    joint_log_ratio = float(log_sum_exp(np.array(changed))) - unchanged
     covariance = np.linalg.inv(information[np.ix_(contradictions, contradictions)])
-    gap, sigma = covariance @ ways[contradictions] @ score, np.sqrt(np.diag(covariance))
+    gap, sigma = covariance @ change_directions[contradictions] @ score, np.sqrt(np.diag(covariance))
     units = [unit[expectation.changes[k].instruments[0], expectation.changes[k].constant] for k in contradictions]
-    chance = np.minimum(len(ways) * erfc(np.abs(gap) / sigma / np.sqrt(2.0)), 1.0)
+    chance = np.minimum(len(change_directions) * erfc(np.abs(gap) / sigma / np.sqrt(2.0)), 1.0)
     entries = (
         _contradiction_of_change(adjustment, expectation.changes, odds_by_change[k], k, *map(float, (g * u, s * u, c)))
         for k, g, s, c, u in zip(contradictions, gap, sigma, chance, units, strict=True)
     )
-    return ContradictingConstants(tuple(entries), joint + odds * len(contradictions))
+    return ContradictingConstants(tuple(entries), joint_log_ratio + log_prior * len(contradictions))
 
 
 def _contradiction_of_change(

@@ -30,16 +30,16 @@ tried."""
 NOISY_GROUP_FRACTIONS = np.array([0.05, 0.15, 0.5])
 """Fractions of targets, set-ups or readings with larger noise than declared, over which the evidence is averaged."""
 MIN_TAIL_READINGS = 60
-"""Smallest number of readings in a recording for which a heavy tail of their distribution is a hypothesis."""
+"""Smallest number of readings in a recording for which the search tries a heavy tail of their distribution."""
 MAX_TAIL_READINGS = 4000
-"""Largest number of readings in a recording for which a heavy tail is a hypothesis, to limit the computing time."""
+"""Largest number of readings in a recording for which the search tries a heavy tail, to limit the computing time."""
 TAIL_VARIANCE_FACTORS = np.array([4.0, 12.0, 36.0, 100.0])
 """Factors on the variance of a reading in the tail over which the evidence is averaged. The standard deviation is two
 to ten times the declared one."""
 NOISY_OBSERVABLE_SETS: tuple[tuple[str, ...], ...] = (*((name,) for name in OBSERVABLES), OBSERVABLES[1:], OBSERVABLES)
 """Sets of observables that may have larger noise together."""
 MIN_GROUPS = 4
-"""Smallest number of targets, or stations, in a recording for which separate noise of each is a hypothesis."""
+"""Smallest number of targets, or of stations, in a recording for which the search tries separate noise of each."""
 
 
 @dataclass(frozen=True)

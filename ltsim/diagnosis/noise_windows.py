@@ -102,11 +102,11 @@ class NoiseWindows(GroupNoise):
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (trials,) for residuals (m, trials), averaged over observables, factors and window numbers."""
         gains = np.exp(self._log_likelihood_ratios(residual, redundancy))
-        go = self._change_probabilities[:, None, None, None]
-        quiet = noisy = np.full((len(go), *gains.shape[1:]), 0.5)
+        p_change = self._change_probabilities[:, None, None, None]
+        quiet = noisy = np.full((len(p_change), *gains.shape[1:]), 0.5)
         total = np.zeros(quiet.shape)
         for gain in gains:
-            quiet, noisy = quiet + go * (noisy - quiet), (noisy + go * (quiet - noisy)) * gain
+            quiet, noisy = quiet + p_change * (noisy - quiet), (noisy + p_change * (quiet - noisy)) * gain
             scale = quiet + noisy
             total += np.log(scale)
             quiet, noisy = quiet / scale, noisy / scale
@@ -119,14 +119,14 @@ class NoiseWindows(GroupNoise):
         It is an average over all sequences of states, by forward and backward recursion.
         """
         dense = replace(self, factors=DENSE_FACTORS)
-        logs, go = (
+        logs, p_change = (
             dense._log_likelihood_ratios(residual[:, None], redundancy)[..., 0],
             self._change_probabilities[:, None, None],
         )
-        quiet = noisy = np.full((len(go), *logs.shape[1:]), 0.5)
-        total, ahead = np.zeros(quiet.shape), np.empty((len(logs), 2, *quiet.shape))
-        for here, gain in zip(ahead, np.exp(logs), strict=True):
-            quiet, noisy = quiet + go * (noisy - quiet), (noisy + go * (quiet - noisy)) * gain
+        quiet = noisy = np.full((len(p_change), *logs.shape[1:]), 0.5)
+        total, forward_probabilities = np.zeros(quiet.shape), np.empty((len(logs), 2, *quiet.shape))
+        for here, gain in zip(forward_probabilities, np.exp(logs), strict=True):
+            quiet, noisy = quiet + p_change * (noisy - quiet), (noisy + p_change * (quiet - noisy)) * gain
             total += np.log(quiet + noisy)
             here[:] = np.stack([quiet, noisy]) / (quiet + noisy)
             quiet, noisy = here
@@ -134,10 +134,14 @@ class NoiseWindows(GroupNoise):
         added = np.empty((len(logs), len(OBSERVABLES)))
         quiet = noisy = np.ones(total.shape)
         for step in reversed(range(len(logs))):
-            in_noise = ahead[step, 1] * noisy / (ahead[step, 0] * quiet + ahead[step, 1] * noisy)
-            added[step] = (weight * in_noise).sum(axis=(0, 2)) @ OBSERVABLE_FLAGS
+            p_noisy = (
+                forward_probabilities[step, 1]
+                * noisy
+                / (forward_probabilities[step, 0] * quiet + forward_probabilities[step, 1] * noisy)
+            )
+            added[step] = (weight * p_noisy).sum(axis=(0, 2)) @ OBSERVABLE_FLAGS
             noisy = noisy * np.exp(logs[step])
-            quiet, noisy = quiet + go * (noisy - quiet), noisy + go * (quiet - noisy)
+            quiet, noisy = quiet + p_change * (noisy - quiet), noisy + p_change * (quiet - noisy)
             quiet, noisy = quiet / (quiet + noisy), noisy / (quiet + noisy)
         return added.ravel()
 

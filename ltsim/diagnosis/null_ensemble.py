@@ -58,16 +58,16 @@ class NullEnsemble:
     def from_space(cls, space: ResidualSpace, seed: int, n_trials: int) -> NullEnsemble:
         """Ensemble of a residual space with `n_trials` simulated recordings, for the empty model."""
         basis = exact_basis(space)
-        others = N_GRAM_DRAWS if basis is None else basis.shape[1]
-        vectors = np.empty((space.n_rows, 1 + n_trials + others), dtype=np.float32)
+        n_basis_vectors = N_GRAM_DRAWS if basis is None else basis.shape[1]
+        vectors = np.empty((space.n_rows, 1 + n_trials + n_basis_vectors), dtype=np.float32)
         vectors[:, 0] = space.residuals
         _simulate_residuals(space, stream(seed, "diagnose", "null"), vectors[:, 1 : 1 + n_trials])
         if basis is None:
             _simulate_residuals(space, stream(seed, "diagnose", "gauges"), vectors[:, 1 + n_trials :])
         else:
             vectors[:, 1 + n_trials :] = basis
-        nothing = np.zeros((space.n_rows, 0))
-        return cls(space, vectors, n_trials, nothing, is_first_pass=True, gram_is_monte_carlo=basis is None)
+        empty_basis = np.zeros((space.n_rows, 0))
+        return cls(space, vectors, n_trials, empty_basis, is_first_pass=True, gram_is_monte_carlo=basis is None)
 
     def with_model(self, residual: Floats, model_basis: Floats) -> NullEnsemble:
         """Ensemble for a model with the residuals `residual` (m,) and the orthonormal basis `model_basis` (m, e).

@@ -121,14 +121,14 @@ def shape_nodes(
     ]
     shaped = [instance.with_constants(**constants) for instance, constants, _ in points]
     posteriors = [wide_prior_posterior(*moments, sizes) for moments in calculator.gram_and_score(shaped, base_model)]
-    weighed = (
+    log_evidences = (
         calculator.log_evidence(shaped, base_model).tolist()
         if within_plausible
         else [evidence for _, _, evidence in posteriors]
     )
     nodes = []
     for (instance, constants, widths), shape, (mean, covariance, _), evidence in zip(
-        points, shaped, posteriors, weighed, strict=True
+        points, shaped, posteriors, log_evidences, strict=True
     ):
         constants |= {"time": float(vars(instance)["time"])} if "time" in vars(effect) else {}
         gap = gaps.get(constants.get("time", np.nan), 0.0)
@@ -160,8 +160,10 @@ def centre_estimates(
     mixed = -(crossed[0] - crossed[1] - crossed[2] + crossed[3]) / (4.0 * PLACE_DIFFERENCE_STEP**2)
     for (i, j), value in zip(pairs, mixed, strict=True):
         hessian[i, j] = hessian[j, i] = value
-    strength, turn = np.linalg.eigh(hessian)
-    variance = turn**2 @ (1.0 / np.maximum(strength, 1.0 / (UNBOUNDED_STEP_FACTOR * PLACE_DIFFERENCE_STEP) ** 2))
+    eigenvalues, eigenvectors = np.linalg.eigh(hessian)
+    variance = eigenvectors**2 @ (
+        1.0 / np.maximum(eigenvalues, 1.0 / (UNBOUNDED_STEP_FACTOR * PLACE_DIFFERENCE_STEP) ** 2)
+    )
     return tuple(
         ParameterEstimate(name=f"centre-{axis}", value=float(value), sigma=float(np.sqrt(v)), unit="m")
         for axis, value, v in zip(effect.hall_axes, centre, variance, strict=True)

@@ -77,11 +77,11 @@ def law_batches(space: ResidualSpace, *, with_constants: bool = True) -> list[La
     are compared with earlier calibrations. A constant displacement of a target is not included, because its coordinates
     are estimated.
     """
-    made = _LawBatchBuilder(space)
-    for place, where, drivers in _kinds_of_places(space):
-        held = () if with_constants or place not in ("everywhere", "instrument") else ("instrument", "circle")
-        made.register(place, where, drivers, ("target", *held))
-    return made.law_batches()
+    builder = _LawBatchBuilder(space)
+    for place, places, regressors in _kinds_of_places(space):
+        excluded_kinds = () if with_constants or place not in ("everywhere", "instrument") else ("instrument", "circle")
+        builder.register(place, places, regressors, ("target", *excluded_kinds))
+    return builder.law_batches()
 
 
 def _kinds_of_places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ...], RegressorsByKind]]:
@@ -98,23 +98,35 @@ def _kinds_of_places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ..
     lengths = ((d.from_, d.to) for d in space.adjustment.recording.gauge.distance)
     sets = target_clusters(s) | neighbour_groups(s) | connected_groups(s, lengths) if is_grouped else set()
     groups = tuple(group_places(s, sets))
-    stay = float(np.median([len(place.rows) for place in stations] or [0]))
-    general = candidate_regressors(s)
-    there = (
-        general
-        if stay > MIN_POINTINGS_PER_FINE_COEFFICIENT * N_MODES_DEFAULT
+    median_pointings = float(np.median([len(place.rows) for place in stations] or [0]))
+    general_regressors = candidate_regressors(s)
+    setup_regressors = (
+        general_regressors
+        if median_pointings > MIN_POINTINGS_PER_FINE_COEFFICIENT * N_MODES_DEFAULT
         else candidate_regressors(s, N_MODES_FACTOR)
     )
-    swings = list(wave_regressors(s, ("station-time",), n_parts=len(s.station_names)))
+    setup_waves = list(wave_regressors(s, ("station-time",), n_parts=len(s.station_names)))
     return [
-        ("everywhere", everywhere, {kind: is_grouped for kind, is_grouped in general.items() if kind != "clock"}),
-        ("set-up", stations, {kind: there[kind] for kind in PER_SETUP_REGRESSOR_KINDS} | {"wave": swings}),
+        (
+            "everywhere",
+            everywhere,
+            {kind: is_grouped for kind, is_grouped in general_regressors.items() if kind != "clock"},
+        ),
+        (
+            "set-up",
+            stations,
+            {kind: setup_regressors[kind] for kind in PER_SETUP_REGRESSOR_KINDS} | {"wave": setup_waves},
+        ),
         (
             "instrument",
             instrument_places(s, space.adjustment.recording.instruments),
-            {k: general[k] for k in PER_SETUP_REGRESSOR_KINDS},
+            {k: general_regressors[k] for k in PER_SETUP_REGRESSOR_KINDS},
         ),
-        ("target", targets, {"constant": general["constant"], "clock": general["clock"], "amounts": visits(s, 2)}),
+        (
+            "target",
+            targets,
+            {"constant": general_regressors["constant"], "clock": general_regressors["clock"], "amounts": visits(s, 2)},
+        ),
         ("group", groups, target_group_regressors(s) if groups else {}),
     ]
 
@@ -134,10 +146,10 @@ class _LawBatchBuilder:
         self._registered: dict[
             tuple[tuple[Response, ...], tuple[Regressor, ...]], list[tuple[tuple[LawPlace, ...], float]]
         ] = {}
-        for carrier, design in response_designs(self._sightings).values():
-            weights = np.where(self._is_used[:, :, None], design / self._sigma[:, :, None], 0.0)
-            sized = scaled_to_noise(carrier, weights)
-            self._responses.setdefault((carrier.kind, len(carrier.component_names)), []).append(
+        for response, design in response_designs(self._sightings).values():
+            weights = np.places(self._is_used[:, :, None], design / self._sigma[:, :, None], 0.0)
+            sized = scaled_to_noise(response, weights)
+            self._responses.setdefault((response.kind, len(response.component_names)), []).append(
                 (sized, sized.plausible_size * weights)
             )
 
@@ -153,31 +165,37 @@ class _LawBatchBuilder:
         Responses of the kinds `excluded_kinds` are not combined with the constant regressor.
         """
         kinds = RESPONSE_PRIOR_AT_TARGETS if place_kind in ("target", "group") else RESPONSE_PRIOR
-        for (kind, ways), carriers_of_kind in self._responses.items():
-            together = len(carriers_of_kind[0][0].component_units)  # observables of a joint response; 0 for all others
-            carriers = sum(
+        for (kind, ways), kind_responses in self._responses.items():
+            n_joint_observables = len(
+                kind_responses[0][0].component_units
+            )  # observables of a joint response; 0 for all others
+            n_responses = sum(
                 len(same)
                 for (other, n), same in self._responses.items()
-                if other == kind and (n == ways if together else not same[0][0].component_units)
+                if other == kind and (n == ways if n_joint_observables else not same[0][0].component_units)
             )
-            for name, drivers in regressors_by_kind.items():
+            for name, regressors in regressors_by_kind.items():
                 if (
                     kind not in kinds
                     or kind not in RESPONSE_KINDS_BY_REGRESSOR.get(name, (kind,))
                     or (name == "constant" and kind in excluded_kinds)
                 ):
                     continue
-                if together and (name not in JOINT_REGRESSOR_KINDS or place_kind in ("target", "group")):
+                if n_joint_observables and (name not in JOINT_REGRESSOR_KINDS or place_kind in ("target", "group")):
                     continue
-                moved = [
+                admissible_regressors = [
                     d
-                    for d in drivers
+                    for d in regressors
                     if is_admissible(kind, d, self._sightings) and (name != "wave" or _is_wave_candidate(kind, d))
                 ]
-                depth = OPERATOR_COUNTS[name] + max(together - 1, 0)
-                weight = PLACE_PRIOR[place_kind] * kinds[kind] * OPERATOR_ODDS**depth / carriers
+                depth = OPERATOR_COUNTS[name] + max(n_joint_observables - 1, 0)
+                weight = PLACE_PRIOR[place_kind] * kinds[kind] * OPERATOR_ODDS**depth / n_responses
                 self._divide_weight(
-                    tuple(c for c, _ in carriers_of_kind if _changes_with_region(name, c)), moved, places, weight, ways
+                    tuple(c for c, _ in kind_responses if _changes_with_region(name, c)),
+                    admissible_regressors,
+                    places,
+                    weight,
+                    ways,
                 )
 
     def _divide_weight(
@@ -193,8 +211,8 @@ class _LawBatchBuilder:
         Places with too few pointings for the coefficients of a regressor are left out.
         """
         by_shape: dict[tuple[int, int], list[Regressor]] = {}
-        for driver in regressors if responses else ():
-            by_shape.setdefault((driver.n_columns, len(driver.coefficient_sigmas)), []).append(driver)
+        for regressor in regressors if responses else ():
+            by_shape.setdefault((regressor.n_columns, len(regressor.coefficient_sigmas)), []).append(regressor)
         fit = {
             k: tuple(p for p in places if len(p.rows) >= MIN_POINTINGS_PER_COEFFICIENT * k[0] * n_components)
             for k in by_shape
@@ -206,39 +224,41 @@ class _LawBatchBuilder:
 
     def law_batches(self) -> list[LawBatch]:
         """Batches of the registered laws. A batch contains the same responses and regressors at all their places."""
-        weights = {c: w for carriers_of_kind in self._responses.values() for c, w in carriers_of_kind}
+        weights = {c: w for kind_responses in self._responses.values() for c, w in kind_responses}
         whole = sum(
-            prior * len(group) * len(carriers) * sum(len(d.coefficient_sigmas) for d in drivers)
-            for (carriers, drivers), wanted in self._registered.items()
-            for group, prior in wanted
+            prior * len(group) * len(responses) * sum(len(d.coefficient_sigmas) for d in regressors)
+            for (responses, regressors), registrations in self._registered.items()
+            for group, prior in registrations
         )
         cells: dict[tuple[int, ...], RowPartition] = {}
         stacked: dict[tuple[Response, ...], Singles] = {}
         columns: dict[tuple[tuple[Regressor, ...], bool, tuple[int, ...]], RegressorColumns] = {}
         batches = []
-        for (carriers, drivers), wanted in self._registered.items():
-            places = tuple(place for group, _ in wanted for place in group)
+        for (responses, regressors), registrations in self._registered.items():
+            places = tuple(place for group, _ in registrations for place in group)
             same = tuple(id(place) for place in places)
             if same not in cells:
                 cells[same] = RowPartition.from_places(places, len(self._sightings))
-            if carriers not in stacked:
-                stacked[carriers] = np.stack([weights[c] for c in carriers], axis=2, dtype=np.float32)
-            key = drivers, carriers[0].kind == "target", same
+            if responses not in stacked:
+                stacked[responses] = np.stack([weights[c] for c in responses], axis=2, dtype=np.float32)
+            key = regressors, responses[0].kind == "target", same
             if key not in columns:
-                columns[key] = RegressorColumns(drivers, self._sightings, cells[same].order, acts_on_targets=key[1])
-            share = np.concatenate([np.full(len(group), prior / whole) for group, prior in wanted])
+                columns[key] = RegressorColumns(regressors, self._sightings, cells[same].order, acts_on_targets=key[1])
+            share = np.concatenate([np.full(len(group), prior / whole) for group, prior in registrations])
             batches.append(
                 LawBatch(
-                    carriers,
-                    drivers,
+                    responses,
+                    regressors,
                     places,
                     cells[same],
-                    stacked[carriers],
+                    stacked[responses],
                     columns[key],
                     np.log(CAUSE_PRIOR["law"] * share),
                 )
             )
-        entries = sum(shared.n_entries_per_regressor * len(drivers) for (drivers, _, _), shared in columns.items())
+        entries = sum(
+            shared.n_entries_per_regressor * len(regressors) for (regressors, _, _), shared in columns.items()
+        )
         for shared in columns.values():
             shared.is_cached = entries <= MAX_CACHED_COLUMN_ENTRIES
         return batches

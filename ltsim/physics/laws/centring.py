@@ -17,7 +17,7 @@ OCCUPATION_TEXTS: dict[Occupation, str] = {
     "target_setup": "at each occupation",
     "day": "each day",
 }
-"""Phrases for users, by the event at which a reflector is placed anew on its target."""
+"""Phrases for users: when a reflector is placed on its target again, by the kind of occupation."""
 
 
 @dataclass(frozen=True)

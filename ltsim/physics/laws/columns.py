@@ -147,10 +147,10 @@ def play_operator(values: Floats, slack: float) -> Floats:
     operator of mechanical hysteresis (Krasnosel'skii and Pokrovskii, Systems with hysteresis, 1989).
     """
     output = np.empty_like(values)
-    now = float(values[0]) if len(values) else 0.0
+    present_value = float(values[0]) if len(values) else 0.0
     for i, value in enumerate(values.tolist()):
-        now = min(max(now, value - slack), value + slack)
-        output[i] = now
+        present_value = min(max(present_value, value - slack), value + slack)
+        output[i] = present_value
     return output
 
 
@@ -180,8 +180,8 @@ def first_order_lag(sightings: Sightings, covariate: str, time_constant: float) 
     """
     x = sightings.quantities[covariate]
     x = np.abs(x) if covariate.startswith(MEMORY_PREFIXES) else x - x.mean()
-    slow = lagged_values(x, sightings, time_constant)
-    return np.hstack([scaled_to_unit_rms(slow[:, None]), scaled_to_unit_rms((x - slow)[:, None])])
+    lagged = lagged_values(x, sightings, time_constant)
+    return np.hstack([scaled_to_unit_rms(lagged[:, None]), scaled_to_unit_rms((x - lagged)[:, None])])
 
 
 def lagged_values(values: Floats, sightings: Sightings, time_constant: float) -> Floats:
@@ -191,12 +191,12 @@ def lagged_values(values: Floats, sightings: Sightings, time_constant: float) ->
     """
     rows = sightings.measurement_order
     share = -np.expm1(-np.diff(sightings.time[rows], prepend=sightings.time[rows[0]]) / time_constant)
-    slow = np.empty_like(values)
-    now = float(values[rows[0]])
+    lagged = np.empty_like(values)
+    present_value = float(values[rows[0]])
     for row, value, gain in zip(rows.tolist(), values[rows].tolist(), share.tolist(), strict=True):
-        now += gain * (value - now)
-        slow[row] = now
-    return slow
+        present_value += gain * (value - present_value)
+        lagged[row] = present_value
+    return lagged
 
 
 def group_means(columns: Floats, groups: Ints) -> Floats:

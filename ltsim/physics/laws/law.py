@@ -93,7 +93,7 @@ class EmpiricalLaw(CandidateEffect):
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Coefficients with priors, one for each component of the response, separate set-up and regressor column."""
+        """Coefficients with their priors, one per component of the response and regressor column (and set-up)."""
         spread = self.regressor.coefficient_sigmas[self.scale_index] * self.response.plausible_size
         spreads = spread * np.sqrt(self.n_components) if self.direction else np.tile(spread, self.components)
         return tuple(
@@ -134,9 +134,9 @@ class EmpiricalLaw(CandidateEffect):
             return component_changes
         ratios = np.reshape(self.direction, (len(self.response.component_names), -1)).T
         if self.is_per_setup:
-            at = np.full(len(sightings.station_names), -1)
-            at[[sightings.station_names.index(name) for name in self.stations]] = np.arange(len(self.stations))
-            which = at[sightings.station if rows is None else sightings.station[rows]]
+            position = np.full(len(sightings.station_names), -1)
+            position[[sightings.station_names.index(name) for name in self.stations]] = np.arange(len(self.stations))
+            which = position[sightings.station if rows is None else sightings.station[rows]]
             ratios = np.where(which[:, None] >= 0, ratios[which], 0.0)
         along: Floats = np.einsum(
             "r...c,rc->r...", component_changes, np.broadcast_to(ratios, (len(component_changes), ratios.shape[1]))
@@ -194,11 +194,11 @@ class EmpiricalLaw(CandidateEffect):
         if self._movable_steps is not None:
             return self._with_moved_pieces(sightings, self._movable_steps)
         if regressor.hall_region is not None:
-            near = any(f.kind == "near" for f in (regressor, *regressor.factors))
-            moved = [
-                r for r in regressor.hall_region.neighbours() if not near or contains_several_targets(r, sightings)
+            is_near = any(f.kind == "near" for f in (regressor, *regressor.factors))
+            neighbours = [
+                r for r in regressor.hall_region.neighbours() if not is_near or contains_several_targets(r, sightings)
             ]
-            return [replace(self, regressor=regressor.with_region(region)) for region in moved]
+            return [replace(self, regressor=regressor.with_region(region)) for region in neighbours]
         if regressor.function in MAGNITUDE_SEARCH_FUNCTIONS or regressor.kind in MAGNITUDE_SEARCH_FUNCTIONS:
             sizes = [regressor.constant * scale for scale in (0.6, 0.8, 1.25, 1.7)]
             return [replace(self, regressor=replace(regressor, constant=size)) for size in sizes]
@@ -219,9 +219,9 @@ class EmpiricalLaw(CandidateEffect):
     @property
     def _movable_steps(self) -> Regressor | None:
         """Steps, ramps or switch that a local search moves; None if there are none, or if it moves a region instead."""
-        several = [f for f in (self.regressor, *self.regressor.factors) if f.kind in ("pieces", "switch")]
-        few = [f for f in several if f.kind == "switch" or len(f.factors) <= MAX_REFINED_PIECES]
-        return few[0] if few and self.regressor.hall_region is None else None
+        step_factors = [f for f in (self.regressor, *self.regressor.factors) if f.kind in ("pieces", "switch")]
+        movable_factors = [f for f in step_factors if f.kind == "switch" or len(f.factors) <= MAX_REFINED_PIECES]
+        return movable_factors[0] if movable_factors and self.regressor.hall_region is None else None
 
     def _with_moved_pieces(self, sightings: Sightings, steps: Regressor) -> list[EmpiricalLaw]:
         """Laws with one step or ramp moved to another gap between values of the covariate, or with another lag."""
@@ -235,8 +235,8 @@ class EmpiricalLaw(CandidateEffect):
                     and np.abs(np.delete(gaps, i) - k).min(initial=PIECE_MOVE_GAPS) >= PIECE_MOVE_GAPS
                 ):
                     moved = replace(piece, constant=float(0.5 * (x[k - 1] + x[k])))
-                    made = replace(steps, factors=(*steps.factors[:i], moved, *steps.factors[i + 1 :]))
-                    laws.append(self._with_factor(steps, made))
+                    regressor = replace(steps, factors=(*steps.factors[:i], moved, *steps.factors[i + 1 :]))
+                    laws.append(self._with_factor(steps, regressor))
         return laws + [self._with_factor(steps, replace(steps, constant=time)) for time in _other_lags(steps)]
 
     def _with_factor(self, old_factor: Regressor, new_factor: Regressor) -> EmpiricalLaw:
@@ -279,7 +279,7 @@ class EmpiricalLaw(CandidateEffect):
         }
 
     def candidate_pieces(self, sightings: Sightings) -> list[Regressor]:
-        """Single steps and ramps, the terms of the sums that may replace the smooth regressor of this law."""
+        """Single steps and ramps at gaps between values of the covariate. Sums of them may replace a curve."""
         curved = [f for f in (self.regressor, *self.regressor.factors) if f.kind == "smooth"]
         if len(curved) != 1:
             return []
@@ -291,25 +291,25 @@ class EmpiricalLaw(CandidateEffect):
 
     def with_pieces(self, steps: Sequence[Regressor]) -> EmpiricalLaw:
         """Copy of the law with a sum of steps and ramps in place of its smooth regressor."""
-        made, regressor = piecewise_regressor(steps), self.regressor
+        pieces, regressor = piecewise_regressor(steps), self.regressor
         if regressor.kind == "product":
-            made = replace(regressor, factors=tuple(made if f.kind == "smooth" else f for f in regressor.factors))
-        return replace(self, regressor=made, scale_index=0)
+            pieces = replace(regressor, factors=tuple(pieces if f.kind == "smooth" else f for f in regressor.factors))
+        return replace(self, regressor=pieces, scale_index=0)
 
     @property
     def switched_factor(self) -> Regressor | None:
         """Curve or wave that a switch of its covariate may replace: the regressor or a factor of time. None without."""
         if self.regressor.kind in ("smooth", "wave"):
             return self.regressor
-        replaced = (f for f in self.regressor.factors if f.kind in ("smooth", "wave") and f.covariates == ("time",))
-        return next(replaced, None) if self.regressor.kind == "product" else None
+        curves = (f for f in self.regressor.factors if f.kind in ("smooth", "wave") and f.covariates == ("time",))
+        return next(curves, None) if self.regressor.kind == "product" else None
 
     def candidate_switch_times(self, sightings: Sightings) -> list[Regressor]:
         """Single steps of a covariate at which a switch may turn on or off; of time for a law of a region."""
-        replaced = self.switched_factor
-        if replaced is None and not self.depends_on_fixed_region:
+        curve = self.switched_factor
+        if curve is None and not self.depends_on_fixed_region:
             return []
-        name = replaced.covariates[0] if replaced else "time"
+        name = curve.covariates[0] if curve else "time"
         x = np.unique(sightings.quantities[name][self.row_weights(sightings) > 0])
         x = x[np.unique(np.linspace(0, len(x) - 1, MAX_SWITCH_EDGES).round().astype(int))]
         return [scalar_regressor(name, "step", float(edge)) for edge in 0.5 * (x[1:] + x[:-1])]

@@ -234,9 +234,9 @@ def response_designs(sightings: Sightings) -> dict[str, tuple[Response, Floats]]
     depend on other regressors than a motion of the targets.
     """
     designs: dict[str, tuple[Response, Floats]] = {}
-    nests = bool(np.isfinite(sightings.nest_normals).any())
+    has_nest_normals = bool(np.isfinite(sightings.nest_normals).any())
     for name, (response, derivative) in RESPONSES_BY_NAME.items():
-        if name in _RESPONSES_NEEDING_NESTS and not nests:
+        if name in _RESPONSES_NEEDING_NESTS and not has_nest_normals:
             continue
         design = derivative(sightings)
         comparable = (d for c, d in designs.values() if d.shape == design.shape and c.kind != "stand")

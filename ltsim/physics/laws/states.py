@@ -146,13 +146,13 @@ def _is_reset(sightings: Sightings, function_name: str, constant: float) -> Bool
         return has_previous & (np.remainder(sightings.quantities["count"], round(constant)) == 0.0)
     if name in RESET_LIMIT_QUANTITIES:
         return has_previous & (_limit_quantity(sightings, name) > constant)
-    changing = {
+    quantity = {
         "face": sightings.face,
         "seating": sightings.target,
         "azimuth": sightings.approach_signs[:, 0],
         "elevation": sightings.approach_signs[:, 1],
     }[name]
-    return np.asarray(has_previous & (changing != changing[before]))
+    return np.asarray(has_previous & (quantity != quantity[before]))
 
 
 def _cache_states(sightings: Sightings, states: Sequence[StateKey]) -> None:
@@ -166,10 +166,10 @@ def _cache_states(sightings: Sightings, states: Sequence[StateKey]) -> None:
     increments = np.stack([inputs[name] for name, _, _ in states], axis=1)
     factor = np.stack([factors[how, k] for _, how, k in states], axis=1)
     values = np.empty_like(increments)
-    now = np.zeros(len(states))
+    present_values = np.zeros(len(states))
     for i in range(len(rows)):
-        now = factor[i] * (now + increments[i])
-        values[i] = now
+        present_values = factor[i] * (present_values + increments[i])
+        values[i] = present_values
     values -= values.mean(axis=0)
     for key, column in zip(states, values.T, strict=True):
         sightings.derived_cache[key] = np.empty(len(rows))

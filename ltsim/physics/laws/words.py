@@ -111,7 +111,7 @@ PER_INSTRUMENT_SUFFIX = ", separately for each instrument"
 SWITCH_TEMPLATE = "a switch of {x}, on from {spans}"
 """Template of the text form of a switch."""
 SWITCH_LAG = ", followed with a lag of {value}"
-"""Suffix of the text of a switch that the response follows with a lag."""
+"""Suffix of the text of a switch, for a response that follows the switch with a first-order lag."""
 START_TEXT = "the start"
 """Text for the start of an interval of a switch that is on from the first pointing."""
 FACTOR_SEPARATORS = {"product": " times ", "pieces": ", "}
