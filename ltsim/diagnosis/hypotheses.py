@@ -232,7 +232,7 @@ def _log_evidence_over_sizes(model: Model) -> float:
     unit_prior = np.diag(np.append(np.ones(len(score)), 0.0))
 
     def evidence(sizes: Ints) -> Floats:
-        """Log evidence (b,) with prior at b sets of sizes, given by their indices (b, members) in `EVIDENCE_SIZES`."""
+        """Log evidence (b,) with prior for b sets of sizes. `sizes` (b, members) are indices in `EVIDENCE_SIZES`."""
         scale = np.pad(EVIDENCE_SIZES[sizes][:, owner] * spread, ((0, 0), (0, 1)), constant_values=1.0)
         factor = np.linalg.cholesky(bordered_matrix * scale[:, :, None] * scale[:, None, :] + unit_prior)
         fit = 0.5 * np.sum(factor[:, -1, :-1] ** 2, axis=1)  # the last row of the factor holds the solved residual

@@ -270,7 +270,7 @@ class NoiseBank:
         return ranked
 
     def ranked_group_noise(self, residual: Floats, redundancy: Floats, rival: float) -> list[tuple[GroupNoise, float]]:
-        """Changes of the noise by group or window with log evidence, also at places if comparable with a `rival`."""
+        """Changes of the noise by group or window with log evidence; at single places too if not far below `rival`."""
         ranked_hypotheses = [
             (change, self._log_evidence_of_group_noise(change, residual, redundancy)) for change in self.group_noises
         ]

@@ -24,7 +24,7 @@ class NoiseHypothesis:
     chi2_drop: float = 0.0
     """Twice the log restricted likelihood ratio of the estimates."""
     evidence: float = 0.0
-    """Log evidence of the change with its prior."""
+    """Log evidence of this change of the noise, with its prior."""
     probability: float = 0.0
     """Posterior probability that the effect is the cause."""
     equivalents: tuple[Equivalent, ...] = ()

@@ -230,7 +230,7 @@ def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -
 
 
 def dead_band_regressors(sightings: Sightings) -> list[Regressor]:
-    """Regressors that are zero for long motions of an axis, as of a drive that does not follow short motions."""
+    """Regressors that are zero for long motions of an axis, for causes that act only in short motions."""
     return [
         scalar_regressor(name, how, float(k))
         for name in _varying_covariates(sightings, ("move-azimuth", "move-elevation"))

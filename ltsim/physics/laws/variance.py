@@ -66,7 +66,7 @@ class VarianceFunction(NoiseSignature):
     per_observable: bool = False
     """True if each observable has a separate value."""
     region: HallRegion | None = None
-    """Region of the hall in which the line of sight makes the noise larger."""
+    """Region of the hall; readings along lines of sight through it have larger noise."""
     covariate_band: tuple[float, ...] = ()
     """Limits of the covariate between which the noise is larger; empty for none."""
 
@@ -84,7 +84,7 @@ class VarianceFunction(NoiseSignature):
 
     @property
     def response_text(self) -> str:
-        """Name for users of what changes: the observable of errors that recur in one, otherwise `noise`."""
+        """Name for users of what changes: `noise`, or the observable if repeated pointings have the same error in it."""
         return self.observables[0] if self.repetition and len(self.observables) == 1 else "noise"
 
     @property
