@@ -94,7 +94,7 @@ class SignatureGroup:
         return products.reshape(member_range.stop - member_range.start, self.n_parameters, count)
 
     def scaled_rows(self, ratio: Singles) -> SignatureGroup:
-        """Copy of the group for a residual space whose rows are multiplied by `ratio` (m,), because of other weights."""
+        """Copy of the group for a residual space with other weights, which multiply its rows by `ratio` (m,)."""
         weight = self.row_weights * ratio[self.row_indices]
         if isinstance(self.signature_rows, np.ndarray):
             parts = (

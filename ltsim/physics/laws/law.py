@@ -323,7 +323,7 @@ class EmpiricalLaw(CandidateEffect):
         return replace(self, regressor=self._regressor_with_gate(switch_regressor(edges)), scale_index=0)
 
     def _regressor_with_gate(self, gate: Regressor) -> Regressor:
-        """Regressor with `gate` (steps or a switch) in place of its switched factor; a region's regressor times `gate`."""
+        """Regressor with `gate` (steps or a switch) in place of its switched factor, or times `gate` for a region."""
         if self.depends_on_fixed_region:
             return Regressor("product", factors=(self.regressor, gate))
         others = [f for f in self.regressor.factors if f != self.switched_factor]

@@ -84,7 +84,7 @@ class VarianceFunction(NoiseSignature):
 
     @property
     def response_text(self) -> str:
-        """Name for users of what changes: `noise`, or the observable if repeated pointings have the same error in it."""
+        """Name for users of what changes: `noise`, or an observable in which repeated pointings have the same error."""
         return self.observables[0] if self.repetition and len(self.observables) == 1 else "noise"
 
     @property
