@@ -18,7 +18,7 @@ DIAGNOSED_TARGETS_TABLE = Table(
     "targets adjusted with the findings modelled",
     (
         *COORDINATE_COLUMNS,
-        *numbers(".6f", change_x_mm="against the ordinary adjustment", change_y_mm="as x", change_z_mm="as x"),
+        *numbers(".6f", **{f"change_{axis}_mm": f"change of {axis} against the ordinary adjustment" for axis in "xyz"}),
     ),
 )
 RESIDUALS_BEFORE_TABLE = replace(
@@ -222,29 +222,31 @@ FINDINGS_TABLE = Table(
     "findings.csv",
     "findings, one row per parameter",
     (
-        *texts(effect="id of the catalogue, or `unknown`", stations="place of the effect; empty for all"),
-        *texts(targets="place of the effect; empty for all", observables="on which it acts"),
-        Column("probability", "of this name against all other explanations"),
-        *texts(parameter="of the effect"),
+        *texts(effect="name of the effect in the catalogue, or `unknown`"),
+        *texts(stations="stations at which the effect acts; empty for all"),
+        *texts(targets="targets at which the effect acts; empty for all"),
+        *texts(observables="observables on which the effect acts; empty for all"),
+        Column("probability", "posterior probability of this effect against all other explanations"),
+        *texts(parameter="name of a parameter of the effect"),
         Column("value", "estimated size", sigma="sigma"),
-        Column("sigma", "its standard deviation"),
-        *texts(unit="of value and sigma"),
+        Column("sigma", "standard deviation of the size"),
+        *texts(unit="unit of value and sigma"),
     ),
 )
 FIT_TABLE = Table(
     "fit.csv",
-    "fit before and after",
+    "misfit without and with the findings in the model",
     (
-        *texts(model="without or with the findings"),
-        Column("chi2", "weighted sum of squares"),
+        *texts(model="model without or with the findings"),
+        Column("chi2", "chi-square, the weighted sum of squared residuals"),
         Column("degrees_of_freedom"),
         Column("ratio", "chi-square per degree of freedom", shown=".3f"),
-        Column("held_out_error", "normalised error of held-out observations", digits=3),
+        Column("held_out_error", "normalised error of held-out readings", digits=3),
     ),
 )
 UNDETECTABLE_TABLE = Table(
     "undetectable.csv",
-    "effects that leave no residual",
+    "effects that are not detectable in this network",
     columns_of(Undetectable, undetected_target_error_um={"digits": 2}, detectable_at_factor={"digits": 2}),
 )
 DETECTABLE_TABLE = Table("detectable.csv", "smallest detectable sizes of effects", columns_of(DetectableEntry))

@@ -144,7 +144,7 @@ _AIR_GRADIENT = Response("air gradient", "K/m", 1.0, (), "air")
 _REFLECTOR_VERTEX = Response(
     "vertex of the reflectors", "um", PLAUSIBLE_LENGTH_ERROR, (), "reflector", ("axially", "sideways", "up")
 )
-_LEVEL = Response(
+_DISPLACEMENT_TOWARDS_INSTRUMENT = Response(
     "level displacement of reflectors towards the instrument", "um", PLAUSIBLE_LENGTH_ERROR, (), "reflector"
 )
 
@@ -214,7 +214,7 @@ def _response_registry() -> dict[str, tuple[Response, ResponseDesign]]:
         (_AIR_GRADIENT, AirGradient().design),
         (_TARGET_HEIGHT, _nest_normal_design),
         (_REFLECTOR_VERTEX, _vertex_design),
-        (_LEVEL, _displacement_towards_instrument),
+        (_DISPLACEMENT_TOWARDS_INSTRUMENT, _displacement_towards_instrument),
     ]
     return {response.name: (response, derivative) for response, derivative in derivatives}
 

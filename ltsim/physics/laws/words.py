@@ -104,13 +104,13 @@ MIN_DISPLAYED = {"min": 2.0, "m": 1.0}
 """Smallest value that is displayed in the unit. Below it the next smaller unit is used, as in 90 s and 400 mm."""
 PER_SETUP_SUFFIX = ", separately at each set-up"
 """Suffix of the text of a law with separate coefficients for each set-up."""
-RATIO = ", components in the ratio {values}"
+RATIO_SUFFIX = ", components in the ratio {values}"
 """Suffix of the text of a law whose components have a fixed ratio."""
 PER_INSTRUMENT_SUFFIX = ", separately for each instrument"
 """Suffix of the text of a regressor that has separate coefficients for each instrument."""
 SWITCH_TEMPLATE = "a switch of {x}, on from {spans}"
 """Template of the text form of a switch."""
-SWITCH_LAG = ", followed with a lag of {value}"
+SWITCH_LAG_SUFFIX = ", followed with a lag of {value}"
 """Suffix of the text of a switch, for a response that follows the switch with a first-order lag."""
 START_TEXT = "the start"
 """Text for the start of an interval of a switch that is on from the first pointing."""
@@ -175,7 +175,7 @@ def _switch_text(regressor: Regressor, *, has_clock: bool) -> str:
         values[0] = START_TEXT
     spans = [f"{on} to {off}" for on, off in zip(values[::2], [*values[1::2], "the end"], strict=False)]
     lag = (
-        SWITCH_LAG.format(value=covariate_value_text("time", regressor.constant, has_clock=has_clock))
+        SWITCH_LAG_SUFFIX.format(value=covariate_value_text("time", regressor.constant, has_clock=has_clock))
         if regressor.constant
         else ""
     )
@@ -184,7 +184,7 @@ def _switch_text(regressor: Regressor, *, has_clock: bool) -> str:
 
 def law_suffix(law: EmpiricalLaw) -> str:
     """Text after that of a law's regressor, about separate coefficients of set-ups and the ratio of its components."""
-    ratio = RATIO.format(values=" / ".join(f"{value:.4g}" for value in law.direction)) if law.direction else ""
+    ratio = RATIO_SUFFIX.format(values=" / ".join(f"{value:.4g}" for value in law.direction)) if law.direction else ""
     return (PER_SETUP_SUFFIX if law.is_per_setup else "") + ratio
 
 
@@ -220,10 +220,12 @@ _REGION_PATTERN = re.compile(
     rf"at (?P<at>.+), width (?P<width>{_NUMBER_PATTERN}) m"
 )
 _COORDINATE_PATTERN = re.compile(rf"([xyz]) ({_NUMBER_PATTERN}) m")
-_RATIO = re.compile(rf"(?P<words>.+){RATIO.format(values=f'(?P<values>{_NUMBER_PATTERN}(?: / {_NUMBER_PATTERN})*)')}")
+_RATIO_PATTERN = re.compile(
+    rf"(?P<words>.+){RATIO_SUFFIX.format(values=f'(?P<values>{_NUMBER_PATTERN}(?: / {_NUMBER_PATTERN})*)')}"
+)
 _LATCH_PATTERN = re.compile(r"a latch of (?P<x>.+), set above (?P<above>.+), released below (?P<below>.+)")
-_LAG = SWITCH_LAG.format(value=rf"(?P<value>{_NUMBER_PATTERN}) (?P<unit>[a-z]+)")
-_SWITCH_PATTERN = re.compile(rf"a switch of (?P<x>.+), on from (?P<spans>.+?)(?:{_LAG})?")
+_LAG_PATTERN = SWITCH_LAG_SUFFIX.format(value=rf"(?P<value>{_NUMBER_PATTERN}) (?P<unit>[a-z]+)")
+_SWITCH_PATTERN = re.compile(rf"a switch of (?P<x>.+), on from (?P<spans>.+?)(?:{_LAG_PATTERN})?")
 _STEP_SEPARATOR = re.compile(r", (?=step\(|ramp\()")
 
 
@@ -241,7 +243,7 @@ def parse_law(
     """
     if response_name not in RESPONSES_BY_NAME:
         raise ModelError(f"there is no response called '{response_name}'; responses are {', '.join(RESPONSES_BY_NAME)}")
-    ratio = _RATIO.fullmatch(regressor_text)
+    ratio = _RATIO_PATTERN.fullmatch(regressor_text)
     direction = tuple(map(float, ratio["values"].split(" / "))) if ratio else ()
     regressor_text = ratio["words"] if ratio else regressor_text
     regressor, is_per_setup = (
