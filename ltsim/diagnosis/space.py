@@ -147,7 +147,7 @@ class _LawBatchBuilder:
             tuple[tuple[Response, ...], tuple[Regressor, ...]], list[tuple[tuple[LawPlace, ...], float]]
         ] = {}
         for response, design in response_designs(self._sightings).values():
-            weights = np.places(self._is_used[:, :, None], design / self._sigma[:, :, None], 0.0)
+            weights = np.where(self._is_used[:, :, None], design / self._sigma[:, :, None], 0.0)
             sized = scaled_to_noise(response, weights)
             self._responses.setdefault((response.kind, len(response.component_names)), []).append(
                 (sized, sized.plausible_size * weights)

@@ -95,7 +95,7 @@ class EmpiricalLaw(CandidateEffect):
     def parameters(self) -> tuple[Parameter, ...]:
         """Coefficients with their priors, one per component of the response and regressor column (and set-up)."""
         spread = self.regressor.coefficient_sigmas[self.scale_index] * self.response.plausible_size
-        spreads = spread * np.sqrt(self.n_components) if self.direction else np.tile(spread, self.components)
+        spreads = spread * np.sqrt(self.n_components) if self.direction else np.tile(spread, self.n_components)
         return tuple(
             Parameter(f"coefficient {i + 1}", self.response.display_unit, "coefficient", float(s))
             for i, s in enumerate(spreads)
