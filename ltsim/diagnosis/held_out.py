@@ -67,10 +67,10 @@ def cross_validated_errors(
 
 
 def fold_rows(space: ResidualSpace, seed: int) -> list[Ints]:
-    """Rows of the residual space of each fold: the used readings of pointings that are drawn at random."""
+    """Rows of the used readings of each fold of complete pointings, drawn at random."""
     pointing = np.nonzero(space.used_readings)[0]
-    fold_of_pointing = stream(seed, "diagnose", "folds").permutation(len(space.used_readings)) % N_FOLDS
-    groups = (np.flatnonzero(fold_of_pointing[pointing] == fold) for fold in range(N_FOLDS))
+    dealt = stream(seed, "diagnose", "folds").permutation(len(space.used_readings)) % N_FOLDS
+    groups = (np.flatnonzero(dealt[pointing] == fold) for fold in range(N_FOLDS))
     return [rows for rows in groups if len(rows)]
 
 

@@ -1,7 +1,7 @@
 """Centring errors of all targets as changes of the noise, in recordings that distinguish occupations of a target.
 
-The log evidence is the restricted likelihood ratio of the variance component of the displacements, with an Occam factor
-for its uncertainty (`adjustment.identification.centring_errors`).
+Their log evidence is the restricted likelihood ratio of the variance component of the displacements
+(`adjustment.identification.centring_errors`), with the Occam factor of its uncertainty.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def _sigma_of(sigma: float, n_determined: float) -> float:
 
 
 def _distinguished_occupations(recording: Recording) -> list[Occupation]:
-    """Kinds of occupations of targets that a recording distinguishes by a column or by days, and does not declare."""
+    """Occupations of targets that a recording distinguishes by a column, or by its days."""
     declared = {c.occupation for c in recording.setup.centring if not c.stations and not c.targets}
     columns: tuple[Occupation, ...] = ("instrument_setup", "target_setup")
     kinds = [column for column in columns if column in recording.labels]
@@ -90,10 +90,7 @@ def _distinguished_occupations(recording: Recording) -> list[Occupation]:
 
 
 def _shows_centring(recording: Recording, occupation: Ints | Floats) -> bool:
-    """True if centring errors can be estimated: few occupations, several of a target, each with several pointings.
-
-    `occupation` (n,) is the index of the occupation of each pointing, -1 for none.
-    """
+    """True if occupations (n,) are few, recur at the targets, and have repeated pointings."""
     rows = np.flatnonzero(occupation >= 0)
     count, targets = len(np.unique(occupation[rows])), len(np.unique(recording.target[rows]))
     return (

@@ -10,10 +10,10 @@ CATALOGUE_NAMES = {
     ("range scale", "time"): "refractivity-drift",
     ("distance", "incidence"): "smr-incidence",
 }
-"""Name of the equivalent effect of the catalogue, by the response of a law and the covariate that it depends on."""
+"""Catalogue effect by response and covariate, for laws with an equivalent in the catalogue."""
 TIME_FUNCTIONS_OF_MOVED_TARGET = ("step", "power", "decay")
-"""Functions of time with which a law of one target's position is the effect `target-moved`: a step, a steady motion,
-and a decaying motion."""
+"""Functions of time that describe a target's position in the effect `target-moved`: a step, steady or decaying
+motion."""
 CIRCLE_RESPONSES = {"azimuth": ("azimuth",), "elevation": ("elevation", "vertical index")}
 """Names of the responses that an error of a circle's graduation changes, by circle."""
 MIN_HARMONIC_PERIODS_PER_TURN = 2.5
