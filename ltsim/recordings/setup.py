@@ -106,7 +106,7 @@ class Instrument(TomlSection):
     prior: Prior = Prior()
     """Prior standard deviations of the instrument's parameters, from the manufacturer's specification."""
     limits: Limits | None = None
-    """Range of elevations; default that of the data sheet's kind of instrument."""
+    """Range of elevations that the instrument can measure; by default that of its kind of instrument."""
 
 
 class Material(TomlSection):

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 OBSERVATIONS_ADVICE = (
     "export GSI, SDR or a table of the observations (station, point, horizontal circle, zenith, distance)"
 )
-"""Advice for field books of total stations."""
+"""Text on what to export in place of a field book of a total station."""
 ARRAYS_ADVICE = "write its arrays to a table, as docs/how-to/own-tracker.md shows in a few lines"
-"""Advice for files of numerical programs."""
+"""Text on what to write in place of a file of a numerical program."""
 DATABASES_ADVICE = "export the observations from its program as a table (SpatialAnalyzer, PolyWorks: reports as text)"
-"""Advice for databases, in which metrology programs store their jobs."""
+"""Text on what to export in place of a database, in which a metrology program stores its jobs."""
 WORKBOOKS_ADVICE = "save it as xlsx or CSV"
-"""Advice for workbooks in other formats."""
+"""Text on how to save a workbook in another format."""
 
 
 @dataclass(frozen=True)
