@@ -106,7 +106,7 @@ class Instrument(TomlSection):
     prior: Prior = Prior()
     """Prior standard deviations of the instrument's parameters, from the manufacturer's specification."""
     limits: Limits | None = None
-    """Range of elevations that the instrument can measure; by default that of its kind of instrument."""
+    """Range of elevations that the instrument can measure; without this table -55 to 77 degrees."""
 
 
 class Material(TomlSection):
