@@ -50,6 +50,8 @@ MIN_GRID_COORDINATE = 1e6
 GEODETIC_TITLES = ("rechtswert", "hochwert", "easting", "northing", "east", "north", "e", "n")
 """Column titles of surveyors' lists, which are in metres if they state no unit."""
 FIELD_COUNTS = (4, 7, 8, 16, 17)
+NAME_ROLES = ("target", "station", "", "time", "date")
+"""Roles of the column that names the points; the first that a header has counts."""
 EXPECTED_CONTENT = (
     "expected a header that names the point and its coordinates, such as target,x_mm,y_mm,z_mm or "
     "Name;X [m];Y [m];Z [m], or lines of a name, x, y and z"
@@ -153,10 +155,7 @@ def _header_columns(rows: Sequence[SheetRow]) -> tuple[int, list[TableColumn]] |
         others = {*READING_ROLES} - {*COORDINATE_ROLES, "elevation"}
         if not roles & {*COORDINATE_ROLES} or roles & others or {"station", "target"} <= roles:
             continue
-        if "target" in roles:
-            return place + 1, columns
-        other = "station" if "station" in roles else ""
-        first = next((c for c in columns if c.role == other and c.title), None)
+        first = next((c for role in NAME_ROLES for c in columns if c.role == role and c.title), None)
         if first is not None:
             return place + 1, [replace(c, role="target") if c is first else c for c in columns]
     return None

@@ -183,6 +183,8 @@ class PointingTable:
     unread: list[str] = field(default_factory=list)
     nameless: bool = False
     positional: bool = False
+    has_unnamed_targets: bool = False
+    """True if no row names its target."""
     marks: dict[str, str] = field(default_factory=dict)
     """Name of the mark under each set-up, if it differs from that of the set-up."""
     notes: list[str] = field(default_factory=list)

@@ -29,12 +29,13 @@ from ltsim.recordings.tables.setups import (
     common_target_names,
     connecting_occupations,
     heights_not_applied,
-    name_targets_by_position,
+    marks_with_other_spelling,
     split_occupations,
     with_setups_over_marks,
 )
 from ltsim.recordings.tables.sheets import TABLE_SUFFIXES, ZIP_SIGNATURE, head_rows, is_table_folder, read_sheets
 from ltsim.recordings.tables.station_names import require_station_names
+from ltsim.recordings.tables.unnamed_targets import name_targets_by_position, name_unnamed_targets
 
 
 def with_time_column(table: PointingTable) -> PointingTable:
@@ -127,12 +128,14 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
     Raises RecordError.
     """
     printed = read_pointing_table(read_sheets(path), hints, path, positional=positional)
-    table = name_targets_by_position(with_unpacked_angles(with_time_column(printed), hints), path)
+    table = name_unnamed_targets(with_unpacked_angles(with_time_column(printed), hints), path)
     table.pointings.target, renamed = common_target_names(table.pointings)
     table.notes += renamed
+    table.marks = marks_with_other_spelling(table.pointings.station, table.pointings.target)
     setup = _read_setup(path, hints)
     poses = rough_poses(setup or Setup(), tuple(dict.fromkeys(table.pointings.station)))
     meaning, readings = interpret_readings(table, poses, hints, path)
+    table = name_targets_by_position(table, readings)
     require_station_names(table, readings, path)
     if setup is not None:
         recording = assemble_recording(table, meaning, readings, setup, hints, path)
