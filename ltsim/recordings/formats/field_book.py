@@ -21,9 +21,9 @@ from ltsim.recordings.pointings import (
     separate_constant_heights,
 )
 from ltsim.recordings.recording import HEIGHT_COLUMNS, KIND_COLUMN, Recording
+from ltsim.recordings.resolution import default_total_station
 from ltsim.recordings.setup import Setup, Station, Target, Vector
-from ltsim.recordings.specification import TOTAL_STATION, TOTAL_STATION_NOTE
-from ltsim.recordings.tables.setups import marks_with_other_spelling, one_mark_note
+from ltsim.recordings.tables.setups import marks_with_other_spelling, spelling_note
 
 
 @dataclass
@@ -110,15 +110,17 @@ class FieldBook:
                 instrument_height_mm=round(height / MILLIMETRE, 6),
                 position_mm=place,
             )
+        readings = np.array([[p.distance, p.azimuth, p.elevation] for p in pointings])
+        instrument, noise = default_total_station(readings, f"it is {kind}")
         setup = Setup(
             title=self.path.stem,
             air=NO_AIR_UNCERTAINTY,
-            instrument=TOTAL_STATION,
+            instrument=instrument,
             stations=stations,
             targets={name: Target(height_mm=height) for name, height in heights.items()},
         )
-        spelled = one_mark_note({name: mark for name, mark in other.items() if mark in marks})
-        all_notes = [TOTAL_STATION_NOTE.format(reason=f"it is {kind}"), *turned, *spelled, *notes]
+        spelled = spelling_note({name: mark for name, mark in other.items() if mark in marks})
+        all_notes = [noise, *turned, *spelled, *notes]
         return with_earth_curvature(recording_of_pointings(pointings, setup, notes=all_notes, file=self.path))
 
     def _separate_orientations(self) -> list[str]:

@@ -15,9 +15,10 @@ from ltsim.recordings.files import MAX_TEXT_LENGTH, quoted_text
 from ltsim.recordings.occupations import check_centring
 from ltsim.recordings.pointings import NOT_MEASURED, PointingColumns, declares_noise, recording_of_columns
 from ltsim.recordings.recording import HEIGHT_COLUMNS, KIND_COLUMN, OCCUPATION_COLUMNS, SIGMA_COLUMNS, Recording
+from ltsim.recordings.resolution import LENGTH_STEPS, default_total_station, reading_step
 from ltsim.recordings.settings import read_setup
 from ltsim.recordings.setup import Instrument, Setup
-from ltsim.recordings.specification import NO_NOISE_NOTE, TOTAL_STATION, TOTAL_STATION_NOTE
+from ltsim.recordings.specification import NO_NOISE_NOTE
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import DISTANCE_ROLES, ROLE_UNITS, TableColumn, has_named_coordinates
 from ltsim.recordings.tables.heights import with_heights_of_setups
@@ -144,8 +145,9 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
         return recording.replace(
             notes=(f"noise and set-ups are read from {_setup_path(path, hints)}", *recording.notes)
         )
-    instrument, noise = default_instrument(total_station_reason(table, meaning, readings))
-    air = NO_AIR_UNCERTAINTY if instrument is TOTAL_STATION else None
+    reason = total_station_reason(table, meaning, readings)
+    instrument, noise = default_total_station(readings, reason) if reason else (Instrument(), NO_NOISE_NOTE)
+    air = NO_AIR_UNCERTAINTY if reason else None
     setup = Setup(title=path.stem[:MAX_TEXT_LENGTH], instrument=instrument, air=air)
     recording = assemble_recording(table, meaning, readings, setup, hints, path)
     return recording if declares_noise(recording) else recording.replace(notes=(noise, *recording.notes))
@@ -353,14 +355,11 @@ def total_station_reason(table: PointingTable, interpretation: ColumnInterpretat
     places = np.concatenate([decimal_places(digits[digits != b""]) for digits in columns])
     if len(places) < MIN_RANGES:
         return ""
-    digit = 10.0 ** -int(places.max()) * SI_PER_UNIT[interpretation.length_unit]
+    digit = max(
+        10.0 ** -int(places.max()) * SI_PER_UNIT[interpretation.length_unit], reading_step(ranges, LENGTH_STEPS)
+    )
     if digit > MIN_COARSE_DIGIT_M:
         return f"its ranges are written to {1e3 * digit:.2g} mm"
     if table.column(("instrument_height_mm",)) is not None and digit > MIN_COARSE_DIGIT_M / 10:
         return f"its ranges are written to {1e3 * digit:.2g} mm, with heights over marks"
     return ""
-
-
-def default_instrument(reason: str) -> tuple[Instrument, str]:
-    """Instrument for a table without noise, and the note about it."""
-    return (TOTAL_STATION, TOTAL_STATION_NOTE.format(reason=reason)) if reason else (Instrument(), NO_NOISE_NOTE)

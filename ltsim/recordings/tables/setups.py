@@ -129,7 +129,7 @@ def marks_with_other_spelling(stations: Sequence[str], targets: Sequence[str]) -
     }
 
 
-def one_mark_note(mark_by_setup: Mapping[str, str]) -> list[str]:
+def spelling_note(mark_by_setup: Mapping[str, str]) -> list[str]:
     """Note on set-ups over targets with another spelling; none for an empty mapping."""
     examples = listing([f"'{name}' and '{mark}'" for name, mark in mark_by_setup.items()], MAX_NAMES_IN_SETUP_NOTE)
     text = f"a set-up and a target whose names differ only in {NAME_DIFFERENCES} are one mark: {examples}"
@@ -285,7 +285,7 @@ def with_setups_over_marks(
         for name, mark in marks.items()
         if mark in shared and name != mark and not name.startswith(f"{mark}#")
     }
-    notes += one_mark_note(spelled)
+    notes += spelling_note(spelled)
     return setup, notes
 
 
