@@ -31,8 +31,9 @@ def recording_summary(recording: Recording) -> dict[str, str]:
 
 def _setups_text(recording: Recording) -> str:
     setups = {name: recording.station_setup(name) for name in recording.stations}
-    marks = {s.over for s in setups.values() if s.over is not None}
-    over = f" over {len(marks)} marks" if marks else ""
+    over_mark = [s.over for s in setups.values() if s.over is not None]
+    some = "" if len(over_mark) == len(setups) else f", {len(over_mark)} of them"
+    over = f"{some} over {len({*over_mark})} marks" if over_mark else ""
     level = sum(s.levelled for s in setups.values())
     levelled = f"; {'all' if level == len(setups) else level or 'none'} levelled"
     return f"{len(setups)}{over} ({listing(list(setups), MAX_NAMES_IN_SUMMARY)}){levelled}"
