@@ -325,6 +325,24 @@ def test_numbered_shots_of_one_point_are_reported(tmp_path: Path) -> None:
     assert not any("have one position" in note for note in read(tmp_path / "a.csv").notes)
 
 
+@pytest.mark.parametrize("n_names", [1, 2])
+def test_names_of_reflectors_in_place_of_points_are_reported(tmp_path: Path, n_names: int) -> None:
+    places = [(3.1, 10.5, 95.5), (4.2, 77.5, 99.0), (5.3, 130.0, 104.5), (6.4, 220.5, 88.0)]
+
+    def note(names: list[str]) -> list[str]:
+        rows = [
+            f"{station};{name};{hz};{zenith};{distance + shift}"
+            for station, shift in (("A", 0.0), ("B", 1.7))
+            for name, (distance, hz, zenith) in zip(names, places, strict=True)
+        ]
+        (tmp_path / "a.csv").write_text("\n".join(["Station;Point;Hz [gon];Zenith [gon];D [m]", *rows]) + "\n")
+        return [text for text in read(tmp_path / "a.csv").notes if "several positions" in text]
+
+    (text,) = note([f"SMR{i % n_names}" for i in range(4)])
+    assert f"' differ by {(3.3, 2.2)[n_names - 1]} m; if it names a reflector that moved, name each point" in text
+    assert not note([f"P{i}" for i in range(4)])
+
+
 def test_set_ups_without_point_names_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(
         "Station,Hz [gon],ZA [gon],D [m]\n" + "A,1.5,99.5,3.1\nA,7.5,99.0,3.2\nB,9,98.5,3.3\n"

@@ -35,7 +35,7 @@ from ltsim.recordings.tables.setups import (
     with_setups_over_marks,
 )
 from ltsim.recordings.tables.sheets import TABLE_SUFFIXES, ZIP_SIGNATURE, head_rows, is_table_folder, read_sheets
-from ltsim.recordings.tables.station_names import require_station_names
+from ltsim.recordings.tables.station_names import require_station_names, several_positions_note
 from ltsim.recordings.tables.unnamed_targets import name_targets_by_position, name_unnamed_targets
 
 
@@ -148,6 +148,7 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
     interpretation, readings = interpret_readings(table, poses, hints, path)
     table = name_targets_by_position(table, readings)
     require_station_names(table, readings, path)
+    table.notes += several_positions_note(table, readings)
     if setup is not None:
         recording = assemble_recording(table, interpretation, readings, setup, hints, path)
         if not hints.incomplete_tail:
