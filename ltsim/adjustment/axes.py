@@ -69,9 +69,10 @@ def with_axes_of_points(recording: Recording, points: Mapping[str, Floats], sour
 
 
 def scale_of_declared_axes(adjustment: Adjustment) -> tuple[float, float] | None:
-    """Scale error of the coordinates that define the axes, against the measured lengths, and its standard deviation.
+    """Scale error of the coordinates that define the axes of the workshop, and its standard deviation.
 
-    Both follow from the residuals of the coordinates. None if the scale error is not significant.
+    The scale error is relative to the measured ranges. Both numbers follow from the residuals of the coordinates. None
+    if the scale error is not significant.
     """
     used_tests = [test for test in adjustment.axis_tests if not test.is_excluded and len(test.residual) == 3]
     if len(used_tests) < MIN_SCALED_TARGETS:

@@ -193,12 +193,12 @@ def _air_right_hand_sides(adjustment: Adjustment, air: AirUncertainty) -> tuple[
     stations, place = np.unique(station, return_inverse=True)
     columns, rows = np.stack([place, len(stations) + place]).ravel(), np.tile(np.arange(len(station)), 2)
     shifts = sp.csr_array((common.ravel(), (rows, columns)), (len(station), 2 * len(stations)))
-    turbulent = []
+    normal_matrix_parts = []
     for first in range(0, len(station), ROWS_PER_PIECE):
-        piece = slice(first, first + ROWS_PER_PIECE)
-        scattered = weight_rows(design[piece], turbulence[piece])
-        turbulent.append(scattered.T @ scattered)
-    return to_dense(design.T @ shifts), sum(turbulent)
+        row_slice = slice(first, first + ROWS_PER_PIECE)
+        turbulent_design = weight_rows(design[row_slice], turbulence[row_slice])
+        normal_matrix_parts.append(turbulent_design.T @ turbulent_design)
+    return to_dense(design.T @ shifts), sum(normal_matrix_parts)
 
 
 def joint_air_covariance(adjustment: Adjustment, air: AirUncertainty | None = None) -> Floats:

@@ -299,7 +299,7 @@ def _sparse_station_sentences(adjustment: Adjustment) -> Iterator[str]:
     for s in np.flatnonzero((n_used > 0) & (n_used < MIN_FAULTY_FRACTION_OF_PLACE * n_complete)):
         yield (
             f"station {recording.stations[s]} has {n_used[s]} of its {n_complete[s]} pointings in use: its position is "
-            "uncertain; check its names, units and sense of azimuth"
+            "uncertain; check the names of its targets, its units and the direction in which its azimuths increase"
         )
 
 

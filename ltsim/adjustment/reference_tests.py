@@ -201,24 +201,31 @@ def reference_tests_with_constants(
 
 
 def _reference_test(value: ReferenceValueRows, gram_matrix: Floats, residual_product: Floats) -> ReferenceTest:
-    """Test from the Gram matrix (q, q) of the projected signature, and the signature's product (q,) with residuals."""
-    size = np.linalg.norm(value.signature, axis=0)
-    acts = size > MIN_RELATIVE_SIGNATURE * size.max()  # readings in plan do not depend on heights
-    size = np.where(acts, size, np.inf)
-    share, turned = np.linalg.eigh(gram_matrix / np.outer(size, size))
-    checked = share > MIN_TESTED_REDUNDANCY
-    share, turned = share[checked], turned[:, checked]
-    along, back = turned.T @ (residual_product / size), turned / size[:, None]
-    sure = np.sum(turned**2, axis=1) > 0.5
+    """Test of a reference value with q components for an error.
+
+    `gram_matrix` (q, q) holds the inner products of the changes of the residuals by a unit error of each component,
+    `residual_product` (q,) the inner products of these changes with the residuals.
+    """
+    signature_norms = np.linalg.norm(value.signature, axis=0)
+    acts = signature_norms > MIN_RELATIVE_SIGNATURE * signature_norms.max()  # readings in plan do not depend on heights
+    signature_norms = np.where(acts, signature_norms, np.inf)
+    redundancies, eigenvectors = np.linalg.eigh(gram_matrix / np.outer(signature_norms, signature_norms))
+    checked = redundancies > MIN_TESTED_REDUNDANCY
+    redundancies, eigenvectors = redundancies[checked], eigenvectors[:, checked]
+    eigen_products, eigen_errors = (
+        eigenvectors.T @ (residual_product / signature_norms),
+        eigenvectors / signature_norms[:, None],
+    )
+    is_determined = np.sum(eigenvectors**2, axis=1) > 0.5
     return ReferenceTest(
         value.kind,
         value.name,
         value.declared_components,
         value.sigma,
         value.residual,
-        back @ (along / share),
-        np.where(sure, np.sqrt(np.sum(back**2 / share, axis=1)), np.inf),
-        float(np.sum(along**2 / share)),
+        eigen_errors @ (eigen_products / redundancies),
+        np.where(is_determined, np.sqrt(np.sum(eigen_errors**2 / redundancies, axis=1)), np.inf),
+        float(np.sum(eigen_products**2 / redundancies)),
         int(checked.sum()),
         occupied_by=value.occupied_by,
     )

@@ -65,9 +65,9 @@ class ShapeDirection(Signature):
         """Present value of the constant [SI]."""
         return float(getattr(self.effect, self.shape_parameter.name))
 
-    def changed_value(self, change: float) -> float:
+    def changed_value(self, relative_change: float) -> float:
         """Value of the constant [SI] after a relative change, within its bounds and at most halved or doubled."""
-        new_value = self.present_value * (1 + np.clip(change, -0.5, 1.0))
+        new_value = self.present_value * (1 + np.clip(relative_change, -0.5, 1.0))
         return float(np.clip(new_value, self.shape_parameter.lower_bound, self.shape_parameter.upper_bound))
 
 

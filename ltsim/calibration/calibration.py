@@ -100,7 +100,7 @@ class Calibration(UncertaintyEntry, ResultFile):
     stations: tuple[StationPose, ...] = ()
     """Poses of the stations."""
     criteria: Annotated[CriteriaEntry | None, BeforeValidator(_none_if_empty)] = None
-    """Disagreement of the stations before and after calibration (criteria of the paper); null for one station."""
+    """Disagreement of the stations before and after calibration; null for one station."""
     outliers: tuple[OutlierRow, ...] = ()
     """Outlying readings."""
     tests: tuple[CauseTest, ...] = ()

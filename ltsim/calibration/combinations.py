@@ -5,7 +5,7 @@ A combination is undetermined, or the recording determines it far better than it
 
 from pydantic import Field
 
-from ltsim.core.results import Column, Table, texts
+from ltsim.core.results import Column, Table, text_columns
 from ltsim.recordings.result_file import Entry, Finite, NonZero, OptionalFloat
 
 
@@ -51,7 +51,9 @@ UNDETERMINED_TABLE = Table(
     "undetermined.csv",
     "combinations of parameters that are not determined",
     (
-        *texts(combination="coefficients, in units of the prior sigma", determined_by="measurement that determines it"),
+        *text_columns(
+            combination="coefficients, in units of the prior sigma", determined_by="measurement that determines it"
+        ),
         Column("information_percent", "fraction of the prior variance that the readings removed", shown=".1f"),
     ),
 )

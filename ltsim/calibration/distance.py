@@ -1,4 +1,4 @@
-"""Calibration by the paper's distance objective, and the network adjusted with the estimated parameters."""
+"""Calibration by the distance objective of Sensors 2021, 21, 7479, and the network adjusted with its parameters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Estimator of the paper: parameters with which distances agree between stations and with the gauge (eq. 9).
+"""Estimator of Sensors 2021, 21, 7479, eq. 9: parameters for which distances agree between stations and with the gauge.
 
 Least squares and least absolute deviations both use Gauss-Newton steps. For absolute deviations, each step is the
 solution of a linear program.
@@ -244,7 +244,7 @@ def compared_rows(problem: DistanceProblem, unknowns: Floats, norm: ObjectiveNor
 
 
 def objective_of(rows: ComparedDistances, norm: ObjectiveNorm) -> float:
-    """Objective of eq. 9: sum of squares [m^2], or sum of absolute values [m]."""
+    """Objective of Sensors 2021, 21, 7479, eq. 9: sum of squares [m^2] or of absolute values [m] of residuals."""
     return float(np.sum(rows.residuals**2) if norm == "squares" else np.sum(np.abs(rows.residuals)))
 
 

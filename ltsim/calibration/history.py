@@ -13,7 +13,7 @@ from ltsim.calibration.schema import FitEntry
 from ltsim.core.errors import ModelError
 from ltsim.core.notation import listing
 from ltsim.core.probability import format_p
-from ltsim.core.results import Column, ColumnValues, Table, columns_of, texts
+from ltsim.core.results import Column, ColumnValues, Table, columns_of, text_columns
 from ltsim.recordings.result_file import Entry, Finite, NotNegative, OptionalFloat, ResultFile
 
 
@@ -51,7 +51,7 @@ INSTRUMENT_CHANGES_TABLE = Table(
     "changes.csv",
     "changes of an instrument between its calibrations",
     (
-        *texts(**{"from": "the earlier calibration"}, to="the later one", above_all="parameters that differ"),
+        *text_columns(**{"from": "the earlier calibration"}, to="the later one", above_all="parameters that differ"),
         Column("chi2", "weighted sum of squares of the differences", shown=".1f"),
         Column("parameters", "degrees of freedom"),
         Column("p_value", "p-value of such differences without a change", "chance", title="p"),
@@ -61,10 +61,10 @@ COURSES_TABLE = Table(
     "parameters.csv",
     "parameters that the calibrations determine",
     (
-        *texts(parameter="name"),
+        *text_columns(parameter="name"),
         Column("last", "estimate of the last calibration", sigma="sigma_last"),
         Column("sigma_last", "its standard deviation"),
-        *texts(unit="of all numbers of the row"),
+        *text_columns(unit="of all numbers of the row"),
         Column("mean", "weighted mean of the estimates", digits=3),
         Column("spread", "standard deviation over the calibrations", digits=3),
         Column("p_constant", "p-value of no change", "chance"),
@@ -74,7 +74,7 @@ FITS_TABLE = Table(
     "fits.csv",
     "agreement of readings and model of each calibration",
     (
-        *texts(calibration="label"),
+        *text_columns(calibration="label"),
         Column("chi2", "weighted sum of squares", digits=3),
         Column("degrees_of_freedom", "of the fit"),
         Column("sigma0", "standard deviation of unit weight", digits=3),

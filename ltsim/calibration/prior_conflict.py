@@ -151,19 +151,21 @@ def _combination_sentence(calibration: Calibration, prior: ParameterPrior, scale
 
     The tested combinations are independent: eigenvectors of the covariance in prior standard deviations.
     """
-    size = calibration.construction.n_parameters
+    n_parameters = calibration.construction.n_parameters
     for i in range(len(calibration.instruments)):
-        at = np.flatnonzero(~calibration.is_fixed[i])
-        root = prior.whitening_matrices[i][np.ix_(at, at)]
-        covariance = calibration.covariance[np.ix_(i * size + at, i * size + at)]
-        remaining, vectors = np.linalg.eigh(root @ covariance @ root.T)
-        gain = np.clip(1.0 - remaining, 0.0, 1.0)
-        deviation = vectors.T @ root @ (calibration.estimates[i] - prior.mean[i])[at]
+        free_parameters = np.flatnonzero(~calibration.is_fixed[i])
+        prior_whitening = prior.whitening_matrices[i][np.ix_(free_parameters, free_parameters)]
+        covariance = calibration.covariance[
+            np.ix_(i * n_parameters + free_parameters, i * n_parameters + free_parameters)
+        ]
+        remaining_variances, vectors = np.linalg.eigh(prior_whitening @ covariance @ prior_whitening.T)
+        gain = np.clip(1.0 - remaining_variances, 0.0, 1.0)
+        deviation = vectors.T @ prior_whitening @ (calibration.estimates[i] - prior.mean[i])[free_parameters]
         w = _normalised_deviations(deviation, gain) / scale
         k = int(np.argmax(np.abs(w)))
         if abs(w[k]) > -special.ndtri(FAMILY_LEVEL / (4 * max(int(np.count_nonzero(w)), 1))):
             combination = ParameterCombination(vectors[:, k], float(gain[k])).coefficients(
-                [calibration.instrument_parameter_names[i * size + j] for j in at]
+                [calibration.instrument_parameter_names[i * n_parameters + j] for j in free_parameters]
             )
             terms = " ".join(
                 f"{value:+.2f} {name}" for name, value in list(combination.items())[:MAX_COMBINATION_TERMS]

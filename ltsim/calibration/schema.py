@@ -10,7 +10,7 @@ from ltsim.adjustment.verdict import Verdict
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import number_text, with_sigma
 from ltsim.core.probability import format_p
-from ltsim.core.results import Column, Table, columns_of, numbers, texts
+from ltsim.core.results import Column, Table, columns_of, number_columns, text_columns
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.recordings.result_file import (
     Entry,
@@ -27,22 +27,24 @@ DISPLAY_UNITS = (("mm", MILLIMETRE), ("arcsec", ARCSECOND), ("arcsec", ARCSECOND
 """Name and SI value of the display unit of range, azimuth and elevation."""
 
 COORDINATE_COLUMNS = (
-    *texts(target="name"),
-    *numbers(".6f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate"),
-    *numbers(".6f", sigma_x_mm="its standard deviation", sigma_y_mm="as sigma_x_mm", sigma_z_mm="as sigma_x_mm"),
+    *text_columns(target="name"),
+    *number_columns(".6f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate"),
+    *number_columns(".6f", sigma_x_mm="its standard deviation", sigma_y_mm="as sigma_x_mm", sigma_z_mm="as sigma_x_mm"),
 )
 TARGETS_TABLE = Table("targets.csv", "adjusted targets; undetermined ones have no row or no height", COORDINATE_COLUMNS)
 RESIDUALS_TABLE = Table(
     "residuals.csv",
     "one row per observation in use",
     (
-        *numbers(row="of the recording's table, from 1"),
-        *texts(station="name", target="name"),
-        *numbers(face="1 or 2", repeat="round, from 1"),
-        *texts(observable="distance, azimuth or elevation"),
-        *numbers(".6g", residual="observed minus adjusted, in `unit`"),
-        *texts(unit="of the residual"),
-        *numbers(".4f", redundancy="fraction of the observation that others check, 0 to 1", w="normalised residual"),
+        *number_columns(row="of the recording's table, from 1"),
+        *text_columns(station="name", target="name"),
+        *number_columns(face="1 or 2", repeat="round, from 1"),
+        *text_columns(observable="distance, azimuth or elevation"),
+        *number_columns(".6g", residual="observed minus adjusted, in `unit`"),
+        *text_columns(unit="of the residual"),
+        *number_columns(
+            ".4f", redundancy="fraction of the observation that others check, 0 to 1", w="normalised residual"
+        ),
     ),
 )
 
@@ -371,16 +373,16 @@ REFLECTOR_INCIDENCE_TABLE = Table(
     "reflectors.csv",
     "incidence errors of reflectors in fixed nests, parameters of smr-incidence",
     (
-        *texts(reflector="name of the SMR, or empty", parameter="as `ltsim effects` lists it"),
-        *numbers(".2f", value_um="estimate", sigma_um="standard deviation"),
+        *text_columns(reflector="name of the SMR, or empty", parameter="as `ltsim effects` lists it"),
+        *number_columns(".2f", value_um="estimate", sigma_um="standard deviation"),
     ),
 )
 STATION_COORDINATES_TABLE = Table(
     "places.csv",
     "coordinates as a page shows them",
     (
-        *texts(name="of the target or station"),
-        *numbers(display_format=".4f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate"),
+        *text_columns(name="of the target or station"),
+        *number_columns(display_format=".4f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate"),
         *(Column(f"U_{axis}_um", "expanded uncertainty, k = 2", digits=2) for axis in "xyz"),
     ),
 )

@@ -115,7 +115,7 @@ def calibrate(
         raise unknown_name("method", method, ("network", *DISTANCE_METHODS))
     if isinstance(construction, Construction):
         if harmonics is not None or degree is not None:
-            raise ModelError("harmonics and degree need a construction given by its name")
+            raise ModelError("harmonics and degree can be set only if construction is a name, such as 'dh'")
         built: Construction | None = construction
     else:
         built = _named_construction(construction, harmonics, degree)
@@ -159,7 +159,10 @@ def parse_requested_effect(effect_or_text: str | Effect | SizedEffect, recording
     Fields of the effect with default values are determined by the readings.
     """
     if isinstance(effect_or_text, SizedEffect):
-        raise ModelError(f"{effect_or_text.effect.name} has a size, as for simulate and inject; give it without a size")
+        name = effect_or_text.effect.name
+        raise ModelError(
+            f"the effect {name} has a size, but sizes are estimated here; give the effect without its size"
+        )
     if isinstance(effect_or_text, str):
         return _parse_effect_text(effect_or_text, recording)
     fixed_names = {f.name for f in fields(effect_or_text) if getattr(effect_or_text, f.name) != f.default}

@@ -13,7 +13,7 @@ from ltsim.calibration.correct import correct
 from ltsim.campaigns.spec import VALIDATION_STREAM_KEY, make_validation_scenario
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError
-from ltsim.core.results import Result, Table, numbers, texts
+from ltsim.core.results import Result, Table, number_columns, text_columns
 from ltsim.core.units import MICROMETRE
 from ltsim.simulation.fieldwork import make_geometry
 from ltsim.simulation.scenario import Scenario
@@ -28,14 +28,14 @@ NEW_POINT_ERRORS_TABLE = Table(
     "new_points.csv",
     "errors of points that no calibration used, rms over stations and points, the new readings' noise in them",
     (
-        *texts(calibration="its name"),
-        *numbers(
+        *text_columns(calibration="its name"),
+        *number_columns(
             display_format=".1f",
             error_raw_um="readings without corrections",
             error_calibrated_um="readings corrected by the estimates, or by the applied part of them",
             error_true_parameters_um="readings corrected by the true parameters: the floor",
         ),
-        *numbers(display_format=".3f", share_removed="of the mean square above the floor"),
+        *number_columns(display_format=".3f", share_removed="of the mean square above the floor"),
     ),
 )
 

@@ -1,4 +1,4 @@
-"""Compiled functions on point clouds of B trials: means, rigid fits, the paper's criteria and objective.
+"""Compiled functions on point clouds of B trials: means, rigid fits, disagreement of stations and distance objective.
 
 The quantities are those of `ltsim.adjustment.evaluation`; the last index of each array is the trial. A rigid fit starts
 from frames that agree within the size of the errors. Three Newton steps on the rotation then reach rounding error and
@@ -164,7 +164,7 @@ def add_square_error(aligned_cloud: Floats, reference_cloud: Floats, used_target
 
 @compile_function
 def distance_criterion(clouds: Floats, is_visible: Bools, mean: Floats, maximum: Floats) -> None:
-    """Distance criterion of the paper: mean and maximum over pairs of targets, (B,) [um].
+    """Disagreement of stations in distances (Sensors 2021, 21, 7479): mean, maximum over pairs of targets, (B,) [um].
 
     The value of a pair is the mean absolute deviation of its distance, as measured from each station, from the mean
     over stations.
@@ -203,7 +203,7 @@ def distance_criterion(clouds: Floats, is_visible: Bools, mean: Floats, maximum:
 
 @compile_function
 def coordinate_criterion(aligned_clouds: Floats, is_visible: Bools, mean: Floats, maximum: Floats) -> None:
-    """Coordinate criterion of the paper: mean and maximum over targets, (B,) [um].
+    """Disagreement of stations in coordinates (Sensors 2021, 21, 7479): mean and maximum over targets, (B,) [um].
 
     The value of a target is the mean distance between its positions from two stations, over all pairs of stations.
     """

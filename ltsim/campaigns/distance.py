@@ -1,4 +1,4 @@
-"""The paper's distance objective for all trials with a common geometry.
+"""Distance objective of Sensors 2021, 21, 7479 (eq. 9) for all trials with a common geometry.
 
 The normal matrix at the nominal network gives the Gauss-Newton steps of all trials, as in the network adjustment. The
 gradient is exact for the readings and parameters of each trial, so that the iteration converges to the optimum of the
@@ -48,7 +48,7 @@ error is a hundredth of this change.
 
 @dataclass(frozen=True)
 class BatchDistance(BatchCalibrator):
-    """Batch calibration by the paper's distance objective, for the methods `distance` and `equation-9`.
+    """Batch calibration by the distance objective (Sensors 2021, 21, 7479), for methods `distance` and `equation-9`.
 
     Methods that end in `-l1` minimise absolute deviations, all others squares.
     """
@@ -218,7 +218,7 @@ class BatchDistance(BatchCalibrator):
         return axes[:, order]
 
     def _objective_terms(self, block: TrialBatch, values: Floats, trials: Ints) -> Floats:
-        """Terms (R, B) of the sum in eq. 9 of the paper, for some trials at their parameters (I, p, B) [SI]."""
+        """Terms (R, B) of the sum in the distance objective, for some trials at their parameters (I, p, B) [SI]."""
         deviation, values = (np.ascontiguousarray(a) for a in (block.reading_deviations[:, :, trials], values))
         points = np.empty(deviation.shape)
         compute_points(self._chain_program, self.truth.recording.instrument, deviation, values, points)

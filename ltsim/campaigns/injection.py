@@ -140,7 +140,9 @@ def injection_curve(
         As of `inject`.
     """
     if injections < 1 or not len(strengths) or any(not s > 0.0 for s in strengths):
-        raise ModelError("a curve needs at least one injection at each strength, and strengths above 0")
+        raise ModelError(
+            "a detection curve needs at least one injection at each strength, and every strength must be above 0"
+        )
     original = load_recording(recording)
     background = diagnose(original)
     rows = []

@@ -32,7 +32,7 @@ from ltsim.campaigns.scoring import (
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import CalibratorError, ConvergenceError, LtsimError
 from ltsim.core.parallel import run_parallel
-from ltsim.core.results import Table, columns_of, numbers, texts
+from ltsim.core.results import Table, columns_of, number_columns, text_columns
 from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings import Recording
@@ -87,11 +87,15 @@ TRIALS_TABLE = Table(
     "trials.csv",
     "estimates of the trials with a result, one row per trial and parameter",
     (
-        *numbers(trial="number: `ltsim simulate --per-trial --trial` makes its recording"),
-        *texts(parameter="name; of an effect EFFECT:PARAMETER and its place", unit="of truth, estimate and sigma"),
-        *numbers("r", truth="true value", estimate="estimate of the calibrator", sigma="that it states"),
-        *numbers(".6g", z="(estimate - truth) / sigma"),
-        *numbers("r", ltsim_estimate="estimate of ltsim from the same recording, where another calibrator is checked"),
+        *number_columns(trial="number: `ltsim simulate --per-trial --trial` makes its recording"),
+        *text_columns(
+            parameter="name; of an effect EFFECT:PARAMETER and its place", unit="of truth, estimate and sigma"
+        ),
+        *number_columns("r", truth="true value", estimate="estimate of the calibrator", sigma="that it states"),
+        *number_columns(".6g", z="(estimate - truth) / sigma"),
+        *number_columns(
+            "r", ltsim_estimate="estimate of ltsim from the same recording, where another calibrator is checked"
+        ),
     ),
 )
 

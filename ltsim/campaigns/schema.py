@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 from pydantic import ConfigDict, Field, StrictBool, StrictFloat, StrictInt, StrictStr, model_validator
 
 from ltsim.campaigns.design import Factor
-from ltsim.core.results import Column, Table, numbers, texts
+from ltsim.core.results import Column, Table, number_columns, text_columns
 from ltsim.recordings.result_file import Entry, ResultFile
 
 NonNegativeInt = Annotated[int, Field(ge=0)]
@@ -135,10 +135,10 @@ ROWS_TABLE = Table(
     "rows/cell-*/shard-*.parquet",
     "one row per trial and method; the settings of the cell follow its number",
     (
-        *numbers(cell="number"),
-        *texts(method="name"),
-        *numbers(trial="number: `ltsim simulate --trial` writes its recording"),
-        *texts(status="converged, full solver (the batch was not enough), failed"),
+        *number_columns(cell="number"),
+        *text_columns(method="name"),
+        *number_columns(trial="number: `ltsim simulate --trial` writes its recording"),
+        *text_columns(status="converged, full solver (the batch was not enough), failed"),
         *RESULT_COLUMNS,
     ),
 )
@@ -153,19 +153,21 @@ def summary_table(factors: Mapping[str, str]) -> Table:
     settings = [
         column
         for name, kind in factors.items()
-        for column in (numbers if kind in ("number", "integer") else texts)(**{name: about})
+        for column in (number_columns if kind in ("number", "integer") else text_columns)(**{name: about})
     ]
     return Table(
         SUMMARY_FILE,
         "every statistic over the trials of a cell and method, with the settings of the cell",
         (
-            *numbers(cell="number"),
+            *number_columns(cell="number"),
             *settings,
-            *texts(method="name", column="of the rows", unit="of the following columns, except trials"),
-            *numbers(trials="that have it"),
-            *numbers("r", mean="over them", deviation="standard deviation"),
-            *numbers("r", low="95 % bound of the mean", high="as low", least="of all", largest="of all"),
-            *numbers("r", **{f"quantile_{100 * level:g}_percent": "over the trials" for level in QUANTILE_LEVELS}),
+            *text_columns(method="name", column="of the rows", unit="of the following columns, except trials"),
+            *number_columns(trials="that have it"),
+            *number_columns("r", mean="over them", deviation="standard deviation"),
+            *number_columns("r", low="95 % bound of the mean", high="as low", least="of all", largest="of all"),
+            *number_columns(
+                "r", **{f"quantile_{100 * level:g}_percent": "over the trials" for level in QUANTILE_LEVELS}
+            ),
         ),
     )
 
@@ -211,38 +213,40 @@ class CellEntry(Entry):
 FACTORS_TABLE = Table(
     "varied.csv",
     "settings that differ between cells",
-    texts(factor="its title", values="of all cells", key="of the scenario", meaning="of the key"),
+    text_columns(factor="its title", values="of all cells", key="of the scenario", meaning="of the key"),
 )
 MEANS_BY_LEVEL_TABLE = Table(
     "levels.csv",
     "means over the cells of each level",
     (
-        *texts(factor="its title", level="its value", method="name", statistic="name"),
-        *numbers(mean="over the cells", least_cell="smallest mean of a cell", largest_cell="largest mean of a cell"),
+        *text_columns(factor="its title", level="its value", method="name", statistic="name"),
+        *number_columns(
+            mean="over the cells", least_cell="smallest mean of a cell", largest_cell="largest mean of a cell"
+        ),
     ),
 )
 ERRORS_TABLE = Table(
     "errors.csv",
     "errors before and after calibration, with 95 % intervals of their means",
     (
-        *texts(setting="cell", method="name"),
-        *numbers(raw_um="uncorrected", calibrated_um="corrected", noise_floor_um="with the true parameters"),
-        *numbers(share_removed="of the removable error"),
+        *text_columns(setting="cell", method="name"),
+        *number_columns(raw_um="uncorrected", calibrated_um="corrected", noise_floor_um="with the true parameters"),
+        *number_columns(share_removed="of the removable error"),
     ),
 )
 METHOD_DIFFERENCES_TABLE = Table(
     "methods.csv",
     "paired differences of an error between methods, with 95 % intervals",
     (
-        *texts(setting="cell", methods="first less second method"),
-        *numbers(
+        *text_columns(setting="cell", methods="first less second method"),
+        *number_columns(
             display_format=".3g",
             difference_um="mean difference on the same draws; positive if the second method is better",
             low_um="lower 95 % confidence limit",
             high_um="upper 95 % confidence limit",
         ),
-        *texts(better="method with the smaller error, if the interval excludes 0"),
-        *numbers(trials="trials that both methods calibrated"),
+        *text_columns(better="method with the smaller error, if the interval excludes 0"),
+        *number_columns(trials="trials that both methods calibrated"),
     ),
 )
 

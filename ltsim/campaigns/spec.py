@@ -84,7 +84,7 @@ class StoppingRule(TomlSection):
     """
 
     statistic: str = "target_error_um"
-    """Column of the rows, or one of the paper's improvements in percent."""
+    """Column of the results of trials, or the improvement in percent of the agreement of stations."""
     within: Positive
     """Half-width of the 95 % confidence interval of the mean at which a cell stops, in the statistic's unit."""
 

@@ -48,7 +48,7 @@ MAX_ROWS_EXACT_QUANTILES = 50_000_000
 this number they are approximated by a t-digest.
 """
 IMPROVED_CRITERIA = ("distance", "coordinate")
-"""Criteria of the paper whose improvement [%] a campaign reports."""
+"""Disagreements of stations (in distances, in coordinates of targets) whose reduction [%] a campaign reports."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class ZScoreSummary:
 
 @dataclass(frozen=True)
 class SolverComparison:
-    """Numbers of trials by solver for a cell and method, and largest difference [sigma] between the solvers."""
+    """Numbers of trials that the batch and the full solver solved for one cell and method, and their difference."""
 
     cell: int
     method: str

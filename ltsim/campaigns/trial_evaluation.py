@@ -1,4 +1,4 @@
-"""Evaluation of a calibration for a block of trials: the paper's criteria, and errors relative to the truth.
+"""Evaluation of a calibration for a block of trials: disagreement of stations, and errors relative to the truth.
 
 The quantities are those of `ltsim.adjustment.evaluation` for single recordings; tests compare the two. S stations, T
 targets, I instruments with p parameters, n pointings, B trials.
@@ -55,7 +55,7 @@ class TrialEvaluator:
 
     @cached_property
     def has_criteria(self) -> bool:
-        """True if the paper's criteria are defined.
+        """True if the disagreement of the stations in distances and coordinates can be computed.
 
         At least two stations are needed; each must share targets with the first that determine the relative frame.
         """

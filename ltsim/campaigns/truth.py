@@ -300,12 +300,18 @@ def make_cell_truth(
     )
 
 
-def _start_frame(geometry: MeasurementGeometry, mean: Floats) -> NetworkState:
-    """True poses and targets in the frame of the first station, or of the workshop if levels define the vertical."""
+def _start_frame(geometry: MeasurementGeometry, mean_parameters: Floats) -> NetworkState:
+    """True stations and targets, in the frame of the first station or, if levels define the vertical, of the workshop.
+
+    `mean_parameters` are the mean parameters of the instrument [SI].
+    """
     s = geometry.sightings
     if any(station.levelled for station in geometry.scenario.stations.values()):
-        return NetworkState(s.station_positions, s.station_rotations, s.target_points, mean)
+        return NetworkState(s.station_positions, s.station_rotations, s.target_points, mean_parameters)
     origin, turn = s.station_positions[0], s.station_rotations[0]
     return NetworkState(
-        (s.station_positions - origin) @ turn, turn.T @ s.station_rotations, (s.target_points - origin) @ turn, mean
+        (s.station_positions - origin) @ turn,
+        turn.T @ s.station_rotations,
+        (s.target_points - origin) @ turn,
+        mean_parameters,
     )

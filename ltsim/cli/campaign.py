@@ -91,7 +91,7 @@ def campaign(
     except KeyboardInterrupt:
         n_finished_files = len(CampaignFolder(folder).shards())
         raise StoppedError(
-            f"{n_finished_files} finished files of rows remain in {folder}; continue with --resume"
+            f"{n_finished_files} files with results of finished trials remain in {folder}; continue with --resume"
         ) from None
     results = CampaignResults(folder)
     summary = results.summary()

@@ -123,18 +123,21 @@ class Column:
         return str(value) if isinstance(value, int | np.integer) else number_text(float(value), self.digits)
 
 
-def texts(**columns: str) -> tuple[Column, ...]:
-    """Columns of text, given as `name="meaning"`."""
+def text_columns(**columns: str) -> tuple[Column, ...]:
+    """Columns of a table that hold text; each argument is the name of a column with its definition, `name="..."`."""
     return tuple(Column(name, about, "text") for name, about in columns.items())
 
 
-def numbers(format_text: str = "", display_format: str = "", **columns: str) -> tuple[Column, ...]:
-    """Columns of numbers with the same format, given as `name="meaning"`."""
+def number_columns(format_text: str = "", display_format: str = "", **columns: str) -> tuple[Column, ...]:
+    """Columns of a table that hold numbers; each further argument is a column's name with its definition, `name="..."`.
+
+    All of them have the format `format_text` in files and `display_format` where they are displayed.
+    """
     return tuple(Column(name, about, form=format_text, shown=display_format) for name, about in columns.items())
 
 
-def flags(**columns: str) -> tuple[Column, ...]:
-    """Columns of true and false, given as `name="meaning of true"`."""
+def flag_columns(**columns: str) -> tuple[Column, ...]:
+    """Columns of a table that hold true or false; each argument is the name of a column with the meaning of true."""
     return tuple(Column(name, about, "flag") for name, about in columns.items())
 
 

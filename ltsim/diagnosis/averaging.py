@@ -124,10 +124,11 @@ def safe_fraction(squared_shift: float, cross_variance: float, squared_error: fl
 def model_weights(
     searcher: Searcher, other_effects: Model, selected: Hypothesis, ranking: Ranking, temperature: float
 ) -> tuple[Floats, Floats]:
-    """Weights (k,) of k explanations of one member of a model, and the whitened change (k, m) of the readings by each.
+    """Probabilities (k,) of k alternatives to a selected effect, and changes (k, m) of the whitened readings by each.
 
-    The explanation `selected` is the first, and the last is that there is no effect. Changes of the noise count with
-    the last, because they do not change readings either. Log evidences are divided by `temperature`.
+    The first alternative is the effect `selected` itself, the last one is no effect. The probabilities of changes of
+    the noise are added to the last one, because they do not change readings either. Log evidences are divided by
+    `temperature`.
     """
     none, *rest_of = normalised_probabilities(
         np.array([0.0, *(h.log_evidence for h in ranking.entries)]) / temperature

@@ -228,7 +228,10 @@ class CatalogueSignatures:
         ]
 
     def family_evidence(self, values: Floats) -> Floats:
-        """Log evidence (families, ...) averaged over places and shapes, from the values (h, ...) of all effects."""
+        """Log evidence (f, ...) of f kinds of effect, each averaged over the places and shape constants of the kind.
+
+        `values` (h, ...) are the log evidences of all h effects.
+        """
         return log_means_by_group(values, self.family_of_effect, len(self.families)) if self.effects else values
 
 

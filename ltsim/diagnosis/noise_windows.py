@@ -179,10 +179,12 @@ class NoiseWindows(GroupNoise):
         """Log evidence of a change of the noise with given windows and place, averaged over variance factors."""
         space = self.space
         added = (effect.variance(space.sightings, space.sigma, np.ones(1)) / space.sigma**2)[space.used_readings] - 1.0
-        rows = np.flatnonzero(added)
-        factors = 1.0 + (self.factors[:, None] - 1.0) * added[rows]
-        logs = log_restricted_likelihood_ratio(residual[rows] ** 2, redundancy[rows], factors).sum(axis=1)
-        return float(log_sum_exp(logs) - np.log(len(logs)))
+        noisy_rows = np.flatnonzero(added)
+        factors = 1.0 + (self.factors[:, None] - 1.0) * added[noisy_rows]
+        log_likelihood_ratios = log_restricted_likelihood_ratio(
+            residual[noisy_rows] ** 2, redundancy[noisy_rows], factors
+        ).sum(axis=1)
+        return float(log_sum_exp(log_likelihood_ratios) - np.log(len(log_likelihood_ratios)))
 
     def _window_times(self, states: Bools) -> tuple[float, ...]:
         """Times [s] at which the noise becomes larger and smaller, alternately; `states` (steps,) are true if noisy."""

@@ -52,7 +52,10 @@ class NullEnsemble:
     is_first_pass: bool
     """True while the model is empty."""
     gram_is_monte_carlo: bool
-    """True if Gram matrices are means over simulated residuals, because the network is too large for a basis."""
+    """True if the Gram matrices of the effects are estimated as means over simulated residuals.
+
+    This is so in a network whose residual space is too large for an orthonormal basis.
+    """
 
     @classmethod
     def from_space(cls, space: ResidualSpace, seed: int, n_trials: int) -> NullEnsemble:

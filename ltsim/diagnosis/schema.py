@@ -8,7 +8,7 @@ from pydantic import Field
 from ltsim.adjustment.remedies.detectability import MinimalSize
 from ltsim.calibration.combinations import DeterminedEntry
 from ltsim.calibration.schema import COORDINATE_COLUMNS, RESIDUALS_TABLE
-from ltsim.core.results import Column, Table, columns_of, numbers, texts
+from ltsim.core.results import Column, Table, columns_of, number_columns, text_columns
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects.signature import Parameter, ShapeParameter
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
@@ -18,7 +18,9 @@ DIAGNOSED_TARGETS_TABLE = Table(
     "targets adjusted with the findings modelled",
     (
         *COORDINATE_COLUMNS,
-        *numbers(".6f", **{f"change_{axis}_mm": f"change of {axis} against the ordinary adjustment" for axis in "xyz"}),
+        *number_columns(
+            ".6f", **{f"change_{axis}_mm": f"change of {axis} against the ordinary adjustment" for axis in "xyz"}
+        ),
     ),
 )
 RESIDUALS_BEFORE_TABLE = replace(
@@ -222,22 +224,22 @@ FINDINGS_TABLE = Table(
     "findings.csv",
     "findings, one row per parameter",
     (
-        *texts(effect="name of the effect in the catalogue, or `unknown`"),
-        *texts(stations="stations at which the effect acts; empty for all"),
-        *texts(targets="targets at which the effect acts; empty for all"),
-        *texts(observables="observables on which the effect acts; empty for all"),
+        *text_columns(effect="name of the effect in the catalogue, or `unknown`"),
+        *text_columns(stations="stations at which the effect acts; empty for all"),
+        *text_columns(targets="targets at which the effect acts; empty for all"),
+        *text_columns(observables="observables on which the effect acts; empty for all"),
         Column("probability", "posterior probability of this effect against all other explanations"),
-        *texts(parameter="name of a parameter of the effect"),
+        *text_columns(parameter="name of a parameter of the effect"),
         Column("value", "estimated size", sigma="sigma"),
         Column("sigma", "standard deviation of the size"),
-        *texts(unit="unit of value and sigma"),
+        *text_columns(unit="unit of value and sigma"),
     ),
 )
 FIT_TABLE = Table(
     "fit.csv",
     "misfit without and with the findings in the model",
     (
-        *texts(model="model without or with the findings"),
+        *text_columns(model="model without or with the findings"),
         Column("chi2", "chi-square, the weighted sum of squared residuals"),
         Column("degrees_of_freedom"),
         Column("ratio", "chi-square per degree of freedom", shown=".3f"),

@@ -124,9 +124,9 @@ def shape_nodes(
     near = effect.neighbours(calculator.space.sightings)
     if not (shapes or near) or len(shapes) > 2:
         return []
-    count = 33 if len(shapes) == 1 and not near else 15
-    axes = [_dense_grid(s, float(vars(effect)[s.name]), shape_sigmas.get(s.name, 0.0), count) for s in shapes]
-    sizes = effect.size_scales
+    n_grid_values = 33 if len(shapes) == 1 and not near else 15
+    axes = [_dense_grid(s, float(vars(effect)[s.name]), shape_sigmas.get(s.name, 0.0), n_grid_values) for s in shapes]
+    size_scales = effect.size_scales
     sightings = calculator.space.sightings
     points = [
         (instance, {s.name: float(value) for s, (value, _) in zip(shapes, point, strict=True)}, [w for _, w in point])
@@ -134,16 +134,18 @@ def shape_nodes(
             _distinct_neighbours(effect, sightings), *(zip(*axis, strict=True) for axis in axes)
         )
     ]
-    shaped = [instance.with_constants(**constants) for instance, constants, _ in points]
-    posteriors = [wide_prior_posterior(*moments, sizes) for moments in calculator.gram_and_score(shaped, base_model)]
+    grid_effects = [instance.with_constants(**constants) for instance, constants, _ in points]
+    posteriors = [
+        wide_prior_posterior(*moments, size_scales) for moments in calculator.gram_and_score(grid_effects, base_model)
+    ]
     log_evidences = (
-        calculator.log_evidence(shaped, base_model).tolist()
+        calculator.log_evidence(grid_effects, base_model).tolist()
         if within_plausible
         else [evidence for _, _, evidence in posteriors]
     )
     nodes = []
     for (instance, constants, widths), shape, (mean, covariance, _), evidence in zip(
-        points, shaped, posteriors, log_evidences, strict=True
+        points, grid_effects, posteriors, log_evidences, strict=True
     ):
         constants |= {"time": float(vars(instance)["time"])} if "time" in vars(effect) else {}
         _, gap = _gap_of_change(instance, sightings)

@@ -18,7 +18,7 @@ from ltsim.adjustment.reliability import noncentrality
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.notation import listing
 from ltsim.core.probability import format_p
-from ltsim.core.results import Column, Table, numbers
+from ltsim.core.results import Column, Table, number_columns
 from ltsim.core.units import MICROMETRE, MILLIMETRE, PPM
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, SourceEntry, Vector
 
@@ -28,12 +28,14 @@ DISPLACEMENTS_TABLE = Table(
     (
         Column("target", "name", "text"),
         Column("moved", "True if the point moved", "flag"),
-        *numbers(".4f", x_mm="place in the first epoch", y_mm="as x_mm", z_mm="as x_mm"),
+        *number_columns(".4f", x_mm="place in the first epoch", y_mm="as x_mm", z_mm="as x_mm"),
         *(Column(f"d{a}_um", "displacement, second less first epoch", sigma=f"s{a}_um") for a in "xyz"),
         *(Column(f"s{a}_um", f"standard deviation of d{a}_um") for a in "xyz"),
-        *numbers("", ".1f", a_um="semi-axis of the 95 % confidence ellipsoid", b_um="as a_um", c_um="as a_um"),
+        *number_columns("", ".1f", a_um="semi-axis of the 95 % confidence ellipsoid", b_um="as a_um", c_um="as a_um"),
         Column("p_value", "p-value of no motion, corrected for the number of points", "chance"),
-        *numbers("", ".0f", visible_um="smallest motion that is detected with a probability of 80 % in any direction"),
+        *number_columns(
+            "", ".0f", visible_um="smallest motion that is detected with a probability of 80 % in any direction"
+        ),
     ),
 )
 MAX_POINTS_IN_RESULT_TEXT = 6

@@ -68,7 +68,7 @@ class UncertaintySource(ValueEquality):
 
     @property
     def covariance(self) -> Floats:
-        """Covariance of the coordinates of all T points from this source, shape (3 T, 3 T) [m^2]."""
+        """Contribution of this source to the covariance matrix of the coordinates of T points, (3 T, 3 T) [m^2]."""
         return self.point_response @ self.point_response.T
 
 
@@ -133,7 +133,7 @@ class TaskInputs(ValueEquality):
         if tasks.type_b:
             raise ModelError("a list of coordinates has no readings: type_b acts on readings; give their recording")
         if len(coordinates.axes) < 3:
-            raise ModelError(f"the list has only {coordinates.axes}; tasks need x, y and z")
+            raise ModelError(f"the list has only {coordinates.axes}, but tasks need x, y and z")
         names = _target_names(tasks)
         for name in names:
             if name not in coordinates.names:
@@ -246,7 +246,11 @@ def air_sources(
 
 
 def _reduce_variates(variate_response: Floats) -> Floats:
-    """Response with the same covariance of the points, and with at most as many random variables as coordinates."""
+    """Displacements of points by independent random variables, reduced to at most as many variables as coordinates.
+
+    The covariance of the points is unchanged. `variate_response` (c, q) holds the displacements of c coordinates [m] by
+    one standard deviation of each of q variables.
+    """
     if variate_response.shape[1] <= variate_response.shape[0]:
         return variate_response
     return np.asarray(np.linalg.qr(variate_response.T, mode="r")).T

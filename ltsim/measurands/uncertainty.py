@@ -9,7 +9,7 @@ from scipy import special
 
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import with_expanded_uncertainty
-from ltsim.core.results import Column, Table, numbers, texts
+from ltsim.core.results import Column, Table, number_columns, text_columns
 from ltsim.measurands.spec import Decision, ToleranceLimits
 from ltsim.recordings.result_file import Entry, OptionalFloat, ResultFile
 
@@ -17,7 +17,7 @@ RESULTS_TABLE = Table(
     "uncertainty.csv",
     "results of the tasks",
     (
-        *texts(task="name", result="name", unit="of all numbers"),
+        *text_columns(task="name", result="name", unit="of all numbers"),
         Column("value", "estimate", form=".9g", like="U"),
         Column("u", "standard uncertainty", form=".9g", shown=".2g"),
         Column("U", "expanded uncertainty for the coverage", form=".9g", like="U"),
@@ -25,7 +25,7 @@ RESULTS_TABLE = Table(
         Column("mc_low", "lower limit of the interval by Monte Carlo", form=".9g", like="U"),
         Column("mc_high", "upper limit of the interval by Monte Carlo", form=".9g", like="U"),
         Column("agrees", "True if the interval by propagation and the one by Monte Carlo agree", "flag"),
-        *texts(
+        *text_columns(
             judgement="accepted, rejected or undecided; empty without a tolerance",
             largest_source="largest source of uncertainty, and its part of the variance",
         ),
@@ -35,31 +35,31 @@ BUDGET_TABLE = Table(
     "budget.csv",
     "contributions to the uncertainty",
     (
-        *texts(task="name", result="name", source="of uncertainty"),
-        *texts(type="A, B, or not included: no reading shows it", unit="of u"),
-        *numbers(".6g", share="fraction of the variance", u="standard uncertainty from this source"),
+        *text_columns(task="name", result="name", source="of uncertainty"),
+        *text_columns(type="A, B, or not included: no reading shows it", unit="of u"),
+        *number_columns(".6g", share="fraction of the variance", u="standard uncertainty from this source"),
     ),
 )
 CONFORMITY_TABLE = Table(
     "conformity.csv",
     "results against their tolerances (JCGM 106)",
     (
-        *texts(task="name", result="name"),
+        *text_columns(task="name", result="name"),
         Column("lower", "limit of the tolerance", digits=6),
         Column("upper", "limit of the tolerance", digits=6),
         Column("guard_band", "between the limits of tolerance and of acceptance", digits=6),
-        *texts(unit="of limits and guard band"),
+        *text_columns(unit="of limits and guard band"),
         Column("conforms_percent", "probability that the true value lies within the tolerance", shown=".1f"),
-        *texts(judgement="accepted, rejected or undecided"),
+        *text_columns(judgement="accepted, rejected or undecided"),
     ),
 )
 HIDDEN_ERRORS_TABLE = Table(
     "hidden.csv",
     "undetectable errors that the uncertainty does not include",
     (
-        *texts(task="name", result="name", error="its description"),
+        *text_columns(task="name", result="name", error="its description"),
         Column("change", "of the result, in its unit", digits=3),
-        *texts(unit="of the change"),
+        *text_columns(unit="of the change"),
     ),
 )
 NOT_INCLUDED = "not included"

@@ -1,12 +1,12 @@
-"""Expected precision of a layout without data: standard deviations, undetermined combinations, the paper's criteria.
+"""Expected precision of a layout before measurement: standard deviations, combinations, agreement of stations.
 
 The least-squares problem of the calibration is linearised at the nominal state, a perfect instrument at the planned
 places. The covariance does not depend on readings.
 
-The expected improvement by calibration (eq. 11, 12 of the paper) is linear in the errors: noise, reference lengths,
-instrument parameters and unmodelled effects. A matrix describes the influence of each error on the criteria before and
-after a network calibration. Variances add over groups of errors, so that one matrix gives the results for any sizes of
-these groups.
+The expected improvement by calibration (Sensors 2021, 21, 7479, eq. 11 and 12) is linear in the errors: noise,
+reference lengths, instrument parameters and unmodelled effects. A matrix describes the influence of each error on the
+criteria before and after a network calibration. Variances add over groups of errors, so that one matrix gives the
+results for any sizes of these groups.
 """
 
 from __future__ import annotations
@@ -158,7 +158,9 @@ REFLECTORS_GROUP = "reflectors"
 
 @dataclass(frozen=True)
 class ExpectedCriteria:
-    """Expected means of the paper's distance and coordinate criteria [m], before and after calibration.
+    """Expected mean disagreement of the stations in distances and coordinates [m], before and after calibration.
+
+    These are the criteria of Sensors 2021, 21, 7479, eq. 11 and 12.
 
     Each field is (k,): one value for each of k requested sets of error sizes.
     """
@@ -181,7 +183,7 @@ class ExpectedCriteria:
 
 @dataclass(frozen=True)
 class CriteriaPredictor:
-    """Contribution of each of G groups of errors, at its nominal size, to the paper's criteria."""
+    """Contribution of each of G groups of errors, at its nominal size, to the disagreement of the stations."""
 
     error_groups: tuple[str, ...]
     """Names of the groups: noise, gauge lengths, instrument parameters by kind, and the unmodelled effects."""
@@ -265,9 +267,10 @@ def expected_length(variances: Floats, nodes: int = 48) -> Floats:
 def _displacements_by_error(
     information: LayoutInformation, unmodelled: Sequence[Effect]
 ) -> tuple[tuple[Floats, Floats], list[str]]:
-    """Displacements of the targets of each station per unit error, before and after calibration, and error groups.
+    """Displacements of measured points by a unit error of each of e error sources, before and after calibration.
 
-    The displacements are (3 S T, errors) each; the second result is the name of the group of each error.
+    Two matrices (3 S T, e), for T targets measured from each of S stations, and the names (e) of the groups (noise,
+    gauge lengths, parameters) to which the errors belong.
     """
     adjustment, construction = information.adjustment, information.construction
     problem, sightings = adjustment.problem, adjustment.sightings

@@ -152,7 +152,7 @@ class PlannedParameterEntry(Entry):
 
 
 class ImprovementEntry(Entry):
-    """Expected improvement of a criterion of the paper."""
+    """Expected improvement by calibration of the agreement of stations, in distances or in coordinates of targets."""
 
     before_um: Finite
     """Expected mean before calibration."""
@@ -216,7 +216,8 @@ class LayoutEntry(ProcedureEntry):
     undetermined: tuple[UndeterminedEntry, ...] = ()
     """Undetermined combinations of instrument parameters."""
     expected_improvement: dict[str, ImprovementEntry] | None = None
-    """Expected improvement, by the paper's criteria."""
+    """Expected improvement by calibration of the agreement of the stations, in distances and in coordinates of targets
+    (criteria of Sensors 2021, 21, 7479)."""
     blocked_sights: tuple[str, ...] = ()
     """Pairs of station and reflector without visibility, one sentence each with the reason."""
 

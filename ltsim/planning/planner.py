@@ -62,7 +62,10 @@ class LayoutEvaluation(ValueEquality):
     visibility: Visibility
     """Visibility of each target from each station, with reasons."""
     expected_criteria: ExpectedCriteria | None
-    """Expected means of the paper's criteria; None if a target is not completely visible from all stations."""
+    """Expected mean disagreement of the stations in distances and coordinates, before and after calibration.
+
+    None if a target is hidden, completely or partly, from a station.
+    """
     broken_rules: tuple[BrokenRule, ...] = ()
     """Rules of the plan that the layout breaks."""
 

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from ltsim.adjustment.remedies.next_measurement import MeasurementProposal, RankedProposals
 from ltsim.adjustment.remedies.remedy import list_text
-from ltsim.core.results import Column, Table, columns_of, texts
+from ltsim.core.results import Column, Table, columns_of, text_columns
 from ltsim.physics.effects import title_of
 from ltsim.planning.reflector_changes import to_degrees, to_millimetres
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, SourceEntry, Vector
@@ -135,7 +135,11 @@ class NextMeasurement(ResultFile):
         against = tuple(
             Column(f"chi2_against_{name}", "expected difference of chi-square", digits=3) for name in rivals
         )
-        columns = (*texts(measurement="action"), *against, *texts(decides="yes if it separates all of them"))
+        columns = (
+            *text_columns(measurement="action"),
+            *against,
+            *text_columns(decides="yes if it separates all of them"),
+        )
         rows = [["current recording", *(self.evidence_now.get(name, 0.0) for name in rivals), ""]]
         rows += [
             [p.do, *(p.evidence.get(name, 0.0) for name in rivals), "yes" if p.decides else "no"]

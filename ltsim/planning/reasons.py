@@ -183,8 +183,8 @@ def _reference_sentence(plan: PlannedNetwork) -> list[str]:
     if reference.expected_criteria is not None and chosen.expected_criteria is not None:
         a, b = reference.expected_criteria, chosen.expected_criteria
         sentences.append(
-            "For errors within the specification, calibration is expected to reduce the paper's distance "
-            f"criterion by {b.distance_improvement[0]:.0f} % and the coordinate criterion by "
+            "For errors within the specification, calibration is expected to reduce the disagreement of the stations "
+            f"in distances by {b.distance_improvement[0]:.0f} % and in coordinates by "
             f"{b.coordinate_improvement[0]:.0f} % (scenario's layout: {a.distance_improvement[0]:.0f} % and "
             f"{a.coordinate_improvement[0]:.0f} %)."
         )
@@ -357,14 +357,18 @@ def _undetermined_sentence(plan: PlannedNetwork) -> list[str]:
 
 
 def _search_sentence(plan: PlannedNetwork) -> list[str]:
-    count = len(plan.start_objectives)
+    n_searches = len(plan.start_objectives)
     if plan.is_stopped:
         return ["The search was stopped; this is the best layout until then."]
-    if count < 2:
+    if n_searches < 2:
         return []
-    close = sum(value < 1.02 * plan.start_objectives[0] for value in plan.start_objectives)
+    n_searches_near_best = sum(value < 1.02 * plan.start_objectives[0] for value in plan.start_objectives)
     return [
-        f"{close} of {count} independent searches ended within 2 % of the best value, the worst at "
+        f"{n_searches_near_best} of {n_searches} independent searches ended within 2 % of the best value, the worst at "
         f"{plan.start_objectives[-1] / plan.start_objectives[0]:.2f} times it; "
-        + ("a much better layout is unlikely." if close > 1 else "more search.starts may find a better layout.")
+        + (
+            "a much better layout is unlikely."
+            if n_searches_near_best > 1
+            else "more search.starts may find a better layout."
+        )
     ]

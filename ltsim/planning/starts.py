@@ -1,4 +1,4 @@
-"""Searches from many starts, in one or several processes, and their layouts for each measuring procedure."""
+"""Searches for the best layout from many start layouts, in one or several processes, for each measuring procedure."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -1,71 +1,73 @@
 """Tables of plans, declared once for CSV, data frame, terminal and page."""
 
-from ltsim.core.results import Column, Table, columns_of, flags, numbers, texts
+from ltsim.core.results import Column, Table, columns_of, flag_columns, number_columns, text_columns
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.planning.plan_entries import ConfusablePair, DetectableSize, TradeoffEntry
 from ltsim.planning.planner import LayoutEvaluation, PlannedNetwork
 
-PLACE_COLUMNS = numbers(".10g", ".3f", x_mm="place in the workshop, to 0.001 mm", y_mm="as x_mm", z_mm="as x_mm")
+PLACE_COLUMNS = number_columns(".10g", ".3f", x_mm="place in the workshop, to 0.001 mm", y_mm="as x_mm", z_mm="as x_mm")
 PLANNED_STATIONS_TABLE = Table(
     "stations.csv",
     "places of the tripods",
     (
-        *texts(station="name"),
-        *numbers(display_format=".0f", x_mm="place in the workshop", y_mm="as x_mm", z_mm="as x_mm"),
-        *numbers(display_format=".0f", yaw_deg="direction of azimuth zero"),
-        *numbers(sigma_x_um="expected standard deviation", sigma_y_um="as x", sigma_z_um="as x"),
-        *numbers(visible_reflectors="number of visible reflectors"),
+        *text_columns(station="name"),
+        *number_columns(display_format=".0f", x_mm="place in the workshop", y_mm="as x_mm", z_mm="as x_mm"),
+        *number_columns(display_format=".0f", yaw_deg="direction of azimuth zero"),
+        *number_columns(sigma_x_um="expected standard deviation", sigma_y_um="as x", sigma_z_um="as x"),
+        *number_columns(visible_reflectors="number of visible reflectors"),
     ),
 )
 PLANNED_REFLECTORS_TABLE = Table(
     "reflectors.csv",
     "reflectors with their expected uncertainty",
     (
-        *texts(target="name"),
+        *text_columns(target="name"),
         *PLACE_COLUMNS,
-        *numbers(sigma_um="expected, of the point"),
-        *numbers(U_x_um="expanded uncertainty, k = 2", U_y_um="as U_x_um", U_z_um="as U_x_um"),
-        *numbers(within_mm="error at the confidence level of the goal", tolerance_mm="limit of the error"),
-        *texts(visible_from="stations from which it is visible"),
+        *number_columns(sigma_um="expected, of the point"),
+        *number_columns(U_x_um="expanded uncertainty, k = 2", U_y_um="as U_x_um", U_z_um="as U_x_um"),
+        *number_columns(within_mm="error at the confidence level of the goal", tolerance_mm="limit of the error"),
+        *text_columns(visible_from="stations from which it is visible"),
     ),
 )
 PLANNED_PARAMETERS_TABLE = Table(
     "parameters.csv",
     "instrument parameters with their expected uncertainty",
     (
-        *texts(parameter="name", unit="of the sigmas"),
-        *numbers(sigma="expected", sigma_reference="with the stations of the scenario", prior_sigma="without data"),
-        *numbers(gain="fraction of the prior variance that the data remove"),
+        *text_columns(parameter="name", unit="of the sigmas"),
+        *number_columns(
+            sigma="expected", sigma_reference="with the stations of the scenario", prior_sigma="without data"
+        ),
+        *number_columns(gain="fraction of the prior variance that the data remove"),
     ),
 )
 VISIBILITY_TABLE = Table(
     "visibility.csv",
     "sights between stations and targets",
     (
-        *texts(station="name", target="name", sees="yes or no", why_not="reason for a blocked sight"),
-        *numbers(distance_mm="between them", elevation_deg="of the beam", incidence_deg="on the reflector"),
+        *text_columns(station="name", target="name", sees="yes or no", why_not="reason for a blocked sight"),
+        *number_columns(distance_mm="between them", elevation_deg="of the beam", incidence_deg="on the reflector"),
     ),
 )
 NOMINALS_TABLE = Table(
     "nominals.csv",
     "every point in the hall's axes, for the tracker's software",
-    (*texts(name="of the point"), *PLACE_COLUMNS),
+    (*text_columns(name="of the point"), *PLACE_COLUMNS),
 )
 WORK_ORDER_TABLE = Table(
     "work-order.csv",
     "every pointing in the order of the work, with the expected readings",
     (
-        *numbers(step="from 1"),
-        *texts(station="name", target="name"),
-        *numbers(face="1 or 2", round="from 1", minutes="since the first pointing"),
-        *numbers(azimuth_deg="expected", elevation_deg="expected", distance_mm="expected"),
+        *number_columns(step="from 1"),
+        *text_columns(station="name", target="name"),
+        *number_columns(face="1 or 2", round="from 1", minutes="since the first pointing"),
+        *number_columns(azimuth_deg="expected", elevation_deg="expected", distance_mm="expected"),
     ),
 )
 SETUPS_TABLE = Table(
     "setups.csv",
     "tape measurements to the places of the tripods",
     (
-        *texts(station="name"),
+        *text_columns(station="name"),
         *(
             Column(f"tape_{i}", "distance and its end point; two define the place, the third checks it", "text")
             for i in (1, 2, 3)
@@ -91,23 +93,23 @@ TOLERANCES_TABLE = Table(
     "tolerances.csv",
     "points against their tolerances",
     (
-        *texts(point="name"),
-        *numbers(
+        *text_columns(point="name"),
+        *number_columns(
             display_format=".5g",
             within_mm="error at the confidence level of the goal",
             tolerance_mm="limit of the error",
         ),
-        *texts(used="error divided by the limit, with enough digits to show its side of the limit"),
-        *flags(met="the tolerance is met"),
+        *text_columns(used="error divided by the limit, with enough digits to show its side of the limit"),
+        *flag_columns(met="the tolerance is met"),
     ),
 )
 LOSSES_TABLE = Table(
     "losses.csv",
     "tolerances after the loss of a station or a sight",
     (
-        *texts(lost="station or sight"),
-        *flags(met="all tolerances are met"),
-        *texts(
+        *text_columns(lost="station or sight"),
+        *flag_columns(met="all tolerances are met"),
+        *text_columns(
             worst_point="with the largest error over its tolerance",
             used="that ratio",
             unseen="points that are not visible from any station",
@@ -118,20 +120,20 @@ REFLECTOR_CHANGES_TABLE = Table(
     "changes.csv",
     "reflectors to move, add or remove",
     (
-        *numbers(number="on the floor plan"),
-        *texts(change="kind of change"),
-        *numbers("r", "+.2f", gain_um="reduction of the weighted point error of all other points"),
-        *numbers("r", "+.1f", gain_percent="reduction of the objective"),
-        *texts(most_for="parameter, or point, that gains most"),
-        *numbers("r", "+.1f", sigma_percent="change of its standard deviation"),
+        *number_columns(number="on the floor plan"),
+        *text_columns(change="kind of change"),
+        *number_columns("r", "+.2f", gain_um="reduction of the weighted point error of all other points"),
+        *number_columns("r", "+.1f", gain_percent="reduction of the objective"),
+        *text_columns(most_for="parameter, or point, that gains most"),
+        *number_columns("r", "+.1f", sigma_percent="change of its standard deviation"),
     ),
 )
 EXPECTED_TABLE = Table(
     "expected.csv",
-    "the paper's criteria, expected",
+    "expected disagreement of the stations, before and after a calibration",
     (
-        *texts(layout="this plan, or the reference", criterion="name"),
-        *numbers("r", before_um="mean, as read", after_um="mean, corrected", improvement_percent="of the mean"),
+        *text_columns(layout="this plan, or the reference", criterion="name"),
+        *number_columns("r", before_um="mean, as read", after_um="mean, corrected", improvement_percent="of the mean"),
     ),
 )
 CONFUSABLE_TABLE = Table(

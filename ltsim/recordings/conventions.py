@@ -178,7 +178,7 @@ def _convention_from_faces(
     best_index = int(np.argmax(counts))
     if counts[best_index] < 2 or sorted(counts)[-2] * MIN_MISFIT_RATIO > counts[best_index]:
         return None
-    return candidates[best_index], f"the readings of {counts[best_index]} targets on both faces then agree"
+    return candidates[best_index], f"with it the readings of {counts[best_index]} targets on both faces agree"
 
 
 def _convention_from_lengths(

@@ -91,15 +91,17 @@ def _point_list_error(path: Path, hints: Hints) -> Recording:
                 pass  # it is no table of several set-ups
     names = "one name" if n_points == 1 else f"{n_points} names"
     if all(has_clock(name) or (is_value(name) and not name.isdigit()) for name in point_list.names):
-        message = f"this is a table of {n_points + n_repeated} positions without point names: a target that moves "
-        message += "(a robot, a T-MAC), and no list of points"
+        message = (
+            f"this is a table of {n_points + n_repeated} positions without point names, as of a target that moves "
+        )
+        message += "(a robot, a T-MAC); it is no list of points"
     elif n_repeated and point_list.max_contradiction_m < MAX_REPEATED_POINT_M:
         message = (
             f"this is a list of {n_points} points, measured {n_points + n_repeated} times in all, without readings"
         )
     elif n_repeated >= max(n_points, MIN_CONTRADICTORY_ROWS):
         rows = f"{n_points + n_repeated} positions under {names} ('{point_list.names[0]}')"
-        message = f"this is a table of {rows}: a target that moves (a robot, a T-MAC), and no list of points"
+        message = f"this is a table of {rows}, as of a target that moves (a robot, a T-MAC); it is no list of points"
     else:
         message = f"this is a list of {n_points} points without readings, for nominal or reference coordinates"
     hint = "if one set-up measured them in its own axes, name it: --format table --hint station=NAME"

@@ -32,8 +32,10 @@ to the millimetre, and lines of sight pass bodies at a few centimetres.
 SINGLE_PRECISION_SUFFIXES = (".stl", *GLTF_SUFFIXES)
 """Suffixes of files whose coordinates may be in single precision."""
 MIN_RELATIVE_LENGTH = SI_PER_UNIT["mm"] / SI_PER_UNIT["in"]
-"""Ratio of a body's length to the room's length below which the unit of the file is questioned. A room-sized body whose
-inches were read as millimetres has this ratio."""
+"""Smallest length of a body divided by the length of the room at which the unit of a CAD file is not questioned.
+
+A body as long as the room has this ratio, 1 to 25.4, if its inches were read as millimetres.
+"""
 MAX_OVERHANG = 0.05
 """Largest distance [m] by which a body may extend beyond the room or below its floor."""
 GRID_POINTS_PER_METRE = 1e5

@@ -119,9 +119,9 @@ def run_process() -> None:
 
 
 def limit_process(memory_bytes: int, seconds: int) -> None:
-    """Limits of this process, set where the operating system supports them.
+    """Set limits of this process for memory and processor time, on operating systems that support them.
 
-    They apply to memory in addition to that of the libraries [bytes], and to processor time [s].
+    `memory_bytes` is the memory in addition to that of the imported libraries, `seconds` the processor time.
     """
     with suppress(ImportError, ValueError, OSError):
         import resource

@@ -363,12 +363,16 @@ def _is_flat(body_surface: Obstacles, places: Floats, surface_normals: Floats, s
     `surface_offset` [m] is the height of the positions above the surface.
     """
     side, other = perpendicular_vectors(surface_normals)
-    good = np.ones(len(places), dtype=bool)
+    is_flat = np.ones(len(places), dtype=bool)
     for shift in (side, -side, other, -other):
-        rim = places + NEST_FOOT_RADIUS * shift
-        good &= body_surface.is_blocked(rim, rim - (surface_offset + MAX_NEST_UNEVENNESS) * surface_normals)
-        good &= ~body_surface.is_blocked(rim, rim - (surface_offset - MAX_NEST_UNEVENNESS) * surface_normals)
-    return good
+        foot_edge = places + NEST_FOOT_RADIUS * shift
+        is_flat &= body_surface.is_blocked(
+            foot_edge, foot_edge - (surface_offset + MAX_NEST_UNEVENNESS) * surface_normals
+        )
+        is_flat &= ~body_surface.is_blocked(
+            foot_edge, foot_edge - (surface_offset - MAX_NEST_UNEVENNESS) * surface_normals
+        )
+    return is_flat
 
 
 def _thin_places(places: Floats, min_spacing: float) -> Floats:

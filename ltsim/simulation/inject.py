@@ -14,7 +14,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
-from ltsim.core.results import ColumnValues, Result, Table, numbers
+from ltsim.core.results import ColumnValues, Result, Table, number_columns
 from ltsim.core.units import MICROMETRE, MICRORADIAN
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
@@ -119,18 +119,18 @@ DETECTION_CURVE_TABLE = Table(
     "curve.csv",
     "Injections of one cause at several strengths, each diagnosed with default settings; 95 % intervals (Wilson).",
     (
-        *numbers(format_text=".4g", noncentrality="Noncentrality of the effect after the adjustment."),
-        *numbers(format_text=".4g", largest_um="Largest change of a distance, mean of the injections."),
-        *numbers(format_text=".4g", largest_urad="Largest change of an angle, mean of the injections."),
-        *numbers(injections="Number of injections."),
-        *numbers(
+        *number_columns(format_text=".4g", noncentrality="Noncentrality of the effect after the adjustment."),
+        *number_columns(format_text=".4g", largest_um="Largest change of a distance, mean of the injections."),
+        *number_columns(format_text=".4g", largest_urad="Largest change of an angle, mean of the injections."),
+        *number_columns(injections="Number of injections."),
+        *number_columns(
             detections="Number of injections with a new finding.",
             placed="Those with a new finding at the right place.",
             named="Those with a new finding of the right name.",
             right="Those whose first new finding has the right name and place.",
         ),
-        *numbers(format_text=".3f", detections_low="", detections_high=""),
-        *numbers(format_text=".3f", placed_low="", placed_high="", named_low="", named_high=""),
+        *number_columns(format_text=".3f", detections_low="", detections_high=""),
+        *number_columns(format_text=".3f", placed_low="", placed_high="", named_low="", named_high=""),
     ),
 )  # fmt: skip
 

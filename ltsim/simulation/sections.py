@@ -129,9 +129,9 @@ class Placing(TomlSection):
     gauge_mm: NonNegative = 10.0
     """Standard deviation of each coordinate of the gauge, which moves as a rigid body."""
     plan_step_mm: Positive = 100.0
-    """Step to which the recording's floor plan rounds positions."""
+    """Step [mm] to which the recording's floor plan rounds the coordinates of stations and reflectors."""
     plan_step_deg: Positive = 1.0
-    """Step to which the recording's floor plan rounds yaws."""
+    """Step [deg] to which the recording's floor plan rounds the rotations of stations about the vertical."""
 
 
 class Resolution(TomlSection):

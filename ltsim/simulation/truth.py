@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from ltsim.adjustment.evaluation.criteria import NOMINAL_TABLE
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import LtsimError, ModelError
-from ltsim.core.results import Table, numbers, texts
+from ltsim.core.results import Table, number_columns, text_columns
 from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
 from ltsim.core.values import ValueEquality
 from ltsim.geometry.rigid import quaternion_from_matrix
@@ -24,12 +24,15 @@ from ltsim.recordings.result_file import Entry, Finite, Quaternion, ResultFile, 
 INSTRUMENT_TABLE = Table(
     "instrument.csv",
     "true errors of the instruments",
-    (*texts(parameter="name"), *numbers(value="true value"), *texts(unit="of the value")),
+    (*text_columns(parameter="name"), *number_columns(value="true value"), *text_columns(unit="of the value")),
 )
 POINTS_TABLE = Table(
     "points.csv",
     "true positions of the targets in the workshop frame",
-    (*texts(target="name"), *numbers("r", ".3f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate")),
+    (
+        *text_columns(target="name"),
+        *number_columns("r", ".3f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate"),
+    ),
 )
 
 

@@ -78,24 +78,30 @@ class BlockChain:
         self._column_order, self._block_limits = arrange_as_chain(matrix)
         self.block_of_column = np.searchsorted(self._block_limits[1:-1], np.argsort(self._column_order), side="right")
         ordered, inner = sp.csc_array(matrix[self._column_order][:, self._column_order]), self._block_limits[-2]
-        rest = ordered[inner:, inner:].toarray()
+        border_matrix = ordered[inner:, inner:].toarray()
         self._diagonal_factors: list[Floats] = []
         self._off_diagonal_factors: list[Floats] = []
-        carried = np.zeros_like(rest)
+        next_block_update = np.zeros_like(border_matrix)
         for i in range(len(self._block_limits) - 2):
             low, high, far = self._block_span(i)
-            mine, columns = high - low, ordered[:, low:high]
+            block_size, columns = high - low, ordered[:, low:high]
             panel = np.concatenate([columns[low:far].toarray(), columns[inner:].toarray()])
             if i:
-                panel[:mine] -= carried[:mine, :mine]
-                panel[far - low :] -= carried[mine:, :mine]
-            root = scipy.linalg.cholesky(panel[:mine], lower=True, check_finite=False)
-            after = scipy.linalg.solve_triangular(root, panel[mine:].T, lower=True, check_finite=False).T
-            carried = after @ after.T
-            rest -= carried[far - high :, far - high :]
-            self._diagonal_factors.append(root)
-            self._off_diagonal_factors.append(after)
-        self._border_factor = scipy.linalg.cholesky(rest, lower=True, check_finite=False) if len(rest) else rest
+                panel[:block_size] -= next_block_update[:block_size, :block_size]
+                panel[far - low :] -= next_block_update[block_size:, :block_size]
+            block_factor = scipy.linalg.cholesky(panel[:block_size], lower=True, check_finite=False)
+            coupling_factor = scipy.linalg.solve_triangular(
+                block_factor, panel[block_size:].T, lower=True, check_finite=False
+            ).T
+            next_block_update = coupling_factor @ coupling_factor.T
+            border_matrix -= next_block_update[far - high :, far - high :]
+            self._diagonal_factors.append(block_factor)
+            self._off_diagonal_factors.append(coupling_factor)
+        self._border_factor = (
+            scipy.linalg.cholesky(border_matrix, lower=True, check_finite=False)
+            if len(border_matrix)
+            else border_matrix
+        )
 
     @property
     def n_blocks(self) -> int:

@@ -91,7 +91,8 @@ def test_an_interrupted_campaign_says_what_is_kept(
     (tmp_path / "few.toml").write_text('format = "ltsim-campaign/1"\ntrials = 8\nshard = 4\n')
     assert run(["campaign", str(tmp_path / "few.toml")]) == 130
     said = capsys.readouterr().err
-    assert said == f"interrupted; 1 finished files of rows remain in {tmp_path / 'few'}; continue with --resume\n"
+    remaining = f"1 files with results of finished trials remain in {tmp_path / 'few'}"
+    assert said == f"interrupted; {remaining}; continue with --resume\n"
 
 
 def test_a_pipe_gets_a_sign_of_life(monkeypatch: pytest.MonkeyPatch) -> None:

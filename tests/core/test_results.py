@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 import ltsim as lt
 from ltsim.adjustment import Adjustment
 from ltsim.core.errors import ModelError, RecordError
-from ltsim.core.results import Column, Result, Table, flags, numbers, texts
+from ltsim.core.results import Column, Result, Table, flag_columns, number_columns, text_columns
 from ltsim.core.values import ValueEquality, equal_values
 from ltsim.reports.verbs import View
 from ltsim.simulation.inject import DetectionCurve
@@ -29,11 +29,11 @@ POINTS = Table(
     "points.csv",
     "where points are",
     (
-        *texts(target="name"),
+        *text_columns(target="name"),
         Column("x_mm", "coordinate", form=".6f", sigma="sigma_x_mm"),
         Column("sigma_x_mm", "its standard deviation", form=".6f"),
-        *numbers(".3g", ".2f", share_percent="of all"),
-        *flags(moved="it moved"),
+        *number_columns(".3g", ".2f", share_percent="of all"),
+        *flag_columns(moved="it moved"),
     ),
 )
 ROWS = [("=T1", 1000.12349, 0.0123, 12.5, True), ("T2", -1.0, None, float("nan"), False)]
@@ -82,7 +82,7 @@ def test_rows_come_from_sequences_mappings_and_objects():
         n: int
         what: str
 
-    table = Table("rows.csv", "rows", (*numbers(n="number"), *texts(what="word")))
+    table = Table("rows.csv", "rows", (*number_columns(n="number"), *text_columns(what="word")))
     made = [table.with_rows(rows) for rows in ([(1, "a")], [{"what": "a", "n": 1}], [Row(1, "a")])]
     assert made[0] == made[1] == made[2]
     assert made[0].json() == [{"n": 1, "what": "a"}]

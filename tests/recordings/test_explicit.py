@@ -55,7 +55,7 @@ def test_heights_and_sigmas_of_every_row_are_read(tmp_path: Path) -> None:
     said = "\n".join(found.notes)
     assert "distances are interpreted as m ('fromhgt'" in said
     assert "'date' contains dates without a time" in said
-    assert "3 occupations of 2 marks, by day, are separate set-ups" in said
+    assert "3 occupations of 2 marks, distinguished by day, are separate set-ups" in said
     assert "declares no noise" not in said
     assert found.stations == ("A", "A#2", "B")
     assert [found.station_setup(name).over for name in found.stations] == ["A", "A", "B"]

@@ -68,7 +68,7 @@ def test_occupations_of_one_mark_are_set_ups_of_their_own(tmp_path: Path, by: st
         file.write_text(file.read_text().replace("isetupid", "remark"))
     recording = read(file)
     assert recording.stations == ("A", "B", "A#2", "B#2")
-    assert f"4 occupations of 2 marks, by {by}, are separate set-ups" in said(recording)
+    assert f"4 occupations of 2 marks, distinguished by {by}, are separate set-ups" in said(recording)
     assert {recording.station_setup(name).over for name in recording.stations} == {"A", "B"}
 
 
@@ -189,7 +189,9 @@ def test_another_height_of_the_instrument_is_another_occupation(tmp_path: Path) 
 
     recording = table(["1.5", "1.6", "1.55"])
     assert recording.stations == ("A", "B", "A#2")
-    assert "3 occupations of 2 marks, by height of the instrument, are separate set-ups" in said(recording)
+    assert "3 occupations of 2 marks, distinguished by height of the instrument, are separate set-ups" in said(
+        recording
+    )
     assert table(["1.5", "1.6", "1.5"]).stations == ("A", "B")
 
 

@@ -162,7 +162,7 @@ def test_an_effect_with_its_size_is_injected_as_in_words(recording: Recording) -
     words = lt.inject(recording, "range-step:S3,range-step=30", seed=1)
     made = lt.inject(recording, lt.Effect("range-step", stations="S3", range_step=30), seed=1)
     np.testing.assert_array_equal(made.recording.readings, words.recording.readings)
-    with pytest.raises(ModelError, match="range-step has a size, as for simulate and inject"):
+    with pytest.raises(ModelError, match="the effect range-step has a size, but sizes are estimated here"):
         lt.calibrate(recording, with_effects=lt.Effect("range-step", range_step=30))
 
 

@@ -1,4 +1,4 @@
-"""Quality of a recording before and after calibration: the paper's criteria, and verification by nominal points."""
+"""Quality of a recording before and after calibration: agreement of its stations, and errors at nominal points."""
 
 from ltsim.adjustment.evaluation.criteria import (
     Criteria as Criteria,

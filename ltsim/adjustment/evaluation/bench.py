@@ -19,7 +19,7 @@ from pydantic import Field
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
 from ltsim.core.notation import with_sigma
-from ltsim.core.results import Table, columns_of, numbers
+from ltsim.core.results import Table, columns_of, number_columns
 from ltsim.core.units import DEGREE, MICROMETRE
 from ltsim.physics.effects.smr_incidence import TABLE_ANGLES
 from ltsim.recordings.files import read_text
@@ -33,7 +33,7 @@ MIN_PROBE_READINGS = 4
 BENCH_TABLE = Table(
     "bench.csv",
     "a reflector on the roundness table, which `bench` evaluates; empty where a length or the probe was not read",
-    numbers(
+    number_columns(
         ".4f",
         angle_deg="angle of the table, 0 if the reflector faces the interferometer",
         length_um="length by the interferometer, with any zero",
@@ -163,13 +163,13 @@ class VertexOffset(NamedTuple):
     """Offset of the mirrors' vertex from the sphere's centre that explains a bench table [m]."""
 
     axial_offset: float
-    """Component [m] of the offset out of the open face."""
+    """Component [m] of the offset along the axis of symmetry of the mirrors, positive out of the reflector."""
     side_offset: float
-    """Component [m] of the offset to the side."""
+    """Component [m] of the offset perpendicular to the axis of symmetry of the mirrors."""
     axial_sigma: float
-    """Standard deviation of the axial component [m]."""
+    """Standard deviation of `axial_offset` [m]."""
     side_sigma: float
-    """Standard deviation of the component to the side [m]."""
+    """Standard deviation of `side_offset` [m]."""
     remaining_rms: float
     """Root mean square error that no offset explains, caused by optics."""
 

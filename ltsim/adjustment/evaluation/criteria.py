@@ -1,8 +1,8 @@
-"""Criteria of the paper: disagreement of stations in distances and coordinates, and deviations from nominal points.
+"""Criteria of Sensors 2021, 21, 7479: disagreement of stations, and deviations from nominal points.
 
-Without nominal points (Sensors 2021, 21, 7479, sections 2.3.4 and 3.2.1): eq. 11 has no absolute value and compares
-with station 1, whereas section 3.2.1 compares with the mean over the stations. Both are computed: `distance` compares
-with the mean, as the paper's Table 3, and `distance_to_first` with station 1.
+Stations disagree in the distances between targets and in the coordinates of targets (sections 2.3.4 and 3.2.1): eq. 11
+has no absolute value and compares with station 1, whereas section 3.2.1 compares with the mean over the stations. Both
+are computed: `distance` compares with the mean, as the paper's Table 3, and `distance_to_first` with station 1.
 
 The verification compares a calibrated tracker with nominal points from a measuring machine, by eq. 13 and 14 as they
 are meant. Eq. 13 compares the distance between two targets, measured from one station, with the distance of the nominal
@@ -26,7 +26,7 @@ from ltsim.adjustment.evaluation.clouds import (
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError, RecordError
 from ltsim.core.notation import MISSING_TEXT
-from ltsim.core.results import Column, Table, numbers, texts
+from ltsim.core.results import Column, Table, number_columns, text_columns
 from ltsim.core.units import MICROMETRE
 from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import Construction
@@ -61,7 +61,7 @@ CRITERIA_TABLE = Table(
     "criteria.csv",
     "disagreement of the stations, before and after a calibration",
     (
-        Column("criterion", "of the paper", "text"),
+        Column("criterion", "distance (between targets) or coordinate (of targets)", "text"),
         Column("mean_um", "over pairs of targets, or targets", shown=".1f"),
         Column("max_um", "the largest", shown=".1f"),
         Column("mean_after_um", "readings corrected", shown=".1f"),
@@ -119,7 +119,7 @@ class CriterionEntry(Entry):
 
 
 class CriteriaEntry(Entry):
-    """Criteria of the paper for the agreement of stations, before and after calibration."""
+    """Disagreement of the stations in distances and coordinates, before and after calibration."""
 
     distance: CriterionEntry
     """Deviations of distances from their mean over the stations."""
@@ -208,17 +208,17 @@ def coordinate_differences(aligned_clouds: Floats) -> StationDisagreement:
 def evaluate_criteria(
     recording: Recording,
     construction: Construction | None = None,
-    values: Floats | None = None,
+    parameter_values: Floats | None = None,
     *,
     reading_changes: Floats | None = None,
     row_mask: Bools | None = None,
 ) -> CriteriaEntry:
-    """The paper's criteria of a recording, before and after correction by parameters (p,) or (n, p) [SI].
+    """Disagreement of the stations of a recording in distances and coordinates, before and after correction.
 
+    `parameter_values` (p,) or (n, p) [SI] are the parameters of the correction.
     `reading_changes` (n, 3) [m, rad, rad] is the change of the readings by estimated effects, which "after" subtracts.
     Faces and repeats of the pointings in use (n,) are averaged by station and target. Raises NetworkError if fewer than
-    two
-    stations have common targets, if the network is too large for a comparison of all clouds, and if SMRs of several
+    two stations have common targets, if the network is too large for a comparison of all clouds, and if SMRs of several
     radii were at different positions.
     """
     require_equal_radii(recording, "the comparison of stations")
@@ -229,9 +229,11 @@ def evaluate_criteria(
         )
     raw_clouds = station_point_clouds(recording, measured_points(recording), row_mask)
     corrected_clouds = None
-    if construction is not None and values is not None:
+    if construction is not None and parameter_values is not None:
         corrected_clouds = station_point_clouds(
-            recording, measured_points(_subtract_change(recording, reading_changes), construction, values), row_mask
+            recording,
+            measured_points(_subtract_change(recording, reading_changes), construction, parameter_values),
+            row_mask,
         )
     if len(recording.stations) < 2:
         raise NetworkError("the criteria compare stations; this recording has one station only")
@@ -274,7 +276,7 @@ def _distance_to_first_criterion(uncalibrated: Floats, calibrated: Floats | None
 NOMINAL_TABLE = Table(
     "nominal.csv",
     "points of a measuring machine, which `verify_against_nominal` compares with",
-    (*texts(target="name"), *numbers(".4f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate")),
+    (*text_columns(target="name"), *number_columns(".4f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate")),
 )
 
 

@@ -14,7 +14,7 @@ from ltsim.adjustment.fieldcheck.occupation import StationOccupation, TwoFaceDif
 from ltsim.adjustment.identification.tests import CauseTest
 from ltsim.core.arrays import Ints
 from ltsim.core.errors import ModelError
-from ltsim.core.results import Table, columns_of, numbers, texts
+from ltsim.core.results import Table, columns_of, number_columns, text_columns
 from ltsim.core.units import ARCSECOND, MICROMETRE
 from ltsim.core.values import ValueEquality
 from ltsim.physics.effects.motions import StationMotion
@@ -89,12 +89,12 @@ TWO_FACE_TABLE = Table(
     "two_face.csv",
     "half two-face differences with their limits, one row per pair",
     (
-        *texts(station="name", target="name"),
-        *numbers(row_1="of the first face, from 1", row_2="of the second face"),
-        *numbers(".4f", half_range_um="half difference", half_across_arcsec="as half_range_um"),
-        *numbers(".4f", half_elevation_arcsec="as half_range_um", limit_range_um="limit of half_range_um"),
-        *numbers(".4f", limit_across_arcsec="as limit_range_um", limit_elevation_arcsec="as limit_range_um"),
-        *texts(passed="yes or no"),
+        *text_columns(station="name", target="name"),
+        *number_columns(row_1="of the first face, from 1", row_2="of the second face"),
+        *number_columns(".4f", half_range_um="half difference", half_across_arcsec="as half_range_um"),
+        *number_columns(".4f", half_elevation_arcsec="as half_range_um", limit_range_um="limit of half_range_um"),
+        *number_columns(".4f", limit_across_arcsec="as limit_range_um", limit_elevation_arcsec="as limit_range_um"),
+        *text_columns(passed="yes or no"),
     ),
 )
 
@@ -108,7 +108,7 @@ class SetupCheck(ValueEquality):
     two_face_differences: TwoFaceDifferences | None
     """Half two-face differences; None if no target was measured on both faces."""
     occupation: StationOccupation | None
-    """Linear model of the set-up with its residuals; None if no target was measured twice."""
+    """Least-squares adjustment of the repeated pointings of this set-up; None if no target was measured twice."""
     rows: Ints
     """Row numbers (n,) of the set-up's pointings in the whole recording, from 1."""
     motions: tuple[StationMotion, ...] = ()

@@ -128,19 +128,18 @@ def drift_sentence(recording: Recording, fit: ColumnsFit, passed: bool) -> str:
 def instrument_sentence(recording: Recording, fit: ColumnsFit, passed: bool) -> str:
     """Sentence on the drift of the zeros of an instrument (range zero, vertical index) during an occupation."""
     duration = float(np.ptp(recording.time))
-    sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    drift_sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     parts = [
         f"{zero_name} by {with_sigma(value * duration / unit, sigma * duration / unit, unit_name)}"
         for value, sigma, (zero_name, unit_name, unit, max_sigma) in zip(
-            fit.estimates, sigmas, ZERO_NAMES_AND_MAX_SIGMAS, strict=True
+            fit.estimates, drift_sigmas, ZERO_NAMES_AND_MAX_SIGMAS, strict=True
         )
         if sigma * duration < max_sigma
     ]
-    unknown = "; the repeated pointings hardly determine its size"
-    end = f" ({', '.join(parts)} over the occupation)" if parts else unknown
-    return (
-        f"{recording.stations[0]}: {'no drift of the instrument detected' if passed else 'the instrument drifts'}{end}"
-    )
+    unknown_drift_text = "; the repeated pointings hardly determine its size"
+    drift_text = f" ({', '.join(parts)} over the occupation)" if parts else unknown_drift_text
+    verdict = "no drift of the instrument detected" if passed else "the instrument drifts"
+    return f"{recording.stations[0]}: {verdict}{drift_text}"
 
 
 def target_sentence(occupation: StationOccupation, target_indices: Ints) -> tuple[str, tuple[str, ...]]:

@@ -118,14 +118,20 @@ class CauseSelection:
         This is necessary after a certain error that all readings of a set-up or target share, and after a reference
         value with a large error. Other motions of stations and reference values have separate tests in the adjustment.
         """
-        sure = self._certain_hypotheses
-        shared = [h for h in sure if h.kind in SHARED_CAUSE_KINDS]
-        values = [h for h in sure if h.kind == "reference-value" and h.acts_on != "mark"]
-        far = [h for h in values if largest_displacement(self.fit, h) > MAX_REFERENCE_MISCLOSURE]
-        exchanged = any(isinstance(h.model_change, CoordinateExchange) for h in sure)
-        gross = exchanged or any(largest_displacement(self.fit, h) > MAX_TRACKER_ERROR for h in shared) or len(far) == 1
-        changes = [c.hypothesis.model_change for c in self.selected_hypotheses]
-        noisy = any(isinstance(change, NoiseFactor) and change.start_factor >= 1.0 for change in changes)
+        certain = self._certain_hypotheses
+        shared = [h for h in certain if h.kind in SHARED_CAUSE_KINDS]
+        reference_errors = [h for h in certain if h.kind == "reference-value" and h.acts_on != "mark"]
+        large_reference_errors = [
+            h for h in reference_errors if largest_displacement(self.fit, h) > MAX_REFERENCE_MISCLOSURE
+        ]
+        exchanged = any(isinstance(h.model_change, CoordinateExchange) for h in certain)
+        gross = (
+            exchanged
+            or any(largest_displacement(self.fit, h) > MAX_TRACKER_ERROR for h in shared)
+            or len(large_reference_errors) == 1
+        )
+        model_changes = [c.hypothesis.model_change for c in self.selected_hypotheses]
+        noisy = any(isinstance(change, NoiseFactor) and change.start_factor >= 1.0 for change in model_changes)
         return gross or (bool(shared) and not noisy and self.fit.adjustment.p_value > FAMILY_LEVEL)
 
     @property

@@ -24,7 +24,7 @@ class GaugeScale(Effect):
     stage = LightPathStage.TARGET
     observables = ()
     covariates = ("temperature",)
-    parameters = (Parameter("gauge-scale", "ppm", "fraction missing from every known length", 20 * PPM),)
+    parameters = (Parameter("gauge-scale", "ppm", "fraction by which every known length is too short", 20 * PPM),)
 
     def design(self, sightings: Sightings) -> Floats:
         return np.zeros((len(sightings), 3, 1))

@@ -21,5 +21,7 @@ class RangeScale(SlotEffect):
     name = "range-scale"
     stage = LightPathStage.RANGE
     observables = ("distance",)
-    parameters = (Parameter("range-scale", "ppm", "fraction missing from every range", 2 * PPM, "range_scale"),)
+    parameters = (
+        Parameter("range-scale", "ppm", "fraction by which every range is read too short", 2 * PPM, "range_scale"),
+    )
     terms = (SlotTerm("range", RangePowerBasis()),)

@@ -54,24 +54,26 @@ def first_order_change(sightings: Sightings, field: TemperatureField, row_weight
 
     If flags `row_weights` (n,) are given, only flagged pointings are computed, and the change of the others is zero.
     """
-    rows = np.arange(len(sightings)) if row_weights is None else np.flatnonzero(row_weights)
-    beam, across, up = (way[rows] for way in sightings.beam_vectors)
-    length = sightings.range_[rows]
-    share = 0.5 * (1.0 + QUADRATURE_NODES)
-    origins = sightings.station_positions[sightings.station[rows]]
-    points = origins[:, None] + (length[:, None] * share)[:, :, None] * beam[:, None]
-    warmer, gradient = field(points.reshape(-1, 3))
+    pointing_indices = np.arange(len(sightings)) if row_weights is None else np.flatnonzero(row_weights)
+    beam, across, up = (way[pointing_indices] for way in sightings.beam_vectors)
+    length = sightings.range_[pointing_indices]
+    path_fractions = 0.5 * (1.0 + QUADRATURE_NODES)
+    origins = sightings.station_positions[sightings.station[pointing_indices]]
+    points = origins[:, None] + (length[:, None] * path_fractions)[:, :, None] * beam[:, None]
+    temperature_deviation, gradient = field(points.reshape(-1, 3))
     beta = relative_index_change_per_kelvin()
     weight = 0.5 * QUADRATURE_WEIGHTS
-    mean = warmer.reshape(len(length), len(QUADRATURE_NODES)) @ weight
+    mean_deviation = temperature_deviation.reshape(len(length), len(QUADRATURE_NODES)) @ weight
     weighted_gradient = np.einsum(
-        "nqi,q->ni", gradient.reshape(len(length), len(QUADRATURE_NODES), 3), weight * (1.0 - share)
+        "nqi,q->ni", gradient.reshape(len(length), len(QUADRATURE_NODES), 3), weight * (1.0 - path_fractions)
     )
-    bend = -beta * length[:, None] * weighted_gradient  # D over d: an angle
+    bending_angles = -beta * length[:, None] * weighted_gradient  # D over d: an angle
     change = np.zeros((3, len(sightings)))
-    change[0, rows] = beta * length * mean
-    change[1, rows] = np.sum(bend * across, axis=1) / np.cos(sightings.elevation[rows])
-    change[2, rows] = np.sum(bend * up, axis=1)
+    change[0, pointing_indices] = beta * length * mean_deviation
+    change[1, pointing_indices] = np.sum(bending_angles * across, axis=1) / np.cos(
+        sightings.elevation[pointing_indices]
+    )
+    change[2, pointing_indices] = np.sum(bending_angles * up, axis=1)
     return design_from_front_face_corrections(sightings, distance=change[0], azimuth=change[1], elevation=change[2])
 
 

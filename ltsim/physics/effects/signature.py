@@ -34,7 +34,10 @@ class Parameter:
     prior_sigma: float
     """Standard deviation [SI] if the set-up gives none; also the scale of a plausible size."""
     prior_kind: PriorKind | None = None
-    """Kind of the instrument's specification that determines the prior; if None, the prior is `prior_sigma`."""
+    """Entry of the instrument's specification from which the prior standard deviation is taken (an angle, an offset).
+
+    If None, the prior standard deviation is `prior_sigma`.
+    """
     is_positive: bool = False
     """True for a quantity that is never negative, such as a thickness."""
 

@@ -23,7 +23,9 @@ class StationWeather(Effect):
     observables = ("distance",)
     covariates = ("distance",)
     scope = "station"
-    parameters = (Parameter("station-weather", "ppm", "fraction missing from every range of the station", 5 * PPM),)
+    parameters = (
+        Parameter("station-weather", "ppm", "fraction by which every range of the station is read too short", 5 * PPM),
+    )
 
     def design(self, sightings: Sightings) -> Floats:
         return design_from_front_face_corrections(sightings, distance=self.row_weights(sightings) * sightings.range_)[

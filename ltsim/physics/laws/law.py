@@ -240,7 +240,7 @@ class EmpiricalLaw(CandidateEffect):
         return laws + [self._with_factor(steps, replace(steps, constant=time)) for time in _other_lags(steps)]
 
     def _with_factor(self, old_factor: Regressor, new_factor: Regressor) -> EmpiricalLaw:
-        """Copy of the law in which `new_factor` replaces the regressor, or a factor of it, that equals `old_factor`."""
+        """Copy of the law with `new_factor` instead of `old_factor`, its regressor or a factor of its regressor."""
         if self.regressor == old_factor:
             return replace(self, regressor=new_factor)
         factors = tuple(new_factor if factor == old_factor else factor for factor in self.regressor.factors)

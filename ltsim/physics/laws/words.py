@@ -98,8 +98,11 @@ CONSTANT_UNIT_COVARIATE = {
     "after slew": "move-azimuth",
     "after tip": "move-elevation",
 }
-"""Covariate that has the same unit as the constant of a regressor, by the kind or function of the regressor. All other
-constants have the unit of the regressor's covariate."""
+"""Variable whose unit a constant in the formula of a law has, by the function of the law that contains the constant.
+
+The time constant of `fades` is in the unit of time, the constant of `after slew` in the unit of the azimuth. A constant
+of a function that is not listed has the unit of the variable to which the function is applied.
+"""
 MIN_DISPLAYED = {"min": 2.0, "m": 1.0}
 """Smallest value that is displayed in the unit. Below it the next smaller unit is used, as in 90 s and 400 mm."""
 PER_SETUP_SUFFIX = ", separately at each set-up"

@@ -226,7 +226,7 @@ _RANGE_SCALE_LENGTH = 5.0
 
 
 def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: float = 0.05) -> Construction:
-    """D-H construction of the paper with all coefficients of eq. 3, 4, 6, 7 (78 at order 2 and degree 2).
+    """Denavit-Hartenberg model of a tracker (Sensors 2021, 21, 7479) with all coefficients of its eq. 3, 4, 6 and 7.
 
     Parameters
     ----------
@@ -350,7 +350,11 @@ def make_construction(name: str, max_order: int | None = None, degree: int | Non
 
 
 def construction_with_orders(name: str, max_order: int, degree: int) -> Construction:
-    """Construction with a given name; `max_order` and `degree` apply to the D-H chain and are ignored for others."""
+    """Geometric error model of a tracker (`Construction`) with a given name.
+
+    `max_order` is the number of harmonics of each encoder and `degree` the degree of the polynomials. Both apply to the
+    model ``dh``, a Denavit-Hartenberg chain of joints, and are ignored for others.
+    """
     return dh_construction(max_order, degree) if name == "dh" else make_construction(name)
 
 

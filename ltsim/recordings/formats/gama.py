@@ -122,7 +122,9 @@ def _replace_slashes(root: XmlNode, network: GamaNetwork) -> None:
 def _read_axes(node: XmlNode, network: GamaNetwork) -> None:
     axes, angles = node.get("axes-xy", "ne"), node.get("angles", "left-handed")
     if axes not in (*MIRRORED_AXES, *DIRECT_AXES) or angles not in ("left-handed", "right-handed"):
-        message = f"axes-xy='{quoted_text(axes)}', angles='{quoted_text(angles)}' is not a system of gama-local"
+        message = (
+            f"axes-xy='{quoted_text(axes)}', angles='{quoted_text(angles)}' is no system of axes that gama-local has"
+        )
         raise node.location.error(message)
     network.y_sign = -1.0 if axes in MIRRORED_AXES else 1.0
     network.angle_sign = -1.0 if angles == "left-handed" else 1.0

@@ -66,7 +66,11 @@ def _point_under_station(recording: Recording, station: str) -> str:
 
 
 def _point_lines(recording: Recording) -> Iterator[str]:
-    """XML elements of the points: fixed, observed with a variance, or adjusted, with capital letters in the datum."""
+    """XML elements of the points of a gama-local file.
+
+    A point is fixed, observed with a covariance matrix, or adjusted. Capital letters (``adj="XYZ"``) mark the points
+    that define the datum.
+    """
     names = dict.fromkeys([*recording.targets, *recording.setup.targets])
     has_datum = any(t.known_mm is not None or t.datum for t in recording.setup.targets.values())
     first_setup_points = {} if has_datum else _first_setup_points(recording)

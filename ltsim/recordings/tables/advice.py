@@ -81,19 +81,30 @@ def _likely_assignments(titles: Sequence[str], rows: Sequence[Sequence[str]]) ->
     time_columns = [
         i for i, column in enumerate(columns) if any(column) and all(cells.has_clock(t) for t in column if t)
     ]
-    others = [i for i in range(len(columns)) if i not in time_columns and any(columns[i])]
-    texts = [i for i in others if not all(map(cells.is_value, columns[i]))]
-    faces = [i for i in others if i not in texts and len({*columns[i]}) == 2 and all(map(cells.parse_face, columns[i]))]
-    numbers = [i for i in others if i not in (*texts, *faces) and all(map(cells.is_value, columns[i]))]
-    if not texts:  # points that have numbers for names come first
-        texts = [i for i in numbers[:2] if all(cell.isdigit() for cell in columns[i])][: max(len(numbers) - 3, 0)]
-    texts.sort(key=lambda i: len({*columns[i]}))
-    names = texts[-2:] if len(texts) > 1 else texts
-    names_and_faces = [
-        f"{role}={titles[i]}" for role, i in zip(("station", "target")[-len(names) :], names, strict=False)
+    columns_without_time = [i for i in range(len(columns)) if i not in time_columns and any(columns[i])]
+    text_columns = [i for i in columns_without_time if not all(map(cells.is_value, columns[i]))]
+    face_columns = [
+        i
+        for i in columns_without_time
+        if i not in text_columns and len({*columns[i]}) == 2 and all(map(cells.parse_face, columns[i]))
     ]
-    names_and_faces += [f"face={titles[i]}" for i in faces[:1]]
-    angles = _angle_columns(numbers, columns)
+    number_columns = [
+        i
+        for i in columns_without_time
+        if i not in (*text_columns, *face_columns) and all(map(cells.is_value, columns[i]))
+    ]
+    if not text_columns:  # points that have number_columns for name_columns come first
+        text_columns = [i for i in number_columns[:2] if all(cell.isdigit() for cell in columns[i])][
+            : max(len(number_columns) - 3, 0)
+        ]
+    text_columns.sort(key=lambda i: len({*columns[i]}))
+    name_columns = text_columns[-2:] if len(text_columns) > 1 else text_columns
+    names_and_faces = [
+        f"{role}={titles[i]}"
+        for role, i in zip(("station", "target")[-len(name_columns) :], name_columns, strict=False)
+    ]
+    names_and_faces += [f"face={titles[i]}" for i in face_columns[:1]]
+    angles = _angle_columns(number_columns, columns)
     polar = [
         [
             f"{circle}={_joined_titles(first, titles)}[{unit}]",
@@ -105,21 +116,21 @@ def _likely_assignments(titles: Sequence[str], rows: Sequence[Sequence[str]]) ->
         for circle in ("horizontal" if normalised_title(titles[first[0]]).startswith(("hz", "hor")) else "azimuth",)
         for unit, kind in _possible_conventions(first, other, columns, titles)
         for length in (
-            _distance_columns("distance", [i for i in numbers if i > other[-1]], titles, columns, first)
-            or _distance_columns("distance", [i for i in numbers if i < first[0]][-1:], titles, columns, first)
+            _distance_columns("distance", [i for i in number_columns if i > other[-1]], titles, columns, first)
+            or _distance_columns("distance", [i for i in number_columns if i < first[0]][-1:], titles, columns, first)
         )
     ]
     polar += [
         [f"horizontal={_joined_titles(first, titles)}[deg]", *length]
         for first in angles[:1]
         if _is_sexagesimal(first, columns) and not any(_is_sexagesimal(other, columns) for other in angles[1:])
-        for length in _distance_columns("flat", [i for i in numbers if i > first[-1]], titles, columns, first)
+        for length in _distance_columns("flat", [i for i in number_columns if i > first[-1]], titles, columns, first)
     ]
-    axes = [i for i in numbers if _has_fraction(columns[i]) and list(columns[i]) != sorted(columns[i])]
-    axes = axes[:3] if len(axes) >= len(COORDINATE_ROLES) else numbers[:3]
+    axes = [i for i in number_columns if _has_fraction(columns[i]) and list(columns[i]) != sorted(columns[i])]
+    axes = axes[:3] if len(axes) >= len(COORDINATE_ROLES) else number_columns[:3]
     unit = "m" if max((_largest_magnitude(columns[i]) for i in axes), default=0) < MAX_LENGTH_IN_METRES else "mm"
     coordinate_readings = [f"{axis}={titles[i]}[{unit}]" for axis, i in zip(COORDINATE_ROLES, axes, strict=False)]
-    is_polar = any(_has_marked_angles(columns[i]) for i in numbers)
+    is_polar = any(_has_marked_angles(columns[i]) for i in number_columns)
     is_complete = len(coordinate_readings) == len(COORDINATE_ROLES) and not is_polar
     readings_sets = [*polar, *([coordinate_readings] if is_complete else [])]
     return [",".join([*names_and_faces, *readings]) for readings in readings_sets]

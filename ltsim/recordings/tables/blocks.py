@@ -33,7 +33,7 @@ class TableBlock:
     height_columns: list[TableColumn] = field(default_factory=list)
     """Column of each height that a line gave so far."""
     heights: dict[str, str] = field(default_factory=dict)
-    """Text of each height of the current block, by the role of its column."""
+    """Text of each height of the current block, by the quantity that its column holds (such as `instrument height`)."""
     is_station_named: bool = False
     """True if a line has named a station, and not only an instrument."""
 

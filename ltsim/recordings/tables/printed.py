@@ -105,7 +105,10 @@ class PrintedPointings:
     moment: list[str] = field(default_factory=list)
     """Text of the date, the time, or both."""
     round: list[str] = field(default_factory=list)
-    """Round of the station to which each pointing belongs: a number, possibly with a day."""
+    """Label of the round of measurements from one station to which each pointing belongs.
+
+    It is the number of the round in the table, with the day if the table gives one.
+    """
     group_separator: list[str] = field(default_factory=list)
     """Thousands separator in the sheet of each pointing, '' for none."""
     numbers: dict[str, Digits] = field(default_factory=dict)

@@ -178,7 +178,8 @@ def split_occupations(
     notes = []
     if len(occupations) > len(marks):
         column_name = next((name for role, name in OCCUPATION_NAMES if table.column((role,)) is not None), "")
-        notes.append(f"{len(occupations)} occupations of {len(marks)} marks, by {column_name}, are separate set-ups")
+        occupations_text = f"{len(occupations)} occupations of {len(marks)} marks"
+        notes.append(f"{occupations_text}, distinguished by {column_name}, are separate set-ups")
     if is_rotated:
         of = f" of {len(occupations)} occupations" if len(occupations) > len(marks) else ""
         notes.append(

@@ -61,14 +61,15 @@ def name_targets_by_position(table: PointingTable, readings: Floats) -> Pointing
     is_named = not table.has_unnamed_targets
     if is_named and len(table.pointings) < MIN_ROWS_FOR_POSITIONS:
         return table
-    places = _position_numbers(readings)
-    count = int(places.max()) + 1
-    if is_named and count < MIN_ROWS_FOR_POSITIONS:
+    position_numbers = _position_numbers(readings)
+    n_positions = int(position_numbers.max()) + 1
+    if is_named and n_positions < MIN_ROWS_FOR_POSITIONS:
         return table
-    table.pointings.target = [f"{UNNAMED_TARGET}-{place + 1}" for place in places.tolist()]
-    called = f"has one name ('{quoted_text(names.pop())}') for all of its rows" if is_named else "names no points"
+    table.pointings.target = [f"{UNNAMED_TARGET}-{place + 1}" for place in position_numbers.tolist()]
+    naming_text = f"has one name ('{quoted_text(names.pop())}') for all of its rows" if is_named else "names no points"
     table.notes.append(
-        f"the table {called}: its {len(places)} rows are {count} positions of a target that moves (a robot, a T-MAC), "
+        f"the table {naming_text}: its {len(position_numbers)} rows are {n_positions} positions of a target that moves "
+        "(a robot, a T-MAC), "
         "each a target named pose-1, pose-2, ...; one set-up alone gives no information about the tracker"
     )
     return table

@@ -268,7 +268,7 @@ def _finding_blocks(
     renamed_parameters = [p.model_copy(update={"name": parameter_text(p.name)}) for p in finding.parameters]
     lines = [
         f"where: {_place_text(finding.where)}",
-        "without it, no network fits the readings"
+        "chi2: no adjustment without this effect fits the readings"
         if evidence.chi2_drop >= MAX_LOG_EVIDENCE_GAIN
         else f"chi2 falls by {number_text(evidence.chi2_drop)} for {count_text(evidence.parameters, 'parameter')}",
         f"p, corrected for the search: {p_text(evidence.p_value)}",

@@ -16,7 +16,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import ConvergenceError, NetworkError, is_installed, missing_extra
 from ltsim.core.notation import MISSING_TEXT, number_text
 from ltsim.core.probability import p_text, two_sided
-from ltsim.core.results import Table, numbers, texts
+from ltsim.core.results import Table, number_columns, text_columns
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings import Recording, read
 from ltsim.reports import figures
@@ -48,9 +48,9 @@ WORK_TABLE = Table(
     "work.csv",
     "work of each station",
     (
-        *texts(station="name"),
-        *numbers(pointings="number", targets="number", faces="number", missing_readings="number"),
-        *texts(starts_at="time since the first pointing"),
+        *text_columns(station="name"),
+        *number_columns(pointings="number", targets="number", faces="number", missing_readings="number"),
+        *text_columns(starts_at="time since the first pointing"),
     ),
 )
 """Table of the work of each station."""

@@ -46,7 +46,7 @@ def plan_section(content: Plan, context: ReportContext) -> Section:
         blocks.append(BulletListBlock("Reasons for this plan", content.reasons))
     blocks += _tolerance_tables(content) + _reflector_changes_table(content) + change_pictures
     blocks += _trade_off_picture(content) + _parameter_picture(content)
-    blocks += table_block("Expected by the paper's criteria", content.table("expected"))
+    blocks += table_block("Expected disagreement of the stations", content.table("expected"))
     blocks += undetermined_table("Not determined by this layout", content.undetermined)
     blocks += _effect_tables(content)
     note = "U: expanded uncertainty, k = 2, in the frame that all points define together."

@@ -9,7 +9,7 @@ import numpy as np
 
 from ltsim.core.errors import LtsimError
 from ltsim.core.notation import MISSING_TEXT, number_text, with_sigma
-from ltsim.core.results import Table, texts
+from ltsim.core.results import Table, text_columns
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import Finding
@@ -27,7 +27,9 @@ from ltsim.simulation.truth import AppliedEffect, Truth
 INJECTED_TABLE = Table(
     "injected.csv",
     "injected effects of a simulated recording, and the findings",
-    texts(quantity="effect, its place, or a parameter", injected="true value", diagnosed="estimate +- one sigma"),
+    text_columns(
+        quantity="effect, its place, or a parameter", injected="true value", diagnosed="estimate +- one sigma"
+    ),
 )
 """Table of injected effects and findings."""
 
