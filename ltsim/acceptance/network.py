@@ -262,9 +262,9 @@ class TestedNetwork:
             entries.append(make_test_entry(name, "two-face", error, limit))
         return entries
 
-    def _mean_points(self, rows: Ints) -> dict[int, Floats]:
+    def _mean_points(self, pointing_rows: Ints) -> dict[int, Floats]:
         """Mean points (3,) [m] in the instrument's frame, by target, of the pointings in some rows."""
-        points, targets = from_polar(self.readings[rows]), self.adjustment.recording.target[rows]
+        points, targets = from_polar(self.readings[pointing_rows]), self.adjustment.recording.target[pointing_rows]
         return {int(t): points[targets == t].mean(axis=0) for t in np.unique(targets)}
 
     def _length_entries(self, station: str, rows: Ints, limits: Specification) -> list[TestEntry]:

@@ -115,8 +115,8 @@ class ControlRows:
         return replace(rows, declared_points=rows.declared_points + marks.instrument_offsets[rows.place_indices])
 
     @classmethod
-    def _from_places(cls, recording: Recording, places: list[tuple[int, str]]) -> ControlRows:
-        setups = [(i, recording.target_setup(name)) for i, name in places]
+    def _from_places(cls, recording: Recording, indices_and_names: list[tuple[int, str]]) -> ControlRows:
+        setups = [(i, recording.target_setup(name)) for i, name in indices_and_names]
         rows = [(i, t) for i, t in setups if t.known_mm is not None]
         return cls(np.array([i for i, _ in rows], dtype=np.int64), *_declared_coordinates([t for _, t in rows]))
 

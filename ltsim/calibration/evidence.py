@@ -244,8 +244,10 @@ def log_evidence_by_size(squared_scores: Floats, weights_and_constants: tuple[Fl
 
     `squared_scores` has the shape (..., k); `weights_and_constants` is the result of `size_weights_and_constants`.
     """
-    logs: Floats = (squared_scores[..., None, :] @ weights_and_constants[0])[..., 0, :] + weights_and_constants[1]
-    return logs
+    log_evidences: Floats = (squared_scores[..., None, :] @ weights_and_constants[0])[
+        ..., 0, :
+    ] + weights_and_constants[1]
+    return log_evidences
 
 
 def log_evidence(squared_scores: Floats, information_strength: Floats) -> Floats:

@@ -46,8 +46,8 @@ def read_targets(file: Path) -> tuple[tuple[str, ...], Floats, Floats]:
         When a column is missing or a field is no number.
     """
     table = TARGETS_TABLE.parse_csv(read_text(file), file)
-    numbers = table.numbers(*TARGETS_TABLE.header[1:]) * MILLIMETRE
-    return tuple(table.column("target")), numbers[:, :3], numbers[:, 3:]
+    coordinates_and_sigmas = table.numbers(*TARGETS_TABLE.header[1:]) * MILLIMETRE
+    return tuple(table.column("target")), coordinates_and_sigmas[:, :3], coordinates_and_sigmas[:, 3:]
 
 
 def load_calibration(source: CalibrationSource) -> Calibration:

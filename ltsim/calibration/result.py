@@ -106,12 +106,12 @@ def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     recording = adjustment.recording
     scaled = np.nan_to_num(adjustment.residuals / adjustment.problem.sigma)
 
-    def row(i: int, column: int, size: float, w: float, **other_fields: Any) -> OutlierRow:
+    def row(i: int, column: int, normalised_residual: float, w: float, **other_fields: Any) -> OutlierRow:
         unit, factor = DISPLAY_UNITS[column]
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
         observable = OBSERVABLES[column]
         named = {"row": i + 1, "station": station, "target": target, "observable": observable, "unit": unit}
-        return OutlierRow(size=size / factor, w=w, **named, **other_fields)
+        return OutlierRow(size=normalised_residual / factor, w=w, **named, **other_fields)
 
     rows = []
     for i in np.flatnonzero(adjustment.is_gross_pointing).tolist():

@@ -163,7 +163,7 @@ def add_square_error(aligned_cloud: Floats, reference_cloud: Floats, used_target
 
 
 @compile_function
-def distance_criterion(clouds: Floats, is_visible: Bools, mean: Floats, maximum: Floats) -> None:
+def distance_criterion(clouds: Floats, is_visible: Bools, mean_coordinates: Floats, maximum: Floats) -> None:
     """Disagreement of stations in distances (Sensors 2021, 21, 7479): mean, maximum over pairs of targets, (B,) [um].
 
     The value of a pair is the mean absolute deviation of its distance, as measured from each station, from the mean
@@ -171,7 +171,7 @@ def distance_criterion(clouds: Floats, is_visible: Bools, mean: Floats, maximum:
     """
     stations, targets, _, trials = clouds.shape
     length, middle, spread = np.empty((stations, trials)), np.empty(trials), np.empty(trials)
-    mean[:], maximum[:] = 0.0, 0.0
+    mean_coordinates[:], maximum[:] = 0.0, 0.0
     pairs = 0
     for i in range(targets):
         for j in range(i + 1, targets):
@@ -195,10 +195,10 @@ def distance_criterion(clouds: Floats, is_visible: Bools, mean: Floats, maximum:
                     spread[t] += abs(length[s, t] - part * middle[t])
             for t in range(trials):
                 value = MICROMETRES_PER_METRE * part * spread[t]
-                mean[t] += value
+                mean_coordinates[t] += value
                 maximum[t] = max(maximum[t], value)
     for t in range(trials):
-        mean[t] /= pairs
+        mean_coordinates[t] /= pairs
 
 
 @compile_function

@@ -150,5 +150,5 @@ def unknown_name(object_kind: str, unknown_name_text: str, valid_names: Iterable
         if len(unknown_name_text) <= MAX_QUOTED_NAME_LENGTH
         else f"{unknown_name_text[:MAX_QUOTED_NAME_LENGTH]}..."
     )
-    close = difflib.get_close_matches(short, choices, n=3, cutoff=0.4) or choices
-    return ModelError(f"there is no {object_kind} called '{short}'; did you mean {', '.join(close)}?")
+    similar_names = difflib.get_close_matches(short, choices, n=3, cutoff=0.4) or choices
+    return ModelError(f"there is no {object_kind} called '{short}'; did you mean {', '.join(similar_names)}?")

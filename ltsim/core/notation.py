@@ -34,8 +34,8 @@ def with_sigma(value: float | None, sigma: float | None, unit: str = "") -> str:
         return MISSING_TEXT
     if sigma is None or not (math.isfinite(sigma) and sigma > 0):
         return f"{number_text(value)} {unit}".rstrip()
-    places = decimals_of_sigma(sigma)
-    return f"{fixed_point_text(value, places)} +- {fixed_point_text(sigma, places)} {unit}".rstrip()
+    n_decimals = decimals_of_sigma(sigma)
+    return f"{fixed_point_text(value, n_decimals)} +- {fixed_point_text(sigma, n_decimals)} {unit}".rstrip()
 
 
 def with_expanded_uncertainty(
@@ -46,8 +46,8 @@ def with_expanded_uncertainty(
         return with_sigma(value, None, unit)
     if value is None or not math.isfinite(value):
         return MISSING_TEXT
-    places = decimals_of_sigma(expanded_uncertainty)
-    measured, half = (f"{fixed_point_text(v, places)} {unit}".rstrip() for v in (value, expanded_uncertainty))
+    n_decimals = decimals_of_sigma(expanded_uncertainty)
+    measured, half = (f"{fixed_point_text(v, n_decimals)} {unit}".rstrip() for v in (value, expanded_uncertainty))
     return f"{measured}, U = {half} (k = {coverage_factor:.3g})"
 
 

@@ -73,11 +73,11 @@ def standard_normal_trials(
     if count == 1 and not first:
         return stream(seed, *stream_key).standard_normal((n_values, 1))
     blocks, places = np.divmod(trial_numbers, TRIALS_PER_STREAM)
-    numbers = np.empty((n_values, count))
+    normal_numbers = np.empty((n_values, count))
     for block in np.unique(blocks).tolist():
         in_block = blocks == block
-        numbers[:, in_block] = _block_numbers(seed, block, n_values, *stream_key)[:, places[in_block]]
-    return numbers
+        normal_numbers[:, in_block] = _block_numbers(seed, block, n_values, *stream_key)[:, places[in_block]]
+    return normal_numbers
 
 
 def _block_numbers(seed: int, block_number: int, n_values: int, *stream_key: str | int) -> NDArray[np.float64]:

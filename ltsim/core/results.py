@@ -129,10 +129,7 @@ def text_columns(**columns: str) -> tuple[Column, ...]:
 
 
 def number_columns(format_text: str = "", display_format: str = "", **columns: str) -> tuple[Column, ...]:
-    """Columns of a table that hold numbers; each further argument is a column's name with its definition, `name="..."`.
-
-    All of them have the format `format_text` in files and `display_format` where they are displayed.
-    """
+    """Columns of a table that hold numbers of one format; further arguments are names and definitions, `name="..."`."""
     return tuple(Column(name, about, form=format_text, shown=display_format) for name, about in columns.items())
 
 

@@ -45,9 +45,9 @@ MIN_AVERAGED_PROBABILITY = 0.003
 def average_over_explanations(
     searcher: Searcher, model: Model, rankings: Sequence[Ranking], fitted: Refit
 ) -> tuple[AveragedTargets, Floats]:
-    """Target coordinates and change of the readings, averaged over the explanations of each member of a model.
+    """Target coordinates and change of the readings, averaged over the explanations of each effect in a model.
 
-    `rankings` contain the alternatives to each member, and `fitted` is the nonlinear refit of the model.
+    `rankings` contain the alternatives to each effect in the model, and `fitted` is the nonlinear refit of the model.
 
     Returns
     -------
@@ -167,7 +167,7 @@ def _instances_at_probable_shapes(
 
 
 def first_order_change(searcher: Searcher, model: Model) -> Floats:
-    """Linear approximation of the change (m,) of the whitened readings by all members of a refitted model."""
+    """Linear approximation of the change (m,) of the whitened readings by all effects in a refitted model."""
     if not model.members:
         return np.zeros(searcher.space.n_rows)
     mean = wide_prior_posterior(*model.gram_and_scores, np.concatenate([h.plausible_sizes for h in model.members]))[0]

@@ -259,7 +259,8 @@ def _select_effects_given_noise(case: SelectionState, threshold: float) -> Model
 def _alternate_noise_and_effects(case: SelectionState, model: Model, threshold: float) -> Model:
     """Model after alternating selections of changes of the noise and of effects, while the evidence increases.
 
-    Each change of the noise is tried in addition to `model`, in place of one member, and in place of all members.
+    Each change of the noise is tried in addition to `model`, in place of one effect in the model, and in place of all
+    of them.
     """
     for _ in range(MAX_ALTERNATIONS):
         searcher, members = case.searcher, model.members
@@ -304,7 +305,7 @@ def _most_probable_noise(
 
 
 def _refit_model(case: SelectionState, model: Model) -> tuple[Model, Refit]:
-    """Model without members that its nonlinear refit does not support, and this refit.
+    """Model without effects that its nonlinear refit does not support, and this refit.
 
     The search is linear, so that the second-order part of a large effect can look like a further effect.
     """
@@ -324,7 +325,7 @@ def _refit_model(case: SelectionState, model: Model) -> tuple[Model, Refit]:
 
 
 def log_bayes_factor_of_refits(model: Model, reduced_model: Model, chi2_drop: float) -> float:
-    """Log Bayes factor of a model against a model with fewer members, from their nonlinear refits.
+    """Log Bayes factor of a model against a model with fewer effects, from their nonlinear refits.
 
     It is the difference of the log evidences of the linear models, in which `chi2_drop` (the difference of chi-square
     between the nonlinear refits) replaces the difference of the linear models.

@@ -57,9 +57,9 @@ def ranked_indices(values: Floats, max_difference: float = MAX_EVIDENCE_TIE) -> 
     return order[np.lexsort((order, np.append(0, group)[: len(order)]))]
 
 
-def normalised_probabilities(logs: Floats) -> Floats:
+def normalised_probabilities(log_probabilities: Floats) -> Floats:
     """Probabilities (k,) that add up to one, from k unnormalised log probabilities."""
-    probabilities: Floats = np.exp(logs - log_sum_exp(logs))
+    probabilities: Floats = np.exp(log_probabilities - log_sum_exp(log_probabilities))
     return probabilities
 
 
@@ -180,14 +180,14 @@ def coefficient_posterior(
     """
     eigenvalues, turn = _eigen_decomposition(gram, plausible_sizes)
     z = turn.T @ score
-    logs = log_evidence_by_size(z**2, size_weights_and_constants(eigenvalues, sizes, log_weights))
-    weight = normalised_probabilities(logs)
+    log_evidences = log_evidence_by_size(z**2, size_weights_and_constants(eigenvalues, sizes, log_weights))
+    weight = normalised_probabilities(log_evidences)
     variances = sizes[:, None] ** 2 / (1.0 + sizes[:, None] ** 2 * eigenvalues)
     means = variances * z
     mean = weight @ means
     deviations = means - mean
     inner = np.diag(weight @ variances) + (weight[:, None] * deviations).T @ deviations
-    return turn @ mean, turn @ inner @ turn.T, float(log_sum_exp(logs))
+    return turn @ mean, turn @ inner @ turn.T, float(log_sum_exp(log_evidences))
 
 
 def _eigen_decomposition(gram: Floats, plausible_sizes: Floats) -> tuple[Floats, Floats]:
@@ -299,5 +299,5 @@ def log_bayes_factor_discrepancy(space: ResidualSpace, shift: Floats, residual: 
     count = np.maximum(np.bincount(kind, minlength=3), 1)
     size = (np.bincount(kind, shift[rows] ** 2, minlength=3) / count)[kind]
     variance = 1.0 + DISCREPANCY_RATIOS[:, None] ** 2 * size
-    logs = log_restricted_likelihood_ratio(square, share, variance).sum(axis=1)
-    return float(log_sum_exp(logs) - np.log(len(DISCREPANCY_RATIOS)))
+    log_likelihood_ratios = log_restricted_likelihood_ratio(square, share, variance).sum(axis=1)
+    return float(log_sum_exp(log_likelihood_ratios) - np.log(len(DISCREPANCY_RATIOS)))

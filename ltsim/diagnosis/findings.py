@@ -76,10 +76,10 @@ class ExplainedRecording:
     refit: Refit
     """Nonlinear adjustment with this model."""
     has_test_findings: bool = False
-    """True if findings of tests, or of the noise, are reported in addition to the members of the model."""
+    """True if findings of tests, or of the noise, are reported in addition to the effects in the model."""
 
     def _ranking(self, member: int) -> Ranking:
-        """Ranking of all alternatives to a member of the model, with changes of the noise and an unmodelled cause."""
+        """Ranking of all alternatives to an effect in the model, with changes of the noise and an unmodelled cause."""
         searcher, model = self.state.searcher, self.model
         other_members = searcher.model_without(model, member)
         noises = [
@@ -95,7 +95,7 @@ class ExplainedRecording:
         return searcher.ranking(other_members).with_rivals(noises).with_unmodelled_cause(likeness)
 
     def probability(self, member: int) -> float:
-        """Posterior probability that the effect with the name of a member is the cause.
+        """Posterior probability that an effect with the same name as this effect in the model is the cause.
 
         For an unknown effect it is the probability that an unknown effect acts on the same observables.
         """
@@ -108,26 +108,26 @@ class ExplainedRecording:
 
     @cached_property
     def rankings(self) -> list[Ranking]:
-        """Rankings of all alternatives to each member."""
+        """Rankings of all alternatives to each effect in the model."""
         return [self._ranking(i) for i in range(len(self.model.members))]
 
     @cached_property
     def p_located(self) -> list[float]:
-        """Probability, for each member of the model, that any effect acts on the same observables at the same place."""
+        """Probability, for each effect in the model, that any effect acts on the same observables at the same place."""
         return [self._p_located_of(i) for i in range(len(self.model.members))]
 
     @cached_property
     def squared_residual_decreases(self) -> list[Floats]:
-        """Decrease of the squared whitened residuals (m,) by each member, given the others."""
+        """Decrease of the squared whitened residuals (m,) by each effect in the model, given the others."""
         reduced_models = (self.state.searcher.model_without(self.model, i) for i in range(len(self.model.members)))
         return [others.residual**2 - self.model.residual**2 for others in reduced_models]
 
     @cached_property
     def withheld_keys(self) -> tuple[str, ...]:
-        """Keys of improbable members, which are in the model but are not reported.
+        """Keys of improbable effects, which are in the model but are not reported.
 
-        The member with the largest chi-square decrease is reported nevertheless, if there is no other finding, or if it
-        is certain that there is a cause.
+        The effect in the model with the largest chi-square decrease is reported nevertheless, if there is no other
+        finding, or if it is certain that there is a cause.
         """
         members, gains = self.model.members, [gain.sum() for gain in self.squared_residual_decreases]
         is_doubtful = [
@@ -138,7 +138,7 @@ class ExplainedRecording:
         return tuple(member.key for member, doubt in zip(members, is_doubtful, strict=True) if doubt)
 
     def p_real(self, member: int) -> float:
-        """Probability that a member is a real effect with any name, and not a number of wrong readings.
+        """Probability that an effect in the model is real under any name, and not a number of wrong readings.
 
         It is 0 if neither a size nor the decrease of chi-square is significant. It is also 0 if neither the place, nor
         the observable, nor the form of the effect is determined.
@@ -154,11 +154,11 @@ class ExplainedRecording:
         return max(self.probability(member), p_located) * (1.0 - self._p_wrong_readings(member))
 
     def p_any(self, member: int) -> float:
-        """Probability that there is any cause in place of a member, other than a number of wrong readings."""
+        """Probability of any cause in place of an effect in the model, other than a number of wrong readings."""
         return (1.0 - self.rankings[member].p_none) * (1.0 - self._p_wrong_readings(member))
 
     def _p_wrong_readings(self, member: int) -> float:
-        """Probability that several wrong readings, each with a separate error, are the cause in place of a member."""
+        """Probability that several wrong readings with separate errors are the cause, not an effect in the model."""
         searcher, model = self.state.searcher, self.model
         others = searcher.model_without(model, member)
         if isinstance(model.members[member].effect, Outlier):
@@ -169,7 +169,7 @@ class ExplainedRecording:
         return float(expit(rival - (model.score - others.score)))
 
     def finding(self, member: int) -> Finding:
-        """Finding of a member of the model, given the other members."""
+        """Finding of an effect in the model, given the other effects in it."""
         searcher, model, ranking = self.state.searcher, self.model, self.rankings[member]
         space, others = searcher.space, searcher.model_without(model, member)
         hypothesis = replace(model.members[member], effect=self.refit.effects[member])
@@ -245,7 +245,7 @@ class ExplainedRecording:
         return f" Most of it is in the {', the '.join(names)}."
 
     def _p_located_of(self, member: int) -> float:
-        """Sum of the probabilities of all explanations with the observables, place and covariates of a member.
+        """Sum of the probabilities of all explanations with the observables, place and covariates of the given effect.
 
         Effects that act on one target only have the same scope, because a target that moved, is badly seated or was
         read wrongly changes the same readings.
@@ -303,7 +303,7 @@ class ExplainedRecording:
         return int(recording.instrument[recording.station == index][0])
 
     def _estimates_of(self, member: int, hypothesis: Hypothesis, other_members: Model) -> tuple[ParameterEstimate, ...]:
-        """Estimates of the sizes and shape constants of a member. Without a clock, times count the rows."""
+        """Estimates of the sizes and shape constants of an effect. Without a clock, its times are numbers of rows."""
         refitted = [
             ParameterEstimate.from_si(*estimate)
             for estimate in self.refit.estimates[member]

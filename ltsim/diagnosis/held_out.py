@@ -50,7 +50,7 @@ def cross_validated_errors(
     searcher : Searcher, optional
         Search on the same readings. Without a search, `after` of the result is None.
     threshold : float
-        Smallest log evidence by which a further member of a model increases it.
+        Smallest log evidence by which a further effect in a model increases it.
     """
     before, after, count = 0.0, 0.0, 0
     groups = fold_rows(space, seed)

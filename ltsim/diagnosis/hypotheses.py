@@ -59,7 +59,7 @@ class Model:
     members: tuple[Hypothesis, ...]
     """Hypotheses of the model."""
     projected_signatures: tuple[Floats, ...]
-    """Signature (m, k) of each member, projected onto the residual space with m rows, for its k coefficients."""
+    """Change of the m whitened residuals by a unit of each of k coefficients of an effect, (m, k), for each effect."""
     signature_norms: tuple[Floats, ...]
     """Lengths (k,) of the columns of each signature before the projection."""
     baseline_residual: Floats = field(repr=False)
@@ -67,7 +67,7 @@ class Model:
 
     @property
     def effects(self) -> list[CandidateEffect]:
-        """Effects of the members."""
+        """Effects in the model."""
         return [h.effect for h in self.members]
 
     @cached_property
@@ -79,7 +79,7 @@ class Model:
 
     @cached_property
     def residual(self) -> Floats:
-        """Whitened residuals (m,) with the members in the model."""
+        """Whitened residuals (m,) with all effects of the model in it."""
         residual: Floats = self.baseline_residual - self.basis @ (self.basis.T @ self.baseline_residual)
         return residual
 
@@ -110,7 +110,7 @@ class Model:
 
     @cached_property
     def score(self) -> float:
-        """Log evidence of the model with priors, averaged over sizes, minus a penalty for each member after the first.
+        """Log evidence of the model with priors, averaged over sizes, minus a penalty for each effect after the first.
 
         The penalty is `discrepancy_penalty`.
         """
@@ -160,8 +160,8 @@ class Ranking:
     @cached_property
     def posterior_probabilities(self) -> Floats:
         """Posterior probability of each hypothesis, (hypotheses,). The alternatives include that there is no cause."""
-        logs = np.array([h.log_evidence for h in self.entries])
-        probabilities: Floats = np.exp(logs - self._log_evidence_sum)
+        log_evidences = np.array([h.log_evidence for h in self.entries])
+        probabilities: Floats = np.exp(log_evidences - self._log_evidence_sum)
         return probabilities
 
     @cached_property
@@ -220,10 +220,10 @@ is e^-6 for each."""
 
 
 def _log_evidence_over_sizes(model: Model) -> float:
-    """Log evidence of a model, averaged over the size factors t of its members.
+    """Log evidence of a model, averaged over the size factors t of its effects.
 
-    The coefficients of a member have the prior N(0, (t size)^2) with their plausible sizes. For each member the sum
-    covers only the factors near the best one, with the other members at their best.
+    The coefficients of an effect in the model have the prior N(0, (t size)^2) with their plausible sizes. For each
+    effect the sum covers only the factors near the best one, with the other effects at their best.
     """
     gram, score = model.gram_and_scores
     spread, owner = _plausible_sizes(model.members)
@@ -232,7 +232,7 @@ def _log_evidence_over_sizes(model: Model) -> float:
     unit_prior = np.diag(np.append(np.ones(len(score)), 0.0))
 
     def evidence(sizes: Ints) -> Floats:
-        """Log evidence (b,) with prior for b sets of sizes. `sizes` (b, members) are indices in `EVIDENCE_SIZES`."""
+        """Log evidence (b,) with prior for b sets of sizes. `sizes` (b, effects) are indices in `EVIDENCE_SIZES`."""
         scale = np.pad(EVIDENCE_SIZES[sizes][:, owner] * spread, ((0, 0), (0, 1)), constant_values=1.0)
         factor = np.linalg.cholesky(bordered_matrix * scale[:, :, None] * scale[:, None, :] + unit_prior)
         fit = 0.5 * np.sum(factor[:, -1, :-1] ** 2, axis=1)  # the last row of the factor holds the solved residual
@@ -253,13 +253,13 @@ def _log_evidence_over_sizes(model: Model) -> float:
 
 
 def _plausible_sizes(members: Sequence[Hypothesis]) -> tuple[Floats, Ints]:
-    """Plausible sizes (k,) of the coefficients of all members, and the index (k,) of the member of each coefficient."""
+    """Plausible sizes (k,) of the coefficients of all effects in the model, and index (k,) of the effect of each."""
     size_sets = [h.plausible_sizes for h in members]
     return np.concatenate(size_sets), np.repeat(np.arange(len(size_sets)), [len(spread) for spread in size_sets])
 
 
 def log_odds_repeated(hypothesis: Hypothesis, other_members: Sequence[Hypothesis]) -> float:
-    """Log prior odds of a hypothesis with the same name as another member, if such effects rarely occur twice.
+    """Log prior odds of a hypothesis with the same name as an effect in the model, if such effects rarely occur twice.
 
     For all other hypotheses it is 0.
     """

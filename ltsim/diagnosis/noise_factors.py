@@ -61,12 +61,12 @@ class PatternGroup:
 
     def log_variance_factors(self, member: int) -> tuple[Ints, Floats]:
         """Indices (r,) of the rows on which a member changes the noise, and the logs (r,) of its variance factors."""
-        logs = self._log_variance_factors_of(slice(member, member + 1))
-        if not isinstance(logs, np.ndarray):
-            return logs.indices, logs.data.astype(np.float64)
-        changed_indices = np.flatnonzero(logs[0])
-        rows = np.arange(logs.shape[1]) if isinstance(self.row_indices, slice) else self.row_indices
-        return rows[changed_indices], logs[0, changed_indices].astype(np.float64)
+        log_factors = self._log_variance_factors_of(slice(member, member + 1))
+        if not isinstance(log_factors, np.ndarray):
+            return log_factors.indices, log_factors.data.astype(np.float64)
+        changed_indices = np.flatnonzero(log_factors[0])
+        rows = np.arange(log_factors.shape[1]) if isinstance(self.row_indices, slice) else self.row_indices
+        return rows[changed_indices], log_factors[0, changed_indices].astype(np.float64)
 
     def _log_variance_factors_of(self, members: slice) -> Singles | sp.csr_array:
         """Log variance factors (h, r) of a range of h members."""

@@ -2,8 +2,8 @@
 
 All effects of the catalogue and all laws are screened given the model. The best few are evaluated without
 approximation: shapes are integrated on a grid around the optimum, and laws are compared with formulas. The best
-hypothesis is added to the model. Then each member is tested again given the others, and is replaced or removed if the
-evidence of the model increases. Pairs of members are also exchanged for a single one.
+hypothesis is added to the model. Then each effect in the model is tested again given the others, and is replaced or
+removed if the evidence of the model increases. Pairs of effects are also exchanged for a single one.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ from ltsim.physics.laws.names import catalogue_name
 from ltsim.physics.laws.sizes import displayed_sizes
 
 MAX_MODEL_MEMBERS = 5
-"""Largest number of members of a model, and of reported constants of instruments."""
+"""Largest number of effects in a model, and of reported constants of instruments."""
 MAX_RIGID_COEFFICIENTS = 10
-"""Number of coefficients above which a member may imitate several effects. If the selected model has such a member, a
+"""Number of coefficients above which an effect may imitate several effects. If the selected model has such an effect, a
 second search starts from the best hypothesis with fewer coefficients. A curve in one covariate has this number: a slope
 and `N_MODES_DEFAULT` eigenfunctions."""
 N_REFINED = 7
@@ -300,14 +300,14 @@ class Searcher:
         return coefficient_posterior(gram, score, law.size_scales)[:2]
 
     def model_of(self, members: Sequence[Hypothesis]) -> Model:
-        """Model with the given hypotheses as members."""
+        """Model with the given hypotheses."""
         if not members:
             return self.empty_model
         parts = [self._projected_signature(h) for h in members]
         return Model(tuple(members), tuple(p[0] for p in parts), tuple(p[1] for p in parts), self.space.residuals)
 
     def model_without(self, model: Model, member_index: int) -> Model:
-        """Model without the member with the index `member_index`."""
+        """Model without the effect that has the index `member_index`."""
         return self.model_of(model.members[:member_index] + model.members[member_index + 1 :])
 
     def _projected_signature(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
@@ -322,7 +322,7 @@ class Searcher:
         return self._projected_signatures[key]
 
     def select_model(self, threshold: float, *, requires_member: bool) -> Model:
-        """Selected model, in which each additional member increases the log evidence by at least `threshold`.
+        """Selected model, in which each additional effect increases the log evidence by at least `threshold`.
 
         With `requires_member` it has at least one. If it has a curve with many coefficients, which can imitate several
         effects, the search starts again with the best hypothesis of few. The model with the larger evidence is
@@ -343,14 +343,14 @@ class Searcher:
         """Model from forward steps alone, whose log evidence is a lower bound of that of a complete search.
 
         The steps end when the log evidence exceeds `rival`, the log evidence of an alternative. They also end when it
-        would not exceed it even if all further members increased it as much as the last one did.
+        would not exceed it even if all further effects increased it as much as the last one did.
         """
         return self._forward_selection(self.empty_model, threshold, requires_member=True, rival=rival)
 
     def _forward_selection(
         self, model: Model, threshold: float, *, requires_member: bool, rival: float | None = None
     ) -> Model:
-        """Forward selection from `model`; members are tested again after each step unless there is a `rival`."""
+        """Forward selection from `model`; its effects are tested again after each step unless there is a `rival`."""
         again = rival is None
         for depth in range(len(model.members), MAX_MODEL_MEMBERS):
             ranking, least = self.ranking(model), threshold + model.discrepancy_penalty
@@ -366,7 +366,7 @@ class Searcher:
         return self.reexamined_model(model) if again and self.is_large_network else model
 
     def _relabelled_model(self, model: Model, threshold: float) -> Model:
-        """Model without members that the others explain, and with the most probable name of each member."""
+        """Model without effects that the others explain, and with the most probable name of each effect."""
         for member in model.members[::-1]:
             others = self.model_without(model, model.members.index(member))
             ranking = self.ranking(others)
@@ -378,7 +378,7 @@ class Searcher:
         return model
 
     def reexamined_model(self, model: Model) -> Model:
-        """Model after backward and exchange steps, in which members are replaced, removed or merged."""
+        """Model after backward and exchange steps, in which effects in the model are replaced, removed or merged."""
         for turn in range(2):
             before = model.score
             for size in (1,) if turn or self.is_large_network else (1, 2):

@@ -83,7 +83,7 @@ class SelectionState:
 
     @property
     def empty_model(self) -> Model:
-        """Model without members."""
+        """Model without effects."""
         return Model((), (), (), self.space.residuals)
 
     @property

@@ -182,7 +182,7 @@ def diagnosis_summary(
     """Summary of a diagnosis in a few sentences.
 
     `misfit_before` and `misfit_after` are those without and with the findings in the model, and `n_withheld` is the
-    number of members of the model that are not reported.
+    number of effects in the model that are not reported.
     """
     if verdict == "consistent" and not misfit_before.dof:
         return "The recording cannot be tested: there is no redundancy. Measure targets repeatedly."

@@ -97,14 +97,14 @@ def _station_count_sentences(plan: PlannedNetwork) -> list[str]:
         return []
     *fewer, last = plan.station_count_results
     outcomes = _count_result_clauses(fewer, plan.search_space.min_sights)
-    good = last.max_error_ratio is not None and is_met(last.max_error_ratio)
+    meets_tolerance = last.max_error_ratio is not None and is_met(last.max_error_ratio)
     count = len(plan.layout.survey.station_positions)
     sentences = (
         [f"{last.n_stations} stations are the fewest for which the search found a layout that meets the tolerances."]
-        if good
+        if meets_tolerance
         else []
     )
-    if not good:
+    if not meets_tolerance:
         sentences = [
             f"The search found no layout with {plan.station_count_results[0].n_stations} to "
             f"{last.n_stations} stations that meets the "
@@ -244,9 +244,9 @@ def _limit_sentences(plan: PlannedNetwork) -> list[str]:
     is_near = is_too_near(survey.station_positions[None], 1.02 * site.min_station_spacing) & ~is_too_near(
         survey.station_positions[None], site.min_station_spacing
     )
-    close = [(names[i], names[j]) for i, j in np.argwhere(is_near[0]).tolist()]
-    if close:
-        pairs = ", ".join(f"{first} and {second}" for first, second in close)
+    near_pairs = [(names[i], names[j]) for i, j in np.argwhere(is_near[0]).tolist()]
+    if near_pairs:
+        pairs = ", ".join(f"{first} and {second}" for first, second in near_pairs)
         sentences.append(f"{pairs} are at the minimum spacing of {site.min_station_spacing:g} m.")
     steps = 0.03 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
     edge = [

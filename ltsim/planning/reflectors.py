@@ -222,12 +222,12 @@ def choose_reflectors(
 
 def _is_usable_place(search_space: SearchSpace, survey: PlannedSurvey, places: Floats) -> Bools:
     """Flags (P,) of the places that enough stations see, and at which a fixed nest can face all these stations."""
-    good: Bools = search_space.is_visible(survey.station_positions, places).sum(axis=0) >= min(
+    is_usable: Bools = search_space.is_visible(survey.station_positions, places).sum(axis=0) >= min(
         search_space.min_sights, len(survey.station_positions)
     )
     if search_space.is_aimed_nest.any():
-        good &= aim_nest_normals(survey.station_positions, places)[1] <= search_space.sight_limits.max_incidence
-    return good
+        is_usable &= aim_nest_normals(survey.station_positions, places)[1] <= search_space.sight_limits.max_incidence
+    return is_usable
 
 
 def _is_near_point(points: Floats, places: Floats, distance: float) -> Bools:

@@ -130,30 +130,30 @@ class SearchSpace(ValueEquality):
         table = compute_visibility(position, goal, self.sight_limits, obstacles=self.obstacles)
         turn = self.position_tolerance / table.ranges
         lowest = max(self.sight_limits.elevation_min, 0.5 * (self.sight_limits.cone_opening - np.pi))
-        good: Bools = (
+        is_visible_place: Bools = (
             table.is_visible
             & (table.elevations - turn >= lowest)
             & (table.elevations + turn <= self.sight_limits.elevation_max)
         )
-        good &= table.ranges - self.position_tolerance >= self.sight_limits.range_min
+        is_visible_place &= table.ranges - self.position_tolerance >= self.sight_limits.range_min
         if self.obstacles is not None and self.position_tolerance:
-            s, t = np.nonzero(good)
-            good[s, t] = ~self.obstacles.is_blocked_near(
+            s, t = np.nonzero(is_visible_place)
+            is_visible_place[s, t] = ~self.obstacles.is_blocked_near(
                 position[s], self.obstacles.moved_to_surface(goal)[t], self.position_tolerance
             )
-        return good
+        return is_visible_place
 
     def is_feasible(self, position: Floats, is_visible: Bools) -> Bools:
         """Flags (B,) of the layouts that meet all rules on spacing, sights and nests.
 
         `position` (B, S, 3) [m] are the stations, `is_visible` (B, S, T) their sights.
         """
-        good: Bools = np.asarray(~has_too_few_sights(is_visible, self.min_sights).any(axis=1))
-        good &= ~has_too_few_targets(is_visible).any(axis=1)
-        good &= ~is_too_near(position, self.min_station_spacing).any(axis=(1, 2))
-        if self.is_aimed_nest.any() and good.any():
-            good[good] = self._has_aimed_nest(position[good]).all(axis=1)
-        return good
+        is_feasible: Bools = np.asarray(~has_too_few_sights(is_visible, self.min_sights).any(axis=1))
+        is_feasible &= ~has_too_few_targets(is_visible).any(axis=1)
+        is_feasible &= ~is_too_near(position, self.min_station_spacing).any(axis=(1, 2))
+        if self.is_aimed_nest.any() and is_feasible.any():
+            is_feasible[is_feasible] = self._has_aimed_nest(position[is_feasible]).all(axis=1)
+        return is_feasible
 
     def broken_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
         """All rules that a layout breaks: first those on positions, then those on sights; empty for none."""

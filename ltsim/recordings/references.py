@@ -91,46 +91,50 @@ class ReferenceLengths:
 
 
 def _growth_and_changes(
-    recording: Recording, length: GaugeDistance, location: dict[str, Any]
+    recording: Recording, gauge_distance: GaugeDistance, location: dict[str, Any]
 ) -> tuple[float, dict[str, float]]:
     """Ratio of a length at use to that at calibration, and change of the ratio by one sigma of each error, by name."""
-    if length.measured_in_place:
+    if gauge_distance.measured_in_place:
         return 1.0, {}
     gauge = recording.gauge
     materials = gauge.materials or {}
-    if length.material is not None and length.material not in materials:
-        expected = f"one of {', '.join(materials)}" if materials else f"a table [gauge.materials.{length.material}]"
-        raise RecordError(
-            f"the material '{quoted_text(length.material)}' is not declared, expected {expected}", **location
+    if gauge_distance.material is not None and gauge_distance.material not in materials:
+        expected = (
+            f"one of {', '.join(materials)}" if materials else f"a table [gauge.materials.{gauge_distance.material}]"
         )
-    material = gauge if length.material is None else materials[length.material]
-    declared = gauge.measured_at_c if length.measured_at_c is None else length.measured_at_c
-    temperature_c = _mean_of_column(recording, declared, length, location) if isinstance(declared, str) else declared
-    sigma = gauge.sigma_temperature_k if length.sigma_temperature_k is None else length.sigma_temperature_k
-    length_name = "" if length.measured_at_c is None else f"{length.from_}-{length.to}"
+        raise RecordError(
+            f"the material '{quoted_text(gauge_distance.material)}' is not declared, expected {expected}", **location
+        )
+    material = gauge if gauge_distance.material is None else materials[gauge_distance.material]
+    declared = gauge.measured_at_c if gauge_distance.measured_at_c is None else gauge_distance.measured_at_c
+    temperature_c = (
+        _mean_of_column(recording, declared, gauge_distance, location) if isinstance(declared, str) else declared
+    )
+    sigma = (
+        gauge.sigma_temperature_k if gauge_distance.sigma_temperature_k is None else gauge_distance.sigma_temperature_k
+    )
+    length_name = "" if gauge_distance.measured_at_c is None else f"{gauge_distance.from_}-{gauge_distance.to}"
     thermometer = f"temperature of {declared if isinstance(declared, str) else length_name or 'the gauge'}"
     expansion = ThermalExpansion.from_temperature(
         material.expansion_per_k, temperature_c - gauge.calibrated_at_c, material.sigma_expansion_per_k, sigma
     )
     changes = {
-        f"{EXPANSION_ERROR_PREFIX}{length.material or 'the gauge'}": expansion.change_by_coefficient,
+        f"{EXPANSION_ERROR_PREFIX}{gauge_distance.material or 'the gauge'}": expansion.change_by_coefficient,
         thermometer: expansion.change_by_temperature,
     }
     return expansion.length_ratio, {name: change for name, change in changes.items() if change}
 
 
-def _mean_of_column(recording: Recording, name: str, length: GaugeDistance, location: dict[str, Any]) -> float:
+def _mean_of_column(recording: Recording, name: str, gauge: GaugeDistance, location: dict[str, Any]) -> float:
     """Mean of the column `name` over the pointings to both ends of a length; raises RecordError."""
     if name not in recording.covariates:
         columns = ", ".join(recording.covariates) or "none"
         message = f"measured_at_c names '{quoted_text(name)}', which is not a column of numbers; there are {columns}"
         raise RecordError(message, **location)
-    end_targets = [recording.targets.index(target) for target in (length.from_, length.to)]
+    end_targets = [recording.targets.index(target) for target in (gauge.from_, gauge.to)]
     values = recording.covariates[name][np.isin(recording.target, end_targets)]
     if not np.isfinite(values).any():
-        message = (
-            f"the column {name} is empty where {length.from_} and {length.to} were measured, expected temperatures"
-        )
+        message = f"the column {name} is empty where {gauge.from_} and {gauge.to} were measured, expected temperatures"
         raise RecordError(message, **location)
     return float(np.nanmean(values))
 

@@ -45,9 +45,9 @@ def tracker_presets_text(scenarios: Iterable[Scenario | ScenarioSettings]) -> st
     return ", ".join(f"preset {name}" for name in dict.fromkeys(t.preset for t in trackers))
 
 
-def count_text(count: int, singular: str, plural: str = "") -> str:
+def count_text(n_items: int, singular: str, plural: str = "") -> str:
     """Number with noun: `1 station`, `5 stations`."""
-    return f"{count} {singular if count == 1 else plural or singular + 's'}"
+    return f"{n_items} {singular if n_items == 1 else plural or singular + 's'}"
 
 
 def natural_sort_key(name: str) -> list[tuple[int, str]]:

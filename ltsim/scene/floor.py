@@ -191,10 +191,10 @@ class StandingArea:
 
     def covers_places(self, places: Floats) -> Bools:
         """Flags (N,) of the positions (N, 2) [m] on the floor that lie in the area and outside its openings."""
-        good = is_inside_outline(self.outline, places)
+        is_covered = is_inside_outline(self.outline, places)
         for hole in self.holes:
-            good &= ~is_inside_outline(hole, places)
-        return good
+            is_covered &= ~is_inside_outline(hole, places)
+        return is_covered
 
 
 @dataclass(frozen=True)
@@ -268,14 +268,14 @@ def is_allowed_position(
     position: Floats,
 ) -> Bools:
     """Flags (N,) of the instrument positions (N, 3) [m] under which a tripod may stand."""
-    good = np.zeros(len(position), dtype=bool)
+    is_allowed = np.zeros(len(position), dtype=bool)
     for area in standing_areas:
-        good |= area.contains_instrument(position)
+        is_allowed |= area.contains_instrument(position)
     for place in keep_out_areas:
-        good &= ~place.contains_places(position[:, :2])
-    if obstacles is not None and good.any():
-        good[good] = ~obstacles.is_enclosed(position[good])
-    return good
+        is_allowed &= ~place.contains_places(position[:, :2])
+    if obstacles is not None and is_allowed.any():
+        is_allowed[is_allowed] = ~obstacles.is_enclosed(position[is_allowed])
+    return is_allowed
 
 
 def refusal_reason(

@@ -131,14 +131,14 @@ class Obstacles:
         """Flags (n,) of points (n, 3) [m] inside a closed body: a ray upwards crosses an odd number of triangles."""
         (west, south), (east, north) = self._bounding_rectangles
         flat = _projected_along_upwards(points)
-        count = np.zeros(len(points), dtype=np.int64)
+        n_crossings = np.zeros(len(points), dtype=np.int64)
         step = max(1, MAX_RAY_TRIANGLE_PAIRS // max(len(self.triangles), 1))
         for start in range(0, len(points), step):
             x, y = flat[start : start + step].T[..., None]
             i, t = np.nonzero((west <= x) & (x <= east) & (south <= y) & (y <= north))
             met = _ray_hits_triangle(self.triangles[t], points[start + i], TEST_RAY_DIRECTION, np.inf)
-            count[start : start + step] = np.bincount(i[met], minlength=len(x))
-        return count % 2 == 1
+            n_crossings[start : start + step] = np.bincount(i[met], minlength=len(x))
+        return n_crossings % 2 == 1
 
     @cached_property
     def _bounding_rectangles(self) -> tuple[Floats, Floats]:
@@ -200,7 +200,7 @@ class Obstacles:
         return self.is_inside_body(points) | self.is_blocked(points, feet)
 
 
-def count_native_hits(triangles: Floats, origins: Floats, beam: Floats, length: Floats) -> np.ndarray:
+def count_native_hits(triangles: Floats, origins: Floats, beam: Floats, ray_lengths: Floats) -> np.ndarray:
     """Number (n,) of triangles (m, 3, 3) that each ray meets within its length (n,) [m], in double precision.
 
     Rays have origins (n, 3) and unit vectors `beam` (n, 3). Edges belong to a triangle. A ray in the plane of a
@@ -210,7 +210,7 @@ def count_native_hits(triangles: Floats, origins: Floats, beam: Floats, length: 
     step = max(1, MAX_RAY_TRIANGLE_PAIRS // max(len(triangles), 1))
     for start in range(0, len(origins), step):
         rows = slice(start, start + step)
-        met = _ray_hits_triangle(triangles, origins[rows, None], beam[rows, None], length[rows, None])
+        met = _ray_hits_triangle(triangles, origins[rows, None], beam[rows, None], ray_lengths[rows, None])
         count[rows] = met.sum(axis=1)
     return count
 

@@ -191,7 +191,11 @@ def _nearest_approach(start_points: Floats, beam: Floats, squared_beam_length: F
 
 
 def _line_integral(
-    approach_distance: Floats, perpendicular_distance: Floats, length: Floats, sigma_along_line: Floats, width: float
+    approach_distance: Floats,
+    perpendicular_distance: Floats,
+    line_lengths: Floats,
+    sigma_along_line: Floats,
+    width: float,
 ) -> Floats:
     """Integral (..., n) [m] of w along lines of length (n,) [m].
 
@@ -200,7 +204,7 @@ def _line_integral(
     """
     from scipy.special import ndtr
 
-    share = ndtr((length - approach_distance) / sigma_along_line) - ndtr(-approach_distance / sigma_along_line)
+    share = ndtr((line_lengths - approach_distance) / sigma_along_line) - ndtr(-approach_distance / sigma_along_line)
     integral: Floats = (
         np.sqrt(2.0 * np.pi)
         * sigma_along_line

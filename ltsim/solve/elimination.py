@@ -181,14 +181,14 @@ class SparseElimination:
         rows = scale_columns(rows, self.column_scales)
         back = sp.csr_array(rows[:, self._n_reduced :])
         reduced = sp.csr_array(rows[:, : self._n_reduced] - back @ self._elimination_coefficients.T)
-        carried = sp.csr_array(back @ _block_diagonal(self._block_inverses))
+        reduced_rows = sp.csr_array(back @ _block_diagonal(self._block_inverses))
         if not len(group_boundaries) > 1:
             return
         inverse = self.reduced_inverse
         for low, high in pairwise(group_boundaries.tolist()):
             front, columns = dense_rows(reduced, low, high)
             form = front @ inverse[columns[:, None], columns] @ front.T
-            carry, columns = dense_rows(carried, low, high)
+            carry, columns = dense_rows(reduced_rows, low, high)
             form += carry @ dense_rows(back, low, high, columns)[0].T
             yield form
 

@@ -272,7 +272,7 @@ def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: fl
     record = read_bench(Path(source), **options)
     result = evaluate_bench(record)
     vertex = fit_vertex_offset(record.angles, result.range_errors, float(result.range_error_sigmas.max()))
-    sigmas = np.sqrt(np.diag(result.eccentricity_covariance))
+    eccentricity_sigmas = np.sqrt(np.diag(result.eccentricity_covariance))
 
     def entry(value: float, sigma: float) -> EstimateEntry:
         return EstimateEntry(value_um=value / MICROMETRE, sigma_um=sigma / MICROMETRE)
@@ -284,8 +284,8 @@ def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: fl
         strict=True,
     )
     return BenchFile(
-        eccentricity_forward=entry(result.eccentricity[0], sigmas[0]),
-        eccentricity_side=entry(result.eccentricity[1], sigmas[1]),
+        eccentricity_forward=entry(result.eccentricity[0], eccentricity_sigmas[0]),
+        eccentricity_side=entry(result.eccentricity[1], eccentricity_sigmas[1]),
         run_out_um=result.run_out / MICROMETRE,
         table=tuple(
             BenchRow(angle_deg=angle, as_read_um=read, error_um=error, sigma_um=sigma)

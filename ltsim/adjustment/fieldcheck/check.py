@@ -337,10 +337,10 @@ def _bump_item(
     index = int(np.searchsorted(recording.time[order], bump.time))
     pair = order[index - 1 : index + 1]
     time_interval = float(recording.time[pair[0]]), float(recording.time[pair[1]])
-    numbers = int(row_numbers[pair[0]]), int(row_numbers[pair[1]])
+    rows_around_motion = int(row_numbers[pair[0]]), int(row_numbers[pair[1]])
     chance = family.corrected_p_value(occupation.p_value(fit), len(order) - 1)
-    sentence = bump_sentence(recording, time_interval, numbers, fit)
-    return CheckItem.from_test(name, "bump", False, sentence, chance, rows=numbers, between_s=time_interval)
+    sentence = bump_sentence(recording, time_interval, rows_around_motion, fit)
+    return CheckItem.from_test(name, "bump", False, sentence, chance, rows=rows_around_motion, between_s=time_interval)
 
 
 def _zero_drift_design(occupation: StationOccupation) -> Floats:

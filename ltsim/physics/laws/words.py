@@ -99,10 +99,7 @@ CONSTANT_UNIT_COVARIATE = {
     "after tip": "move-elevation",
 }
 """Variable whose unit a constant in the formula of a law has, by the function of the law that contains the constant.
-
-The time constant of `fades` is in the unit of time, the constant of `after slew` in the unit of the azimuth. A constant
-of a function that is not listed has the unit of the variable to which the function is applied.
-"""
+The constant of any other function has the unit of the variable to which the function is applied."""
 MIN_DISPLAYED = {"min": 2.0, "m": 1.0}
 """Smallest value that is displayed in the unit. Below it the next smaller unit is used, as in 90 s and 400 mm."""
 PER_SETUP_SUFFIX = ", separately at each set-up"

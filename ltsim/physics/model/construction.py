@@ -352,8 +352,7 @@ def make_construction(name: str, max_order: int | None = None, degree: int | Non
 def construction_with_orders(name: str, max_order: int, degree: int) -> Construction:
     """Geometric error model of a tracker (`Construction`) with a given name.
 
-    `max_order` is the number of harmonics of each encoder and `degree` the degree of the polynomials. Both apply to the
-    model ``dh``, a Denavit-Hartenberg chain of joints, and are ignored for others.
+    The orders `max_order` of harmonics and `degree` of polynomials apply to the Denavit-Hartenberg chain ``dh`` only.
     """
     return dh_construction(max_order, degree) if name == "dh" else make_construction(name)
 

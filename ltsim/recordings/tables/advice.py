@@ -20,7 +20,7 @@ from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 from ltsim.recordings.transcription_errors import MAX_CIRCLE_RADIANS, MIN_DISTANCE_MM
 
 MAX_SAMPLE_ROWS = 400
-"""Number of rows from which the roles of columns are suggested."""
+"""Number of rows from which the meanings of columns are suggested."""
 MAX_TRIED_ASSIGNMENTS = 20
 """Largest number of suggested assignments that are tested on the whole sheet, the most likely first."""
 MAX_SAMPLE_CELLS = 100_000
@@ -136,15 +136,15 @@ def _likely_assignments(titles: Sequence[str], rows: Sequence[Sequence[str]]) ->
     return [",".join([*names_and_faces, *readings]) for readings in readings_sets]
 
 
-def _angle_columns(numbers: Sequence[int], columns: CellsByColumn) -> list[tuple[int, ...]]:
+def _angle_columns(number_columns: Sequence[int], columns: CellsByColumn) -> list[tuple[int, ...]]:
     """Columns that may contain an angle: the column alone, or with those of minutes and seconds after it."""
     angles: list[tuple[int, ...]] = []
     used_columns: set[int] = set()
-    for i in numbers:
+    for i in number_columns:
         part_columns = [i]
         while (
             len(part_columns) < len(ANGLE_MARKS)
-            and part_columns[-1] + 1 in numbers
+            and part_columns[-1] + 1 in number_columns
             and _is_minutes_or_seconds(columns[part_columns[-1] + 1])
         ):
             if _has_fraction(columns[part_columns[-1]]):

@@ -53,7 +53,7 @@ class TableBlock:
         return station is not None or bool(heights)
 
     def height_columns_after(self, columns: Sequence[TableColumn]) -> list[TableColumn]:
-        """Columns of the heights, to be added after the columns of a header, without the roles that the header has."""
+        """Columns of the heights, to be added after the columns of a header, without those that the header has."""
         roles = {column.role for column in columns}
         extra = [column for column in self.height_columns if column.role not in roles]
         return [replace(column, position=len(columns) + i) for i, column in enumerate(extra)]

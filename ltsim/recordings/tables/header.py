@@ -27,7 +27,7 @@ SIGMA_ROLES = {
     **dict.fromkeys(VERTICAL_ROLES, "sigma_elevation_arcsec"),
     **{axis: f"sigma_{axis}_mm" for axis in COORDINATE_ROLES},
 }
-"""Role of the column with the standard deviation of another column, by the role of that column."""
+"""Meaning (role) of the column with the standard deviation of another column, by the meaning of that column."""
 ROLE_BY_TITLE = {
     word: role
     for words in (TITLE_WORDS, *FOREIGN_TITLE_WORDS.values())
@@ -47,16 +47,16 @@ ROLE_UNITS = {
     "air_pressure_hpa": ("hpa",),
     "relative_humidity_pct": ("%",),
 }
-"""Permitted units by role; a column with another unit does not have the role."""
+"""Permitted units by the meaning of a column; a column with another unit does not have this meaning."""
 _SETUP_TITLES = ("setup", "setupname", "setupid", "setupno", "setupnr", "setupnumber")
 _OCCUPATION_TITLES = ("occupation", "occupationid", "aufstellung", "besetzung")
 FALLBACK_TITLES = {
     "target": ("nr", "nummer", "no", "id"),
     "station": (*_SETUP_TITLES, *_OCCUPATION_TITLES),
 }
-"""Titles that have a role only if no other title has it."""
+"""Titles that have a meaning only if no other title has it."""
 FALLBACK_TITLE_ROLES = {"target": "", "station": "instrument_setup"}
-"""Role of such a title if another title has the usual role: with a station, a set-up numbers the occupations."""
+"""Meaning of such a title if another title has the usual one: with a station, a set-up numbers the occupations."""
 MAPPABLE_ROLES = tuple(dict.fromkeys((*TITLE_WORDS, *SIGMA_ROLES.values())))
 """Roles that the option ``--columns`` accepts."""
 MAX_TITLE_LENGTH = 80
@@ -86,7 +86,7 @@ _VALUE_PATTERN = re.compile(r"([a-z0-9]+?)(?:value|reading|obs|raw)")
 
 @dataclass(frozen=True)
 class TableColumn:
-    """Column of a table: position from 0, title, role ('' for none), unit ('' if not given) and face (0 for both)."""
+    """Column of a table: position from 0, title, role (what it holds, '' if unknown), unit, and face (0 for both)."""
 
     position: int
     title: str
@@ -110,15 +110,15 @@ class TableColumn:
 
 
 def header_columns(fields: Sequence[str]) -> list[TableColumn]:
-    """Columns of a header (cached), each with the role and unit of its title; see `_compute_header_columns`."""
+    """Columns of a header (cached), each with the meaning and unit of its title; see `_compute_header_columns`."""
     return list(_compute_header_columns(tuple(fields)))
 
 
 @lru_cache(maxsize=64)
 def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
-    """Columns of a header, each with the role and unit of its title.
+    """Columns of a header, each with the meaning (role) and unit of its title.
 
-    If two titles have one role, the first column has it. Faces are distinguished if each reading has two columns.
+    If two titles have one meaning, the first column has it. Faces are distinguished if each reading has two columns.
     Coordinates in a table of polar readings are additional columns.
     """
     candidates = _join_angle_parts([_column_from_title(place, title) for place, title in enumerate(fields)])
@@ -200,7 +200,7 @@ def _count_reading_kinds(columns: Sequence[TableColumn]) -> int:
 
 
 def count_role_titles(fields: Sequence[str]) -> int:
-    """Number of fields that are titles with a role; a header has at least two."""
+    """Number of fields that are titles with a known meaning; a header has at least two."""
     return sum(map(_has_role, fields))
 
 

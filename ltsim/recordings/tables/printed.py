@@ -123,7 +123,7 @@ class PrintedPointings:
         return SourceLocation(self.file[index], self.line[index])
 
     def digits_of_roles(self, roles: Sequence[str]) -> Digits:
-        """Digits (n,) of each row, from the first of the roles in which the row has a number."""
+        """Digits (n,) of each row, from the first of the given kinds of column in which the row has a number."""
         digits: Digits = np.zeros(len(self), dtype="S1")
         for role in roles:
             if role in self.numbers:
@@ -194,7 +194,7 @@ class PointingTable:
     lacks_station_names: bool = False
     """True if a pointing has no name of its station."""
     is_positional: bool = False
-    """True if the columns have fixed roles, because there is no header."""
+    """True if the columns have fixed meanings, because there is no header."""
     has_unnamed_targets: bool = False
     """True if no row names its target."""
     marks: dict[str, str] = field(default_factory=dict)
@@ -204,7 +204,7 @@ class PointingTable:
     """Unit from the marks in the cells of a column, by its title."""
 
     def column(self, kind: Sequence[str]) -> TableColumn | None:
-        """First column that has one of the roles; None if there is none."""
+        """First column with one of the given meanings (roles); None if there is none."""
         return next((c for c in self.columns if c.role in kind), None)
 
     @property
@@ -220,7 +220,7 @@ class PointingTable:
     def add_header(self, columns: Sequence[TableColumn], file: object, row: int | None = None) -> None:
         """Addition of the columns of another header; additional columns may differ.
 
-        Raises RecordError if the roles or units of its readings differ from those before.
+        Raises RecordError if the meanings or units of its readings differ from those before.
         """
         earlier_columns, new_columns = (
             [(c.role, c.unit, c.face) for c in table_columns if c.role in READING_ROLES]

@@ -310,7 +310,7 @@ def _unit_reason(role: str, unit: str, interpretation: ColumnInterpretation) -> 
 def _covariate_values(
     column: TableColumn, pointings: PrintedPointings, interpretation: ColumnInterpretation
 ) -> tuple[Floats, str] | None:
-    """Numbers (n,) of a column in the unit of its role, NaN for an empty cell, and unit of its cells; None for text."""
+    """Numbers (n,) of a column in the unit of its kind, NaN for an empty cell, and unit of the cells; None for text."""
     texts = pointings.additional_cells.get(column.title, [])
     if not any(texts):
         return None

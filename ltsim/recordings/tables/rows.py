@@ -38,7 +38,7 @@ from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 POSITIONAL_ROLES = ("station", "target", "azimuth", "vertical", "distance")
 """Roles of the columns of a table without header whose lines have names and three numbers."""
 MIN_TITLES = 2
-"""Smallest number of titles with a role in a header: two angles, or an angle and a distance."""
+"""Smallest number of titles with a known meaning in a header: two angles, or an angle and a distance."""
 
 
 def read_pointing_table(
@@ -249,7 +249,7 @@ class _SheetReader:
 
 
 def _duplicate_role_warnings(columns: Sequence[TableColumn]) -> list[str]:
-    """Notes on columns whose role another column already has."""
+    """Notes on columns whose meaning another column already has."""
     title_by_role = {c.role: c.title for c in columns if c.role}
     unused_columns = [(c.title, title_role(title_words_and_unit(c.title)[0])) for c in columns if not c.role]
     return [

@@ -45,7 +45,7 @@ TITLE_WORDS = {
     "air_pressure_hpa": "airpressure pressure luftdruck",
     "relative_humidity_pct": "relativehumidity humidity luftfeuchte luftfeuchtigkeit",
 }
-"""English and German titles by role, separated by blanks."""
+"""English and German titles by the meaning of the column, separated by blanks."""
 FOREIGN_TITLE_WORDS = {
     "French": {
         "station": "stationne pointstation pointstationne",
@@ -141,4 +141,4 @@ FOREIGN_TITLE_WORDS = {
         "target_height_mm": "jelmagassag prizmamagassag",
     },
 }
-"""Titles in other languages: by language, and then by role."""
+"""Titles in other languages: by language, and then by the meaning of the column."""
