@@ -9,8 +9,7 @@ from ltsim.adjustment.remedies.remedy import FloorPlan
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, SetupError, option
 from ltsim.core.units import DEGREE, MILLIMETRE
-from ltsim.geometry.alignment import align_robustly
-from ltsim.geometry.rotations import rotation_about_z
+from ltsim.geometry.rigid import align_robustly, rotation_about_z
 from ltsim.physics.model.construction import declared_construction
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.planning.site import SearchSpace

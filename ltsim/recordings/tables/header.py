@@ -211,7 +211,7 @@ def _has_role(title: str) -> bool:
 
 
 def is_header(columns: Sequence[TableColumn], *, allows_unnamed: bool = False) -> bool:
-    """True for a header: two of direction, vertical angle and distance, or all three coordinates of targets.
+    """True if the columns of a header include two of direction, vertical angle and distance, or all coordinates.
 
     Targets of coordinates must have names unless `allows_unnamed`.
     """

@@ -1,4 +1,4 @@
-"""Names that a table lacks: without those of stations or points, ranges and elevations under one name differ."""
+"""Names that a table lacks: those of its set-ups or of its points. Ranges and elevations under one name then differ."""
 
 import numpy as np
 
