@@ -272,7 +272,8 @@ def uncertainty(
 ) -> int:
     """Evaluate the uncertainty of the tasks of a file: GUM and Monte Carlo, budget, conformity.
 
-    Writes uncertainty.json, uncertainty.csv and budget.csv to --out. Exit status 1 if a result fails its tolerance.
+    Writes uncertainty.json, uncertainty.csv and budget.csv to --out. Exit status 0 if all results with a tolerance are
+    accepted, 1 if one is rejected or undecided.
 
     Example: ltsim uncertainty flange.toml --out my-uncertainty
     """
@@ -314,7 +315,7 @@ def uncertainty(
         )
         terminal.print_text(f"\n{text}")
     terminal.print_folder(terminal.out)
-    return int(any(r.conformity is not None and r.conformity.judgement == "rejected" for r in content.results))
+    return int(any(r.conformity is not None and r.conformity.judgement != "accepted" for r in content.results))
 
 
 def _recording_of_tasks(

@@ -41,7 +41,7 @@ from ltsim.reports.figures import (
     residuals as misfits,
 )
 from ltsim.reports.residuals import Residuals
-from ltsim.reports.sections.campaign import coverage_sentence
+from ltsim.reports.sections.campaign_coverage import coverage_sentence
 from ltsim.reports.words import distinct_labels, typographic_text
 from ltsim.reports.workshop import workshop_from_adjustment, workshop_from_scenario
 from ltsim.simulation.scenario import load_scenario

@@ -23,8 +23,8 @@ from ltsim.diagnosis.schema import (
     FindingScope,
     Misfit,
 )
-from ltsim.diagnosis.words import clear_constants_texts, effect_text, parameter_text
-from ltsim.physics.effects import find_effect, title_of
+from ltsim.diagnosis.words import clear_constants_texts, effect_text
+from ltsim.physics.effects import find_effect, parameter_text, title_of
 from ltsim.physics.effects.catalogue import catalogue_entry
 from ltsim.recordings.result_file import require_same_recording
 from ltsim.reports import figures
