@@ -30,7 +30,7 @@ from ltsim.adjustment.reliability import (
 )
 from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.adjustment.snooping import snoop_readings
-from ltsim.core.arrays import Bools, Floats
+from ltsim.core.arrays import Bools, Floats, batches
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.physics.model.measurement import NetworkState
@@ -66,8 +66,6 @@ MIN_RELATIVE_SIGMA = 0.3
 """Smallest standard deviation with which a reference value is tested, relative to the median one of the readings."""
 MAX_INCLINATION = 0.01
 """Ratio of horizontal to vertical error up to which an error of a point counts as a height error."""
-REFERENCE_BATCH_SIZE = 64
-"""Number of reference values whose covariance columns are computed together (memory)."""
 MIN_NORMALISED_ERROR_CERTAIN = 20.0
 """Error of a reference value, in its standard deviations, from which the value is excluded even if several outliers
 among the readings explain the misfit as well.
@@ -198,7 +196,7 @@ def reference_tests(
     declared = reference_values(problem, solution.x)
     values = [v for v in declared if float(np.linalg.norm(residual[v.rows])) >= min_residual]
     values += common_scale(problem, solution.x) if min_residual else []
-    for batch in (values[i : i + REFERENCE_BATCH_SIZE] for i in range(0, len(values), REFERENCE_BATCH_SIZE)):
+    for batch in (values[part] for part in batches(len(values), 3 * solution.system.design.shape[1])):
         inside = np.hstack([to_dense(solution.system.design[value.rows]).T @ value.signature for value in batch])
         response, first = solution.factor.covariance_columns(inside), 0
         for value in batch:

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_evidence
-from ltsim.core.arrays import Floats, Ints, Singles, stack_and_release
+from ltsim.core.arrays import Floats, Ints, Singles, batches, stack_and_release
 from ltsim.diagnosis.evidence import log_means_by_group, noise_level_factor, simulated_log_evidence
 from ltsim.diagnosis.null_ensemble import NullEnsemble, row_gram
 from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
@@ -27,10 +27,6 @@ from ltsim.scene.sightings import Sightings
 
 MAX_SPARSE_FRACTION = 0.15
 """Fraction of nonzeros below which a signature is stored as a sparse matrix (speed only)."""
-MAX_SIGNATURE_PRODUCTS = 2_000_000
-"""Largest number of products of signatures and vectors in memory at a time, some tens of MB."""
-N_VECTORS_PER_PART = 128
-"""Number of vectors that are weighted at a time."""
 
 
 ORDINARY_CALIBRATION_TYPES = {type(effect) for effect in BASELINE_EFFECTS}
@@ -69,17 +65,15 @@ class SignatureGroup:
 
     def parts(self, vectors: int) -> Iterator[slice]:
         """Parts of the members whose products with a number of vectors are in memory at a time."""
-        step = max(1, MAX_SIGNATURE_PRODUCTS // (self.size * max(vectors, 1)))
-        yield from (slice(i, min(i + step, len(self.members))) for i in range(0, len(self.members), step))
+        return batches(len(self.members), self.size * vectors)
 
     def weighted_products(self, members: slice, vectors: Floats | Singles) -> Floats:
         """Products (h, k, v) of some weighted signatures with vectors (m, v)."""
         rows, count = self.rows[members.start * self.size : members.stop * self.size], vectors.shape[1]
         products = np.empty((rows.shape[0], count))
-        for i in range(0, count, N_VECTORS_PER_PART):
-            few = slice(i, i + N_VECTORS_PER_PART)
-            products[:, few] = rows @ np.multiply(
-                vectors[self.places, few], self.row_weights[:, None], dtype=np.float32
+        for part in batches(count, len(self.row_weights)):
+            products[:, part] = rows @ np.multiply(
+                vectors[self.places, part], self.row_weights[:, None], dtype=np.float32
             )
         return products.reshape(members.stop - members.start, self.size, count)
 

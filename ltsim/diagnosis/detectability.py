@@ -17,7 +17,7 @@ from ltsim.adjustment.remedies.next_measurement import best_explanation, rank_de
 from ltsim.adjustment.remedies.remedy import advice_sentence
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
-from ltsim.core.arrays import Floats
+from ltsim.core.arrays import Floats, batches
 from ltsim.core.errors import ModelError
 from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures
 from ltsim.diagnosis.diagnosis import Diagnosis
@@ -27,8 +27,6 @@ from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.effects.signature import Signature
 
-MAX_PROJECTED_ENTRIES = 1_000_000
-"""Largest number of entries of signatures in memory at a time, 8 MB; their projections take several times as much."""
 MAX_DETECTABLE_SIZE_RATIO = 10.0
 """Multiple of a large but plausible size above which a detectable size counts as undetectable."""
 MAX_EQUAL_SIZE_DIFFERENCE = 1e-6
@@ -66,8 +64,7 @@ def _detectability_of_effects(space: ResidualSpace, effects: Sequence[Effect]) -
     entries: list[tuple[Effect, Floats, float, int, Floats]] = []
     for size, same in groupby(select_places(effects), key=lambda effect: len(effect.parameters)):
         sample = list(same)
-        step = max(1, MAX_PROJECTED_ENTRIES // (space.n_rows * size))
-        for batch in (sample[i : i + step] for i in range(0, len(sample), step)):
+        for batch in (sample[part] for part in batches(len(sample), space.n_rows * size)):
             signatures = np.hstack([space.whitened_signature(effect) for effect in batch])
             edges = np.arange(0, signatures.shape[1] + 1, size)
             grams = np.stack(space.projector.gram_matrices(signatures, edges, slice(None)))

@@ -28,7 +28,7 @@ from ltsim.calibration.evidence import (
     log_sum_exp,
     size_weights_and_constants,
 )
-from ltsim.core.arrays import Bools, Floats, Ints, Singles
+from ltsim.core.arrays import Bools, Floats, Ints, Singles, batches
 from ltsim.physics.effects.outlier import OBSERVABLE_COLUMN, Outlier
 from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.recordings.recording import OBSERVABLES
@@ -60,10 +60,6 @@ def normalised_probabilities(logs: Floats) -> Floats:
     return probabilities
 
 
-MAX_SIMULATED_SCORES = 500_000
-"""Largest number of simulated scores in memory at a time, some tens of MB."""
-
-
 def simulated_log_evidence(scores: Floats, strength: Floats) -> Floats:
     """`log_evidence` (h, trials) of scores (h, k, trials) of simulated residuals, in single precision."""
     parts = [
@@ -82,11 +78,10 @@ def simulated_log_total(scores: Singles, strength: Floats, log_prior: Floats) ->
 
 def _simulated_log_evidence(scores: Floats | Singles, strength: Floats, log_prior: Floats) -> Iterator[Singles]:
     """Log evidence with priors, (h, sizes, trials), in batches of hypotheses."""
-    step = max(1, MAX_SIMULATED_SCORES * len(scores) // max(scores.size, 1))
-    for i in range(0, len(scores), step):
-        weights, constants = size_weights_and_constants(strength[i : i + step])
-        constants += log_prior[i : i + step, None]
-        logs = np.swapaxes(weights, -1, -2).astype(np.float32) @ np.square(scores[i : i + step], dtype=np.float32)
+    for part in batches(len(scores), scores.size // max(len(scores), 1)):
+        weights, constants = size_weights_and_constants(strength[part])
+        constants += log_prior[part, None]
+        logs = np.swapaxes(weights, -1, -2).astype(np.float32) @ np.square(scores[part], dtype=np.float32)
         logs += constants[..., None].astype(np.float32)
         yield logs
 

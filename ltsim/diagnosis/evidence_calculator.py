@@ -11,7 +11,7 @@ import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
-from ltsim.core.arrays import Floats, Ints
+from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Floats, Ints
 from ltsim.diagnosis.evidence import (
     MAX_EVIDENCE_TIE,
     index_of_best,
@@ -27,8 +27,6 @@ CachedType = TypeVar("CachedType", bound=CandidateEffect)
 PlaceKey = tuple[tuple[str, ...], tuple[str, ...]]
 MAX_SEARCH_STEPS = 12
 """Largest number of steps of the local search."""
-MAX_SIGNATURE_ENTRIES = 3_000_000
-"""Largest number of entries of signatures in memory at a time, some tens of MB."""
 
 
 class ResidualRows(NamedTuple):
@@ -114,7 +112,7 @@ class EvidenceCalculator:
             by_rows.setdefault(id(rows), (rows, []))[1].append(i)
         for rows, members in by_rows.values():
             ends = np.cumsum([len(effects[i].parameters) for i in members]) * len(rows.pointing)
-            parts = np.split(members, np.flatnonzero(np.diff(ends // MAX_SIGNATURE_ENTRIES)) + 1)
+            parts = np.split(members, np.flatnonzero(np.diff(ends // MAX_TEMPORARY_ENTRIES)) + 1)
             yield from ((rows, part.tolist()) for part in parts)
 
     def _rows_of(self, effect: CandidateEffect) -> ResidualRows:

@@ -20,7 +20,7 @@ from scipy.special import expit
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
-from ltsim.core.arrays import Floats, Ints, Singles
+from ltsim.core.arrays import Floats, Ints, Singles, batches
 from ltsim.diagnosis.evidence import log_means_by_group, log_restricted_likelihood_ratio, normalised_probabilities
 from ltsim.diagnosis.noise_centring import estimate_centring
 from ltsim.diagnosis.noise_factors import NoiseFactors, VariancePattern
@@ -51,8 +51,6 @@ N_EVALUATED_FAMILIES = 6
 """Number of families that are evaluated without approximation, the most probable first."""
 MAX_AVERAGED_PATTERNS = 12
 """Number of patterns, the most probable first, over which the variance is averaged."""
-MAX_RESIDUAL_ENTRIES = 1_500_000
-"""Largest number of entries of residuals that are evaluated at a time, some tens of MB."""
 MIN_COMPARABLE_EVIDENCE_FRACTION = 0.2
 """Fraction of the largest log evidence from which windows of noise are also sought at single places."""
 N_FINE_SIZES = 48
@@ -138,9 +136,8 @@ class NoiseBank:
 
     def family_evidence(self, residual: Floats | Singles, redundancy: Floats) -> Floats:
         """Log evidence (families, trials) with priors, in its diagonal form; group hypotheses last."""
-        step = max(1, MAX_RESIDUAL_ENTRIES // len(residual))
-        batches = (residual[:, i : i + step].astype(np.float64) for i in range(0, residual.shape[1], step))
-        return np.hstack([self._family_evidence(part, redundancy) for part in batches])
+        parts = batches(residual.shape[1], len(residual))
+        return np.hstack([self._family_evidence(residual[:, part].astype(np.float64), redundancy) for part in parts])
 
     def _family_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         patterns = self._log_evidence_by_family(self.log_likelihood_ratio(residual, redundancy))

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.core.arrays import Floats, Ints, Singles
+from ltsim.core.arrays import Floats, Ints, Singles, batches
 from ltsim.core.randomness import stream
 from ltsim.solve.projection import BasisProjection
 
@@ -28,8 +28,6 @@ N_GRAM_DRAWS = 200
 """Number of simulated residuals for Monte-Carlo Gram matrices: relative standard deviation sqrt(2 / 200), 10 %."""
 MAX_EXACT_UNKNOWNS = 500
 """Largest number of unknowns of a network whose Gram matrices use the basis (cost)."""
-N_RESIDUALS_PER_PROJECTION = 50
-"""Number of simulated residuals that are projected at a time."""
 
 
 @dataclass(frozen=True)
@@ -138,8 +136,7 @@ def n_simulated_recordings(space: ResidualSpace, level: float) -> int:
 def _simulate_residuals(space: ResidualSpace, rng: np.random.Generator, residuals: Singles) -> None:
     """Computation of the residuals (m, count) of simulated recordings, in place."""
     white = rng.standard_normal(residuals.shape)
-    for start in range(0, white.shape[1], N_RESIDUALS_PER_PROJECTION):
-        part = slice(start, start + N_RESIDUALS_PER_PROJECTION)
+    for part in batches(white.shape[1], len(white)):
         residuals[:, part] = space.project(white[:, part])
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from scipy import optimize, special
 
 from ltsim.adjustment import adjust
-from ltsim.core.arrays import Bools, Floats
+from ltsim.core.arrays import Bools, Floats, batches
 from ltsim.core.randomness import stream
 from ltsim.core.values import ValueEquality
 from ltsim.geometry.expansion import ThermalExpansion
@@ -149,8 +149,6 @@ def curvature_differences(task_inputs: TaskInputs, measurands: Sequence[Measuran
 
 TRIALS_PER_BATCH = 10_000
 """Number of trials after which the stability of the results is examined."""
-TRIALS_PER_CALL = 1_000
-"""Number of trials that are evaluated together, for speed at moderate memory."""
 MIN_TOLERANCE_RATIO = 5.0
 """Ratio of the tolerance to the numerical error from which results are compared with the tolerance (clause 8.2)."""
 MAX_NON_NORMAL_FRACTION = 1e-9
@@ -269,7 +267,7 @@ def _draw_errors(
 
 def _evaluate_results(measurands: Sequence[Measurand], points: Floats, factor: Floats) -> Floats:
     """Results (trials, results) for points (trials, T, 3) [m] of a part that is scaled by `factor` (trials,)."""
-    pieces = [slice(at, at + TRIALS_PER_CALL) for at in range(0, TRIALS_PER_BATCH, TRIALS_PER_CALL)]
+    pieces = list(batches(len(points), points[0].size))
     rows = [np.concatenate([m.values(points[p], factor[p]) for m in measurands], axis=1) for p in pieces]
     return np.concatenate(rows)
 

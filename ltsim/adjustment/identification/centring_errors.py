@@ -29,7 +29,7 @@ from ltsim.adjustment.identification.evidence import (
 )
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import CentringChange, Hypothesis
-from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.residual_space import MAX_SCREENED_ENTRIES, ResidualSpace
 from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import MILLIMETRE
@@ -52,10 +52,6 @@ network unchanged.
 N_LOCAL_ITERATIONS = 4
 """Number of Gauss-Newton iterations of the fit of displacements in an unchanged network; each multiplies the error by
 the ratio of displacement and range.
-"""
-MAX_CENTRING_ENTRIES = 3_000_000
-"""Largest number of matrix entries of all tested signatures (computing time); places with smaller residuals are not
-tested beyond this limit.
 """
 CENTRING_SIGMAS = np.geomspace(1e-6, 1.0, 241)
 """Standard deviations [m] of centring errors whose likelihood is computed, in steps of 6 %: an estimate from a hundred
@@ -93,7 +89,7 @@ def centring_hypotheses(fit: NetworkFit, space: ResidualSpace) -> list[tuple[flo
     offers, entries = list[tuple[float, Hypothesis]](), 0
     for place in largest_first:
         entries += 3 * (int(place.occupation.max()) + 1) * space.n_rows
-        if entries > MAX_CENTRING_ENTRIES:
+        if entries > MAX_SCREENED_ENTRIES:
             break
         offers.append(_gain_and_hypothesis(place, *best_centring_sigma(space, place.occupation)[:2], len(places)))
     return offers

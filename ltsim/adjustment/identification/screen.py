@@ -33,18 +33,14 @@ from ltsim.adjustment.identification.library import (
 )
 from ltsim.adjustment.identification.local_shifts import LocalShift, fit_local_shifts
 from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests, relax_exact_references
-from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.residual_space import MAX_SCREENED_ENTRIES, ResidualSpace
 from ltsim.adjustment.sight import FitReadings
 from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
-from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Bools, Floats, Ints
+from ltsim.core.arrays import Bools, Floats, Ints, batches
 from ltsim.physics.effects.gauge_scale import GaugeScale
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.solve.gauss_newton import solve
 
-MAX_EXACTLY_PROJECTED_ENTRIES = 3_000_000
-"""Largest number of matrix entries of the signatures that are projected exactly (computing time). Beyond it only the
-best candidates of an approximation without projection are projected.
-"""
 MIN_OUTLIERS_FOR_TRIAL = 6
 """Number of outliers in a network above which fits without the distances of single places are made."""
 MIN_GROSS_FRACTION_FOR_TRIAL = 0.4
@@ -129,15 +125,14 @@ def _exact_log_evidence(space: ResidualSpace, candidates: Sequence[ShiftCandidat
     gains = np.full(len(candidates), -np.inf)
     indices = np.arange(len(candidates))
     sizes = np.array([space.n_rows * c.family.design.shape[2] for c in candidates], dtype=np.int64)
-    if sizes.sum() > MAX_EXACTLY_PROJECTED_ENTRIES:
+    if sizes.sum() > MAX_SCREENED_ENTRIES:
         indices = np.argsort(-_approximate_log_evidence(space, candidates))
-        indices = indices[np.cumsum(sizes[indices]) <= MAX_EXACTLY_PROJECTED_ENTRIES]
+        indices = indices[np.cumsum(sizes[indices]) <= MAX_SCREENED_ENTRIES]
     by_rank: dict[int, list[int]] = {}
     for i in indices.tolist():
         by_rank.setdefault(candidates[i].family.design.shape[2], []).append(i)
     for rank, group in by_rank.items():
-        step = max(1, MAX_TEMPORARY_ENTRIES // (space.n_rows * rank))
-        for batch in (group[k : k + step] for k in range(0, len(group), step)):
+        for batch in (group[part] for part in batches(len(group), space.n_rows * rank)):
             rows = np.hstack([_whitened_signature(space, candidates[i]) for i in batch])
             projected = space.project(rows).reshape(space.n_rows, len(batch), rank)
             size = np.linalg.norm(rows, axis=0).reshape(len(batch), rank)

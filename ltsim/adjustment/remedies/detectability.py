@@ -25,7 +25,7 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.reliability import noncentrality
 from ltsim.adjustment.residual_space import ResidualSpace, orthonormal_columns
 from ltsim.adjustment.significance import GLOBAL_LEVEL, MIN_NUMERICAL_REDUNDANCY
-from ltsim.core.arrays import Floats, Ints
+from ltsim.core.arrays import Floats, Ints, batches
 from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
 from ltsim.physics.effects.effect import Effect, NoiseEffect, Parameter
 
@@ -34,8 +34,6 @@ MIN_CONFUSABLE_FRACTION = 0.9
 """Fraction of an effect's signature from which another effect that explains it is reported as confusable."""
 INFORMATION_ROUNDING_ERROR = 1e-9
 """Information on a calibration parameter, relative to that of its prior, below which it is taken as rounding."""
-PROJECTION_BATCH_ROWS = 512
-"""Number of observations that are projected on the residuals together, to limit the memory."""
 MAX_EXAMINED_PLACES = 150
 """Number of places and constants of one effect up to which all are examined; of more, an even selection is examined."""
 
@@ -130,9 +128,9 @@ def _noise_effect_information(space: ResidualSpace, places: Sequence[NoiseEffect
     stack = np.array(changes)
     count = stack.shape[1]
     spread = np.empty_like(stack)
-    for low in range(0, count, PROJECTION_BATCH_ROWS):
-        units = np.eye(space.n_rows, min(PROJECTION_BATCH_ROWS, count - low), -low)
-        spread[:, low : low + PROJECTION_BATCH_ROWS] = stack @ space.project(units)[:count] ** 2
+    for part in batches(count, space.n_rows):
+        units = np.eye(space.n_rows, part.stop - part.start, -part.start)
+        spread[:, part] = stack @ space.project(units)[:count] ** 2
     edges = np.cumsum([0, *(len(effect.parameters) for effect in places)])
     return [0.5 * stack[a:b] @ spread[a:b].T for a, b in pairwise(edges)]
 
