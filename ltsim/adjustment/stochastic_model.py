@@ -16,7 +16,7 @@ from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.solve.design import robust_sigma, weight_rows
 from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
-from ltsim.solve.gauss_newton import Solution, solve
+from ltsim.solve.gauss_newton import MAX_ALTERNATIONS, MAX_ITERATIONS, Solution, solve
 
 HUBER_LIMIT = 2.0
 """Residual, in robust standard deviations, above which Huber's weights decrease; the efficiency for normal residuals is
@@ -28,8 +28,6 @@ MAX_FAR_FRACTION = 0.02
 """Fraction of residuals above `MIN_FAR_RESIDUAL` declared standard deviations, above which Cauchy's weights are tried
 too: more than single errors explain.
 """
-MAX_ROBUST_STEPS = 25
-"""Largest number of reweightings, each with a linear step."""
 ROBUST_TOLERANCE = 1e-2
 """Squared length of a step, in standard deviations, below which the reweighting ends."""
 
@@ -44,11 +42,11 @@ def fit_robust_state(problem: NetworkProblem, state: NetworkState) -> tuple[Netw
 
     The method is that of `iterate_reweighted`.
     """
-    return iterate_reweighted(problem, state, n_observation_rows(problem), min_scale=1.0, max_steps=MAX_ROBUST_STEPS)
+    return iterate_reweighted(problem, state, n_observation_rows(problem), min_scale=1.0)
 
 
 def iterate_reweighted(
-    problem: NetworkProblem, state: NetworkState, n_observations: int, *, min_scale: float, max_steps: int
+    problem: NetworkProblem, state: NetworkState, n_observations: int, *, min_scale: float
 ) -> tuple[NetworkState, Floats]:
     """State by iteratively reweighted least squares, and the m whitened residuals (m,) at this state.
 
@@ -63,11 +61,9 @@ def iterate_reweighted(
         Number of rows (the first ones) that are reweighted.
     min_scale : float
         Lower bound of the robust standard deviation of the whitened residuals.
-    max_steps : int
-        Largest number of steps.
     """
     search, reading = (
-        partial(_iterate_weights, problem, state, n_observations, min_scale, max_steps),
+        partial(_iterate_weights, problem, state, n_observations, min_scale),
         int(problem.used_readings.sum()),
     )
     solutions = [search(huber_weights)]
@@ -104,7 +100,6 @@ def _iterate_weights(
     state: NetworkState,
     n_observations: int,
     min_scale: float,
-    max_steps: int,
     weight_function: Callable[[Floats], Floats],
 ) -> tuple[NetworkState, Floats]:
     """State by reweighted least squares with one weight function, and the m whitened residuals (m,) at this state.
@@ -113,7 +108,7 @@ def _iterate_weights(
     (Huber 1981, Robust statistics, section 7.8: with a fixed scale each step lowers the objective).
     """
     reading, scale = int(problem.used_readings.sum()), np.inf
-    for _ in range(max_steps):
+    for _ in range(MAX_ITERATIONS):
         system = problem.linearise(state)
         scale = min(scale, max(robust_sigma(system.whitened_residuals[:reading]), min_scale))
         root = np.ones(len(system.whitened_residuals))
@@ -136,14 +131,10 @@ VARIANCE_FACTOR_TOLERANCE = 2e-3
 """Relative change of the noise factors below which their estimation ends: a tenth of the standard deviation of a factor
 from 1,250 readings.
 """
-MAX_VARIANCE_ESTIMATES = 30
-"""Largest number of estimates of the noise factors for a given set of outliers."""
 MAX_CONVERGENCE_RATIO = 0.9
 """Upper limit of the estimated ratio of successive steps of the noise factors, so that an extrapolation is at most ten
 times the last step.
 """
-MAX_OUTLIER_ESTIMATES = 6
-"""Largest number of searches for outliers, each with new noise factors; the set of outliers may alternate."""
 MIN_GROUP_REDUNDANCY = 3.0
 """Redundancy below which a group keeps its declared noise."""
 
@@ -187,9 +178,9 @@ def estimate_variance_components(
     names = recording.instruments if several else ("",)
     factor, redundancy = np.ones(3 * len(names) + 1), np.zeros(3 * len(names) + 1)
     declared, available = problem, problem.used_readings if reading_mask is None else reading_mask
-    for _ in range(MAX_OUTLIER_ESTIMATES):
+    for _ in range(MAX_ALTERNATIONS):
         before_last = np.zeros(len(factor))
-        for _ in range(MAX_VARIANCE_ESTIMATES):
+        for _ in range(MAX_ITERATIONS):
             if solution.factor is None:
                 return problem, solution, ()
             square, redundancy = _sums_by_group(problem, solution, group, len(factor))

@@ -20,7 +20,12 @@ from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.unmodelled import air_covariance
 from ltsim.core.arrays import Floats
 from ltsim.diagnosis.diagnosis import AveragedTargets
-from ltsim.diagnosis.evidence import coefficient_posterior, normalised_probabilities, wide_prior_posterior
+from ltsim.diagnosis.evidence import (
+    MAX_AVERAGED_HYPOTHESES,
+    coefficient_posterior,
+    normalised_probabilities,
+    wide_prior_posterior,
+)
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking
 from ltsim.diagnosis.search import Searcher
 from ltsim.diagnosis.shapes import shape_nodes
@@ -33,8 +38,6 @@ MAX_ERROR_INCREASE = 0.05
 """Permitted relative increase of the coordinate error when the shift of a law is subtracted."""
 P_ERROR_INCREASE_EXCEEDED = 0.03
 """Probability with which the increase of the coordinate error may exceed `MAX_ERROR_INCREASE`."""
-MAX_AVERAGED_EXPLANATIONS = 12
-"""Largest number of averaged explanations (cost)."""
 MIN_AVERAGED_PROBABILITY = 0.003
 """Smallest probability of an averaged explanation (cost)."""
 
@@ -122,7 +125,7 @@ def model_weights(
     ).tolist()
     probable = [(h, p) for h, p in zip(ranking.entries, rest_of, strict=True) if p > MIN_AVERAGED_PROBABILITY]
     entries = [(h, p) for h, p in probable if not _is_noise_hypothesis(h)]
-    entries = [(h, p) for h, p in entries[:MAX_AVERAGED_EXPLANATIONS] if h.key != selected.key]
+    entries = [(h, p) for h, p in entries[:MAX_AVERAGED_HYPOTHESES] if h.key != selected.key]
     none += sum(p for h, p in zip(ranking.entries, rest_of, strict=True) if _is_noise_hypothesis(h))
     p_rest = max(1.0 - none - sum(p for _, p in entries), 0.0)
     instances = _instances_at_probable_shapes(searcher, other_effects, selected)
@@ -149,7 +152,7 @@ def _instances_at_probable_shapes(
     if not shapes:
         return [(selected, 1.0)]
     weights = normalised_probabilities(np.array([node.log_weight for node in shapes]))
-    ranked = sorted(zip(shapes, weights, strict=True), key=lambda pair: -pair[1])[:MAX_AVERAGED_EXPLANATIONS]
+    ranked = sorted(zip(shapes, weights, strict=True), key=lambda pair: -pair[1])[:MAX_AVERAGED_HYPOTHESES]
     return [(replace(selected, effect=node.effect), float(p)) for node, p in ranked if p > MIN_AVERAGED_PROBABILITY]
 
 

@@ -12,11 +12,9 @@ from scipy import special
 
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
+from ltsim.core.rounding import MAX_SINGLE_ROUNDING_ERROR
 from ltsim.diagnosis.noise import NoiseBank
 from ltsim.diagnosis.search import Searcher
-
-EVIDENCE_ROUNDING_ERROR = 1e-3
-"""Error of log evidences by single precision, in which simulated recordings are scored."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +50,7 @@ class Detection:
         A recording without effects is exchangeable with them, so that the probability of a value up to p is at most p.
         The smallest value is 1 / (n + 1).
         """
-        return (int(np.sum(self.null_statistics >= statistic - EVIDENCE_ROUNDING_ERROR)) + 1) / (
+        return (int(np.sum(self.null_statistics >= statistic - MAX_SINGLE_ROUNDING_ERROR)) + 1) / (
             len(self.null_statistics) + 1
         )
 

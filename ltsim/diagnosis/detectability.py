@@ -16,9 +16,9 @@ from ltsim.adjustment.remedies.detectability import (
 from ltsim.adjustment.remedies.next_measurement import best_explanation, rank_deciding_measurements, residual_space_of
 from ltsim.adjustment.remedies.remedy import advice_sentence
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
 from ltsim.core.arrays import Floats, batches
 from ltsim.core.errors import ModelError
+from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import Undetectable
@@ -29,8 +29,6 @@ from ltsim.physics.effects.signature import Signature
 
 MAX_DETECTABLE_SIZE_RATIO = 10.0
 """Multiple of a large but plausible size above which a detectable size counts as undetectable."""
-MAX_EQUAL_SIZE_DIFFERENCE = 1e-6
-"""Relative difference up to which sizes count as equal, so that rounding does not decide which is reported."""
 DISTORTION_DECIMALS = 6
 """Decimals [um] to which a distortion is rounded."""
 DetectabilityReport = tuple[tuple[MinimalSize, ...], tuple[Undetectable, ...]]
@@ -51,7 +49,7 @@ def detectability_report(space: ResidualSpace, catalogue_signatures: CatalogueSi
     for effects in catalogue_signatures.effects_by_family():
         rows = _detectability_of_effects(space, effects).table()
         times = np.array([row.median_size / row.prior_sigma for row in rows])
-        best = int(np.flatnonzero(times <= times.min() * (1.0 + MAX_EQUAL_SIZE_DIFFERENCE))[0])
+        best = int(np.flatnonzero(times <= times.min() * (1.0 + MAX_SOLUTION_ROUNDING_ERROR))[0])
         if times[best] < MAX_DETECTABLE_SIZE_RATIO:
             detectable.append(rows[best])
         else:
@@ -71,7 +69,7 @@ def _detectability_of_effects(space: ResidualSpace, effects: Sequence[Effect]) -
             norm = np.linalg.norm(signatures, axis=0).reshape(-1, size)
             unit = np.where(norm > 0, norm, 1.0)
             information, share, rank = visible_information(
-                grams / (unit[:, :, None] * unit[:, None, :]), norm, MIN_NUMERICAL_REDUNDANCY
+                grams / (unit[:, :, None] * unit[:, None, :]), norm, MAX_SOLUTION_ROUNDING_ERROR
             )
             entries += zip(batch, information, share.tolist(), rank.tolist(), repeat(np.zeros((0, 0))))
     return effect_detectability(entries, len(effects))

@@ -9,6 +9,7 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.identification import identify_causes
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.significance import SINGLE_LEVEL
 from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.calibration.prior_information import EarlierCalibrations
@@ -42,12 +43,9 @@ from ltsim.physics.laws.responses import VARIED_CONSTANTS, constants_of_slot
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
+from ltsim.solve.gauss_newton import MAX_ALTERNATIONS
 from ltsim.solve.threads import single_threaded
 
-MAX_ALTERNATIONS = 3
-"""Largest number of alternations between variance and mean hypotheses."""
-MIN_FALSE_ALARM_RATE = 1e-3
-"""Smallest false-alarm rate; a p-value of 1 / (n + 1) needs n simulated recordings."""
 MIN_REMAINING_OFFSET = 0.5
 """Smallest fraction of its offset that a contradicting constant must retain with the selected effects in the model to
 be reported.
@@ -76,7 +74,7 @@ def diagnose(
     seed : int
         Root seed of the simulated null distribution.
     level : float
-        False-alarm rate of the whole search, `MIN_FALSE_ALARM_RATE` at least.
+        False-alarm rate of the whole search, `SINGLE_LEVEL` at least.
     history : EarlierCalibrations, optional
         Earlier calibrations that each constant of the instruments is compared with.
     held_out : bool, optional
@@ -93,8 +91,8 @@ def diagnose(
     RecordError
         When the history is of other instruments or another construction, or the level is none.
     """
-    if not MIN_FALSE_ALARM_RATE <= level < 1.0:
-        raise RecordError(f"the level is {level:g}; expected a false-alarm rate from {MIN_FALSE_ALARM_RATE:g} to 1")
+    if not SINGLE_LEVEL <= level < 1.0:
+        raise RecordError(f"the level is {level:g}; expected a false-alarm rate from {SINGLE_LEVEL:g} to 1")
     recording.require_at_most(MAX_DIAGNOSED_POINTINGS, "a diagnosis")
     construction = declared_construction(recording)
     comparison = (

@@ -10,10 +10,10 @@ import numpy as np
 from scipy.special import gammaln
 
 from ltsim.core.arrays import Floats
+from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.diagnosis.evidence import coefficient_posterior, log_evidence_of_coefficients
+from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
-N_RATIO_ITERATIONS = 10
-"""Number of alternating steps for the ratio and the coefficients."""
 RATIO_DECIMALS = 4
 """Number of decimals of a ratio, so that a law is equal to the one that is read from its text form."""
 
@@ -35,7 +35,7 @@ def best_ratio(gram: Floats, score: Floats, spread: Floats, components: int) -> 
     common_spread = spread[:k] * np.sqrt(components)
     coefficients = coefficient_posterior(gram, score, spread)[0].reshape(components, k)
     ratio = np.linalg.svd(coefficients / spread[:k], full_matrices=False)[0][:, 0]
-    for _ in range(N_RATIO_ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         mean = coefficient_posterior(np.einsum("i,iajb,j->ab", ratio, products, ratio), ratio @ scores, common_spread)[
             0
         ]
@@ -43,7 +43,9 @@ def best_ratio(gram: Floats, score: Floats, spread: Floats, components: int) -> 
         step = np.linalg.lstsq(normal, scores @ mean, rcond=1e-9)[0]
         if not step.any():
             break
-        ratio = step / np.linalg.norm(step)
+        previous, ratio = ratio, step / np.linalg.norm(step)
+        if np.abs(ratio - previous).max() < MAX_ROUNDING_ERROR:
+            break
     ratio = np.round(ratio * np.sign(ratio[np.argmax(np.abs(ratio))]), RATIO_DECIMALS)
     inner = np.einsum("i,iajb,j->ab", ratio, products, ratio)
     mean = coefficient_posterior(inner, ratio @ scores, common_spread)[0]

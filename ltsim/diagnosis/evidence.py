@@ -29,24 +29,19 @@ from ltsim.calibration.evidence import (
     size_weights_and_constants,
 )
 from ltsim.core.arrays import Bools, Floats, Ints, Singles, batches
+from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.physics.effects.outlier import OBSERVABLE_COLUMN, Outlier
 from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.recordings.recording import OBSERVABLES
 
-MAX_EVIDENCE_TIE = 1e-6
-"""Difference of log evidences up to which they count as equal: rounding of sums, which depends on the processor, must
-not decide."""
-MAX_SCREENED_EVIDENCE_TIE = 1e-4
-"""Difference of log evidences in single precision up to which they count as equal."""
-
 
 def index_of_best(values: Floats) -> int:
     """Index of the largest value; the middle one if several are equal, as on a plateau."""
-    ties = np.flatnonzero(values >= np.max(values) - MAX_EVIDENCE_TIE)
+    ties = np.flatnonzero(values >= np.max(values) - MAX_SOLUTION_ROUNDING_ERROR)
     return int(ties[(len(ties) - 1) // 2])
 
 
-def ranked_indices(values: Floats, tie: float = MAX_EVIDENCE_TIE) -> Ints:
+def ranked_indices(values: Floats, tie: float = MAX_SOLUTION_ROUNDING_ERROR) -> Ints:
     """Indices in the order of decreasing values; values equal within `tie` keep their order."""
     falling = np.nan_to_num(-values)
     order = np.argsort(falling, kind="stable")
@@ -169,6 +164,12 @@ def _eigen_decomposition(gram: Floats, spread: Floats) -> tuple[Floats, Floats]:
     return np.maximum(strength, 0.0), spread[..., None] * vectors
 
 
+MAX_AVERAGED_HYPOTHESES = 12
+"""Largest number of hypotheses, the most probable first, over which an estimate is averaged (processor time)."""
+MAX_REFINED_DEFICIT = 10.0
+"""Largest deficit of approximate log evidence of a hypothesis that is evaluated again without approximation: a local
+optimum of a family, or a product of a law and a second factor.
+"""
 WIDE_PRIOR_SIZES = 30.0
 """Prior standard deviation of reported sizes, in plausible sizes: it hardly shrinks them, but keeps undetermined
 combinations finite.

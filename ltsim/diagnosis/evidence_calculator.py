@@ -12,21 +12,16 @@ import numpy as np
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Floats, Ints
-from ltsim.diagnosis.evidence import (
-    MAX_EVIDENCE_TIE,
-    index_of_best,
-    log_evidence_of_coefficients,
-    log_evidence_of_effect,
-)
+from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.diagnosis.evidence import index_of_best, log_evidence_of_coefficients, log_evidence_of_effect
 from ltsim.diagnosis.hypotheses import Model
 from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.responses import RESPONSES_BY_NAME
+from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 CachedType = TypeVar("CachedType", bound=CandidateEffect)
 PlaceKey = tuple[tuple[str, ...], tuple[str, ...]]
-MAX_SEARCH_STEPS = 12
-"""Largest number of steps of the local search."""
 
 
 class ResidualRows(NamedTuple):
@@ -79,7 +74,7 @@ class EvidenceCalculator:
         """Local search from each effect over its neighbours; the evidence is the mean over the last neighbourhood."""
         best, values = list(effects), self.log_evidence(effects, base_model)
         means, moving = values.copy(), list(range(len(best)))
-        for _ in range(MAX_SEARCH_STEPS):
+        for _ in range(MAX_ITERATIONS):
             candidates = {i: neighbours for i in moving if (neighbours := best[i].neighbours(self.space.sightings))}
             means[moving] = values[moving]
             if not candidates:
@@ -92,7 +87,7 @@ class EvidenceCalculator:
             for (i, neighbours), parts in zip(candidates.items(), np.split(logs, edges), strict=True):
                 means[i] = log_sum_exp(np.append(parts, values[i])) - np.log(len(parts) + 1)
                 top = index_of_best(parts)
-                if parts[top] > values[i] + MAX_EVIDENCE_TIE:
+                if parts[top] > values[i] + MAX_SOLUTION_ROUNDING_ERROR:
                     best[i], values[i] = neighbours[top], parts[top]
                     moving.append(i)
         return list(zip(best, means.tolist(), strict=True))

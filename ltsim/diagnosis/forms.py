@@ -10,19 +10,12 @@ import numpy as np
 
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
+from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.directions import best_ratio
-from ltsim.diagnosis.evidence import MAX_EVIDENCE_TIE, index_of_best, log_evidence_of_coefficients
+from ltsim.diagnosis.evidence import index_of_best, log_evidence_of_coefficients
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
-from ltsim.diagnosis.prior import (
-    FORM_WEIGHTS,
-    P_FIXED_RATIO,
-    P_PER_SETUP,
-    P_PIECEWISE,
-    P_SINGLE_SET_UP,
-    P_SINGLE_SET_UP_OTHERS,
-    P_SWITCHED,
-)
+from ltsim.diagnosis.prior import FORM_WEIGHTS, P_FIXED_RATIO, P_RARE_FORM, P_SINGLE_SET_UP
 from ltsim.diagnosis.products import may_have_a_second_factor, product_forms
 from ltsim.diagnosis.schema import ResponseCurve
 from ltsim.diagnosis.space import MIN_POINTINGS_PER_COEFFICIENT
@@ -54,19 +47,19 @@ def evaluate_forms(
     law = law.equivalent_index_law(sightings)
     base_evidence = log_prior + float(np.log(len(law.regressor.coefficient_sigmas)))
     hypotheses = (
-        _piecewise_forms(calculator, law, base_evidence + float(np.log(P_PIECEWISE)), base_model) if pieces else []
+        _piecewise_forms(calculator, law, base_evidence + float(np.log(P_RARE_FORM)), base_model) if pieces else []
     )
-    base_evidence += float(np.log(1.0 - P_PIECEWISE)) if hypotheses else 0.0
-    always, share = law.without_switch(), float(np.log(P_SWITCHED * n_resembling_waves(law, sightings)))
+    base_evidence += float(np.log(1.0 - P_RARE_FORM)) if hypotheses else 0.0
+    always, share = law.without_switch(), float(np.log(P_RARE_FORM * n_resembling_waves(law, sightings)))
     switch_hypotheses = switched_forms(calculator, always, base_evidence + share, base_model) if pieces else []
-    base_evidence += float(np.log(1.0 - P_SWITCHED)) if switch_hypotheses else 0.0
+    base_evidence += float(np.log(1.0 - P_RARE_FORM)) if switch_hypotheses else 0.0
     hypotheses += switch_hypotheses
     setup_laws = law.per_setup(sightings)
     hypotheses += _functional_forms(
-        calculator, law, base_evidence + (np.log(1.0 - P_PER_SETUP) if setup_laws else 0.0), base_model
+        calculator, law, base_evidence + (np.log(1.0 - P_RARE_FORM) if setup_laws else 0.0), base_model
     )
     hypotheses += (
-        _functional_forms(calculator, setup_laws, base_evidence + np.log(P_PER_SETUP), base_model) if setup_laws else []
+        _functional_forms(calculator, setup_laws, base_evidence + np.log(P_RARE_FORM), base_model) if setup_laws else []
     )
     hypotheses += _functional_forms(calculator, always, base_evidence, base_model) if always != law else []
     factors = (
@@ -152,7 +145,7 @@ def _forms_at_set_ups(calculator: EvidenceCalculator, form: Hypothesis, base_mod
     ]
     mask = [law.row_weights(calculator.space.sightings).sum() for law in laws]
     laws = [x for x, n in zip(laws, mask, strict=True) if n >= MIN_POINTINGS_PER_COEFFICIENT * len(x.parameters)]
-    share = P_SINGLE_SET_UP.get(law.response.kind, P_SINGLE_SET_UP_OTHERS)
+    share = P_SINGLE_SET_UP.get(law.response.kind, P_RARE_FORM)
     prior = form.log_prior + float(np.log(share / max(len(laws), 1)))
     values = calculator.log_evidence(laws, base_model)
     hypotheses = [
@@ -194,7 +187,7 @@ def _piecewise_forms(
         )
         atom_indices.append(index_of_best(values))
         value = float(log_sum_exp(values)) - len(atom_indices) * price
-        if value > best + MAX_EVIDENCE_TIE:
+        if value > best + MAX_SOLUTION_ROUNDING_ERROR:
             best, taken = value, len(atom_indices)
     refined, value = calculator.refine_locally(
         [law.with_pieces([atoms[i] for i in sorted(atom_indices[:taken])])], base_model

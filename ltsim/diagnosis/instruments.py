@@ -26,6 +26,7 @@ from ltsim.calibration.prior_information import EarlierCalibrations
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
 from ltsim.core.probability import SIZE_PRIOR
+from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.evidence import normalised_probabilities
 from ltsim.diagnosis.prior import log_prior_share
 from ltsim.diagnosis.schema import InstrumentEntry, ParameterEstimate
@@ -36,12 +37,6 @@ from ltsim.solve.design import scale_to_unit_diagonal
 
 CHANGED_PRIOR_VARIANCE = sum(share * size**2 for size, share in SIZE_PRIOR.items())
 """Prior variance, relative to the specification, of a constant that is selected as changed while others are tested."""
-MIN_EIGENVALUE = 1e-6
-"""Smallest eigenvalue of the correlation of distinguishable changes (rounding); of others the more probable is
-reported.
-"""
-MIN_TESTED_INFORMATION = 1e-12
-"""Information below which a constant is not tested (rounding)."""
 CONSTANT_REFERENCE_PHRASES = {True: "its declared correction", False: "the other instruments"}
 """Text of the reference with which a constant of a corrected instrument, or of another one, is compared."""
 
@@ -205,9 +200,7 @@ def compare_constants(
         )
         strength, score_along = np.einsum("hi,ij,hj->h", ways, weight, ways), ways @ score
         values = np.full(len(ways), -np.inf)
-        for k in np.flatnonzero(
-            (strength > MIN_TESTED_INFORMATION) & ~np.isin(np.arange(len(ways)), list(other_changes))
-        ):
+        for k in np.flatnonzero((strength > MAX_ROUNDING_ERROR) & ~np.isin(np.arange(len(ways)), list(other_changes))):
             change = expectation.changes[k]
             values[k] = odds + _change_log_evidence(
                 score_along[k] / strength[k], 1.0 / strength[k] + change.further, change.log_weights
@@ -222,7 +215,7 @@ def compare_constants(
         (k for k in odds_by_change if odds_by_change[k][k] > min_log_evidence), key=lambda k: -odds_by_change[k][k]
     ):
         square = information[np.ix_([*contradictions, k], [*contradictions, k])]
-        if np.linalg.eigvalsh(scale_to_unit_diagonal(square, np.diag(square))[0])[0] > MIN_EIGENVALUE:
+        if np.linalg.eigvalsh(scale_to_unit_diagonal(square, np.diag(square))[0])[0] > MAX_SOLUTION_ROUNDING_ERROR:
             contradictions.append(k)
     if not contradictions:
         return ContradictingConstants()
@@ -285,10 +278,6 @@ def _change_log_evidence(gap: float, variance: Floats | float, weights: Floats |
     return float(log_sum_exp(log_changed) - log_sum_exp(log_unchanged))
 
 
-MIN_INFORMATION = 1e-3
-"""Smallest information of earlier calibrations on a constant, in units of the specification (avoids
-division by zero).
-"""
 VARIANCE_RATIO_GRID = np.geomspace(0.05, 1e4, 80)
 """Grid of the ratio of the true variance of a constant to the sample variance of a few calibrations."""
 PRIOR_DOF = 4
@@ -356,7 +345,7 @@ class HistoryExpectation:
         precision = (
             np.diag(np.linalg.inv(variance - np.diag(spread))) - 1.0
         )  # of the mean, without the maker's guarantee
-        variances = count / np.maximum(precision, MIN_INFORMATION)
+        variances = count / np.maximum(precision, MAX_ROUNDING_ERROR)
         usual_variance = variances + np.median(spread) - spread
         added_variance = np.minimum(
             np.outer(variances, VARIANCE_RATIO_GRID - 1.0), np.maximum(1.0 - spread, 0.0)[:, None]

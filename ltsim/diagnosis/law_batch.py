@@ -17,7 +17,8 @@ import scipy.sparse as sp
 
 from ltsim.calibration.evidence import log_evidence, log_sum_exp
 from ltsim.core.arrays import Floats, Ints, Singles, batches
-from ltsim.diagnosis.evidence import MAX_SCREENED_EVIDENCE_TIE, simulated_log_total
+from ltsim.core.rounding import MAX_SINGLE_ROUNDING_ERROR
+from ltsim.diagnosis.evidence import simulated_log_total
 from ltsim.diagnosis.null_ensemble import MIN_SIMULATED_RECORDINGS, NullEnsemble
 from ltsim.physics.laws.places import LawPlace
 from ltsim.physics.laws.regressors import Regressor
@@ -166,7 +167,7 @@ class LawBatch:
         batch_results = [self._log_evidence_at_places(probe, part) for part in batches(count, entries)]
         values = np.concatenate([values for values, _ in batch_results], axis=2).reshape(len(self.places), -1)
         null = log_sum_exp(np.stack([null for _, null in batch_results]))
-        best_index = np.argsort(-np.round(values / MAX_SCREENED_EVIDENCE_TIE), axis=1, kind="stable")[
+        best_index = np.argsort(-np.round(values / MAX_SINGLE_ROUNDING_ERROR), axis=1, kind="stable")[
             :, :MAX_HITS_PER_PLACE
         ]
         hits = [

@@ -21,10 +21,16 @@ from scipy.special import expit
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats, Ints, Singles, batches
-from ltsim.diagnosis.evidence import log_means_by_group, log_restricted_likelihood_ratio, normalised_probabilities
+from ltsim.diagnosis.evidence import (
+    MAX_AVERAGED_HYPOTHESES,
+    log_means_by_group,
+    log_restricted_likelihood_ratio,
+    normalised_probabilities,
+)
 from ltsim.diagnosis.noise_centring import estimate_centring
 from ltsim.diagnosis.noise_factors import NoiseFactors, VariancePattern
 from ltsim.diagnosis.noise_groups import (
+    GROUP_VARIANCE_FACTORS,
     NOISY_GROUP_FRACTIONS,
     TAIL_VARIANCE_FACTORS,
     GroupNoise,
@@ -49,14 +55,10 @@ from ltsim.solve.projection import BasisProjection
 
 N_EVALUATED_FAMILIES = 6
 """Number of families that are evaluated without approximation, the most probable first."""
-MAX_AVERAGED_PATTERNS = 12
-"""Number of patterns, the most probable first, over which the variance is averaged."""
 MIN_COMPARABLE_EVIDENCE_FRACTION = 0.2
 """Fraction of the largest log evidence from which windows of noise are also sought at single places."""
 N_FINE_SIZES = 48
 """Number of sizes over which the best hypotheses are averaged, in steps of a tenth."""
-MAX_NOISE_SIZE = 400.0
-"""Largest size in units of the plausible one."""
 N_VARIANCE_GRID_VALUES = 7
 """Number of points of a grid on which the posterior of a size is summed."""
 VARIANCE_GRID_HALF_WIDTH = 4.0
@@ -243,7 +245,7 @@ class NoiseBank:
             members.setdefault(hypothesis.effect, []).append(i)
         evidence = np.array([float(log_sum_exp((ratio + prior[self.family])[same])) for same in members.values()])
         none, groups, ranked = np.zeros((len(residual), 0)), list(members.values()), []
-        for i in np.argsort(-evidence)[:MAX_AVERAGED_PATTERNS]:
+        for i in np.argsort(-evidence)[:MAX_AVERAGED_HYPOTHESES]:
             best = groups[i][int(np.argmax(ratio[groups[i]]))]
             excess = self._excess_over_diagonal_form(best, float(ratio[best]), residual, none)
             ranked.append((self.hypotheses[best], float(evidence[i]) + excess))
@@ -354,7 +356,10 @@ def most_likely_sizes(space: ResidualSpace, nominal_variance: Floats, hypothesis
     reml_gain = reml_gain_function(space, nominal_variance, effect, space.residuals, space.redundancy)
     if getattr(effect, "group_kind", "") == "reading":
         return _tail_with_variances(hypothesis, reml_gain)
-    least, most = np.full(len(scale), np.log1p(effect.min_relative_size)), np.full(len(scale), np.log1p(MAX_NOISE_SIZE))
+    least, most = (
+        np.full(len(scale), np.log1p(effect.min_relative_size)),
+        np.full(len(scale), np.log1p(GROUP_VARIANCE_FACTORS.max())),
+    )
     low, high = least, most
     for _ in range(N_GRID_ZOOMS):
         points = np.linspace(low, high, N_VARIANCE_GRID_VALUES)

@@ -11,8 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ltsim.adjustment.identification.centring_errors import MIN_POINTINGS_PER_OCCUPATION, best_centring_sigma
+from ltsim.adjustment.identification.centring_errors import best_centring_sigma
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.significance import MIN_MEAN_REPEATS
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.units import MILLIMETRE
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
@@ -23,8 +24,6 @@ from ltsim.recordings.recording import Recording
 
 MAX_CENTRING_OCCUPATIONS = 200
 """Largest number of occupations in a hypothesis of centring errors: 600 columns of the residual space (cost)."""
-MIN_OCCUPATIONS_PER_TARGET = 1.5
-"""Smallest mean number of occupations of a target: with one, the displacement is part of its coordinates."""
 
 
 def centring_hypotheses_of_occupations(space: ResidualSpace) -> list[tuple[float, NoiseHypothesis]]:
@@ -92,6 +91,6 @@ def _shows_centring(recording: Recording, occupation: Ints | Floats) -> bool:
     count, targets = len(np.unique(occupation[rows])), len(np.unique(recording.target[rows]))
     return (
         count <= MAX_CENTRING_OCCUPATIONS
-        and count >= MIN_OCCUPATIONS_PER_TARGET * targets
-        and len(rows) >= MIN_POINTINGS_PER_OCCUPATION * count
+        and count >= MIN_MEAN_REPEATS * targets
+        and len(rows) >= MIN_MEAN_REPEATS * count
     )

@@ -7,7 +7,7 @@ import numpy as np
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.centring import correct_centring
 from ltsim.adjustment.identification import CauseSelection, NetworkFit, adjust_with_causes, cause_tests
-from ltsim.adjustment.identification.cause_selection import MIN_LOG_EVIDENCE_CERTAIN, largest_displacement
+from ltsim.adjustment.identification.cause_selection import largest_displacement
 from ltsim.adjustment.identification.hypothesis import (
     CentringChange,
     Hypothesis,
@@ -15,7 +15,12 @@ from ltsim.adjustment.identification.hypothesis import (
     ReadingShiftChange,
 )
 from ltsim.adjustment.identification.tests import reported_kind
-from ltsim.adjustment.snooping import MAX_TRACKER_ERROR
+from ltsim.adjustment.significance import (
+    MAX_CHANCE_SIGMAS,
+    MAX_TRACKER_ERROR,
+    MIN_GROSS_SIGMAS,
+    MIN_LOG_EVIDENCE_CERTAIN,
+)
 from ltsim.core.arrays import Bools
 from ltsim.diagnosis.findings_from_tests import axis_finding, finding_of_test, gross_error_finding
 from ltsim.diagnosis.schema import Finding
@@ -26,10 +31,6 @@ MIN_FAR_OUTLIER_SIGMAS = 8.0
 """Error of an outlier relative to its prediction, in standard deviations, that twice the declared
 noise does not reach.
 """
-MAX_CONSISTENT_W = 4.0
-"""Normalised residual up to which an omitted reading is consistent."""
-MIN_GROSS_W = 30.0
-"""Smallest normalised residual of a gross error: noise of long ranges exceeds any error of a tracker."""
 MAX_SINGLE_OUTLIERS = 2
 """Largest number of outliers of one observable at one station or target that count as single errors."""
 
@@ -47,7 +48,7 @@ def corrected_mistakes(selection: CauseSelection) -> list[Hypothesis]:
     )
     shifts = [h for h in chosen if isinstance(h.model_change, ReadingShiftChange | CentringChange)]
     gross = any(
-        largest_displacement(fit, h) > MAX_TRACKER_ERROR and fit.length_in_sigmas(h) > MIN_GROSS_W for h in shifts
+        largest_displacement(fit, h) > MAX_TRACKER_ERROR and fit.length_in_sigmas(h) > MIN_GROSS_SIGMAS for h in shifts
     )
     return [h for h in chosen if not isinstance(h.model_change, NoiseFactor) and (gross or h not in shifts)]
 
@@ -58,7 +59,7 @@ def is_single_error(fit: NetworkFit) -> Bools:
     Several readings of an observable that are off at one station or at one target may follow an effect instead.
     """
     error = np.where(fit.is_outlier, np.abs(fit.whitened_residuals), 0.0) / fit.outlier_prediction_sigmas
-    far, single = error > MIN_FAR_OUTLIER_SIGMAS, fit.is_gross_reading & (error > MIN_GROSS_W)
+    far, single = error > MIN_FAR_OUTLIER_SIGMAS, fit.is_gross_reading & (error > MIN_GROSS_SIGMAS)
     for place in (fit.recording.station, fit.recording.target):
         count = np.stack([np.bincount(place, fit.is_outlier[:, k], place.max() + 1) for k in range(3)], axis=1)
         far &= count[place] <= MAX_SINGLE_OUTLIERS
@@ -68,7 +69,7 @@ def is_single_error(fit: NetworkFit) -> Bools:
 def is_consistent_when_omitted(adjustment: Adjustment, is_omitted: Bools) -> Bools:
     """Flags (n, 3) of the omitted readings whose residual is small with the effects of an adjustment."""
     whitened_residual = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma), nan=np.inf)
-    return is_omitted & (whitened_residual < MAX_CONSISTENT_W)
+    return is_omitted & (whitened_residual < MAX_CHANCE_SIGMAS)
 
 
 def adapted_baseline(

@@ -51,18 +51,16 @@ RESPONSE_PRIOR_AT_TARGETS = {"reading": 0.15, "target": 0.75, "reflector": 0.1}
 the instrument does not depend on it."""
 FORM_WEIGHTS = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2, "members": 0.2}
 """Weights of the forms that a curve may have, among the possible ones: mostly the curve itself, or a short formula."""
-P_PIECEWISE = 0.1
-"""Prior probability of a law with a few steps and ramps."""
-P_SWITCHED = 0.1
-"""Prior probability of a function of time that is switched on and off."""
-P_PER_SETUP = 0.1
-"""Prior probability of a law that differs by set-up."""
+P_RARE_FORM = 0.1
+"""Prior probability of each rarer form of a law: a few steps and ramps; a function of time that is switched on and off;
+a law that differs by set-up; a law at one set-up alone, except for the kinds of responses in `P_SINGLE_SET_UP`.
+"""
 P_FIXED_RATIO = 0.5
 """Prior probability that the components of a law have a fixed ratio."""
 P_SINGLE_SET_UP = {"stand": 0.5}
-"""Prior probability that a law acts at one set-up alone, by kind of response: stands differ, instruments do so less."""
-P_SINGLE_SET_UP_OTHERS = 0.1
-"""The same for all other kinds of responses."""
+"""Prior probability that a law acts at one set-up alone, by kind of response: stands differ, instruments do so less.
+It is `P_RARE_FORM` for all other kinds.
+"""
 LOG_ODDS_REPEATED = float(np.log(0.03))
 """Log odds of a second effect of a kind that rarely occurs twice (two windows, two unknown laws), relative to any other
 second effect.

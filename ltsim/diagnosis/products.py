@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ltsim.diagnosis.evidence import index_of_best
+from ltsim.diagnosis.evidence import MAX_REFINED_DEFICIT, index_of_best
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.diagnosis.switches import switched_forms
@@ -32,8 +32,6 @@ FACTOR_REGION_SHAPES = ("z", "x", "y", "xy")
 """Shapes of the regions of the hall to which a law may be confined."""
 MAX_FACTOR_COEFFICIENTS = 2
 """Largest number of coefficients of a law with a second factor: those of a wave."""
-MAX_REFINED_DEFICIT = 10.0
-"""Largest deficit of log evidence, before refinement, of a product that is refined."""
 
 
 def may_have_a_second_factor(law: EmpiricalLaw) -> bool:

@@ -4,11 +4,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.significance import MIN_CHECKED_REDUNDANCY
 from ltsim.core.arrays import Floats
 from ltsim.physics.laws.variance import REPEATS_PER_FACE
-
-MIN_MEAN_REDUNDANCY = 0.05
-"""Smallest redundancy of a mean of repeats (its diagonal form may be negative)."""
 
 
 def repeat_means(space: ResidualSpace, faces: str = REPEATS_PER_FACE) -> sp.csr_array:
@@ -30,7 +28,7 @@ def repeat_means(space: ResidualSpace, faces: str = REPEATS_PER_FACE) -> sp.csr_
 def redundancy_of_means(means: sp.csr_array, redundancy: Floats) -> Floats:
     """Redundancy (g,) of means: the adjustment absorbs an error common to repeats by the sum of their leverages."""
     lost = (means > 0).astype(np.float64) @ (1.0 - redundancy)
-    return np.maximum(1.0 - lost, MIN_MEAN_REDUNDANCY)
+    return np.maximum(1.0 - lost, MIN_CHECKED_REDUNDANCY)
 
 
 def relative_variance_of_means(means: sp.csr_array, added_variance: Floats) -> Floats:

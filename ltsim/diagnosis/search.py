@@ -20,14 +20,9 @@ import numpy as np
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats, Ints
+from ltsim.core.rounding import MAX_SINGLE_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.catalogue_signatures import ORDINARY_CALIBRATION_TYPES, CatalogueSignatures, catalogue_hypotheses
-from ltsim.diagnosis.evidence import (
-    MAX_EVIDENCE_TIE,
-    MAX_SCREENED_EVIDENCE_TIE,
-    coefficient_posterior,
-    index_of_best,
-    ranked_indices,
-)
+from ltsim.diagnosis.evidence import MAX_REFINED_DEFICIT, coefficient_posterior, index_of_best, ranked_indices
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.forms import evaluate_forms, min_promising_evidence
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking, log_odds_repeated
@@ -61,8 +56,6 @@ MAX_LOCAL_OPTIMA = 3
 """Largest number of evaluated local optima of a family."""
 MAX_COMPARED_MEMBERS = 40
 """Number of best members of a family among which local optima are sought."""
-MAX_OPTIMUM_DEFICIT = 10.0
-"""Largest deficit of log evidence of a local optimum."""
 MAX_CACHED_SIGNATURES = 16
 """Number of projected signatures in the cache."""
 MAX_RANKED_LAWS = 400
@@ -171,7 +164,7 @@ class Searcher:
     def _compute_ranking(self, base_model: Model) -> Ranking:
         values, families, hits, _, _ = self._screening(base_model) if base_model.members else self.empty_model_screening
         entries = self._law_hypotheses(hits, base_model)
-        for i, family in enumerate(ranked_indices(families, MAX_SCREENED_EVIDENCE_TIE)):
+        for i, family in enumerate(ranked_indices(families, MAX_SINGLE_ROUNDING_ERROR)):
             entries.append(
                 self._best_of_family(
                     int(family), values, float(families[family]), base_model, refine=i < self._n_refined
@@ -187,7 +180,7 @@ class Searcher:
         """Best member of a family with the evidence of the family; evaluated without approximation if `refine`."""
         signatures = self.catalogue_signatures
         members = np.flatnonzero(signatures.family_of_effect == family)
-        members = members[ranked_indices(effect_log_evidence[members], MAX_SCREENED_EVIDENCE_TIE)]
+        members = members[ranked_indices(effect_log_evidence[members], MAX_SINGLE_ROUNDING_ERROR)]
         prior = self._log_family_prior - float(np.log(len(members)))
         best = Hypothesis(signatures.effects[members[0]], prior, family_log_evidence, signatures.families[family])
         if not refine:
@@ -204,7 +197,7 @@ class Searcher:
         """Best member of a family, and others nearly as good at a distinct place or shape."""
         chosen = [int(members[0])]
         for i in members[1:MAX_COMPARED_MEMBERS]:
-            if len(chosen) == MAX_LOCAL_OPTIMA or values[i] < values[chosen[0]] - MAX_OPTIMUM_DEFICIT:
+            if len(chosen) == MAX_LOCAL_OPTIMA or values[i] < values[chosen[0]] - MAX_REFINED_DEFICIT:
                 break
             if all(
                 are_distinct(self.catalogue_signatures.effects[int(i)], self.catalogue_signatures.effects[j])
@@ -258,7 +251,7 @@ class Searcher:
         kinds = set[tuple[str, str, bool]]()
         hits = [
             hits[i]
-            for i in ranked_indices(np.array([h.log_evidence for h in hits]), MAX_SCREENED_EVIDENCE_TIE)[
+            for i in ranked_indices(np.array([h.log_evidence for h in hits]), MAX_SINGLE_ROUNDING_ERROR)[
                 :MAX_RANKED_LAWS
             ]
         ]
@@ -397,4 +390,4 @@ class Searcher:
 def _best_model(sets: Sequence[Model]) -> Model:
     """Model with the largest score; the first of equal ones."""
     most = max(model.score for model in sets)
-    return next(model for model in sets if model.score >= most - MAX_EVIDENCE_TIE)
+    return next(model for model in sets if model.score >= most - MAX_SOLUTION_ROUNDING_ERROR)

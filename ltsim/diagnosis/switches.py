@@ -12,7 +12,8 @@ import numpy as np
 
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Bools, Floats
-from ltsim.diagnosis.evidence import MAX_EVIDENCE_TIE, index_of_best, log_evidence_of_coefficients
+from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.diagnosis.evidence import index_of_best, log_evidence_of_coefficients
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.physics.laws.law import EmpiricalLaw
@@ -164,7 +165,7 @@ def _best_span_states(spans: SpanMoments, spread: Floats) -> tuple[Bools, float,
         values[square < MIN_SWITCHED_MEAN_SQUARE] = -np.inf
         state = states[index_of_best(values)]
         total = float(log_sum_exp(values)) - turn * price
-        if total > value + MAX_EVIDENCE_TIE:
+        if total > value + MAX_SOLUTION_ROUNDING_ERROR:
             best, value, taken = state, total, turn
     return best, value, taken
 

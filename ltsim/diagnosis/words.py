@@ -4,12 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ltsim.core.notation import listing, with_sigma
+from ltsim.adjustment.significance import MIN_CLEAR_SIGMAS
+from ltsim.core.notation import MAX_LISTED_ITEMS, listing, with_sigma
 from ltsim.diagnosis.schema import Finding, FindingScope, InstrumentEntry, Misfit, ParameterEstimate
 from ltsim.physics.effects import catalogue_entry, find_effect, title_of
 
-MAX_LISTED_ESTIMATES = 4
-"""Largest number of estimates in a sentence."""
 MIN_PROBABLE = 0.5
 """Smallest probability at which a name or an effect is reported as probable: the more probable of two."""
 COVARIATE_TEXTS = {
@@ -23,7 +22,7 @@ COVARIATE_TEXTS = {
 def estimates_phrase(parameters: Sequence[ParameterEstimate]) -> str:
     """Phrase with the most significant estimates; those within one sigma are left to the tables."""
     significant = [p for p in parameters if abs(p.value) > p.sigma]
-    largest = sorted(significant, key=lambda p: -abs(p.value) / max(p.sigma, 1e-300))[:MAX_LISTED_ESTIMATES]
+    largest = sorted(significant, key=lambda p: -abs(p.value) / max(p.sigma, 1e-300))[:MAX_LISTED_ITEMS]
     chosen = [p for p in parameters if p in largest]
     return ", ".join(_estimate_text(p) for p in chosen)
 
@@ -112,12 +111,6 @@ def _place_suffix(scope: FindingScope) -> str:
     return f" {place_text(scope)}" if confined else ""
 
 
-MIN_CLEAR_SIGMAS = 5.0
-"""Number of standard deviations from which a constant is listed in the answer."""
-MAX_LISTED_CONSTANTS = 5
-"""Largest number of constants in the answer."""
-
-
 def clear_constants_texts(instruments: Sequence[InstrumentEntry]) -> list[str]:
     """Best-determined constants as text, the most significant first.
 
@@ -137,7 +130,7 @@ def clear_constants_texts(instruments: Sequence[InstrumentEntry]) -> list[str]:
             plain = f"{parameter_text(name)}{used} of {of}: {with_sigma(value, sigma)} {unit}"
             ranked.append((abs(value) / max(sigma, 1e-300), plain))
     ranked.sort(key=lambda combination: -combination[0])
-    return [words for times, words in ranked if times > MIN_CLEAR_SIGMAS][:MAX_LISTED_CONSTANTS]
+    return [words for times, words in ranked if times > MIN_CLEAR_SIGMAS][:MAX_LISTED_ITEMS]
 
 
 UNITS_WITHOUT_CLOCK = {"s": ("rows", 1.0), "min": ("rows", 60.0), "h": ("rows", 3600.0)}

@@ -8,6 +8,8 @@ from ltsim.geometry.rotations import cross_matrix
 MAX_COLLINEAR_RATIO = 1e-6
 """Largest distance of points from a common line, as a fraction of their extent. Up to it the points count as collinear,
 and they do not determine a rotation about the line."""
+MIN_RIGID_POINTS = 3
+"""Smallest number of points that determine a rigid motion."""
 
 
 def rigid_motion_design(points: Floats, centre: Floats | None = None) -> Floats:

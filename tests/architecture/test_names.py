@@ -154,7 +154,7 @@ def is_without_noun(name: str) -> bool:
 
 
 def lacks_decision(constant: str) -> bool:
-    """True for a constant such as `MAX_LISTED_ESTIMATES`: a limit is `MAX_...` or `MIN_...` of a named quantity."""
+    """True for a constant such as `MAX_LISTED_ITEMS`: a limit is `MAX_...` or `MIN_...` of a named quantity."""
     return constant.strip("_").split("_")[0] in ("LEAST", "MOST", "FEW", "MANY", "MOSTLY")
 
 

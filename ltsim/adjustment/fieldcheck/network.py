@@ -14,8 +14,7 @@ from ltsim.adjustment.fieldcheck.result import CheckItem, HypothesisFamily, two_
 from ltsim.adjustment.quality import network_warnings, require_usable
 from ltsim.adjustment.reference_tests import reference_tests
 from ltsim.adjustment.reference_values import ReferenceKind
-from ltsim.adjustment.reliability import MIN_DOF_FOR_ESTIMATED_NOISE
-from ltsim.adjustment.significance import GLOBAL_LEVEL
+from ltsim.adjustment.significance import GLOBAL_LEVEL, MIN_CHECKED_REDUNDANCY, MIN_DOF_FOR_ESTIMATED_NOISE
 from ltsim.adjustment.station_motions import FittedMotion, SuddenMotion, motion_sentences
 from ltsim.adjustment.verdict import VerdictCase, verdict_on
 from ltsim.core.arrays import Bools
@@ -30,8 +29,6 @@ N_NETWORK_TESTS = 2
 """Number of tests of all stations together: one of common targets, one of levels."""
 EXCLUDABLE_REFERENCE_KINDS: tuple[ReferenceKind, ...] = ("point", "difference", "length", "mark", "scale")
 """Kinds of reference values that the adjustment may exclude. Levels are tested separately, station by station."""
-MIN_LEVEL_REDUNDANCY = 0.05
-"""Redundancy up to which a level or a reading counts as unchecked by the other observations."""
 
 
 def adjust_for_check(recording: Recording, motions: Sequence[StationMotion]) -> Adjustment | LtsimError:
@@ -71,7 +68,7 @@ def scale_target_noise(
         return recording, ()
     is_noisy = np.isin(recording.target, noisy_targets)
     w_by_observable = [
-        w[share > MIN_LEVEL_REDUNDANCY]
+        w[share > MIN_CHECKED_REDUNDANCY]
         for w, share in zip(
             adjustment_or_error.normalised_residuals[is_noisy].T,
             adjustment_or_error.redundancy[is_noisy].T,
@@ -220,7 +217,10 @@ def _level_items(fitted: Adjustment, family: HypothesisFamily) -> list[CheckItem
         fitted.recording.stations[k]: sigma for k, sigma in zip(levels.station_indices, levels.sigma, strict=True)
     }
     for test in reference_tests(fitted.problem, fitted.solution) if len(levels) > 1 else ():
-        if test.kind == "level" and (sigma_by_station[test.name] / test.sigma_error.min()) ** 2 > MIN_LEVEL_REDUNDANCY:
+        if (
+            test.kind == "level"
+            and (sigma_by_station[test.name] / test.sigma_error.min()) ** 2 > MIN_CHECKED_REDUNDANCY
+        ):
             p = family.corrected_p_value(float(special.chdtrc(test.rank, test.chi2_drop)), len(levels))
             verb = "agrees with" if p >= family.false_alarm_rate else "deviates from"
             sentence = f"{test.name}: its level {verb} the vertical of the other stations ({test.error_text})"

@@ -30,8 +30,9 @@ from ltsim.adjustment.identification.evidence import (
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import CentringChange, Hypothesis
 from ltsim.adjustment.residual_space import MAX_SCREENED_ENTRIES, ResidualSpace
-from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
+from ltsim.adjustment.significance import MIN_MEAN_REPEATS, MIN_REPEATS_FOR_VARIANCE
 from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rotations import cross_matrix
 from ltsim.physics.effects.motions import exact_target_change
@@ -39,19 +40,11 @@ from ltsim.physics.model.nuisances import CentringErrors
 from ltsim.recordings.centring_errors import CentringUncertainty
 from ltsim.recordings.occupations import target_occupations
 from ltsim.recordings.recording import Recording
+from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
-MIN_OCCUPATIONS = 4
-"""Smallest number of occupations of a place for a test of centring errors; fewer single displacements explain as much.
-"""
-MIN_POINTINGS_PER_OCCUPATION = 1.5
-"""Smallest mean number of pointings per occupation for a test: displacements without repeats look like noise."""
 MIN_OUTLIER_FRACTION = 0.25
 """Fraction of pointings with an outlier at a place, above which displacements are also fitted with the rest of the
 network unchanged.
-"""
-N_LOCAL_ITERATIONS = 4
-"""Number of Gauss-Newton iterations of the fit of displacements in an unchanged network; each multiplies the error by
-the ratio of displacement and range.
 """
 CENTRING_SIGMAS = np.geomspace(1e-6, 1.0, 241)
 """Standard deviations [m] of centring errors whose likelihood is computed, in steps of 6 %: an estimate from a hundred
@@ -66,8 +59,6 @@ displacements lie nearly on the surface of a much larger sphere.
 MIN_TARGETS_FOR_LENGTH = 10
 """Number of targets from which a common length is estimated; the pose of the set-up and the length are seven unknowns.
 """
-N_LENGTH_ITERATIONS = 30
-"""Number of Gauss-Newton iterations of the estimation of a common length."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +124,7 @@ def _local_gain(fit: NetworkFit, place: _CentringPlace, rows: Ints) -> tuple[flo
     first = np.unique(of, return_index=True)[1]
     displacement = np.zeros((len(first), 3))
     residual = np.where(used, fit.residuals[rows], 0.0)
-    for _ in range(N_LOCAL_ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         moved = np.zeros((len(place.occupation), 3))
         moved[rows] = displacement[of]
         offsets = moved if sightings.reflector_offsets is None else moved + sightings.reflector_offsets
@@ -143,7 +134,10 @@ def _local_gain(fit: NetworkFit, place: _CentringPlace, rows: Ints) -> tuple[flo
         normal, score = np.zeros((len(first), 3, 3)), np.zeros((len(first), 3))
         np.add.at(normal, of, np.einsum("nki,nkj->nij", slope, slope))
         np.add.at(score, of, np.einsum("nki,nk->ni", slope, residual / sigma))
-        displacement = displacement + np.einsum("nij,nj->ni", np.linalg.pinv(normal, hermitian=True), score)
+        step = np.einsum("nij,nj->ni", np.linalg.pinv(normal, hermitian=True), score)
+        displacement = displacement + step
+        if np.abs(step).max() < MAX_ROUNDING_ERROR:
+            break
     motion = np.zeros((3 * len(first), 0))
     if place.centring.stations:
         arm = sightings.sight_vectors[rows[first]]
@@ -183,7 +177,7 @@ def _centring_places(recording: Recording, used_readings: Bools) -> list[_Centri
         occupation = np.where(is_used, target_occupations(recording, centring), -1)
         visit = np.stack([occupation, recording.face * (not centring.stations and len(centring.targets) > 1)])
         count = len(np.unique(visit[:, occupation >= 0], axis=1).T)
-        if count >= MIN_OCCUPATIONS and (occupation >= 0).sum() >= MIN_POINTINGS_PER_OCCUPATION * count:
+        if count >= MIN_REPEATS_FOR_VARIANCE and (occupation >= 0).sum() >= MIN_MEAN_REPEATS * count:
             places.append(_CentringPlace(centring, occupation))
     return places
 
@@ -209,7 +203,7 @@ def best_centring_sigma(space: ResidualSpace, occupation: Ints) -> CentringEstim
     signature = space.whitened_signature(CentringErrors(1.0, occupation))
     projected = space.project(signature)
     strength, turn = np.linalg.eigh(projected.T @ projected)
-    visible = strength > MIN_NUMERICAL_REDUNDANCY * float(np.max(np.sum(signature**2, axis=0)))
+    visible = strength > MAX_SOLUTION_ROUNDING_ERROR * float(np.max(np.sum(signature**2, axis=0)))
     strength, score = strength[visible], (turn[:, visible].T @ (projected.T @ space.residuals)) ** 2
     variance = CENTRING_SIGMAS[:, None] ** 2
     ratio = 0.5 * np.sum(score * variance / (1.0 + variance * strength) - np.log1p(variance * strength), axis=1)
@@ -245,7 +239,7 @@ def common_displacement(fit: NetworkFit, hypothesis: Hypothesis) -> CommonDispla
     centre = np.linalg.lstsq(linear, np.sum(displacement**2, axis=1))[0]
     motion = np.append(-centre[:3], np.zeros(3))
     length = float(np.sqrt(max(centre[3] + centre[:3] @ centre[:3], 0.0)))
-    for _ in range(N_LENGTH_ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         corrected = displacement + motion[:3] + np.cross(motion[3:], arm)
         size = np.linalg.norm(corrected, axis=1)
         direction = corrected / np.maximum(size, 1e-300)[:, None]
@@ -253,6 +247,8 @@ def common_displacement(fit: NetworkFit, hypothesis: Hypothesis) -> CommonDispla
         residual = length - size
         step = np.linalg.lstsq(design, residual)[0]
         motion, length = motion + step[:6], length + float(step[6])
+        if np.abs(step).max() < MAX_ROUNDING_ERROR:
+            break
     scatter = float(np.sqrt(np.sum((residual - design @ step) ** 2) / (len(arm) - design.shape[1])))
     rms = float(np.sqrt(np.mean(np.sum(displacement**2, axis=1))))
     if not 0.0 < length < MAX_LENGTH_RATIO * rms or scatter > MAX_RELATIVE_LENGTH_SCATTER * rms:

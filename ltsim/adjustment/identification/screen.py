@@ -35,8 +35,8 @@ from ltsim.adjustment.identification.local_shifts import LocalShift, fit_local_s
 from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests, relax_exact_references
 from ltsim.adjustment.residual_space import MAX_SCREENED_ENTRIES, ResidualSpace
 from ltsim.adjustment.sight import FitReadings
-from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
 from ltsim.core.arrays import Bools, Floats, Ints, batches
+from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.physics.effects.gauge_scale import GaugeScale
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.solve.gauss_newton import solve
@@ -141,7 +141,7 @@ def _exact_log_evidence(space: ResidualSpace, candidates: Sequence[ShiftCandidat
             score = np.einsum("mhi,m->hi", unit, space.residuals)
             strength, turn = np.linalg.eigh(gram)
             along = np.einsum("hij,hi->hj", turn, score)
-            visible = strength > MIN_NUMERICAL_REDUNDANCY
+            visible = strength > MAX_SOLUTION_ROUNDING_ERROR
             drop = np.sum(np.where(visible, along**2 / np.where(visible, strength, 1.0), 0.0), axis=1)
             shown = visible.sum(axis=1)
             value = np.array([_log_evidence(d, r) for d, r in zip(drop.tolist(), shown.tolist(), strict=True)])

@@ -18,6 +18,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.geometry.polar import from_polar
+from ltsim.geometry.rigid import MIN_RIGID_POINTS
 from ltsim.geometry.rotations import rotation_about_z
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
@@ -36,8 +37,6 @@ KINDS_BY_EFFORT: tuple[RemedyKind, ...] = get_args(RemedyKind)
 SETUP_KINDS = ("return", "station")
 """Kinds of further measurements that need another set-up."""
 
-N_CLOSING_TARGETS = 3
-"""Number of targets that are measured again before the tracker leaves a station."""
 N_ADDITIONAL_ROUNDS = 4
 """Number of additional rounds at the last station."""
 N_SUSPECT_POINTINGS = 3
@@ -211,7 +210,7 @@ def pointing_remedies(
 
     if len(np.unique(recording.face[here])) == 1:
         yield remedy("other face here", order[::-1], 3 - usual_face)
-    yield remedy("close here", order[:N_CLOSING_TARGETS], count=min(N_CLOSING_TARGETS, len(order)))
+    yield remedy("close here", order[:MIN_RIGID_POINTS], count=min(MIN_RIGID_POINTS, len(order)))
     yield remedy("reverse here", order[::-1])
     repeat_targets = [t for t in order.tolist() if recording.targets[t] in set(suspect_targets)]
     if repeat_targets:
@@ -315,7 +314,7 @@ def procedure_remedies(network: PlannedNetwork) -> Iterator[Remedy]:
         if made:
             station, targets, faces, time = (np.array(column) for column in zip(*made, strict=True))
             grown = network.with_pointings(station, targets, faces, time)
-            yield Remedy("survey", advice_sentence(key, count=N_CLOSING_TARGETS), work + len(made) * step, grown)
+            yield Remedy("survey", advice_sentence(key, count=MIN_RIGID_POINTS), work + len(made) * step, grown)
 
 
 def _additional_pointings(recording: Recording, rows: Ints, procedure: str) -> list[tuple[int, int]]:
@@ -324,7 +323,7 @@ def _additional_pointings(recording: Recording, rows: Ints, procedure: str) -> l
     if procedure == "other face":
         return sorted({(t, 3 - f) for t, f in existing} - set(existing))
     if procedure == "close":
-        return [(t, existing[0][1]) for t in _targets_in_order(recording.target[rows])[:N_CLOSING_TARGETS].tolist()]
+        return [(t, existing[0][1]) for t in _targets_in_order(recording.target[rows])[:MIN_RIGID_POINTS].tolist()]
     return existing[::-1]
 
 

@@ -12,6 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from ltsim.core.arrays import Floats
+from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_FACTOR
 from ltsim.physics.laws.regressors import (
     CLOCK_COVARIATES,
@@ -30,7 +31,13 @@ from ltsim.physics.laws.regressors import (
     switch_regressor,
     with_position_dependence,
 )
-from ltsim.physics.laws.states import STATE_INPUTS, TIME_DECAY_FUNCTION, candidate_states, latch_thresholds
+from ltsim.physics.laws.states import (
+    DECAY_TIME_FRACTIONS,
+    STATE_INPUTS,
+    TIME_DECAY_FUNCTION,
+    candidate_states,
+    latch_thresholds,
+)
 from ltsim.scene.regions import HallRegion, candidate_regions, is_distinctive
 from ltsim.scene.sightings import Sightings
 
@@ -107,10 +114,6 @@ TEMPORARY_REGION_SHAPES = ("xy", "x", "y", "z")
 """Shapes of the regions that may act during a part of the measurement."""
 TIME_PART_COUNTS, MIN_DISTINCT_TIMES = (2, 4), 12
 """Smallest number of distinct times for which a search divides a recording into parts in time."""
-DECAY_TIME_FRACTIONS = np.array([0.03, 0.1, 0.3, 1.0])
-"""Time constants of decays that a search tries, as fractions of the span of the time. Each time constant in between
-differs by less than a factor of two from one of them.
-"""
 HYSTERESIS_HALF_WIDTHS = np.array([0.05, 0.15, 0.3])
 """Half-widths of hysteresis loops that a search tries, as fractions of the covariate's span."""
 DEAD_BAND_QUANTILES = (0.15, 0.3, 0.5)
@@ -127,8 +130,6 @@ then close enough to one of them.
 """
 MAX_WAVE_CYCLES, MIN_POINTINGS_PER_CYCLE = 60, 8
 """Smallest number of pointings per cycle of a wave that a search tries."""
-MIN_COVARIATE_SPREAD = 1e-12
-"""Span [rad, m, s] of a covariate up to which it counts as constant, because equal elevations differ by rounding."""
 OPERATOR_ODDS = 1.0 / 3.0
 """Factor on the prior odds of a regressor for each operator and each further factor."""
 OPERATOR_COUNTS = {
@@ -167,7 +168,7 @@ def _varying_covariates(sightings: Sightings, covariates: Iterable[str]) -> list
     asked = [
         n for n in covariates if (has_nests or n not in _NEST_COVARIATES) and (faces or n not in _CIRCLE_COVARIATES)
     ]
-    floor = {n: MIN_COVARIATE_SPREAD * (operator_input(n) not in sightings.covariates) for n in asked}
+    floor = {n: MAX_ROUNDING_ERROR * (operator_input(n) not in sightings.covariates) for n in asked}
     return [n for n in asked if np.ptp(sightings.quantities[n]) > floor[n]]
 
 
@@ -241,7 +242,7 @@ def dead_band_regressors(sightings: Sightings) -> list[Regressor]:
         for name in _varying_covariates(sightings, ("move-azimuth", "move-elevation"))
         for k in np.unique(np.quantile(np.abs(sightings.quantities[name]), DEAD_BAND_QUANTILES))
         for how in ("within", "stuck")
-        if k > MIN_COVARIATE_SPREAD
+        if k > MAX_ROUNDING_ERROR
     ]
 
 
@@ -375,7 +376,7 @@ def product_regressors(sightings: Sightings) -> Iterator[Regressor]:
 def wave_rates(sightings: Sightings, covariate: str, max_cycles: float) -> Floats:
     """Angular frequencies [rad per unit] of waves in a covariate, with 1 to `max_cycles` cycles over its span."""
     span = float(np.ptp(sightings.quantities[covariate]))
-    return 2 * np.pi * np.arange(1.0, max_cycles, WAVE_RATE_STEP) / span if span > MIN_COVARIATE_SPREAD else np.zeros(0)
+    return 2 * np.pi * np.arange(1.0, max_cycles, WAVE_RATE_STEP) / span if span > MAX_ROUNDING_ERROR else np.zeros(0)
 
 
 def wave_regressors(
