@@ -13,6 +13,7 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.frame import StationTargetPairs, alignment_distances
+from ltsim.adjustment.reference_tests import MAX_INCLINATION
 from ltsim.adjustment.significance import MAX_TRACKER_ERROR
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
@@ -27,10 +28,6 @@ from ltsim.physics.model.measurement import plumb_directions
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.transcription_errors import FACE_ERRORS, UNIT_ERRORS
 
-MAX_RELATIVE_HORIZONTAL_OFFSET = 0.002
-"""Horizontal offset of a pointing from its target, relative to the vertical offset, below which a wrong height is the
-cause.
-"""
 MIN_CLOUD_MISFIT = 5e-3
 """Median misfit [m] between the points of two stations from which another unit or convention is suspected; neither
 tracker errors nor a single blunder cause as much.
@@ -146,7 +143,7 @@ def _wrong_heights(adjustment: Adjustment, is_gross: Bools) -> Iterator[Correcte
     vertical_parts = np.einsum("ni,ni->n", deviations, plumb_lines)
     horizontal_parts = np.linalg.norm(deviations - vertical_parts[:, None] * plumb_lines, axis=1)
     is_vertical = horizontal_parts < np.minimum(
-        np.maximum(MAX_TRACKER_ERROR, MAX_RELATIVE_HORIZONTAL_OFFSET * np.abs(vertical_parts)),
+        np.maximum(MAX_TRACKER_ERROR, MAX_INCLINATION * np.abs(vertical_parts)),
         adjustment.sightings.range_[indices],
     )
     lift = np.zeros((len(recording), 3))

@@ -16,12 +16,10 @@ from ltsim.core.errors import NetworkError
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.geometry.alignment import align_rigidly, align_robustly
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rotations import rotation_about_z, smallest_rotation
+from ltsim.geometry.rotations import VERTICAL, rotation_about_z, smallest_rotation
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Target
 
-VERTICAL = np.array([0.0, 0.0, 1.0])
-"""Unit vector of the vertical in the network frame."""
 MAX_FLOOR_PLAN_ERROR = 0.5
 """Distance [m] of a station from its position on a floor plan, from which the plan is ignored."""
 UNKNOWN_POINT = (np.nan, np.nan, np.nan)

@@ -28,7 +28,7 @@ from ltsim.adjustment.reliability import (
     redundancy_numbers,
     standardised_residuals,
 )
-from ltsim.adjustment.significance import FAMILY_LEVEL, MIN_CLEAR_SIGMAS, MIN_REPORTED_PROBABILITY
+from ltsim.adjustment.significance import FAMILY_LEVEL, MIN_CLEAR_SIGMAS, MIN_GROSS_SIGMAS, MIN_REPORTED_PROBABILITY
 from ltsim.adjustment.snooping import snoop_readings
 from ltsim.core.arrays import Bools, Floats, batches
 from ltsim.core.notation import with_sigma
@@ -63,10 +63,6 @@ MIN_RELATIVE_SIGMA = 0.3
 """Smallest standard deviation with which a reference value is tested, relative to the median one of the readings."""
 MAX_INCLINATION = 0.01
 """Ratio of horizontal to vertical error up to which an error of a point counts as a height error."""
-MIN_NORMALISED_ERROR_CERTAIN = 20.0
-"""Error of a reference value, in its standard deviations, from which the value is excluded even if several outliers
-among the readings explain the misfit as well.
-"""
 MIN_VALUES_FOR_TYPICAL_ERROR = 3
 """Number of other reference values of the same kind below which a wrong value is not identified if another one also
 contradicts.
@@ -277,7 +273,7 @@ def snoop_references(
         contradictory = _contradicting_group(weak, [*weak, *(test for group in others.values() for test in group)])
         again = exempt_values | {(test.kind, test.name) for test in weak}
         return (*given, contradictory) if contradictory else snoop_references(*given, kinds, again)
-    doubtful = min(test.normalised_error for test in gone) < MIN_NORMALISED_ERROR_CERTAIN
+    doubtful = min(test.normalised_error for test in gone) < MIN_GROSS_SIGMAS
     if doubtful and _penalised_chi2(reduced, ended, gone) >= _penalised_chi2(problem, given[1], ()):
         return *given, ()
     return reduced, ended, tuple(_with_final_errors(out, problem, ended.x))

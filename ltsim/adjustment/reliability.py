@@ -8,6 +8,7 @@ from scipy import special
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.significance import (
     FAMILY_LEVEL,
+    MIN_CHECKED_REDUNDANCY,
     MIN_DOF_FOR_ESTIMATED_NOISE,
     MIN_EQUIVALENT_CORRELATION,
     SINGLE_LEVEL,
@@ -20,8 +21,6 @@ from ltsim.solve.elimination import BlockFactor
 
 MAX_SIGMA0_DECLARED_NOISE = 1.25
 """Robust sigma0 up to which residuals are tested with the declared noise; above it the estimated noise is used."""
-MIN_REDUNDANCY_FOR_NOISE = 0.1
-"""Redundancy number of a reading above which its residual is used to estimate the noise."""
 MIN_NOISY_SCATTER_RATIO = 2.0
 """Ratio of a target's scatter to that of the others above which the target counts as noisy."""
 
@@ -52,7 +51,7 @@ def noise_scale(normalised_residuals: Floats, redundancy: Floats) -> float:
 
     The noise is never reduced, so that a reading that the declared noise permits is no outlier.
     """
-    scale = robust_sigma(normalised_residuals[np.nan_to_num(redundancy) > MIN_REDUNDANCY_FOR_NOISE])
+    scale = robust_sigma(normalised_residuals[np.nan_to_num(redundancy) > MIN_CHECKED_REDUNDANCY])
     return scale if scale > MAX_SIGMA0_DECLARED_NOISE else 1.0
 
 
@@ -62,7 +61,7 @@ def noisy_groups(normalised_residuals: Floats, redundancy: Floats, target: Ints)
     A target is noisy if its readings scatter `MIN_NOISY_SCATTER_RATIO` times more than those of the other targets.
     Scatters are robust standard deviations of normalised residuals (n, 3). `target` (n,) is that of each pointing.
     """
-    testable = np.where(np.nan_to_num(redundancy) > MIN_REDUNDANCY_FOR_NOISE, normalised_residuals, np.nan)
+    testable = np.where(np.nan_to_num(redundancy) > MIN_CHECKED_REDUNDANCY, normalised_residuals, np.nan)
 
     def noise(rows: Bools) -> float:
         return robust_sigma(testable[rows][np.isfinite(testable[rows])])

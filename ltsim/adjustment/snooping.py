@@ -28,14 +28,12 @@ from ltsim.physics.model.measurement import MeasurementModel, NetworkState, Pred
 from ltsim.recordings.recording import Recording
 from ltsim.solve.design import POINT_RANK_TOLERANCE, robust_sigma, scale_to_unit_diagonal, to_dense
 from ltsim.solve.elimination import BlockFactor, SingularSystemError
-from ltsim.solve.gauss_newton import MAX_ALTERNATIONS, MAX_ITERATIONS, Solution, solve
+from ltsim.solve.gauss_newton import MAX_ALTERNATIONS, MAX_CONVERGENCE_RATIO, MAX_ITERATIONS, Solution, solve
 
 MIN_COPIED_ROWS = 10
 """Number of equal rows in a recording without a clock, from which they count as copies. All repeated pointings must
 then be equal.
 """
-MAX_MISCLOSURE_RATIO = 0.9
-"""Ratio of a gross misclosure to that before the last linear step, below which a further step is made."""
 MAX_PREDICTION_SIGMA = 100.0
 """Standard deviation of the prediction of a rejected reading, in standard deviations of the reading, above which all
 readings to its target, or of its set-up, are rejected.
@@ -188,7 +186,7 @@ def screen_gross_errors(recording: Recording) -> ScreenedNetwork:
         problem = drop_undetermined(NetworkProblem.from_model(model), state)
         state, length = _relaxed_step(problem, state, model.linearise(state), np.maximum(excess, 1.0)[:, None])
         before, excess = excess, _relative_misclosure(model, state)
-        if not length or not np.any((excess > 1.0) & (excess < MAX_MISCLOSURE_RATIO * before)):
+        if not length or not np.any((excess > 1.0) & (excess < MAX_CONVERGENCE_RATIO * before)):
             break
     return ScreenedNetwork(
         recording, (state.station_positions, state.station_rotations, state.target_points), excess > 1.0, lost
@@ -236,7 +234,9 @@ def snoop_readings(problem: NetworkProblem, state: NetworkState) -> tuple[Networ
     are rejected. Data snooping follows, in which rejected readings are tested again against the network without them.
     """
     limit = critical_w(int(problem.used_readings.sum()))
-    state, _ = iterate_reweighted(problem, state, int(problem.used_readings.sum()), min_scale=1e-3)
+    state, _ = iterate_reweighted(
+        problem, state, int(problem.used_readings.sum()), min_scale=1e-3, max_steps=MAX_ALTERNATIONS
+    )
     try:
         rejected = _reject_readings(problem, state, limit)
     except SingularSystemError:
@@ -245,7 +245,7 @@ def snoop_readings(problem: NetworkProblem, state: NetworkState) -> tuple[Networ
     placed, target = state.target_points, problem.model.recording.target
     while True:
         reduced = drop_undetermined(replace(problem, used_readings=problem.used_readings & ~rejected), state)
-        solution = solve(reduced, state)
+        solution = solve(reduced, state, max_iterations=MAX_ALTERNATIONS)
         tried_sets.add(rejected.tobytes())
         if solution.factor is None:  # Too much at once: what is left does not hold the network.
             if not rejected.any():
@@ -264,7 +264,7 @@ def snoop_readings(problem: NetworkProblem, state: NetworkState) -> tuple[Networ
         state = solution.x
         new = _test_rejected_again(problem, reduced, solution, rejected, limit)
         if np.array_equal(new, rejected):
-            return reduced, solution
+            return reduced, solution if solution.has_converged else solve(reduced, state)
         if (
             new.tobytes() in tried_sets or len(tried_sets) >= MAX_ALTERNATIONS
         ):  # On the edge: what is out in either stays out.

@@ -14,7 +14,6 @@ from ltsim.adjustment.fitting import (
     multilaterate,
 )
 from ltsim.adjustment.frame import DeclaredFrame, StationTargetPairs, points_with_slope_distances, upright_alignment
-from ltsim.adjustment.rows import VERTICAL
 from ltsim.adjustment.sight import FitReadings
 from ltsim.adjustment.start_errors import require_connected_stations, require_located_target
 from ltsim.core.arrays import Bools, Floats, Ints, group_rows
@@ -22,7 +21,7 @@ from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing
 from ltsim.geometry.alignment import align_robustly
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rotations import rotation_about_z, smallest_rotation
+from ltsim.geometry.rotations import VERTICAL, rotation_about_z, smallest_rotation
 from ltsim.recordings.recording import Recording
 
 INITIALISATION_METHODS = ("frame", "cloud", "ranges", "places", "bearings")

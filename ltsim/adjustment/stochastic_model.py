@@ -16,7 +16,7 @@ from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.solve.design import robust_sigma, weight_rows
 from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
-from ltsim.solve.gauss_newton import MAX_ALTERNATIONS, MAX_ITERATIONS, Solution, solve
+from ltsim.solve.gauss_newton import MAX_ALTERNATIONS, MAX_CONVERGENCE_RATIO, MAX_ITERATIONS, Solution, solve
 
 HUBER_LIMIT = 2.0
 """Residual, in robust standard deviations, above which Huber's weights decrease; the efficiency for normal residuals is
@@ -27,6 +27,10 @@ is 95 %."""
 MAX_FAR_FRACTION = 0.02
 """Fraction of residuals above `MIN_FAR_RESIDUAL` declared standard deviations, above which Cauchy's weights are tried
 too: more than single errors explain.
+"""
+MAX_ROBUST_STEPS = 25
+"""Largest number of reweightings, each with a linear step. It bounds how far many large errors of one target can pull
+the network: with 60, a target that is displaced at random at every set-up is found as three motions in place of one.
 """
 ROBUST_TOLERANCE = 1e-2
 """Squared length of a step, in standard deviations, below which the reweighting ends."""
@@ -42,11 +46,11 @@ def fit_robust_state(problem: NetworkProblem, state: NetworkState) -> tuple[Netw
 
     The method is that of `iterate_reweighted`.
     """
-    return iterate_reweighted(problem, state, n_observation_rows(problem), min_scale=1.0)
+    return iterate_reweighted(problem, state, n_observation_rows(problem), min_scale=1.0, max_steps=MAX_ROBUST_STEPS)
 
 
 def iterate_reweighted(
-    problem: NetworkProblem, state: NetworkState, n_observations: int, *, min_scale: float
+    problem: NetworkProblem, state: NetworkState, n_observations: int, *, min_scale: float, max_steps: int
 ) -> tuple[NetworkState, Floats]:
     """State by iteratively reweighted least squares, and the m whitened residuals (m,) at this state.
 
@@ -61,9 +65,11 @@ def iterate_reweighted(
         Number of rows (the first ones) that are reweighted.
     min_scale : float
         Lower bound of the robust standard deviation of the whitened residuals.
+    max_steps : int
+        Largest number of steps.
     """
     search, reading = (
-        partial(_iterate_weights, problem, state, n_observations, min_scale),
+        partial(_iterate_weights, problem, state, n_observations, min_scale, max_steps),
         int(problem.used_readings.sum()),
     )
     solutions = [search(huber_weights)]
@@ -100,6 +106,7 @@ def _iterate_weights(
     state: NetworkState,
     n_observations: int,
     min_scale: float,
+    max_steps: int,
     weight_function: Callable[[Floats], Floats],
 ) -> tuple[NetworkState, Floats]:
     """State by reweighted least squares with one weight function, and the m whitened residuals (m,) at this state.
@@ -108,7 +115,7 @@ def _iterate_weights(
     (Huber 1981, Robust statistics, section 7.8: with a fixed scale each step lowers the objective).
     """
     reading, scale = int(problem.used_readings.sum()), np.inf
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(max_steps):
         system = problem.linearise(state)
         scale = min(scale, max(robust_sigma(system.whitened_residuals[:reading]), min_scale))
         root = np.ones(len(system.whitened_residuals))
@@ -130,10 +137,6 @@ NoiseGrouping = Literal["observable", "instrument"]
 VARIANCE_FACTOR_TOLERANCE = 2e-3
 """Relative change of the noise factors below which their estimation ends: a tenth of the standard deviation of a factor
 from 1,250 readings.
-"""
-MAX_CONVERGENCE_RATIO = 0.9
-"""Upper limit of the estimated ratio of successive steps of the noise factors, so that an extrapolation is at most ten
-times the last step.
 """
 MIN_GROUP_REDUNDANCY = 3.0
 """Redundancy below which a group keeps its declared noise."""

@@ -49,8 +49,10 @@ MIN_RELATIVE_CORRECTION = 0.02
 """Ratio of the applied to the estimated correction (rms effect on a point) below which no correction is applied."""
 MIN_HELD_OUT_IMPROVEMENT = 2.0
 """Decrease of the held-out sum of squares above which a parameter is not applied: Akaike's penalty of one parameter."""
-MAX_DENSE_UNKNOWNS = 400
-"""Number of poses and parameters up to which held-out targets are tested; the cost is that of a dense inverse."""
+MAX_DENSE_UNKNOWNS = 500
+"""Number of unknowns up to which a dense inverse, or an orthonormal basis of the unknowns, is computed (processor
+time): for held-out targets, and for Gram matrices of simulated recordings.
+"""
 MIN_PREDICTED_TARGETS = 5
 """Smallest number of targets that other targets predict, for a test with held-out targets."""
 

@@ -79,7 +79,7 @@ def diagnose(
         Earlier calibrations that each constant of the instruments is compared with.
     held_out : bool, optional
         True for a search without each fold of the readings, which are then predicted: five more searches if the model
-        is not empty. None: in networks with up to `null_ensemble.MAX_EXACT_UNKNOWNS` unknowns.
+        is not empty. None: in networks with up to `null_ensemble.MAX_DENSE_UNKNOWNS` unknowns.
 
     Returns
     -------

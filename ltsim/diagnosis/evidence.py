@@ -166,6 +166,10 @@ def _eigen_decomposition(gram: Floats, spread: Floats) -> tuple[Floats, Floats]:
 
 MAX_AVERAGED_HYPOTHESES = 12
 """Largest number of hypotheses, the most probable first, over which an estimate is averaged (processor time)."""
+N_REFINED = 7
+"""Number of hypotheses of a kind (families of effects, of noise, and laws, also at each place), the best ones of an
+approximation, that are evaluated without it (processor time).
+"""
 MAX_REFINED_DEFICIT = 10.0
 """Largest deficit of approximate log evidence of a hypothesis that is evaluated again without approximation: a local
 optimum of a family, or a product of a law and a second factor.

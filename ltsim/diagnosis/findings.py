@@ -25,7 +25,7 @@ from ltsim.diagnosis.evidence import (
 from ltsim.diagnosis.forms import response_curve
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking, name_probabilities
 from ltsim.diagnosis.noise import NoiseHypothesis
-from ltsim.diagnosis.prior import P_SAME_OBSERVABLE, log_prior_share
+from ltsim.diagnosis.prior import P_EVEN, log_prior_share
 from ltsim.diagnosis.schema import Finding, FindingEvidence, FindingScope, ParameterEstimate
 from ltsim.diagnosis.scopes import effect_scope
 from ltsim.diagnosis.selection_state import SelectionState
@@ -95,7 +95,7 @@ class ExplainedRecording:
             return ranking.probabilities_by_name().get(hypothesis.name, 0.0)
         acts = set(hypothesis.effect.observables)
         p_same = ranking.posterior_probability_of(lambda h: not h.is_catalogued and set(h.effect.observables) == acts)
-        return p_same + P_SAME_OBSERVABLE * ranking.p_unmodelled
+        return p_same + P_EVEN * ranking.p_unmodelled
 
     @cached_property
     def rankings(self) -> list[Ranking]:

@@ -15,11 +15,11 @@ from ltsim.diagnosis.directions import best_ratio
 from ltsim.diagnosis.evidence import index_of_best, log_evidence_of_coefficients
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
-from ltsim.diagnosis.prior import FORM_WEIGHTS, P_FIXED_RATIO, P_RARE_FORM, P_SINGLE_SET_UP
+from ltsim.diagnosis.prior import FORM_WEIGHTS, P_EVEN, P_RARE_FORM, P_SINGLE_SET_UP
 from ltsim.diagnosis.products import may_have_a_second_factor, product_forms
 from ltsim.diagnosis.schema import ResponseCurve
 from ltsim.diagnosis.space import MIN_POINTINGS_PER_COEFFICIENT
-from ltsim.diagnosis.switches import N_INTERVALS_AFTER_MAXIMUM, n_resembling_waves, switched_forms
+from ltsim.diagnosis.switches import MAX_PIECES, N_INTERVALS_AFTER_MAXIMUM, n_resembling_waves, switched_forms
 from ltsim.physics.laws.columns import fourier_columns
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.names import catalogue_name
@@ -30,8 +30,6 @@ TILT_REGRESSOR = Regressor("field", COORDINATE_COVARIATES, constant=1.0)
 """Regressor of a group that moves and tilts as one."""
 MAX_ABSORBED_EVIDENCE_DIFFERENCE = 0.5
 """Difference of log evidence up to which a law is equal to the one at one set-up: poses absorb it at all others."""
-MAX_PIECES = 10
-"""Largest number of steps and ramps of a law."""
 
 
 def min_promising_evidence(best_evidence: float) -> float:
@@ -114,7 +112,7 @@ def _forms_with_ratio(calculator: EvidenceCalculator, form: Hypothesis, base_mod
     gram, score = calculator.gram_and_score([law], base_model)[0]
     ratio, evidence, log_share = best_ratio(gram, score, law.size_scales, law.components)
     gain = evidence - float(log_evidence_of_coefficients(gram, score, law.size_scales))
-    share, other = np.log(P_FIXED_RATIO) + log_share, np.log(1.0 - P_FIXED_RATIO)
+    share, other = np.log(P_EVEN) + log_share, np.log(1.0 - P_EVEN)
     return [
         replace(form, log_prior=form.log_prior + other, log_evidence=form.log_evidence + other),
         replace(

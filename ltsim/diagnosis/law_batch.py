@@ -18,7 +18,7 @@ import scipy.sparse as sp
 from ltsim.calibration.evidence import log_evidence, log_sum_exp
 from ltsim.core.arrays import Floats, Ints, Singles, batches
 from ltsim.core.rounding import MAX_SINGLE_ROUNDING_ERROR
-from ltsim.diagnosis.evidence import simulated_log_total
+from ltsim.diagnosis.evidence import N_REFINED, simulated_log_total
 from ltsim.diagnosis.null_ensemble import MIN_SIMULATED_RECORDINGS, NullEnsemble
 from ltsim.physics.laws.places import LawPlace
 from ltsim.physics.laws.regressors import Regressor
@@ -29,8 +29,6 @@ MAX_CACHED_COLUMN_ENTRIES = 16_000_000
 """Number of entries of columns of regressors up to which they stay in memory, 64 MB: those that several batches share
 during a scoring, and those of all batches between scorings. Computing them anew takes a sixth of the time of a scoring.
 """
-MAX_HITS_PER_PLACE = 6
-"""Largest number of hypotheses per place that are evaluated again."""
 
 
 @dataclass(frozen=True)
@@ -167,9 +165,7 @@ class LawBatch:
         batch_results = [self._log_evidence_at_places(probe, part) for part in batches(count, entries)]
         values = np.concatenate([values for values, _ in batch_results], axis=2).reshape(len(self.places), -1)
         null = log_sum_exp(np.stack([null for _, null in batch_results]))
-        best_index = np.argsort(-np.round(values / MAX_SINGLE_ROUNDING_ERROR), axis=1, kind="stable")[
-            :, :MAX_HITS_PER_PLACE
-        ]
+        best_index = np.argsort(-np.round(values / MAX_SINGLE_ROUNDING_ERROR), axis=1, kind="stable")[:, :N_REFINED]
         hits = [
             ScreenedLaw(self.responses[i // count], self.regressors[i % count], place, v, prior)
             for place, prior, indices, here in zip(

@@ -19,10 +19,12 @@ import scipy.sparse as sp
 from scipy.special import expit
 
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.significance import MAX_CHANCE_SIGMAS
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats, Ints, Singles, batches
 from ltsim.diagnosis.evidence import (
     MAX_AVERAGED_HYPOTHESES,
+    N_REFINED,
     log_means_by_group,
     log_restricted_likelihood_ratio,
     normalised_probabilities,
@@ -53,16 +55,12 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.projection import BasisProjection
 
-N_EVALUATED_FAMILIES = 6
-"""Number of families that are evaluated without approximation, the most probable first."""
 MIN_COMPARABLE_EVIDENCE_FRACTION = 0.2
 """Fraction of the largest log evidence from which windows of noise are also sought at single places."""
 N_FINE_SIZES = 48
 """Number of sizes over which the best hypotheses are averaged, in steps of a tenth."""
 N_VARIANCE_GRID_VALUES = 7
 """Number of points of a grid on which the posterior of a size is summed."""
-VARIANCE_GRID_HALF_WIDTH = 4.0
-"""Half-width of a grid on which the posterior of a size is summed, in standard deviations."""
 N_GRID_ZOOMS = 9
 """Number of such grids: sums of a normal density are exact for spacings up to 1.5 deviations."""
 
@@ -207,7 +205,7 @@ class NoiseBank:
             members = np.flatnonzero(self.family == family)
             likeliest = int(members[int(np.argmax(ratio[members, 0]))])
             value = float(evidence[family])
-            if rank < N_EVALUATED_FAMILIES:
+            if rank < N_REFINED:
                 value = self._fine_log_evidence(members, likeliest, ratio[members, 0], residual, redundancy)
                 value += self.log_prior_of_family(self.families[family])
                 value += self._excess_over_diagonal_form(likeliest, float(ratio[likeliest, 0]), residual, extension)
@@ -370,8 +368,8 @@ def most_likely_sizes(space: ResidualSpace, nominal_variance: Floats, hypothesis
         spread = np.sqrt(np.sum(weight * (points - mean) ** 2, axis=0))
         spread = np.maximum(spread, 0.4 * (high - low) / (N_VARIANCE_GRID_VALUES - 1))
         low, high = (
-            np.maximum(least, mean - VARIANCE_GRID_HALF_WIDTH * spread),
-            np.minimum(most, mean + VARIANCE_GRID_HALF_WIDTH * spread),
+            np.maximum(least, mean - MAX_CHANCE_SIGMAS * spread),
+            np.minimum(most, mean + MAX_CHANCE_SIGMAS * spread),
         )
     values = np.where(felt, np.sum(weight * sizes, axis=0), 0.0)
     sigma = np.where(felt, np.sqrt(np.sum(weight * (sizes - values) ** 2, axis=0)), np.inf)

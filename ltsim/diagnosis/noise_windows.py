@@ -28,12 +28,12 @@ DENSE_FACTORS = np.geomspace(1.5, 150.0, 33)
 """Factors on the variance over which its posterior mean is taken, in steps of 15 %."""
 MEAN_WINDOW_COUNTS = np.array([1.5, 6.0])
 """Mean numbers of windows in a recording that are averaged over."""
+MAX_LOG_RATIO = float(np.log(np.sqrt(np.finfo(np.float64).max)))
+"""Limit on the log likelihood ratio of a step, 355, so that the product of two is a floating-point number."""
 MAX_CHAIN_STEPS = 200
 """Largest number of steps of the chain."""
 WINDOW_REGION_SHAPES = ("x", "y", "z", "xy")
 """Shapes of the regions of the hall in which noise may be larger for a time."""
-MAX_LOG_RATIO = 500.0
-"""Limit on the log likelihood ratio of a step, below the range of floating-point numbers."""
 OBSERVABLE_FLAGS = np.array(
     [[name in acts for name in OBSERVABLES] for acts in NOISY_OBSERVABLE_SETS], dtype=np.float64
 )

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.calibration.shrinkage import MAX_DENSE_UNKNOWNS
 from ltsim.core.arrays import Floats, Ints, Singles, batches
 from ltsim.core.randomness import stream
 from ltsim.solve.projection import BasisProjection
@@ -26,8 +27,6 @@ MIN_SIMULATED_RECORDINGS_IN_LARGE_NETWORK = 99
 """Smallest number of simulated recordings of a large network (cost): p-values down to 1 / 100."""
 N_GRAM_DRAWS = 200
 """Number of simulated residuals for Monte-Carlo Gram matrices: relative standard deviation sqrt(2 / 200), 10 %."""
-MAX_EXACT_UNKNOWNS = 500
-"""Largest number of unknowns of a network whose Gram matrices use the basis (cost)."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +122,7 @@ class NullEnsemble:
 def exact_basis(space: ResidualSpace) -> Floats | None:
     """Orthonormal basis (m, u) of the estimated parameters; None in a network that is too large for it."""
     projection = space.projector
-    is_small = isinstance(projection, BasisProjection) and projection.basis.shape[1] <= MAX_EXACT_UNKNOWNS
+    is_small = isinstance(projection, BasisProjection) and projection.basis.shape[1] <= MAX_DENSE_UNKNOWNS
     return projection.basis if isinstance(projection, BasisProjection) and is_small else None
 
 

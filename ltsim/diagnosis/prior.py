@@ -29,9 +29,11 @@ CAUSE_TEXTS = {
 """Texts of the kinds in `CAUSE_PRIOR`."""
 P_UNMODELLED = 0.2
 """Prior probability that a cause is in no list but resembles a listed one."""
-P_SAME_OBSERVABLE = 0.5
-"""Probability that an unmodelled cause acts on the observable of the listed cause that it resembles."""
-P_CAP_TESTS = 1.0 - P_UNMODELLED * P_SAME_OBSERVABLE
+P_EVEN = 0.5
+"""Probability of one of two alternatives between which nothing decides beforehand: an unmodelled cause acts on the
+observable of the listed cause that it resembles; the components of a law have a fixed ratio.
+"""
+P_CAP_TESTS = 1.0 - P_UNMODELLED * P_EVEN
 """Upper limit on the probability reported for findings that have no likelihood term for an unmodelled cause."""
 PLACE_PRIOR = {"everywhere": 0.5, "set-up": 0.2, "instrument": 0.1, "target": 0.1, "group": 0.1}
 """Prior probability of each kind of place at which a law outside the catalogue acts."""
@@ -55,8 +57,6 @@ P_RARE_FORM = 0.1
 """Prior probability of each rarer form of a law: a few steps and ramps; a function of time that is switched on and off;
 a law that differs by set-up; a law at one set-up alone, except for the kinds of responses in `P_SINGLE_SET_UP`.
 """
-P_FIXED_RATIO = 0.5
-"""Prior probability that the components of a law have a fixed ratio."""
 P_SINGLE_SET_UP = {"stand": 0.5}
 """Prior probability that a law acts at one set-up alone, by kind of response: stands differ, instruments do so less.
 It is `P_RARE_FORM` for all other kinds.

@@ -19,10 +19,16 @@ import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
-from ltsim.core.arrays import Floats, Ints
+from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Floats, Ints
 from ltsim.core.rounding import MAX_SINGLE_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.catalogue_signatures import ORDINARY_CALIBRATION_TYPES, CatalogueSignatures, catalogue_hypotheses
-from ltsim.diagnosis.evidence import MAX_REFINED_DEFICIT, coefficient_posterior, index_of_best, ranked_indices
+from ltsim.diagnosis.evidence import (
+    MAX_REFINED_DEFICIT,
+    N_REFINED,
+    coefficient_posterior,
+    index_of_best,
+    ranked_indices,
+)
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.forms import evaluate_forms, min_promising_evidence
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking, log_odds_repeated
@@ -42,8 +48,6 @@ MAX_MODEL_MEMBERS = 5
 MAX_RIGID_COEFFICIENTS = 10
 """Largest number of coefficients of a member that cannot imitate several effects: a curve in one quantity
 (`N_MODES_DEFAULT` and a slope). With more, the search starts again without the member."""
-N_REFINED = 7
-"""Number of families, and of laws, evaluated without approximation in a step."""
 N_REFINED_IN_LARGE_NETWORK = 3
 """Number of families, and of laws, evaluated without approximation in a step of a large network (cost)."""
 N_SHAPE_GRID_POINTS = 11
@@ -56,8 +60,6 @@ MAX_LOCAL_OPTIMA = 3
 """Largest number of evaluated local optima of a family."""
 MAX_COMPARED_MEMBERS = 40
 """Number of best members of a family among which local optima are sought."""
-MAX_CACHED_SIGNATURES = 16
-"""Number of projected signatures in the cache."""
 MAX_RANKED_LAWS = 400
 """Number of screened laws that stay in a ranking."""
 MIN_SIGMA_INCREASE = 1.15
@@ -312,7 +314,7 @@ class Searcher:
             whole = self.evidence_calculator.whitened_signature(hypothesis.effect)
             self._projected_signatures[key] = self.space.project(whole), np.linalg.norm(whole, axis=0)
         self._projected_signatures.move_to_end(key)
-        if len(self._projected_signatures) > MAX_CACHED_SIGNATURES:
+        while sum(rows.size for rows, _ in self._projected_signatures.values()) > MAX_TEMPORARY_ENTRIES:
             self._projected_signatures.popitem(last=False)
         return self._projected_signatures[key]
 

@@ -28,8 +28,8 @@ without a region is an effect of the catalogue, or a form with steps.
 """
 MIN_TARGET_SWITCH_EDGES = 3
 """Smallest number of edges of a law of a single target, whose steps are effects of the catalogue."""
-MAX_TOGGLED_INTERVALS = 10
-"""Largest number of intervals whose state is toggled."""
+MAX_PIECES = 10
+"""Largest number of steps and ramps of a law, and of intervals whose state is toggled."""
 N_INTERVALS_AFTER_MAXIMUM = 3
 """Number of further intervals that a search switches on or off after the evidence has last increased."""
 
@@ -141,7 +141,7 @@ def _best_span_states(spans: SpanMoments, spread: Floats) -> tuple[Bools, float,
     price = float(np.log(len(first)))
     state = best = np.zeros(count, dtype=bool)
     value, taken, turn = -np.inf, 0, 0
-    while turn < min(taken + N_INTERVALS_AFTER_MAXIMUM, MAX_TOGGLED_INTERVALS):
+    while turn < min(taken + N_INTERVALS_AFTER_MAXIMUM, MAX_PIECES):
         turn += 1
         sign = 1.0 - 2.0 * state
         within = sign[:, None, None, None] * spans.gram * sign[:, None]

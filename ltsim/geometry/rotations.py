@@ -4,6 +4,9 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 
+VERTICAL = np.array([0.0, 0.0, 1.0])
+"""Unit vector of the vertical in the network frame."""
+
 
 def cross_matrix(vectors: Floats) -> Floats:
     """Matrices (..., 3, 3) with ``cross_matrix(v) @ w = v x w`` for vectors (..., 3)."""

@@ -20,6 +20,10 @@ MAX_ALTERNATIONS = 10
 """Largest number of alternations between an estimate and a decision that depends on it: outliers, noise factors,
 widened priors, selected causes. They end when the decision does not change; of a cycle the last decision counts.
 """
+MAX_CONVERGENCE_RATIO = 0.9
+"""Ratio of successive steps, or misclosures, up to which an iteration counts as converging. It also bounds the
+estimated ratio in an extrapolation, whose result is then at most ten times the last step.
+"""
 SQUARED_STEP_TOLERANCE = 1e-8
 """Squared length of a step, in squared standard deviations of the unknowns, below which the iteration has converged.
 """

@@ -23,7 +23,7 @@ from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.effects.target_moved import TargetMoved
 
-MAX_LOG_EVIDENCE_GAIN = 1e30
+MAX_LOG_EVIDENCE_GAIN = float(np.finfo(np.float32).max)
 """Finite number in place of an infinite gain of log evidence: that of a hypothesis without which no fit is possible."""
 SHARED_CAUSE_KINDS = (
     "constant-offset",

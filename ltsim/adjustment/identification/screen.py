@@ -45,8 +45,10 @@ MIN_OUTLIERS_FOR_TRIAL = 6
 """Number of outliers in a network above which fits without the distances of single places are made."""
 MIN_GROSS_FRACTION_FOR_TRIAL = 0.4
 """Fraction of gross pointings at a place above which a fit without its distances is made, or its motion is tested."""
-MAX_TRIAL_PLACES = 5
-"""Largest number of places for which a fit without their distances is made, or whose motion is tested."""
+MAX_FITTED_HYPOTHESES = 4
+"""Largest number of hypotheses that are fitted in a step, in the order of their approximate gains, and as many that
+turn out to be undetermined; also of places that a trial omits or moves (processor time).
+"""
 MIN_LENGTHS_FOR_SCALE = 2
 """Number of reference lengths from which a common scale error is tested."""
 
@@ -237,7 +239,7 @@ def _moved_targets(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> Ite
     }
     suspects = sorted(
         (name for name in share if share[name] > MIN_GROSS_FRACTION_FOR_TRIAL), key=lambda name: -share[name]
-    )[:MAX_TRIAL_PLACES]
+    )[:MAX_FITTED_HYPOTHESES]
     price = -log_prior_of("outlier", int(fit.problem_with_all_readings.used_readings.sum())) - float(
         log_occam_factor_of_shift(10.0, 1)
     )
@@ -288,7 +290,7 @@ def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandid
     offers, fits = list[tuple[float, Hypothesis]](), dict[str, NetworkFit | None]()
     for c in sorted(tried, key=lambda c: -share[id(c)]):
         if c.place_name not in fits:
-            if len(fits) == MAX_TRIAL_PLACES or not share[id(c)] > MIN_GROSS_FRACTION_FOR_TRIAL:
+            if len(fits) == MAX_FITTED_HYPOTHESES or not share[id(c)] > MIN_GROSS_FRACTION_FOR_TRIAL:
                 continue
             fits[c.place_name] = fit.without_distances(c.affected_rows)
         aside = fits[c.place_name]

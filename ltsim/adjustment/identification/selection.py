@@ -25,7 +25,7 @@ from ltsim.adjustment.identification.hypothesis import (
     ReferenceOmission,
 )
 from ltsim.adjustment.identification.library import convention_corrections, coordinate_exchanges, omissions_of_values
-from ltsim.adjustment.identification.screen import screened_hypotheses
+from ltsim.adjustment.identification.screen import MAX_FITTED_HYPOTHESES, screened_hypotheses
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.significance import FAMILY_LEVEL, MIN_LOG_EVIDENCE_GAIN, MIN_REPORTED_PROBABILITY
 from ltsim.adjustment.snooping import without_copied_rows
@@ -40,10 +40,6 @@ MAX_SELECTED_HYPOTHESES = 8
 """Largest number of selected hypotheses."""
 MAX_CAUSES_BEFORE_CENTRING = 3
 """Number of simple causes whose evidence together is compared with that of centring errors."""
-N_FITTED_HYPOTHESES = 4
-"""Number of hypotheses that are fitted in a step, in the order of their approximate gains; as many may be
-undetermined.
-"""
 MIN_POINTINGS_LARGE_NETWORK = 1500
 """Number of pointings from which a network that agrees as a whole is not searched place by place (5 s of processor
 time).
@@ -231,7 +227,7 @@ def _fit_best_hypotheses(
     places |= {replaced_hypothesis.place_key} if replaced_hypothesis is not None else set()
     for promised, hypothesis in screened_hypotheses(fit):
         best = max((made.log_evidence for _, made in tried), default=-np.inf) - fit.log_evidence
-        if promised <= max(min_count, 0.0) or max(len(tried), undetermined) >= N_FITTED_HYPOTHESES or best > promised:
+        if promised <= max(min_count, 0.0) or max(len(tried), undetermined) >= MAX_FITTED_HYPOTHESES or best > promised:
             break
         if isinstance(hypothesis.model_change, excluded_changes):
             continue

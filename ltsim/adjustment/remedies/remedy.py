@@ -6,6 +6,7 @@ between possible causes.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -41,14 +42,14 @@ N_ADDITIONAL_ROUNDS = 4
 """Number of additional rounds at the last station."""
 N_SUSPECT_POINTINGS = 3
 """Number of additional pointings to a suspect target."""
-BASE_ROTATION = 90.0 * DEGREE
-"""Rotation [rad] of the tracker's base if it is set up again at a previous position."""
 MAX_REPEATED_SETUPS = 12
 """Number of set-ups up to which the repetition of each is evaluated; of more, an even selection."""
 N_GRID_POSITIONS = 5
 """Number of candidate positions of an additional station along each side of the floor."""
 N_YAWS = 4
 """Number of candidate yaws at each position of an additional station."""
+BASE_ROTATION = math.tau / N_YAWS
+"""Rotation [rad] of the tracker's base if it is set up again at a previous position."""
 MAX_SETUPS_FOR_ADDITION = 30
 """Number of set-ups from which no additional set-up is evaluated, to limit the time."""
 MIN_PROPOSED_DISTANCE = 0.8

@@ -14,6 +14,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_FACTOR
+from ltsim.physics.laws.places import MIN_GROUP_SIZE
 from ltsim.physics.laws.regressors import (
     CLOCK_COVARIATES,
     CONSTANT_REGRESSOR,
@@ -112,23 +113,28 @@ NEARNESS_REGION_SHAPES = ("xyz", "xy")
 """Shapes of the regions for laws that depend on the distance of targets from a position."""
 TEMPORARY_REGION_SHAPES = ("xy", "x", "y", "z")
 """Shapes of the regions that may act during a part of the measurement."""
-TIME_PART_COUNTS, MIN_DISTINCT_TIMES = (2, 4), 12
-"""Smallest number of distinct times for which a search divides a recording into parts in time."""
+TIME_PART_COUNTS = (2, 4)
+"""Numbers of parts in time into which a search divides a recording."""
 HYSTERESIS_HALF_WIDTHS = np.array([0.05, 0.15, 0.3])
 """Half-widths of hysteresis loops that a search tries, as fractions of the covariate's span."""
 DEAD_BAND_QUANTILES = (0.15, 0.3, 0.5)
 """Limits of dead bands that a search tries, as quantiles of the sizes of an axis' motions."""
 LAG_TIME_CONSTANTS = (60.0, 300.0, 1000.0, 3000.0)
 """Time constants [s] of lags that a search tries: of detectors, instrument parts, stands, walls and floors."""
-MIN_SEPARATE_SETUPS, MAX_SEPARATE_SETUPS, MAX_SEPARATE_TARGETS = 3, 12, 60
-"""Largest number of targets up to which each may have a separate amount."""
-MAX_GROUP_STEP_TIMES = 12
-"""Number of times at which a search tries a step of a group of targets. The best step is refined afterwards."""
+MAX_SEPARATE_PARTS = 12
+"""Largest number of set-ups, instruments, or targets of a group, up to which each may have a separate amount; also the
+number of times at which a search tries a step of a group of targets, and of distinct times from which a recording is
+divided in time. More coefficients fit any errors.
+"""
+MAX_SEPARATE_TARGETS = 60
+"""Largest number of targets of a network up to which each may have a separate amount."""
 WAVE_RATE_STEP = 0.6
 """Distance between the frequencies of waves that a search tries, in cycles over the covariate's span. Each frequency is
 then close enough to one of them.
 """
-MAX_WAVE_CYCLES, MIN_POINTINGS_PER_CYCLE = 60, 8
+MAX_WAVE_CYCLES = 60
+"""Largest number of cycles of a wave over the covariate's span that a search tries (processor time)."""
+MIN_POINTINGS_PER_CYCLE = 8
 """Smallest number of pointings per cycle of a wave that a search tries."""
 OPERATOR_ODDS = 1.0 / 3.0
 """Factor on the prior odds of a regressor for each operator and each further factor."""
@@ -203,7 +209,7 @@ def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -
             *(scalar_regressor(name, "abs") for name in before if name.startswith("move-")),
         ],
         "lag": lag_regressors(s, (*columns, "elevation", "distance", "move-azimuth", "move-elevation")),
-        "amounts": [*visits(s, MIN_SEPARATE_SETUPS + 1), *_per_previous_target_regressors(s)],
+        "amounts": [*visits(s, MIN_GROUP_SIZE + 1), *_per_previous_target_regressors(s)],
         "wave": list(wave_regressors(s)),
         "room": [
             *with_position_dependence(_slow_wave_regressors(s), 1),
@@ -254,7 +260,7 @@ def contains_several_targets(region: HallRegion, sightings: Sightings) -> bool:
 def temporary_region_regressors(sightings: Sightings, function: str = "") -> Iterator[Regressor]:
     """Iterator over regressors of regions of the hall that act during one part of the measurement."""
     time, regions = np.unique(sightings.time), candidate_regions(sightings, TEMPORARY_REGION_SHAPES)
-    if len(time) < MIN_DISTINCT_TIMES or not regions:
+    if len(time) < MAX_SEPARATE_PARTS or not regions:
         return
     passing = np.stack([region.path_lengths(sightings) > region.width for region in regions])
     for parts in TIME_PART_COUNTS:
@@ -296,11 +302,11 @@ def target_group_regressors(sightings: Sightings) -> dict[str, list[Regressor]]:
 
 
 def _step_regressors(sightings: Sightings) -> list[Regressor]:
-    """Regressors of steps in time, at `MAX_GROUP_STEP_TIMES` times spread evenly over the pointings."""
+    """Regressors of steps in time, at `MAX_SEPARATE_PARTS` times spread evenly over the pointings."""
     clock = np.unique(sightings.time)
-    if len(clock) < MAX_GROUP_STEP_TIMES:
+    if len(clock) < MAX_SEPARATE_PARTS:
         return []
-    at = np.linspace(0, len(clock) - 1, MAX_GROUP_STEP_TIMES + 2).round().astype(int)[1:-1]
+    at = np.linspace(0, len(clock) - 1, MAX_SEPARATE_PARTS + 2).round().astype(int)[1:-1]
     return [piecewise_regressor([scalar_regressor("time", "step", float(0.5 * (clock[i] + clock[i + 1])))]) for i in at]
 
 
@@ -313,7 +319,7 @@ def _seating_parity_differs(sightings: Sightings) -> bool:
 def visits(sightings: Sightings, min_setups: int) -> list[Regressor]:
     """Regressor with an amount per set-up; an empty list for too few (`min_setups`) or too many set-ups."""
     count = len(np.unique(sightings.station))
-    return [group_amounts_regressor("station", count)] if min_setups <= count <= MAX_SEPARATE_SETUPS else []
+    return [group_amounts_regressor("station", count)] if min_setups <= count <= MAX_SEPARATE_PARTS else []
 
 
 def _per_previous_target_regressors(sightings: Sightings) -> list[Regressor]:
@@ -339,7 +345,7 @@ def product_regressors(sightings: Sightings) -> Iterator[Regressor]:
         sightings, (*BASE_COVARIATES[:7], *additional_columns(sightings), *_CIRCLE_COVARIATES, *_NEST_COVARIATES)
     )
     trackers = len(np.unique(sightings.instrument))
-    if 1 < trackers <= MAX_SEPARATE_SETUPS:
+    if 1 < trackers <= MAX_SEPARATE_PARTS:
         by_instrument = group_amounts_regressor("instrument", trackers)
         yield from (
             Regressor("product", factors=(smooth_regressor(name, N_MODES_FACTOR), by_instrument)) for name in names
