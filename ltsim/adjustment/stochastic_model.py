@@ -182,7 +182,7 @@ def estimate_variance_components(
     factor, redundancy = np.ones(3 * len(names) + 1), np.zeros(3 * len(names) + 1)
     declared, available = problem, problem.used_readings if reading_mask is None else reading_mask
     for _ in range(MAX_ALTERNATIONS):
-        before_last = np.zeros(len(factor))
+        last_change, last_step = np.zeros(len(factor)), np.zeros(len(factor))
         for _ in range(MAX_ITERATIONS):
             if solution.factor is None:
                 return problem, solution, ()
@@ -190,12 +190,12 @@ def estimate_variance_components(
             enough = redundancy > MIN_GROUP_REDUNDANCY
             change = np.where(enough, np.sqrt(square / np.where(enough, redundancy, 1.0)), 1.0)
             log_change = np.log(np.maximum(change, 0.1))
-            factor = factor * np.exp(_extrapolated_limit(log_change, before_last))
+            last_change, last_step = log_change, _secant_step(log_change, last_change, last_step)
+            factor = factor * np.exp(last_step)
             problem = _scale_sigmas(declared, factor, group, problem.used_readings)
             solution = solve(problem, solution.x)
             if np.max(np.abs(change - 1.0)) < VARIANCE_FACTOR_TOLERANCE:
                 break
-            before_last = np.where(before_last, 0.0, log_change)
         before = problem.used_readings
         problem, solution = reject_outliers(_scale_sigmas(declared, factor, group, available), solution.x)
         if np.array_equal(problem.used_readings, before):
@@ -209,13 +209,14 @@ def estimate_variance_components(
     return problem, solution, tuple(VarianceComponent(*kind, *numbers) for kind, *numbers in rows)
 
 
-def _extrapolated_limit(step: Floats, last_step: Floats) -> Floats:
-    """Remaining change to the limit of a sequence with linear convergence (Aitken's delta-squared process).
+def _secant_step(change: Floats, last_change: Floats, last_step: Floats) -> Floats:
+    """Step (g,) of g fixed-point iterations to their limits, by the secant through the present and the last change.
 
-    `step` (g,) is the present step of each of g sequences, `last_step` (g,) the step before it; 0 for no extrapolation.
+    `change` (g,) is the change of each value by the fixed-point function, `last_change` (g,) the one before it, and
+    `last_step` (g,) the step between the two; a step of 0 means that there is none, and the change is the step.
     """
-    ratio = np.divide(step, last_step, out=np.zeros_like(step), where=last_step != 0.0)
-    return step / (1.0 - np.clip(ratio, 0.0, MAX_CONVERGENCE_RATIO))
+    slope = np.divide(change - last_change, last_step, out=np.full_like(change, -1.0), where=last_step != 0.0)
+    return change / (1.0 - np.clip(1.0 + slope, 0.0, MAX_CONVERGENCE_RATIO))
 
 
 def _scale_sigmas(problem: NetworkProblem, factor: Floats, group_indices: Ints, reading_mask: Bools) -> NetworkProblem:

@@ -22,7 +22,7 @@ widened priors, selected causes. They end when the decision does not change; of 
 """
 MAX_CONVERGENCE_RATIO = 0.9
 """Ratio of successive steps, or misclosures, up to which an iteration counts as converging. It also bounds the
-estimated ratio in an extrapolation, whose result is then at most ten times the last step.
+estimated ratio in a secant step, which is then at most ten times the last change.
 """
 SQUARED_STEP_TOLERANCE = 1e-8
 """Squared length of a step, in squared standard deviations of the unknowns, below which the iteration has converged.

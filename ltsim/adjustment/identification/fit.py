@@ -94,8 +94,8 @@ class NetworkFit:
     @classmethod
     def far_references(
         cls, network: FitInput, hypotheses: Sequence[Hypothesis]
-    ) -> tuple[list[ReferenceValueRows], int]:
-        """Reference values with large residuals in a robust fit, and the number of all reference values.
+    ) -> tuple[list[ReferenceValueRows], int, NetworkState]:
+        """Reference values with large residuals in a robust fit, the number of all reference values, and the fit.
 
         Large means more than `MIN_FAR_RESIDUAL` robust standard deviations. An adjustment with such a value would
         distort the whole network.
@@ -105,7 +105,7 @@ class NetworkFit:
         state, residual = fit_robust_state(relaxed_problem, resect_contradicted_setups(relaxed_problem, start))
         limit = MIN_FAR_RESIDUAL * max(robust_sigma(residual[: int(problem.used_readings.sum())]), 1.0)
         values = [v for v in reference_values(problem, state) if v.kind != "mark"]
-        return [v for v in values if float(np.abs(residual[v.rows]).max()) > limit], len(values)
+        return [v for v in values if float(np.abs(residual[v.rows]).max()) > limit], len(values), state
 
     @classmethod
     def from_start(
@@ -114,13 +114,14 @@ class NetworkFit:
         hypotheses: Sequence[Hypothesis] = (),
         start_state: NetworkState | None = None,
         approximate_sightings: Sightings | None = None,
+        robust_state: NetworkState | None = None,
     ) -> NetworkFit | None:
         """Network fit with hypotheses; None if the fit does not converge or does not determine a shift.
 
-        The fit starts at `start_state`, by default at approximate coordinates from the recording. If
+        The fit starts at `start_state`, by default at the robust fit `robust_state` or at a new one. If
         `approximate_sightings` are given, the start values of the shifts are first subtracted from the readings.
         """
-        fit = cls._with_hypotheses(network, tuple(hypotheses), start_state, approximate_sightings)
+        fit = cls._with_hypotheses(network, tuple(hypotheses), start_state, approximate_sightings, robust_state)
         for _ in range(MAX_ALTERNATIONS):
             revised = tuple(with_centring_sigma(h, fit.estimate) for h in fit.hypotheses)
             if revised == fit.hypotheses or not fit.solution.has_converged:
@@ -135,14 +136,14 @@ class NetworkFit:
         hypotheses: tuple[Hypothesis, ...],
         start_state: NetworkState | None,
         approximate_sightings: Sightings | None = None,
+        robust_state: NetworkState | None = None,
     ) -> NetworkFit:
         """Fit as in `from_start`, with the standard deviations of centring errors that the hypotheses contain."""
         is_first = start_state is None
         problem, start_state = cls._make_problem(network, hypotheses, start_state, approximate_sightings)
         if is_first:
-            start_state = resect_contradicted_setups(
-                problem, fit_robust_state(problem, resect_contradicted_setups(problem, start_state))[0]
-            )
+            resected = resect_contradicted_setups(problem, start_state)
+            start_state = resect_contradicted_setups(problem, robust_state or fit_robust_state(problem, resected)[0])
         full_problem = drop_undetermined(problem, start_state)
         fit = cls(network, hypotheses, full_problem, *snoop_readings(full_problem, start_state))
         if any(isinstance(h.model_change, NoiseFactor) for h in hypotheses):
@@ -238,10 +239,8 @@ class NetworkFit:
         for h in self.hypotheses:
             if isinstance(h.model_change, NoiseFactor):
                 chosen = h.model_change.reading_mask & self.problem.used_readings
-                squares = float(np.sum((self.residuals / sigma)[chosen] ** 2))
-                factor, _ = estimate_variance_factor(
-                    np.array(squares), np.array(float(np.nansum(self.redundancy[chosen])))
-                )
+                squares = np.array(np.sum((self.residuals / sigma)[chosen] ** 2))
+                factor, _ = estimate_variance_factor(squares, np.array(np.nansum(self.redundancy[chosen])))
                 sigma = np.where(h.model_change.reading_mask, sigma * factor, sigma)
         return sigma
 

@@ -140,7 +140,14 @@ def determining_sentences(
     candidates = chain(
         cheap, return_remedies(network, 0.0, [0]), near_reflector_remedies(network)
     )  # the cheapest first
-    evaluated = [(r.instruction, _gains_of_combinations(r.network, directions)) for r in candidates]
+    evaluated = list[tuple[str, list[list[float]]]]()
+    open_combinations = {(i, k) for i, combinations in enumerate(directions) for k in range(len(combinations))}
+    for remedy in candidates:
+        gains = _gains_of_combinations(remedy.network, directions)
+        evaluated.append((remedy.instruction, gains))
+        open_combinations = {(i, k) for i, k in open_combinations if gains[i][k] < MIN_DETERMINED_GAIN}
+        if not open_combinations:
+            break
     return [
         [
             _determining_sentence(d, present_gains[i][k], [(words, gain[i][k]) for words, gain in evaluated])
