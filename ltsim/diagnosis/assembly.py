@@ -12,8 +12,8 @@ from ltsim.diagnosis.diagnosis import AveragedTargets, Diagnosis, DiagnosisArray
 from ltsim.diagnosis.findings import ExplainedRecording, noise_finding
 from ltsim.diagnosis.held_out import HeldOutErrors
 from ltsim.diagnosis.instruments import instrument_entries
+from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS
 from ltsim.diagnosis.schema import BeforeAfter, DetectableEntry, Finding, GlobalTest, Misfit
-from ltsim.diagnosis.search import MAX_MODEL_MEMBERS
 from ltsim.diagnosis.words import MIN_PROBABLE, diagnosis_summary
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.recordings.result_file import SourceEntry

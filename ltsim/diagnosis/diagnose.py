@@ -33,8 +33,8 @@ from ltsim.diagnosis.instruments import (
 )
 from ltsim.diagnosis.noise import NoiseHypothesis, most_likely_sizes
 from ltsim.diagnosis.preprocessing import adapted_baseline, is_consistent_when_omitted
+from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS
 from ltsim.diagnosis.schema import Finding
-from ltsim.diagnosis.search import MAX_MODEL_MEMBERS
 from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.effects.signature import CandidateEffect

@@ -61,6 +61,8 @@ P_SINGLE_SET_UP = {"stand": 0.5}
 """Prior probability that a law acts at one set-up alone, by kind of response: stands differ, instruments do so less.
 It is `P_RARE_FORM` for all other kinds.
 """
+MAX_MODEL_MEMBERS = 5
+"""Largest number of members of a model, of reported findings, and of reported constants of instruments."""
 LOG_ODDS_REPEATED = float(np.log(0.03))
 """Log odds of a second effect of a kind that rarely occurs twice (two windows, two unknown laws), relative to any other
 second effect.

@@ -34,7 +34,7 @@ from ltsim.diagnosis.forms import evaluate_forms, min_promising_evidence
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking, log_odds_repeated
 from ltsim.diagnosis.law_batch import LawBatch, ScreenedLaw, score_batches
 from ltsim.diagnosis.null_ensemble import NullEnsemble
-from ltsim.diagnosis.prior import log_prior_share
+from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS, log_prior_share
 from ltsim.diagnosis.schema import ParameterEstimate
 from ltsim.diagnosis.shapes import are_distinct, centre_estimates, interpolate_shape, shape_posterior
 from ltsim.diagnosis.space import law_batches
@@ -43,8 +43,6 @@ from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.names import catalogue_name
 from ltsim.physics.laws.sizes import displayed_sizes
 
-MAX_MODEL_MEMBERS = 5
-"""Largest number of members of a model, and of reported constants of instruments."""
 MAX_RIGID_COEFFICIENTS = 10
 """Largest number of coefficients of a member that cannot imitate several effects: a curve in one quantity
 (`N_MODES_DEFAULT` and a slope). With more, the search starts again without the member."""

@@ -6,6 +6,7 @@ import numpy as np
 
 from ltsim.adjustment.significance import MIN_CLEAR_SIGMAS
 from ltsim.core.notation import MAX_LISTED_ITEMS, listing, with_sigma
+from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS
 from ltsim.diagnosis.schema import Finding, FindingScope, InstrumentEntry, Misfit, ParameterEstimate
 from ltsim.physics.effects import catalogue_entry, find_effect, title_of
 
@@ -130,7 +131,7 @@ def clear_constants_texts(instruments: Sequence[InstrumentEntry]) -> list[str]:
             plain = f"{parameter_text(name)}{used} of {of}: {with_sigma(value, sigma)} {unit}"
             ranked.append((abs(value) / max(sigma, 1e-300), plain))
     ranked.sort(key=lambda combination: -combination[0])
-    return [words for times, words in ranked if times > MIN_CLEAR_SIGMAS][:MAX_LISTED_ITEMS]
+    return [words for times, words in ranked if times > MIN_CLEAR_SIGMAS][:MAX_MODEL_MEMBERS]
 
 
 UNITS_WITHOUT_CLOCK = {"s": ("rows", 1.0), "min": ("rows", 60.0), "h": ("rows", 3600.0)}
