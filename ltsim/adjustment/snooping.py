@@ -28,12 +28,20 @@ from ltsim.physics.model.measurement import MeasurementModel, NetworkState, Pred
 from ltsim.recordings.recording import Recording
 from ltsim.solve.design import POINT_RANK_TOLERANCE, robust_sigma, scale_to_unit_diagonal, to_dense
 from ltsim.solve.elimination import BlockFactor, SingularSystemError
-from ltsim.solve.gauss_newton import MAX_ALTERNATIONS, MAX_CONVERGENCE_RATIO, MAX_ITERATIONS, Solution, solve
+from ltsim.solve.gauss_newton import MAX_CONVERGENCE_RATIO, MAX_ITERATIONS, Solution, solve
 
 MIN_COPIED_ROWS = 10
 """Number of equal rows in a recording without a clock, from which they count as copies. All repeated pointings must
 then be equal.
 """
+MAX_REWEIGHTINGS = 8
+"""Number of iterations of reweighted least squares before data snooping."""
+MAX_SNOOPING_PASSES = 20
+"""Largest number of solutions until the set of rejected readings is stable; readings that still alternate remain
+rejected.
+"""
+MAX_INTERMEDIATE_STEPS = 10
+"""Largest number of Gauss-Newton steps of each solution during data snooping, except the last."""
 MAX_PREDICTION_SIGMA = 100.0
 """Standard deviation of the prediction of a rejected reading, in standard deviations of the reading, above which all
 readings to its target, or of its set-up, are rejected.
@@ -227,7 +235,9 @@ def _relaxed_step(
 # --- within the adjustment ----------------------------------------------------------------------------------------
 
 
-def snoop_readings(problem: NetworkProblem, state: NetworkState) -> tuple[NetworkProblem, Solution[NetworkState]]:
+def snoop_readings(
+    problem: NetworkProblem, state: NetworkState, max_passes: int = MAX_SNOOPING_PASSES
+) -> tuple[NetworkProblem, Solution[NetworkState]]:
     """Problem without outliers, and its solution; `state` is an approximate solution.
 
     Reweighted least squares gives a network that many outliers do not distort. Readings that contradict this network
@@ -235,7 +245,7 @@ def snoop_readings(problem: NetworkProblem, state: NetworkState) -> tuple[Networ
     """
     limit = critical_w(int(problem.used_readings.sum()))
     state, _ = iterate_reweighted(
-        problem, state, int(problem.used_readings.sum()), min_scale=1e-3, max_steps=MAX_ALTERNATIONS
+        problem, state, int(problem.used_readings.sum()), min_scale=1e-3, max_steps=MAX_REWEIGHTINGS
     )
     try:
         rejected = _reject_readings(problem, state, limit)
@@ -245,7 +255,7 @@ def snoop_readings(problem: NetworkProblem, state: NetworkState) -> tuple[Networ
     placed, target = state.target_points, problem.model.recording.target
     while True:
         reduced = drop_undetermined(replace(problem, used_readings=problem.used_readings & ~rejected), state)
-        solution = solve(reduced, state, max_iterations=MAX_ALTERNATIONS)
+        solution = solve(reduced, state, max_iterations=MAX_INTERMEDIATE_STEPS)
         tried_sets.add(rejected.tobytes())
         if solution.factor is None:  # Too much at once: what is left does not hold the network.
             if not rejected.any():
@@ -266,7 +276,7 @@ def snoop_readings(problem: NetworkProblem, state: NetworkState) -> tuple[Networ
         if np.array_equal(new, rejected):
             return reduced, solution if solution.has_converged else solve(reduced, state)
         if (
-            new.tobytes() in tried_sets or len(tried_sets) >= MAX_ALTERNATIONS
+            new.tobytes() in tried_sets or len(tried_sets) >= max_passes
         ):  # On the edge: what is out in either stays out.
             last = drop_undetermined(replace(problem, used_readings=problem.used_readings & ~(new | rejected)), state)
             ended = solve(last, state)

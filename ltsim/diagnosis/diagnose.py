@@ -43,9 +43,10 @@ from ltsim.physics.laws.responses import VARIED_CONSTANTS, constants_of_slot
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
-from ltsim.solve.gauss_newton import MAX_ALTERNATIONS
 from ltsim.solve.threads import single_threaded
 
+MAX_NOISE_CHANGES = 3
+"""Largest number of changes of the noise that are added to a model, each alternating with a search of mean effects."""
 MIN_REMAINING_OFFSET = 0.5
 """Smallest fraction of its offset that a contradicting constant must retain with the selected effects in the model to
 be reported.
@@ -211,7 +212,7 @@ def _variance_only(case: SelectionState, threshold: float, shifts: float) -> Non
 
     The log evidence of mean `shifts` counts among the alternatives to the first one.
     """
-    for further in range(MAX_ALTERNATIONS):
+    for further in range(MAX_NOISE_CHANGES):
         ranked = case.ranked_noise(case.empty_model)
         if further and ranked[0][0] < threshold:
             break
@@ -245,7 +246,7 @@ def _alternate_mean_and_variance(case: SelectionState, model: Model, threshold: 
     Each noise hypothesis is tried added to the model, or replacing one member or all, until the evidence stops
     increasing.
     """
-    for _ in range(MAX_ALTERNATIONS):
+    for _ in range(MAX_NOISE_CHANGES):
         searcher, members = case.searcher, model.members
         bases = [model, *(searcher.model_without(model, i) for i in range(len(members)))]
         bases += [searcher.empty_model] if len(members) > 1 else []

@@ -16,7 +16,7 @@ MAX_ITERATIONS = 60
 below `MAX_ROUNDING_ERROR` (1.5e-8) after 60 steps; Gauss-Newton steps converge in fewer than ten, reweighted ones in
 about 20. An iteration with more steps does not converge.
 """
-MAX_ALTERNATIONS = 10
+MAX_ALTERNATIONS = 6
 """Largest number of alternations between an estimate and a decision that depends on it: outliers, noise factors,
 widened priors, selected causes. They end when the decision does not change; of a cycle the last decision counts.
 """
@@ -104,9 +104,7 @@ def solution_for_plan(problem: LeastSquaresProblem[Point], point: Point) -> Solu
     return Solution(point, system.sum_of_squares, 0, TerminationStatus.PLANNED, BlockFactor(system), system)
 
 
-def solve(
-    problem: LeastSquaresProblem[Point], start_point: Point, *, max_iterations: int = MAX_ITERATIONS
-) -> Solution[Point]:
+def solve(problem: LeastSquaresProblem[Point], start_point: Point, *, max_iterations: int = 30) -> Solution[Point]:
     """Minimum of a sum of squared residuals, by at most `max_iterations` iterations from `start_point`."""
     x, damping, previous_length, had_regular_normals = start_point, 0.0, float("inf"), False
     system = problem.linearise(x)

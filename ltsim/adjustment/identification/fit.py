@@ -51,6 +51,8 @@ from ltsim.scene.sightings import Sightings
 from ltsim.solve.design import robust_sigma
 from ltsim.solve.gauss_newton import MAX_ALTERNATIONS, Solution, solve
 
+MAX_NOISE_ESTIMATES = 3
+"""Largest number of estimates of the noise factors, or of centring errors, in a fit."""
 NOISE_TOLERANCE = 0.05
 """Relative change of the noise factors up to which their estimation ends (0.1 in log evidence)."""
 MIN_NOISE_CHANGE_FOR_OUTLIERS = 0.2
@@ -122,7 +124,7 @@ class NetworkFit:
         `approximate_sightings` are given, the start values of the shifts are first subtracted from the readings.
         """
         fit = cls._with_hypotheses(network, tuple(hypotheses), start_state, approximate_sightings, robust_state)
-        for _ in range(MAX_ALTERNATIONS):
+        for _ in range(MAX_NOISE_ESTIMATES):
             revised = tuple(with_centring_sigma(h, fit.estimate) for h in fit.hypotheses)
             if revised == fit.hypotheses or not fit.solution.has_converged:
                 break
@@ -145,7 +147,7 @@ class NetworkFit:
             resected = resect_contradicted_setups(problem, start_state)
             start_state = resect_contradicted_setups(problem, robust_state or fit_robust_state(problem, resected)[0])
         full_problem = drop_undetermined(problem, start_state)
-        fit = cls(network, hypotheses, full_problem, *snoop_readings(full_problem, start_state))
+        fit = cls(network, hypotheses, full_problem, *snoop_readings(full_problem, start_state, MAX_ALTERNATIONS))
         if any(isinstance(h.model_change, NoiseFactor) for h in hypotheses):
             fit = fit._with_estimated_noise()
         return fit
@@ -221,7 +223,7 @@ class NetworkFit:
     def _with_estimated_noise(self) -> NetworkFit:
         """Fit whose noise factors are estimated from the residuals (restricted maximum likelihood)."""
         fit = self
-        for _ in range(MAX_ALTERNATIONS):
+        for _ in range(MAX_NOISE_ESTIMATES):
             sigma = fit._estimated_sigmas()
             changed = float(np.nanmax(np.abs(np.log(sigma / fit.problem_with_all_readings.sigma))))
             if not changed > NOISE_TOLERANCE:
@@ -229,7 +231,7 @@ class NetworkFit:
             whole, problem = replace(fit.problem_with_all_readings, sigma=sigma), replace(fit.problem, sigma=sigma)
             solution = solve(problem, fit.state)
             if solution.factor is None or changed > MIN_NOISE_CHANGE_FOR_OUTLIERS:
-                problem, solution = snoop_readings(whole, fit.state)
+                problem, solution = snoop_readings(whole, fit.state, MAX_ALTERNATIONS)
             fit = replace(fit, problem_with_all_readings=whole, problem=problem, solution=solution)
         return fit
 
