@@ -29,8 +29,7 @@ from ltsim.core.errors import ModelError, NetworkError
 from ltsim.core.limits import MAX_ADJUSTED_POINTINGS
 from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.alignment import align_robustly
-from ltsim.geometry.rigid import MIN_RIGID_POINTS, rigid_motion_design
+from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_robustly, rigid_motion_design
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.model.construction import Construction, ideal_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, smr_radius_offsets, with_plumb_lines

@@ -16,7 +16,7 @@ from ltsim.adjustment.sight import FitReadings
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rotations import cross_matrix, from_rotation_vector, rotation_about_z
+from ltsim.geometry.rigid import cross_matrix, from_rotation_vector, rotation_about_z
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 MAX_SOLUTION_DISTANCE = 1e-3

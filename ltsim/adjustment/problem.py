@@ -22,7 +22,7 @@ from ltsim.adjustment.rows import (
 from ltsim.adjustment.structure import NetworkRows, UnknownColumns
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap_angle
-from ltsim.geometry.rotations import cross_matrix
+from ltsim.geometry.rigid import cross_matrix
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, Prediction
 from ltsim.solve.design import ROWS_PER_PIECE, DesignMatrix, SparsityPattern, to_dense
 from ltsim.solve.elimination import BlockSystem

@@ -23,9 +23,8 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import LtsimError, NetworkError
 from ltsim.core.notation import MAX_LISTED_SENTENCES, listing
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.alignment import align_rigidly
 from ltsim.geometry.polar import wrap_angle
-from ltsim.geometry.rigid import MIN_RIGID_POINTS
+from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_rigidly
 from ltsim.recordings.transcription_errors import GON_PER_DEGREE, UNIT_ERRORS, TranscriptionError
 
 MAX_CONSISTENT_SIGMA0 = 100.0

@@ -13,7 +13,7 @@ from ltsim.adjustment.marks import StationMarks
 from ltsim.adjustment.rows import ControlRows, DifferenceRows, GaugeRows, LevelRows, YawRows
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
-from ltsim.geometry.rotations import VERTICAL
+from ltsim.geometry.rigid import VERTICAL
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 

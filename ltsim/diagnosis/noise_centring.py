@@ -23,11 +23,12 @@ from ltsim.recordings.occupations import days_of_pointings, target_occupations
 from ltsim.recordings.recording import Recording
 
 MAX_CENTRING_OCCUPATIONS = 200
-"""Largest number of occupations in a hypothesis of centring errors: 600 columns of the residual space (cost)."""
+"""Largest number of occupations for which centring errors are a hypothesis, to limit the computing time. They have 600
+columns in the residual space."""
 
 
 def centring_hypotheses_of_occupations(space: ResidualSpace) -> list[tuple[float, NoiseHypothesis]]:
-    """Hypotheses of centring errors with their log evidence without prior, in the order of `Occupation`."""
+    """Pairs of log evidence, without prior, and a hypothesis of centring errors, one for each kind of occupation."""
     recording, used = space.adjustment.recording, np.asarray(space.used_readings.any(axis=1))
     hypotheses = []
     for kind in _distinguished_occupations(recording):
@@ -40,10 +41,11 @@ def centring_hypotheses_of_occupations(space: ResidualSpace) -> list[tuple[float
 
 
 def estimate_centring(space: ResidualSpace, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
-    """Centring errors with an estimated standard deviation, its standard deviation, and twice the log likelihood ratio.
+    """Hypothesis of centring errors with the estimated standard deviation of the displacements, and its uncertainty.
 
-    In an adjustment that contains them, the estimate is a step of the EM algorithm: the mean square of the
-    displacements, with their posterior variance.
+    If the adjustment does not estimate the displacements, `chi2_drop` of the result is twice the gain of log evidence.
+    If it does, the estimate is a step of the EM algorithm: the mean of the squared displacements and their posterior
+    variances.
     """
     effect, adjustment = hypothesis.effect, space.adjustment
     assert isinstance(effect, CentringVariance)
@@ -61,7 +63,7 @@ def estimate_centring(space: ResidualSpace, hypothesis: NoiseHypothesis) -> Nois
 
 
 def with_centring(recording: Recording, noise: Sequence[NoiseHypothesis]) -> Recording:
-    """Recording whose set-up declares the centring errors among some changes of the noise."""
+    """Recording whose set-up declares those of the given changes of the noise that are centring errors."""
     further: list[CentringUncertainty] = [
         change.effect.uncertainty(change.sizes[0]) for change in noise if isinstance(change.effect, CentringVariance)
     ]
@@ -72,7 +74,7 @@ def with_centring(recording: Recording, noise: Sequence[NoiseHypothesis]) -> Rec
 
 
 def _sigma_of(sigma: float, n_determined: float) -> float:
-    """Standard deviation of an estimated standard deviation of displacements, from the determined components."""
+    """Standard deviation of `sigma`, which was estimated from `n_determined` components of displacements."""
     return float(sigma / np.sqrt(2.0 * max(n_determined, 1.0)))
 
 

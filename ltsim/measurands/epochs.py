@@ -16,14 +16,18 @@ import numpy as np
 import scipy.linalg
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.unmodelled import air_covariance, displacement_per_row
+from ltsim.adjustment.coordinate_uncertainty import air_covariance, displacement_per_row
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, option, unknown_name
 from ltsim.core.notation import listing
 from ltsim.core.rounding import MAX_ROUNDING_ERROR
-from ltsim.geometry.alignment import align_rigidly
-from ltsim.geometry.rigid import rigid_motion_design
-from ltsim.measurands.comparison import Comparison, EpochDifference, congruence_test, coordinate_rows
+from ltsim.geometry.rigid import align_rigidly, rigid_motion_design
+from ltsim.measurands.comparison import (
+    Comparison,
+    EpochDifference,
+    congruence_test,
+    coordinate_rows,
+)
 from ltsim.measurands.inputs import CONTROL_SOURCE, LENGTHS_SOURCE, PRIOR_SOURCE, observed_sources
 from ltsim.recordings.coordinates import EpochCoordinates
 from ltsim.recordings.references import EXPANSION_ERROR_PREFIX

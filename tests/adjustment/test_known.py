@@ -14,8 +14,8 @@ from ltsim.adjustment.quality import adjustment_warnings
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.errors import RecordError
 from ltsim.core.randomness import stream
-from ltsim.geometry.alignment import align_rigidly
 from ltsim.geometry.polar import wrap_angle
+from ltsim.geometry.rigid import align_rigidly
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Station, Target

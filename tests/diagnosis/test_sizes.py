@@ -9,7 +9,7 @@ from benchmarks.adjust_size import network as ring_of
 from ltsim.adjustment import adjust
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.diagnose import diagnose
-from ltsim.geometry.rotations import rotation_about_z
+from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.effects import find_effect
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, sightings_of

@@ -63,7 +63,7 @@ def test_further_spellings_of_a_clock(tmp_path: Path, form: str) -> None:
 def test_numbered_days_are_no_seconds(tmp_path: Path) -> None:
     found = read(table(tmp_path / "a.csv", "Tag", ["1", "1", "1", "2", "2", "2"]))
     assert not found.has_clock and found.stations == ("A", "A#2")
-    assert any("numbers days without a time" in note for note in found.notes)
+    assert any("contains numbers of days without a time" in note for note in found.notes)
 
 
 def test_a_clock_beside_the_time_is_kept_as_text(tmp_path: Path) -> None:
@@ -220,12 +220,12 @@ def test_degrees_minutes_seconds_in_columns_in_marks_and_in_decimals_are_one_ang
         # a column of marked angles is no distance
         (
             "Loc;Reper;a deg;a min;a sec;Unghi zenital\nA;P;79;32;20,8;83°29'57,8\"\nA;Q;189;8;16,9;94°01'53,5\"\n",
-            "no three of them can be two angles and a distance",
+            "no three columns look like two angles and a distance",
         ),
         # point numbers are names, one station's number no face
         ("1,101,23.12345,99.23456,3.1234\n1,102,223.12345,98.23456,3.2\n", '"station=a,target=b,azimuth=c[deg],vert'),
         # two temperatures are no reading
-        ("x,20.5,30.5\ny,20.6,30.4\n", "no three of them can be two angles and a distance, or coordinates"),
+        ("x,20.5,30.5\ny,20.6,30.4\n", "no three columns look like two angles and a distance, or like coordinates"),
         ("x,700.5,-3190.1,300.5\ny,740.1,-3165.1,291.5\n", '"target=a,x=b[mm],y=c[mm],z=d[mm]"'),
         # titles that are not unique are given by their numbers
         (

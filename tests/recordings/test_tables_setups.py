@@ -78,7 +78,7 @@ def test_rounds_zeroed_anew_are_orientations_of_their_own(tmp_path: Path) -> Non
     visits = [("A" if i % 4 < 2 else "B", "", "", i // 4 * 2 + i % 2, zero) for i, zero in enumerate(zeros.tolist())]
     recording = read(survey(tmp_path / "a.csv", visits, heights=False, sigmas=True))
     assert len(recording.stations) == 8
-    assert "the circle was turned between rounds: 8 rounds are separate set-ups" in said(recording)
+    assert "the circle was rotated between rounds: 8 rounds are separate set-ups" in said(recording)
     adjusted = lt.adjust(recording)
     assert 0.6 < adjusted.fit.sigma0 < 1.5
     still = read(survey(tmp_path / "b.csv", [(*visit[:4], 0.0) for visit in visits], heights=False, sigmas=True))

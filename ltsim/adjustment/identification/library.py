@@ -33,8 +33,7 @@ from ltsim.adjustment.station_motions import UniformMotion
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.alignment import largest_residual
-from ltsim.geometry.rigid import MIN_RIGID_POINTS
+from ltsim.geometry.rigid import MIN_RIGID_POINTS, largest_residual
 from ltsim.physics.effects.motions import station_design
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.smr_offset import SmrOffset

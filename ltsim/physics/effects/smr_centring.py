@@ -4,7 +4,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE
-from ltsim.geometry.rotations import VERTICAL
+from ltsim.geometry.rigid import VERTICAL
 from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_displacements
 from ltsim.scene.sightings import Sightings
 

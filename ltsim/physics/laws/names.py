@@ -15,12 +15,13 @@ TIME_FUNCTIONS_OF_MOVED_TARGET = ("step", "power", "decay")
 """Functions of time that describe a target's position in the effect `target-moved`: a step, steady or decaying
 motion."""
 CIRCLE_RESPONSES = {"azimuth": ("azimuth",), "elevation": ("elevation", "vertical index")}
-"""Names of the responses that an error of the graduation changes, by circle."""
+"""Names of the responses that an error of a circle's graduation changes, by circle."""
 MIN_HARMONIC_PERIODS_PER_TURN = 2.5
-"""Periods per turn above which a wave in the angle of a circle is called a harmonic. The ordinary calibration contains
-waves with one and two periods per turn."""
+"""Number of periods per turn above which a wave in the angle of a circle is called a harmonic. The ordinary calibration
+already contains waves with one and two periods per turn."""
 MIN_GRADUATION_PERIODS_PER_TURN = 20.0
-"""Periods per turn above which a wave in the angle of a circle is called an interpolation error of the encoder."""
+"""Number of periods per turn above which a wave in the angle of a circle is called an interpolation error of the
+encoder. Below it the wave is a harmonic."""
 
 
 def catalogue_name(law: EmpiricalLaw) -> str:

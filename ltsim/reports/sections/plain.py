@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
-from ltsim.acceptance.files import AcceptanceFile, Judgement
+from ltsim.acceptance.files import AcceptanceFile, Judgement, joint_judgement
 from ltsim.adjustment.fieldcheck.result import Check, item_from_cause
 from ltsim.adjustment.identification.actions import cause_actions
 from ltsim.adjustment.significance import FAMILY_LEVEL
@@ -237,7 +237,7 @@ def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
         title,
         "Uncertainty",
         as_sentence(answer),
-        assessment_of(not result_texts_by_judgement["rejected"]),
+        ASSESSMENT_BY_JUDGEMENT[joint_judgement([r.conformity.judgement for r in judged_results if r.conformity])],
         facts,
         blocks,
         axes=content.frame,

@@ -30,8 +30,7 @@ from ltsim.adjustment.stochastic_model import fit_robust_state
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.randomness import stream
 from ltsim.core.units import ARCSECOND
-from ltsim.geometry.alignment import align_robustly
-from ltsim.geometry.rotations import rotation_about_z
+from ltsim.geometry.rigid import align_robustly, rotation_about_z
 from ltsim.physics.effects.motions import exact_station_change, exact_target_change
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.model.construction import declared_construction, misalignment_construction
