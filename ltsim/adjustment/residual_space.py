@@ -21,7 +21,7 @@ from ltsim.scene.sightings import Sightings
 from ltsim.solve.projection import Projection
 
 MAX_SCREENED_ENTRIES = 3_000_000
-"""Largest number of matrix entries of all signatures that a screening projects (5 s of processor time); only the most
+"""Largest number of matrix entries of all signatures that a screening projects (processor time); only the most
 promising hypotheses are projected beyond it.
 """
 

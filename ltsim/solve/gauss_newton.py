@@ -13,8 +13,7 @@ from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemErro
 Point = TypeVar("Point")
 MAX_ITERATIONS = 60
 """Largest number of steps of an iteration that a tolerance ends. An error that each step multiplies by 0.74 or less is
-below `MAX_ROUNDING_ERROR` (1.5e-8) after 60 steps; Gauss-Newton steps converge in fewer than ten, reweighted ones in
-about 20. An iteration with more steps does not converge.
+below `MAX_ROUNDING_ERROR` (1.5e-8) after 60 steps; an iteration with more steps does not converge.
 """
 MAX_ALTERNATIONS = 6
 """Largest number of alternations between an estimate and a decision that depends on it: outliers, noise factors,
