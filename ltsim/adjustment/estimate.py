@@ -132,7 +132,12 @@ def adjust(
     wrong: tuple[ReferenceTest, ...] = ()
     if needs_start and not (robust and whole.has_no_references):
         sound = replace(whole, used_readings=whole.used_readings & ~gross[:, None]) if robust and gross.any() else whole
-        problem, solution, wrong = snoop_references(sound, solve(sound, start_state), tested_kinds)
+        tested, tested_state = sound.with_instrument_constants(start_state)
+        problem, solution, wrong = snoop_references(tested, solve(tested, tested_state), tested_kinds)
+        if tested is not sound:
+            problem = sound.with_model(replace(model, recording=problem.model.recording)) if wrong else sound
+            state = replace(solution.x, instrument_parameters=start_state.instrument_parameters)
+            solution = solve(problem, state)
         model = problem.model
     if wrong and robust:
         whole, start_state = whole.with_model(model), solution.x

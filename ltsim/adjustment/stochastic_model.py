@@ -13,7 +13,7 @@ from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.significance import MIN_FAR_RESIDUAL
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.model.measurement import NetworkState
-from ltsim.recordings.recording import OBSERVABLES
+from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.solve.design import robust_sigma, weight_rows
 from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
 from ltsim.solve.gauss_newton import MAX_ALTERNATIONS, MAX_CONVERGENCE_RATIO, MAX_ITERATIONS, Solution, solve
@@ -32,8 +32,20 @@ MAX_ROBUST_STEPS = 25
 """Largest number of reweightings, each with a linear step. It bounds how far many large errors of one target can pull
 the network: with 60, a target that is displaced at random at every set-up is found as three motions in place of one.
 """
+NOISE_KEYS = {
+    "distance": ("distance_mm", "distance_ppm"),
+    "azimuth": ("azimuth_arcsec",),
+    "elevation": ("elevation_arcsec",),
+}
+"""Keys of `[instrument.noise]` by observable."""
 ROBUST_TOLERANCE = 1e-2
 """Squared length of a step, in standard deviations, below which the reweighting ends."""
+
+
+def noise_settings(recording: Recording, observable: str, factor: float) -> list[str]:
+    """Texts of the settings that declare the noise of an observable of the only instrument times a factor."""
+    noise = recording.setup.instrument_named(recording.instruments[0]).noise
+    return [f"{key} to {factor * getattr(noise, key):.2g}" for key in NOISE_KEYS[observable] if getattr(noise, key)]
 
 
 def n_observation_rows(problem: NetworkProblem) -> int:

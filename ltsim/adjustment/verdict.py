@@ -9,15 +9,9 @@ from scipy import special
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.quality import adjustment_warnings
 from ltsim.adjustment.significance import GLOBAL_LEVEL, MAX_SINGLE_ERROR_FRACTION, MIN_DOF_FOR_ESTIMATED_NOISE
+from ltsim.adjustment.stochastic_model import noise_settings
 from ltsim.core.notation import listing
 from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
-
-NOISE_KEYS = {
-    "distance": ("distance_mm", "distance_ppm"),
-    "azimuth": ("azimuth_arcsec",),
-    "elevation": ("elevation_arcsec",),
-}
-"""Keys of `[instrument.noise]` by observable."""
 
 
 class VerdictCase(Enum):
@@ -169,10 +163,7 @@ def noise_declaration_advice(adjustment: Adjustment, alpha: float = GLOBAL_LEVEL
         if np.isfinite(recording.covariates.get(SIGMA_COLUMNS[k], np.full(len(recording), np.nan))[use]).all():
             by_row.append(f"the sigmas of {observable} by {factor:.2g}")
         elif len(recording.instruments) == 1:
-            noise = recording.setup.instrument_named(recording.instruments[0]).noise
-            advice += [
-                f"{key} to {factor * getattr(noise, key):.2g}" for key in NOISE_KEYS[observable] if getattr(noise, key)
-            ]
+            advice += noise_settings(recording, observable, float(factor))
         else:
             by_row.append(f"the noise of {observable} by {factor:.2g}")
     sentences = [f"Set {listing(advice, len(advice))} in [instrument.noise]." if advice else ""]

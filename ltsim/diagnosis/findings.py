@@ -338,8 +338,7 @@ def noise_finding(
             ]
         sentence = unknown_effect_sentence(scope, effect.text + most)
         if isinstance(effect, CentringVariance):
-            text = with_sigma(rows[0].value, rows[0].sigma, rows[0].unit)
-            sentence = f"Centring errors: {effect.text}, with a standard deviation of {text} along each axis."
+            sentence = effect.sentence(with_sigma(rows[0].value, rows[0].sigma, rows[0].unit))
     return Finding(
         effect=effect.name,
         known=not isinstance(effect, VarianceFunction),

@@ -67,10 +67,11 @@ def cross_validated_errors(
 
 
 def fold_rows(space: ResidualSpace, seed: int) -> list[Ints]:
-    """Rows of the used readings of each fold of complete pointings, drawn at random."""
-    pointing = np.nonzero(space.used_readings)[0]
-    dealt = stream(seed, "diagnose", "folds").permutation(len(space.used_readings)) % N_FOLDS
-    groups = (np.flatnonzero(dealt[pointing] == fold) for fold in range(N_FOLDS))
+    """Rows of the used readings of each fold, drawn at random: all pointings of a target from a set-up together."""
+    pointing, sightings = np.nonzero(space.used_readings)[0], space.sightings
+    pair = np.unique(np.stack([sightings.station, sightings.target]), axis=1, return_inverse=True)[1]
+    fold_of_pair = stream(seed, "diagnose", "folds").permutation(int(pair.max(initial=-1)) + 1) % N_FOLDS
+    groups = (np.flatnonzero(fold_of_pair[pair][pointing] == fold) for fold in range(N_FOLDS))
     return [rows for rows in groups if len(rows)]
 
 

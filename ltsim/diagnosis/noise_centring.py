@@ -1,5 +1,8 @@
 """Centring errors of all targets as changes of the noise, in recordings that distinguish occupations of a target.
 
+Occupations are those of a column, the days, or the set-ups if pointings repeat in one face: errors that these repeats
+share are displacements for each set-up.
+
 Their log evidence is the restricted likelihood ratio of the variance component of the displacements
 (`adjustment.identification.centring_errors`), with the Occam factor of its uncertainty.
 """
@@ -14,7 +17,7 @@ import numpy as np
 from ltsim.adjustment.identification.centring_errors import best_centring_sigma
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.significance import MIN_MEAN_REPEATS
-from ltsim.core.arrays import Floats, Ints
+from ltsim.core.arrays import Ints
 from ltsim.core.units import MILLIMETRE
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.physics.laws.centring import CentringVariance
@@ -34,7 +37,7 @@ def centring_hypotheses_of_occupations(space: ResidualSpace) -> list[tuple[float
     for kind in _distinguished_occupations(recording):
         effect = CentringVariance(occupation=kind)
         occupation = np.where(used, target_occupations(recording, effect.uncertainty(MILLIMETRE)), -1)
-        if _shows_centring(recording, occupation):
+        if _shows_centring(recording, occupation, by_face=kind == "station"):
             estimate = best_centring_sigma(space, occupation)
             hypotheses.append((estimate.gain, NoiseHypothesis("unknown:noise:centring", effect, (estimate.sigma,))))
     return hypotheses
@@ -79,20 +82,25 @@ def _sigma_of(sigma: float, n_determined: float) -> float:
 
 
 def _distinguished_occupations(recording: Recording) -> list[Occupation]:
-    """Occupations of targets that a recording distinguishes by a column, or by its days."""
+    """Occupations of targets that a recording distinguishes: by set-up, by a column, or by its days."""
     declared = {c.occupation for c in recording.setup.centring if not c.stations and not c.targets}
     columns: tuple[Occupation, ...] = ("instrument_setup", "target_setup")
-    kinds = [column for column in columns if column in recording.labels]
+    kinds: list[Occupation] = ["station", *(column for column in columns if column in recording.labels)]
     kinds += ["day"] if len(set(days_of_pointings(recording))) > 1 else []
     return [kind for kind in kinds if kind not in declared]
 
 
-def _shows_centring(recording: Recording, occupation: Ints | Floats) -> bool:
-    """True if occupations (n,) are few, recur at the targets, and have repeated pointings."""
+def _shows_centring(recording: Recording, occupation: Ints, *, by_face: bool) -> bool:
+    """True if occupations (n,) are few, recur at the targets, and have repeated pointings.
+
+    With `by_face` the pointings must repeat in one face: displacements for each set-up would otherwise fit any error of
+    the model that recurs in both faces.
+    """
     rows = np.flatnonzero(occupation >= 0)
     count, targets = len(np.unique(occupation[rows])), len(np.unique(recording.target[rows]))
+    n_visits = len(np.unique(np.stack([occupation[rows], recording.face[rows] * by_face]), axis=1).T)
     return (
         count <= MAX_CENTRING_OCCUPATIONS
         and count >= MIN_MEAN_REPEATS * targets
-        and len(rows) >= MIN_MEAN_REPEATS * count
+        and len(rows) >= MIN_MEAN_REPEATS * n_visits
     )

@@ -51,6 +51,8 @@ GEODETIC_TITLES = ("rechtswert", "hochwert", "easting", "northing", "east", "nor
 """Column titles, in lower case, by which a list without a unit is taken as one in metres."""
 FIELD_COUNTS = (4, 7, 8, 16, 17)
 """Numbers of fields in lines without header: name, x, y, z; with 3 or 4 sigmas; with these and a covariance."""
+NAME_ROLES = ("target", "station", "", "time", "date")
+"""Roles of the column that names the points; the first that a header has counts."""
 EXPECTED_CONTENT = (
     "expected a header that names the point and its coordinates, such as target,x_mm,y_mm,z_mm or "
     "Name;X [m];Y [m];Z [m], or lines of a name, x, y and z"
@@ -154,10 +156,7 @@ def _header_columns(rows: Sequence[SheetRow]) -> tuple[int, list[TableColumn]] |
         others = {*READING_ROLES} - {*COORDINATE_ROLES, "elevation"}
         if not roles & {*COORDINATE_ROLES} or roles & others or {"station", "target"} <= roles:
             continue
-        if "target" in roles:
-            return place + 1, columns
-        other = "station" if "station" in roles else ""
-        first = next((c for c in columns if c.role == other and c.title), None)
+        first = next((c for role in NAME_ROLES for c in columns if c.role == role and c.title), None)
         if first is not None:
             return place + 1, [replace(c, role="target") if c is first else c for c in columns]
     return None

@@ -25,6 +25,7 @@ from ltsim.recordings.setup import Setup
 from ltsim.recordings.tables import reader as tables
 from ltsim.recordings.tables.cells import has_clock, is_value
 from ltsim.recordings.tables.station_names import UnnamedStationsError
+from ltsim.recordings.tables.unnamed_targets import UnnamedTargetsError
 
 RecordingSource = Recording | str | Path
 """Recording, or the path of a file or folder that contains one."""
@@ -32,6 +33,8 @@ HEAD_SIZE = 16_384
 """Number of bytes at the beginning of a file that are read to recognise its format."""
 MIN_CONTRADICTORY_ROWS = 2
 """Number of rows that repeat a name with other coordinates, from which a list counts as those of a moving target."""
+ASSUMED_STATION = "S1"
+"""Name of a set-up with which a table of positions is tried."""
 MAX_REPEATED_POINT_M = 1e-3
 """Distance [m] between rows with one name below which they count as repeated measurements of one point."""
 NATIVE_FORMAT = "folder with observations.csv and setup.toml"
@@ -79,12 +82,13 @@ def _point_list_error(path: Path, hints: Hints) -> Recording:
     point_list = coordinates.read_points(path, requires_all=False)
     n_points, n_repeated = len(point_list.names), point_list.n_contradictory_rows
     if n_repeated:
-        try:
-            tables.read(path, replace(hints, station=None))
-        except UnnamedStationsError:
-            raise
-        except RecordError:
-            pass  # it is no table of several set-ups
+        for station in (None, ASSUMED_STATION):
+            try:
+                tables.read(path, replace(hints, station=station))
+            except (UnnamedStationsError, UnnamedTargetsError):
+                raise
+            except RecordError:
+                pass  # it is no table of several set-ups
     names = "one name" if n_points == 1 else f"{n_points} names"
     if all(has_clock(name) or (is_value(name) and not name.isdigit()) for name in point_list.names):
         message = f"this is a table of {n_points + n_repeated} positions without point names: a target that moves "

@@ -36,8 +36,8 @@ NO_NOISE_NOTE = (
     "setup.toml, or estimate it from the readings (--noise-from-data)"
 )
 TOTAL_STATION_NOTE = (
-    "the file declares no noise: that of a total station is used (1 mm + 1.5 ppm, 1 arcsec), because {reason}; set it "
-    "in setup.toml, or estimate it from the readings (--noise-from-data)"
+    "the file declares no noise: that of a total station is used ({distance:g} mm + {ppm:g} ppm, {angle:g} arcsec), "
+    "because {reason}; set it in setup.toml, or estimate it from the readings (--noise-from-data)"
 )
 
 

@@ -236,7 +236,7 @@ def test_uncertainty_of_a_network_length_holds_over_many_networks():
 
 
 def test_uncertainty_of_a_network_length_is_that_of_the_whole_normal_matrix():
-    recording, _ = lt.simulate("paper-workshop", seed=3)
+    recording, _ = lt.simulate("paper-workshop", seed=7)
     nests = {n: t.model_copy(update={"nest_normal": None}) for n, t in recording.setup.targets.items()}
     recording = recording.replace(setup=recording.setup.model_copy(update={"targets": nests}))  # no incidence errors
     found = adjust(recording, declared_construction(recording))

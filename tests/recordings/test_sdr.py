@@ -113,3 +113,15 @@ def test_a_last_observation_that_is_cut_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", ["txt", "csv", "dat"])
 def test_the_header_decides_and_not_the_suffix(tmp_path: Path, suffix: str) -> None:
     assert read(written(tmp_path / f"a.{suffix}", book("33"))).stations == ("1", "2")
+
+
+def test_a_set_up_and_a_target_of_another_spelling_are_one_mark(tmp_path: Path) -> None:
+    stations = slice(4, 20)
+    lines = book("33")
+    for i, line in enumerate(lines):
+        if line[:2] in ("02", "09"):
+            lines[i] = line[:4] + line[stations].strip().zfill(4).rjust(16) + line[20:]
+    recording = read(written(tmp_path / "a.sdr", lines))
+    assert recording.stations == ("0001", "0002") and recording.targets == ("2", "7", "1")
+    assert [recording.station_setup(name).over for name in recording.stations] == ["1", "2"]
+    assert any("are one mark: '0001' and '1', '0002' and '2'" in note for note in recording.notes)

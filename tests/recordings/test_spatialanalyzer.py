@@ -145,7 +145,7 @@ def test_the_real_reports() -> None:
         pytest.skip("the recordings of the girder are not beside this checkout")
     recording = read(file)
     assert len(recording) == 500
-    assert any("azimuths are interpreted as clockwise: read so" in note for note in recording.notes)
+    assert any("azimuths are interpreted as clockwise, because all stations" in note for note in recording.notes)
     polar = read(file.with_name("Polar_measurements_20Sep21.txt"), hints=Hints(azimuth="clockwise"))
     rows = {tuple(np.round(r, 9)) for r in recording.readings}
     assert all(tuple(np.round(r, 9)) in rows for r in polar.readings)

@@ -258,7 +258,9 @@ def test_positions_of_a_moving_target_are_no_list_of_points(tmp_path: Path) -> N
     ("header", "first", "says"),
     [
         ("Time;X;Y;Z;Rx;Ry;Rz", "08:0{i}:00;{x};-3190.5;300.5;1.5;2.5;3.5", "8 positions without point names"),
+        ("Time;X [mm];Y [mm];Z [mm]", "08:0{i}:00;{x};-3190.5;300.5", "8 positions without point names"),
         ("q1;q2;X;Y;Z", "{i}.25;-{i}.75;{x};-3190.5;300.5", "8 positions without point names"),
+        ("Station;X;Y;Z", "S{n};{x};-3190.5;300.5", "names no points, so common targets of its set-ups are unknown"),
         ("Name;X;Y;Z", "P{n};{n}00.50{i};-3190.5;300.5", "list of 2 points, measured 8 times in all"),
     ],
 )
@@ -278,6 +280,67 @@ def test_positions_of_one_set_up_are_targets_by_place(tmp_path: Path, named: boo
     assert found.stations == ("L",) and found.targets == ("pose-1", "pose-2", "pose-3", "pose-4")
     assert found.repeat.max() == 2 and found.has_clock
     assert any("its 8 rows are 4 positions of a target that moves" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("first", ["Time Stamp", "q1 [deg]", "Pose"])
+def test_positions_without_names_are_read_with_the_name_of_their_set_up(tmp_path: Path, first: str) -> None:
+    """As the message says that refuses them without that name."""
+    rows = [f"{i}.5,{700 + 40 * (i % 4)}.0{i % 3},{-3190 + 25 * (i % 4)},{300 - 9 * (i % 4)}" for i in range(8)]
+    (tmp_path / "a.csv").write_text("\n".join([f"{first},X [mm],Y [mm],Z [mm]", *rows]) + "\n")
+    with pytest.raises(RecordError, match="--format table --hint station=NAME"):
+        read(tmp_path / "a.csv")
+    recording = read(tmp_path / "a.csv", format="table", hints=Hints(station="L"))
+    assert recording.targets == ("pose-1", "pose-2", "pose-3", "pose-4") and recording.repeat.max() == 2
+
+
+@pytest.mark.parametrize("faces", [1, 2])
+def test_unnamed_polar_readings_of_one_position_are_one_target(tmp_path: Path, faces: int) -> None:
+    """Also across the zero of the circle, with elevations of a few degrees, and on both faces."""
+    rows = []
+    for azimuth, zenith in ((359.99995, 87.5), (12.5, 89.25), (77.25, 91.0)):
+        for shot in range(3):
+            turned = (azimuth + shot * 5e-5) % 360, zenith + shot * 1e-3
+            rows.append((*turned, 2600.0 + 0.01 * shot))
+            rows += [((turned[0] + 180) % 360, 360 - turned[1], 2600.0)] * (faces - 1)
+    text = "".join(f"{hz:.6f};{v:.6f};{d:.4f}\n" for hz, v, d in rows)
+    (tmp_path / "a.csv").write_text(f"Hz [deg];Zenith [deg];D [mm]\n{text}")
+    recording = read(tmp_path / "a.csv")
+    assert recording.targets == ("pose-1", "pose-2", "pose-3")
+    assert len(recording) == 9 * faces and recording.face.max() == faces
+
+
+def test_numbered_shots_of_one_point_are_reported(tmp_path: Path) -> None:
+    def table(gap_mm: float) -> str:
+        rows = [
+            f"S1;P{i}-{shot};{2500 + 300 * i + gap_mm * shot:.3f};{800 - 90 * i};{40 * i}\n"
+            for i in range(4)
+            for shot in range(3)
+        ]
+        return "Station;Point;X [mm];Y [mm];Z [mm]\n" + "".join(rows)
+
+    (tmp_path / "a.csv").write_text(table(0.01))
+    notes = [note for note in read(tmp_path / "a.csv").notes if "have one position" in note]
+    assert len(notes) == 1 and "4 times, such as 'P0-0', 'P0-1', 'P0-2': if these are shots of one point" in notes[0]
+    (tmp_path / "a.csv").write_text(table(20.0))
+    assert not any("have one position" in note for note in read(tmp_path / "a.csv").notes)
+
+
+@pytest.mark.parametrize("n_names", [1, 2])
+def test_names_of_reflectors_in_place_of_points_are_reported(tmp_path: Path, n_names: int) -> None:
+    places = [(3.1, 10.5, 95.5), (4.2, 77.5, 99.0), (5.3, 130.0, 104.5), (6.4, 220.5, 88.0)]
+
+    def note(names: list[str]) -> list[str]:
+        rows = [
+            f"{station};{name};{hz};{zenith};{distance + shift}"
+            for station, shift in (("A", 0.0), ("B", 1.7))
+            for name, (distance, hz, zenith) in zip(names, places, strict=True)
+        ]
+        (tmp_path / "a.csv").write_text("\n".join(["Station;Point;Hz [gon];Zenith [gon];D [m]", *rows]) + "\n")
+        return [text for text in read(tmp_path / "a.csv").notes if "several positions" in text]
+
+    (text,) = note([f"SMR{i % n_names}" for i in range(4)])
+    assert f"' differ by {(3.3, 2.2)[n_names - 1]} m; if it names a reflector that moved, name each point" in text
+    assert not note([f"P{i}" for i in range(4)])
 
 
 def test_set_ups_without_point_names_are_refused(tmp_path: Path) -> None:

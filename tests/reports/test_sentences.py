@@ -8,8 +8,8 @@ import re
 from pathlib import Path
 
 import pytest
-from ltsim.campaigns.paired import PairedDifference
 
+from ltsim.campaigns.results import PairedDifference
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import Equivalent, Finding, FindingEvidence, FindingScope, Misfit, ParameterEstimate
 from ltsim.diagnosis.words import catalogue_sentence, diagnosis_summary

@@ -19,6 +19,7 @@ from ltsim.adjustment.station_motions import FittedMotion, SuddenMotion, motion_
 from ltsim.adjustment.verdict import VerdictCase, verdict_on
 from ltsim.core.arrays import Bools
 from ltsim.core.errors import ConvergenceError, LtsimError, NetworkError
+from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.physics.effects.motions import StationMotion
 from ltsim.physics.model.construction import declared_construction
@@ -26,9 +27,14 @@ from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from ltsim.solve.design import robust_sigma
 
 N_NETWORK_TESTS = 2
-"""Number of tests of all stations together: one of common targets, one of levels."""
+"""Number of tests of all stations together: one of common targets, one of levels; known lengths have a third."""
 EXCLUDABLE_REFERENCE_KINDS: tuple[ReferenceKind, ...] = ("point", "difference", "length", "mark", "scale")
 """Kinds of reference values that the adjustment may exclude. Levels are tested separately, station by station."""
+
+
+def n_network_tests(recording: Recording) -> int:
+    """Number of tests of all stations together."""
+    return N_NETWORK_TESTS + bool(recording.gauge.distance)
 
 
 def adjust_for_check(recording: Recording, motions: Sequence[StationMotion]) -> Adjustment | LtsimError:
@@ -163,6 +169,7 @@ def network_items(
                 [motion.row for motion in adjustment_or_error.flagged_readings(uses_estimated_noise=True)],
             )
         items += [*_target_agreement_items(adjustment, is_explained, family), *_level_items(fitted, family)]
+        items += _length_items(fitted, family)
     return tuple(items)
 
 
@@ -225,4 +232,23 @@ def _level_items(fitted: Adjustment, family: HypothesisFamily) -> list[CheckItem
             verb = "agrees with" if p >= family.false_alarm_rate else "deviates from"
             sentence = f"{test.name}: its level {verb} the vertical of the other stations ({test.error_text})"
             items.append(CheckItem.from_test(test.name, "level", p >= family.false_alarm_rate, sentence, p))
+    return items
+
+
+def _length_items(fitted: Adjustment, family: HypothesisFamily) -> list[CheckItem]:
+    """Result of the test of the scale of the known lengths, or of a single length, against the distances.
+
+    The uncertainty includes the specification of the instrument. A rejected length or scale has an item already.
+    """
+    if any(test.kind in ("length", "scale") for test in fitted.rejected_references):
+        return []
+    tests = reference_tests(fitted.problem, fitted.solution, MAX_ROUNDING_ERROR)
+    lengths = [test for test in tests if test.kind == "length" and test.rank]
+    scales = [test for test in tests if test.kind == "scale" and test.rank] or lengths[:1]
+    items = []
+    for test in scales:
+        p = family.corrected_p_value(float(special.chdtrc(test.rank, test.chi2_drop)))
+        passed = p >= family.false_alarm_rate
+        agreement = f"{test.name}: agreement with the distances within noise and specification ({test.error_text})"
+        items.append(CheckItem.from_test("", "network", passed, agreement if passed else test.sentence, p))
     return items

@@ -10,7 +10,7 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.identification.evidence import (
-    estimate_variance_factor,
+    estimate_noise_factors,
     log_occam_factor_of_centring,
     log_occam_factor_of_shift,
     log_occam_factor_of_variance,
@@ -33,8 +33,13 @@ from ltsim.adjustment.identification.resection import resect_contradicted_setups
 from ltsim.adjustment.identification.signatures import displacement_per_reading
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.adjustment.reference_tests import relax_exact_references
-from ltsim.adjustment.reference_values import ReferenceValue, ReferenceValueRows, common_scale, reference_values
+from ltsim.adjustment.reference_values import (
+    ReferenceValue,
+    ReferenceValueRows,
+    common_scale,
+    reference_values,
+    relax_exact_references,
+)
 from ltsim.adjustment.significance import MAX_CHANCE_SIGMAS, MAX_TRACKER_ERROR, MIN_FAR_RESIDUAL
 from ltsim.adjustment.snooping import drop_undetermined, prediction_sigmas, snoop_readings
 from ltsim.adjustment.start import initial_network
@@ -237,14 +242,10 @@ class NetworkFit:
 
     def _estimated_sigmas(self) -> Floats:
         """Declared standard deviations (n, 3) [m, rad, rad] times the noise factors that the residuals imply."""
-        sigma = self.network.recording.sigma()
-        for h in self.hypotheses:
-            if isinstance(h.model_change, NoiseFactor):
-                chosen = h.model_change.reading_mask & self.problem.used_readings
-                squares = np.array(np.sum((self.residuals / sigma)[chosen] ** 2))
-                factor, _ = estimate_variance_factor(squares, np.array(np.nansum(self.redundancy[chosen])))
-                sigma = np.where(h.model_change.reading_mask, sigma * factor, sigma)
-        return sigma
+        declared, is_used = self.network.recording.sigma(), self.problem.used_readings
+        squares = np.where(is_used, self.residuals / declared, 0.0) ** 2
+        masks = [h.model_change.reading_mask for h in self.hypotheses if isinstance(h.model_change, NoiseFactor)]
+        return declared * estimate_noise_factors(squares, np.where(is_used, np.nan_to_num(self.redundancy), 0.0), masks)
 
     def without_distances(self, rows: Ints) -> NetworkFit | None:
         """New fit without the distances of some rows; None if the network needs these distances."""

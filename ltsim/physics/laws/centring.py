@@ -20,6 +20,15 @@ OCCUPATION_TEXTS: dict[Occupation, str] = {
 """Phrases for users: when a reflector is placed on its target again, by the kind of occupation."""
 
 
+def shared_errors_sentence(size: str) -> str:
+    """Sentence on centring errors at all set-ups, with the text of the standard deviation of a displacement."""
+    return (
+        f"Repeated pointings of a target from one set-up share errors of {size} (standard deviation) along each axis: "
+        "the reflectors were placed anew at each set-up (centring), or errors repeat in all rounds. "
+        "The repeats are not independent."
+    )
+
+
 @dataclass(frozen=True)
 class CentringVariance(VarianceFunction):
     """Random displacement of the reflector at each occupation of a target, common to all pointings of the occupation.
@@ -44,6 +53,12 @@ class CentringVariance(VarianceFunction):
     def text(self) -> str:
         """Description of the centring errors, for users."""
         return f"reflectors that are centred anew {OCCUPATION_TEXTS[self.occupation]}"
+
+    def sentence(self, size: str) -> str:
+        """Sentence on centring errors with the text of the standard deviation of a displacement."""
+        if self.occupation == "station":
+            return shared_errors_sentence(size)
+        return f"Centring errors: {self.text}, with a standard deviation of {size} along each axis."
 
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
         """Variance (n, 3) of the three readings of n pointings: the declared one, without the displacements."""

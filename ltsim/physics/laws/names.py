@@ -11,6 +11,10 @@ CATALOGUE_NAMES = {
     ("distance", "incidence"): "smr-incidence",
 }
 """Catalogue effect by response and covariate, for laws with an equivalent in the catalogue."""
+NAMED_FUNCTIONS = ("decay", "power", "sin", "cos", "tan")
+"""Functions of a covariate that have the name of the catalogue effect: the sine, cosine or tangent of an angle differ
+from its powers by less than an effect of the catalogue does from one instrument to the next.
+"""
 TIME_FUNCTIONS_OF_MOVED_TARGET = ("step", "power", "decay")
 """Functions of time that describe a target's position in the effect `target-moved`: a step, steady or decaying
 motion."""
@@ -51,7 +55,7 @@ def catalogue_name(law: EmpiricalLaw) -> str:
     name = CATALOGUE_NAMES.get((response_name, "".join(regressor.covariates)), law.name)
     if law.instruments and name == "refractivity-drift":  # all instruments share the air
         return law.name
-    return name if regressor.function in ("decay", "power") else law.name
+    return name if regressor.function in NAMED_FUNCTIONS else law.name
 
 
 def _is_step_or_creep(regressor: Regressor) -> bool:

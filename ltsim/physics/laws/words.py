@@ -246,10 +246,8 @@ def parse_law(
     ratio = _RATIO_PATTERN.fullmatch(regressor_text)
     direction = tuple(map(float, ratio["values"].split(" / "))) if ratio else ()
     regressor_text = ratio["words"] if ratio else regressor_text
-    regressor, is_per_setup = (
-        parse_regressor(regressor_text.removesuffix(PER_SETUP_SUFFIX), recording),
-        regressor_text.endswith(PER_SETUP_SUFFIX),
-    )
+    regressor = parse_regressor(regressor_text.removesuffix(PER_SETUP_SUFFIX), recording)
+    is_per_setup = regressor_text.endswith(PER_SETUP_SUFFIX)
     if is_per_setup and (stations or targets):
         raise ModelError(f"'{regressor_text}' applies to all set-ups, not to {', '.join((*stations, *targets))}")
     target_factors = [f for f in (regressor, *regressor.factors) if f.covariates == ("target",)]

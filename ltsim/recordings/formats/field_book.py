@@ -21,8 +21,9 @@ from ltsim.recordings.pointings import (
     separate_constant_heights,
 )
 from ltsim.recordings.recording import HEIGHT_COLUMNS, KIND_COLUMN, Recording
+from ltsim.recordings.resolution import default_total_station
 from ltsim.recordings.setup import Setup, Station, Target, Vector
-from ltsim.recordings.specification import TOTAL_STATION, TOTAL_STATION_NOTE
+from ltsim.recordings.tables.setups import marks_with_other_spelling, spelling_note
 
 
 @dataclass
@@ -99,24 +100,29 @@ class FieldBook:
         pointings, _, heights = separate_constant_heights(self.pointings)
         names = dict.fromkeys(p.station for p in pointings)
         marks = {p.target for p in pointings}
-        marks |= {point for point, count in Counter(self.setups[name][0] for name in names).items() if count > 1}
+        other = marks_with_other_spelling([self.setups[p.station][0] for p in pointings], [p.target for p in pointings])
+        points = {name: other.get(self.setups[name][0], self.setups[name][0]) for name in names}
+        marks |= {point for point, count in Counter(points.values()).items() if count > 1}
         stations = {}
-        for name in names:
-            point, height, coordinates_mm = self.setups[name]
+        for name, point in points.items():
+            _, height, coordinates_mm = self.setups[name]
             stations[name] = Station(
                 levelled=True,
                 over=point if point in marks else None,
                 instrument_height_mm=round(height / MILLIMETRE, 6),
                 position_mm=coordinates_mm,
             )
+        readings = np.array([[p.distance, p.azimuth, p.elevation] for p in pointings])
+        instrument, noise = default_total_station(readings, f"it is {kind}")
         setup = Setup(
             title=self.path.stem,
             air=NO_AIR_UNCERTAINTY,
-            instrument=TOTAL_STATION,
+            instrument=instrument,
             stations=stations,
             targets={name: Target(height_mm=height) for name, height in heights.items()},
         )
-        all_notes = [TOTAL_STATION_NOTE.format(reason=f"it is {kind}"), *orientation_notes, *notes]
+        spelled = spelling_note({name: mark for name, mark in other.items() if mark in marks})
+        all_notes = [noise, *orientation_notes, *spelled, *notes]
         return with_earth_curvature(recording_of_pointings(pointings, setup, notes=all_notes, file=self.path))
 
     def _separate_orientations(self) -> list[str]:

@@ -210,9 +210,13 @@ def _has_role(title: str) -> bool:
     return bool(_column_from_title(0, title).role) or (degrees_match is not None and bool(title_role(degrees_match[1])))
 
 
-def is_header(columns: Sequence[TableColumn]) -> bool:
-    """True if the columns of a header include two of direction, vertical angle and distance, or all coordinates."""
-    return _count_reading_kinds(columns) > 1 or has_named_coordinates(columns)
+def is_header(columns: Sequence[TableColumn], *, allows_unnamed: bool = False) -> bool:
+    """True if the columns of a header include two of direction, vertical angle and distance, or all coordinates.
+
+    Targets of coordinates must have names unless `allows_unnamed`.
+    """
+    has_coordinates = {*COORDINATE_ROLES} <= {column.role for column in columns}
+    return _count_reading_kinds(columns) > 1 or has_named_coordinates(columns) or (has_coordinates and allows_unnamed)
 
 
 def unknown_unit_sentence(titles: Sequence[str]) -> str:

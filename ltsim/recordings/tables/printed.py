@@ -192,6 +192,8 @@ class PointingTable:
     """True if a pointing has no name of its station."""
     is_positional: bool = False
     """True if the columns have fixed roles, because there is no header."""
+    has_unnamed_targets: bool = False
+    """True if no row names its target."""
     marks: dict[str, str] = field(default_factory=dict)
     """Name of the mark under each set-up, if it differs from that of the set-up."""
     notes: list[str] = field(default_factory=list)

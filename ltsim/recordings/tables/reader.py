@@ -15,9 +15,10 @@ from ltsim.recordings.files import MAX_TEXT_LENGTH, quoted_text
 from ltsim.recordings.occupations import check_centring
 from ltsim.recordings.pointings import NOT_MEASURED, PointingColumns, declares_noise, recording_of_columns
 from ltsim.recordings.recording import HEIGHT_COLUMNS, KIND_COLUMN, OCCUPATION_COLUMNS, SIGMA_COLUMNS, Recording
+from ltsim.recordings.resolution import FOOT_STEPS, LENGTH_STEPS, default_total_station, reading_step
 from ltsim.recordings.settings import read_setup
 from ltsim.recordings.setup import Instrument, Setup
-from ltsim.recordings.specification import NO_NOISE_NOTE, TOTAL_STATION, TOTAL_STATION_NOTE
+from ltsim.recordings.specification import NO_NOISE_NOTE
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import DISTANCE_ROLES, ROLE_UNITS, TableColumn, has_named_coordinates
 from ltsim.recordings.tables.heights import with_heights_of_setups
@@ -29,12 +30,13 @@ from ltsim.recordings.tables.setups import (
     common_target_names,
     connecting_occupations,
     heights_not_applied,
-    name_targets_by_position,
+    marks_with_other_spelling,
     split_occupations,
     with_setups_over_marks,
 )
 from ltsim.recordings.tables.sheets import TABLE_SUFFIXES, ZIP_SIGNATURE, head_rows, is_table_folder, read_sheets
-from ltsim.recordings.tables.station_names import require_station_names
+from ltsim.recordings.tables.station_names import require_station_names, several_positions_note
+from ltsim.recordings.tables.unnamed_targets import name_targets_by_position, name_unnamed_targets
 
 
 def with_time_column(table: PointingTable) -> PointingTable:
@@ -137,13 +139,16 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
     Raises RecordError.
     """
     printed = read_pointing_table(read_sheets(path), hints, path, positional=positional)
-    table = name_targets_by_position(with_unpacked_angles(with_time_column(printed), hints), path)
+    table = name_unnamed_targets(with_unpacked_angles(with_time_column(printed), hints), path)
     table.pointings.target, renamed = common_target_names(table.pointings)
     table.notes += renamed
+    table.marks = marks_with_other_spelling(table.pointings.station, table.pointings.target)
     setup = _read_setup(path, hints)
     poses = rough_poses(setup or Setup(), tuple(dict.fromkeys(table.pointings.station)))
     interpretation, readings = interpret_readings(table, poses, hints, path)
+    table = name_targets_by_position(table, readings)
     require_station_names(table, readings, path)
+    table.notes += several_positions_note(table, readings)
     if setup is not None:
         recording = assemble_recording(table, interpretation, readings, setup, hints, path)
         if not hints.incomplete_tail:
@@ -151,8 +156,9 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
         return recording.replace(
             notes=(f"noise and set-ups are read from {_setup_path(path, hints)}", *recording.notes)
         )
-    instrument, noise = default_instrument(total_station_reason(table, interpretation, readings))
-    air = NO_AIR_UNCERTAINTY if instrument is TOTAL_STATION else None
+    reason = total_station_reason(table, interpretation, readings)
+    instrument, noise = default_total_station(readings, reason) if reason else (Instrument(), NO_NOISE_NOTE)
+    air = NO_AIR_UNCERTAINTY if reason else None
     setup = Setup(title=path.stem[:MAX_TEXT_LENGTH], instrument=instrument, air=air)
     recording = assemble_recording(table, interpretation, readings, setup, hints, path)
     return recording if declares_noise(recording) else recording.replace(notes=(noise, *recording.notes))
@@ -344,6 +350,8 @@ MAX_TRACKER_RANGE_M = 160.0
 """Range [m] above which a table is from a total station (longest range of trackers in data sheets: 80 to 160)."""
 MIN_COARSE_DIGIT_M = 0.5e-4
 """Last digit [m] of ranges above which a table is from a total station; trackers report micrometres."""
+MIN_DISPLAYED_DIGIT_M = 0.5e-9
+"""Last digit [m] below which the digits of a range are those of a computation and not of an instrument."""
 
 MIN_RANGES = 6
 """Number of ranges below which their last digit does not decide, because fewer may all end in zeros by chance."""
@@ -368,13 +376,9 @@ def total_station_reason(table: PointingTable, interpretation: ColumnInterpretat
     if len(n_decimals) < MIN_RANGES:
         return ""
     digit = 10.0 ** -int(n_decimals.max()) * SI_PER_UNIT[interpretation.length_unit]
+    digit = max(digit, reading_step(ranges, FOOT_STEPS if digit > MIN_DISPLAYED_DIGIT_M else LENGTH_STEPS))
     if digit > MIN_COARSE_DIGIT_M:
         return f"its ranges are written to {1e3 * digit:.2g} mm"
     if table.column(("instrument_height_mm",)) is not None and digit > MIN_COARSE_DIGIT_M / 10:
         return f"its ranges are written to {1e3 * digit:.2g} mm, with heights over marks"
     return ""
-
-
-def default_instrument(reason: str) -> tuple[Instrument, str]:
-    """Instrument for a table that declares no noise, and a note on it; `reason` is that of `total_station_reason`."""
-    return (TOTAL_STATION, TOTAL_STATION_NOTE.format(reason=reason)) if reason else (Instrument(), NO_NOISE_NOTE)

@@ -86,7 +86,7 @@ def parse_header(row: SheetRow, hints: Hints, file: object = None) -> list[Table
     if count_role_titles(row.fields) < MIN_TITLES or any(map(cells.is_value, row.fields)):
         return None
     columns = header_columns(row.fields)
-    return columns if is_header(columns) else None
+    return columns if is_header(columns, allows_unnamed=hints.station is not None) else None
 
 
 def _header_at(sheet: TableSheet, row: int | None, hints: Hints) -> list[TableColumn]:

@@ -1,20 +1,17 @@
 """Set-ups and targets in surveyors' tables: different names of one target, occupations, heights above marks.
 
 The name of one target may differ between set-ups (`P 01` and `p1`, `S1_P01` and `S2_P01`). Set-ups may be over marks
-that are also targets, and their circle may be rotated between rounds. Rows without point names, or with one for all,
-are positions of a moving target (a robot, a T-MAC).
+that are also targets, and their circle may be rotated between rounds.
 """
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from itertools import groupby, product
-from operator import add, sub
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
 
 import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
-from ltsim.core.errors import RecordError
 from ltsim.core.notation import listing
 from ltsim.core.units import EARTH_RADIUS
 from ltsim.recordings.circle_orientations import circle_orientations, zeroed_circle_note
@@ -23,77 +20,11 @@ from ltsim.recordings.pointings import numbered_name
 from ltsim.recordings.recording import OCCUPATION_COLUMNS
 from ltsim.recordings.setup import EXACT_LEVEL_ARCSEC, Setup, Station
 from ltsim.recordings.tables import cells
-from ltsim.recordings.tables.header import COORDINATE_ROLES, HEIGHT_ROLES, HORIZONTAL_ROLES, VERTICAL_ROLES
-from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, indices_by_value, to_floats
+from ltsim.recordings.tables.header import HEIGHT_ROLES
+from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, indices_by_value
 
-MAX_SAME_PLACE_RATIO = 3e-4
-"""Distance between two rows, divided by the largest length, below which they are at one position: 1 mm at 3 m, which
-exceeds the repeatability of a robot.
-"""
-MAX_SAME_ANGLE = 0.02
-"""Difference [deg or gon] of two directions below which they lead to the same position."""
-MAX_SAME_ANGLE_RAD = MAX_SAME_PLACE_RATIO
-"""Difference [rad] of two directions below which they lead to the same position."""
-MAX_ANGLE_IN_RADIANS = 7.0
-"""Largest angle of a column up to which the column is in radians; a larger one is in degrees or gon."""
-MIN_ROWS_FOR_POSITIONS = 3
-"""Number of rows, and of positions, with one name from which the name is that of a moving target."""
-
-
-def name_targets_by_position(table: PointingTable, file: object) -> PointingTable:
-    """Table in which each position is a separate target, if all rows have no target name or the same one.
-
-    Raises RecordError for several set-ups without target names, because their common targets are then unknown.
-    """
-    names, stations = {*table.pointings.target}, {*table.pointings.station}
-    if len(names) > 1 or (names != {""} and len(table.pointings) < MIN_ROWS_FOR_POSITIONS):
-        return table
-    numbers = _position_numbers(table)
-    count = int(numbers.max()) + 1
-    if names != {""} and (count < MIN_ROWS_FOR_POSITIONS or len(stations) > 1):
-        return table
-    if len(stations) > 1:
-        message = "names no points, so common targets of its set-ups are unknown; add a column target"
-        raise RecordError(message, file=file)
-    table.pointings.target = [f"pose-{number + 1}" for number in numbers.tolist()]
-    reason = "names no points" if names == {""} else f"has one name ('{quoted_text(names.pop())}') for all of its rows"
-    table.notes.append(
-        f"the table {reason}: its {len(numbers)} rows are {count} positions of a target that moves (a robot, a T-MAC), "
-        "each a target named pose-1, pose-2, ...; one set-up alone gives no information about the tracker"
-    )
-    return table
-
-
-def _position_numbers(table: PointingTable) -> Ints:
-    """Number (n,) of the position of each row; positions are numbered in the order of their first rows."""
-    numbers = table.pointings.numbers
-    values = np.stack([to_floats(digits) for digits in numbers.values()], axis=1)
-    largest = np.nanmax(np.abs(values), axis=0).tolist()
-    lengths = max((size for role, size in zip(numbers, largest, strict=True) if role in COORDINATE_ROLES), default=0.0)
-    tolerance = np.array(
-        [_position_tolerance(role, size, lengths) for role, size in zip(numbers, largest, strict=True)]
-    )
-    scaled = np.nan_to_num(values / tolerance)
-    steps = list(product((0, -1, 1), repeat=scaled.shape[1]))
-    first_rows: list[tuple[float, ...]] = []
-    index_by_box: dict[tuple[int, ...], int] = {}  # no two places lie in one box of unit size
-    position_numbers = []
-    for row, box in zip(scaled.tolist(), np.floor(scaled).astype(np.int64).tolist(), strict=True):
-        neighbours = [index_by_box[other] for step in steps if (other := tuple(map(add, box, step))) in index_by_box]
-        near = [i for i in neighbours if max(map(abs, map(sub, row, first_rows[i]))) < 1.0]
-        if not near:
-            index_by_box[tuple(box)] = len(first_rows)
-            first_rows.append(tuple(row))
-        position_numbers.append(min(near, default=len(first_rows) - 1))
-    return np.array(position_numbers)
-
-
-def _position_tolerance(role: str, max_distance: float, lengths: float) -> float:
-    if role in (*HORIZONTAL_ROLES, *VERTICAL_ROLES):
-        return MAX_SAME_ANGLE if max_distance > MAX_ANGLE_IN_RADIANS else MAX_SAME_ANGLE_RAD
-    return MAX_SAME_PLACE_RATIO * max(lengths, max_distance, 1e-9)
-
-
+NAME_DIFFERENCES = "case, blanks or leading zeros"
+"""Differences of spelling between names of one point."""
 MAX_NAMES_IN_SETUP_NOTE = 4
 """Largest number of names that a note on set-ups lists."""
 OCCUPATION_NAMES = (
@@ -161,7 +92,7 @@ def common_target_names(pointings: PrintedPointings) -> tuple[list[str], list[st
     }
     if common:
         examples = listing([f"'{name}' and '{first}'" for name, first in common.items()], MAX_NAMES_IN_SETUP_NOTE)
-        notes.append(f"names that differ only in case, blanks or leading zeros are the same target: {examples}")
+        notes.append(f"names that differ only in {NAME_DIFFERENCES} are the same target: {examples}")
     names = [common.get(target, target) for target in targets]
     return [names[i] for i in row.tolist()], notes
 
@@ -182,6 +113,29 @@ def normalised_name(name: str) -> str:
     """Name of a target without differences of case, blanks and leading zeros."""
     plain_name = re.sub(r"(?<=[^\W\d_])[\s_-]+(?=\d)", "", name.casefold())
     return re.sub(r"(?<!\d)0+(?=\d)", "", re.sub(r"[\s_-]+", "_", plain_name))
+
+
+def marks_with_other_spelling(stations: Sequence[str], targets: Sequence[str]) -> dict[str, str]:
+    """Target over which a set-up stands if their names differ only in case, blanks or leading zeros, by set-up.
+
+    `stations` and `targets` are those of the pointings. A set-up does not stand over a target that it sees.
+    """
+    sights = {*zip(stations, targets, strict=True)}
+    names = dict.fromkeys(targets)
+    spelling = {normalised_name(target): target for target in names}
+    marks = {station: spelling.get(normalised_name(station), station) for station in dict.fromkeys(stations)}
+    return {
+        station: mark
+        for station, mark in marks.items()
+        if station not in names and station != mark and (station, mark) not in sights
+    }
+
+
+def spelling_note(mark_by_setup: Mapping[str, str]) -> list[str]:
+    """Note on set-ups over targets with another spelling; none for an empty mapping."""
+    examples = listing([f"'{name}' and '{mark}'" for name, mark in mark_by_setup.items()], MAX_NAMES_IN_SETUP_NOTE)
+    text = f"a set-up and a target whose names differ only in {NAME_DIFFERENCES} are one mark: {examples}"
+    return [text] if mark_by_setup else []
 
 
 def split_occupations(
@@ -219,7 +173,7 @@ def split_occupations(
     for station, *_ in distinct:
         names.append(numbered_name(station, counts[station]))
         counts[station] += 1
-    table.marks = {name: key[0] for key, name in zip(distinct, names, strict=True)}
+    table.marks = {name: table.marks.get(key[0], key[0]) for key, name in zip(distinct, names, strict=True)}
     pointings.station = [names[i] for i in code.tolist()]
     notes = []
     if len(occupations) > len(marks):
@@ -326,7 +280,14 @@ def with_setups_over_marks(
     kind = "set-ups with heights over their marks" if heights else "set-ups of a total station"
     note = f"{kind} are assumed levelled{targets_text} (otherwise set levelled = false in setup.toml)"
     setup = setup.model_copy(update={"stations": {**setup.stations, **stations}})
-    return setup, [note] if heights or levelled else []
+    notes = [note] if heights or levelled else []
+    spelled = {
+        name: mark
+        for name, mark in marks.items()
+        if mark in shared and name != mark and not name.startswith(f"{mark}#")
+    }
+    notes += spelling_note(spelled)
+    return setup, notes
 
 
 def _has_closed_lines(table: PointingTable, readings: Floats) -> bool:

@@ -1,4 +1,4 @@
-"""Detection of several set-ups in a table without station names: ranges and elevations of one target then differ."""
+"""Names that a table lacks: those of its set-ups or of its points. Ranges and elevations under one name then differ."""
 
 import numpy as np
 
@@ -58,6 +58,24 @@ def require_station_names(table: PointingTable, readings: Floats, file: object) 
             raise UnnamedStationsError(message, file=file)
         message = f"{fault}, so it has several set-ups; add a column station (or give --hint station=NAME for one)"
         raise RecordError(message, file=file)
+
+
+def several_positions_note(table: PointingTable, readings: Floats) -> list[str]:
+    """Note on names of targets that are not names of points: ranges from one set-up to most of them differ."""
+    sights, groups = indices_by_value(zip(table.pointings.station, table.pointings.target, strict=True))
+    spread = _median_spread(readings[:, 0], groups)
+    if spread <= MAX_SETUP_SPREADS[0]:
+        return []
+    finite = np.isfinite(readings[:, 0])
+    low, high = np.full(len(sights), np.inf), np.full(len(sights), -np.inf)
+    np.minimum.at(low, groups[finite], readings[finite, 0])
+    np.maximum.at(high, groups[finite], readings[finite, 0])
+    worst = int(np.argmax(high - low))
+    station, target = (quoted_text(name) for name in sights[worst])
+    return [
+        f"one name of a target has several positions: the distances from '{station}' to '{target}' differ by "
+        f"{high[worst] - low[worst]:.3g} m; if it names a reflector that moved, name each point"
+    ]
 
 
 def _median_spread(values: Floats, groups: Ints) -> float:
