@@ -15,14 +15,13 @@ from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests_with_constants
 from ltsim.adjustment.reliability import (
-    MIN_DOF_FOR_ESTIMATED_NOISE,
     iterative_snooping,
     noisy_groups,
     p_value_of_tau,
     redundancy_numbers,
     standardised_residuals,
 )
-from ltsim.adjustment.significance import FAMILY_LEVEL
+from ltsim.adjustment.significance import FAMILY_LEVEL, MIN_DOF_FOR_ESTIMATED_NOISE
 from ltsim.adjustment.snooping import drop_undetermined, pose_defect
 from ltsim.adjustment.stochastic_model import VarianceComponent
 from ltsim.core.arrays import Bools, Floats, Ints

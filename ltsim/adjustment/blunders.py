@@ -13,8 +13,11 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.frame import StationTargetPairs, alignment_distances
+from ltsim.adjustment.reference_tests import MAX_INCLINATION
+from ltsim.adjustment.significance import MAX_TRACKER_ERROR
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
+from ltsim.core.notation import MAX_LISTED_ITEMS
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rigid import align_robustly
@@ -25,14 +28,6 @@ from ltsim.physics.model.measurement import plumb_directions
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.transcription_errors import FACE_ERRORS, UNIT_ERRORS
 
-MAX_CORRECTED_DISTANCE = 1e-3
-"""Distance [m] of a corrected pointing from a target, below which the correction counts as the explanation."""
-MAX_RELATIVE_HORIZONTAL_OFFSET = 0.002
-"""Horizontal offset of a pointing from its target, relative to the vertical offset, below which a wrong height is the
-cause.
-"""
-MAX_ROWS_IN_BLUNDER_TEXT = 6
-"""Largest number of rows that a sentence lists."""
 MIN_CLOUD_MISFIT = 5e-3
 """Median misfit [m] between the points of two stations from which another unit or convention is suspected; neither
 tracker errors nor a single blunder cause as much.
@@ -110,7 +105,7 @@ def _swapped_targets(adjustment: Adjustment, is_gross: Bools) -> Iterator[Correc
         _points_from_readings(adjustment, recording.readings[indices], indices)[:, None] - points[None], axis=2
     )
     nearest_targets = np.argmin(gaps, axis=1)
-    lands = gaps[np.arange(len(indices)), nearest_targets] < MAX_CORRECTED_DISTANCE
+    lands = gaps[np.arange(len(indices)), nearest_targets] < MAX_TRACKER_ERROR
     pairs: dict[tuple[int, int, int], list[int]] = {}
     for i in np.flatnonzero(lands & (nearest_targets != recording.target[indices])):
         a, b = sorted((int(recording.target[indices[i]]), int(nearest_targets[i])))
@@ -126,7 +121,7 @@ def _swapped_targets(adjustment: Adjustment, is_gross: Bools) -> Iterator[Correc
             )
         else:
             booked_name, meant = names if booked[0] == a else names[::-1]
-            numbers = ", ".join(str(indices[i] + 1) for i in members[:MAX_ROWS_IN_BLUNDER_TEXT])
+            numbers = ", ".join(str(indices[i] + 1) for i in members[:MAX_LISTED_ITEMS])
             sentence = (
                 f"At station {station} the pointing to {booked_name} (row {numbers}) was to {meant}, {gap:.2f} m away."
             )
@@ -148,23 +143,23 @@ def _wrong_heights(adjustment: Adjustment, is_gross: Bools) -> Iterator[Correcte
     vertical_parts = np.einsum("ni,ni->n", deviations, plumb_lines)
     horizontal_parts = np.linalg.norm(deviations - vertical_parts[:, None] * plumb_lines, axis=1)
     is_vertical = horizontal_parts < np.minimum(
-        np.maximum(MAX_CORRECTED_DISTANCE, MAX_RELATIVE_HORIZONTAL_OFFSET * np.abs(vertical_parts)),
+        np.maximum(MAX_TRACKER_ERROR, MAX_INCLINATION * np.abs(vertical_parts)),
         adjustment.sightings.range_[indices],
     )
     lift = np.zeros((len(recording), 3))
     lift[indices] = vertical_parts[:, None] * plumb_lines
     new_readings = recording.readings - exact_target_change(adjustment.sightings, lift)
     groups: dict[tuple[int, int, int], list[int]] = {}
-    for i in np.flatnonzero((np.abs(vertical_parts) > MAX_CORRECTED_DISTANCE) & is_vertical):
+    for i in np.flatnonzero((np.abs(vertical_parts) > MAX_TRACKER_ERROR) & is_vertical):
         key = (
             int(recording.station[indices[i]]),
             int(recording.target[indices[i]]),
-            round(vertical_parts[i] / (2.0 * MAX_CORRECTED_DISTANCE)),
+            round(vertical_parts[i] / (2.0 * MAX_TRACKER_ERROR)),
         )
         groups.setdefault(key, []).append(int(i))
     for (s, t, _), members in groups.items():
         station, target, size = recording.stations[s], recording.targets[t], float(np.mean(vertical_parts[members]))
-        numbers = ", ".join(str(indices[i] + 1) for i in members[:MAX_ROWS_IN_BLUNDER_TEXT])
+        numbers = ", ".join(str(indices[i] + 1) for i in members[:MAX_LISTED_ITEMS])
         where = "above" if size > 0 else "below"
         sentence = (
             f"From station {station} the pointing to {target} (row {numbers}) is {abs(size) / MILLIMETRE:.1f} mm "
@@ -182,7 +177,7 @@ def _unit_and_face_errors(adjustment: Adjustment, is_gross: Bools) -> Iterator[C
     for effect, slip in ((effect, slip) for effect, slips in kinds for slip in slips):
         readings = slip.without_error(recording.readings)
         at = np.flatnonzero(is_gross & np.isfinite(readings).all(axis=1))
-        at = at[_target_distances(adjustment, readings[at], at) < MAX_CORRECTED_DISTANCE]
+        at = at[_target_distances(adjustment, readings[at], at) < MAX_TRACKER_ERROR]
         if len(at):
             stations = tuple(sorted({recording.stations[s] for s in recording.station[at]}))
             targets = tuple(sorted({recording.targets[t] for t in recording.target[at]}))

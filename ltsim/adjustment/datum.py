@@ -20,9 +20,7 @@ from ltsim.geometry.rigid import from_rotation_vector, rigid_motion_design
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.design import NORMAL_RANK_TOLERANCE, scale_to_unit_diagonal
 from ltsim.solve.elimination import BlockFactor
-
-MAX_DATUM_STEPS = 5
-"""Largest number of Gauss-Newton steps of the motion of a network to its datum; convergence is quadratic."""
+from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 
 @dataclass(frozen=True)
@@ -76,7 +74,7 @@ def move_to_datum(problem: NetworkProblem, state: NetworkState, names: Sequence[
     scale.
     """
     rotation_angle = 0.0
-    for _ in range(MAX_DATUM_STEPS):
+    for _ in range(MAX_ITERATIONS):
         tied = DatumPoints.from_names(problem, state, names)
         has_goal = np.isfinite(tied.approximate_points)
         if not has_goal.any():

@@ -130,8 +130,7 @@ LOG_ODDS_OF_CENTRING = -30.0
 """Logarithm of additional prior odds of centring errors, by which their evidence must exceed that of other causes.
 
 Displacements of many targets fit any smooth error of the model, so that only about a tenth of the gain of log evidence
-is real. Other hypotheses in a network with such an error need the same additional gain
-(`selection.MIN_LOG_EVIDENCE_GAIN_WITH_MISFIT`).
+is real. Other hypotheses in a network with such an error need the same gain.
 """
 
 
