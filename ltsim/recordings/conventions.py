@@ -16,6 +16,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError, RecordError
+from ltsim.core.limits import MAX_NETWORK_SETUPS, max_pointings
 from ltsim.core.notation import listing
 from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT
 from ltsim.geometry.alignment import align_rigidly
@@ -24,7 +25,12 @@ from ltsim.geometry.rotations import rotation_about_z
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Setup
-from ltsim.recordings.transcription_errors import MIN_DISTANCE_MM, length_disagreement, station_clouds
+from ltsim.recordings.transcription_errors import (
+    MIN_DISTANCE_MM,
+    length_disagreement,
+    shared_target_counts,
+    station_clouds,
+)
 
 AngleUnit = Literal["deg", "gon", "rad"]
 VerticalKind = Literal["zenith", "elevation"]
@@ -38,6 +44,8 @@ HINTED_ANGLE_UNITS: tuple[AngleUnit, ...] = ("deg", "gon", "rad")
 VERTICAL_KINDS: tuple[VerticalKind, ...] = ("zenith", "elevation")
 MIN_MISFIT_RATIO = 10.0
 """Smallest ratio of the second-best to the best misfit from which the data decide on a convention."""
+MIN_MIRRORED_TARGETS = 5
+"""Smallest number of common targets of two stations that are compared with mirror images: four may lie in a plane."""
 MAX_MIRROR_MISFIT = 1e-3
 """Largest misfit of a mirror image, relative to the size of the network, at which it counts as a fit."""
 MAX_LISTED_NOTES = 3
@@ -342,8 +350,11 @@ def vertical_pointings_note(recording: Recording) -> tuple[str, ...]:
 def convention_contradictions(recording: Recording) -> tuple[str, ...]:
     """Contradictions between set-ups, or rough positions, and the sense of the azimuths: only a mirror image fits.
 
-    Coordinates in one plane, or a floor plan that fits neither sense, are no contradiction.
+    Coordinates in one plane, or a floor plan that fits neither sense, are no contradiction. None are sought among more
+    set-ups than a network may have.
     """
+    if len(recording.stations) > max_pointings(MAX_NETWORK_SETUPS):
+        return ()
     local = from_polar(recording.readings)
     table = PolarReadings(recording.station, recording.target, *recording.readings[:, [1, 2, 0]].T)
     poses = rough_poses(recording.setup, recording.stations)
@@ -363,15 +374,15 @@ def convention_contradictions(recording: Recording) -> tuple[str, ...]:
 
 def _mirrored_station_pairs(local: Floats, recording: Recording) -> list[tuple[int, int]]:
     """Pairs of stations that are mirror images: each station and the previous one with which it shares most targets."""
-    clouds = station_clouds(local, recording.station, recording.target)
-    pairs = []
-    for s, cloud in clouds.items():
-        before = [k for k in clouds if k < s]
-        other = max(before, key=lambda k: len(clouds[k].keys() & cloud.keys()), default=s)
-        common = sorted(clouds[other].keys() & cloud.keys())
-        if other == s or len(common) < 5:
+    measured = np.isfinite(local).all(axis=1)
+    counts = shared_target_counts(recording.station[measured], recording.target[measured], len(recording.stations))
+    n_shared = np.triu(counts, 1)  # of each station with the previous ones, in a column
+    clouds, pairs = station_clouds(local, recording.station, recording.target), []
+    for s, other in enumerate(n_shared.argmax(axis=0).tolist()):
+        if n_shared[other, s] < MIN_MIRRORED_TARGETS:
             continue
-        here, there = (np.array([of[t] for t in common]) for of in (cloud, clouds[other]))
+        common = sorted(clouds[other].keys() & clouds[s].keys())
+        here, there = (np.array([clouds[k][t] for t in common]) for k in (s, other))
         right, mirrored = _misfits(here, there)
         if right > MIN_MISFIT_RATIO * mirrored and mirrored < MAX_MIRROR_MISFIT * float(np.ptp(there, axis=0).max()):
             pairs.append((other, s))

@@ -10,6 +10,7 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import DEGREE, MILLIMETRE, QUARTER_TURN, SI_PER_UNIT
@@ -111,6 +112,15 @@ def station_clouds(points: Floats, station: Ints, target: Ints) -> dict[int, dic
     for key, point in zip(keys.tolist(), mean, strict=True):
         clouds.setdefault(key // count, {})[key % count] = point
     return clouds
+
+
+def shared_target_counts(station: Ints, target: Ints, n_stations: int) -> Ints:
+    """Numbers (S, S) of targets that pairs of S stations share, from the stations and targets (n,) of pointings."""
+    shape = n_stations, int(target.max(initial=0)) + 1
+    is_sighted = sp.csr_array((np.ones(len(station), dtype=np.int64), (station, target)), shape)
+    is_sighted.data[:] = 1  # repeated pointings have been added up
+    counts: Ints = (is_sighted @ is_sighted.T).toarray()
+    return counts
 
 
 def length_disagreement(points: Floats, station: Ints, target: Ints) -> float:
