@@ -21,7 +21,7 @@ import numpy as np
 
 from ltsim.adjustment import adjust
 from ltsim.core.randomness import stream
-from ltsim.geometry.rotations import rotation_about_z
+from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.model.construction import make_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording

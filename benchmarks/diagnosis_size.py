@@ -24,7 +24,7 @@ import ltsim as lt
 from benchmarks.adjust_size import network
 from ltsim.core.randomness import stream
 from ltsim.core.units import MICRORADIAN
-from ltsim.geometry.rotations import rotation_about_z
+from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.model.construction import make_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording

@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.campaigns.truth import CellTruth, make_cell_truth
 from ltsim.geometry.polar import to_face, to_polar
-from ltsim.geometry.rotations import rotation_about_z
+from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.physics.model.measurement import NetworkState, sightings_of
 from ltsim.recordings.recording import Recording

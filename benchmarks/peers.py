@@ -19,7 +19,7 @@ from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.rows import GaugeRows
 from ltsim.core.arrays import Floats
 from ltsim.geometry.polar import wrap_angle
-from ltsim.geometry.rotations import cross_matrix, from_rotation_vector
+from ltsim.geometry.rigid import cross_matrix, from_rotation_vector
 from ltsim.physics.model.construction import Construction
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording

@@ -18,8 +18,7 @@ from matplotlib.figure import Figure
 
 import ltsim as lt
 from ltsim.campaigns import spec
-from ltsim.campaigns.paired import PairedDifferences
-from ltsim.campaigns.results import CampaignResults
+from ltsim.campaigns.results import CampaignResults, PairedDifferences
 from ltsim.campaigns.spec import CampaignCell, CampaignFile, load_campaign
 from ltsim.reports.style import svg_text
 

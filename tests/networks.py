@@ -9,7 +9,7 @@ import numpy as np
 from ltsim.adjustment.evaluation.clouds import CalibrationErrors, align_to_points, cloud_error, measured_points
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
-from ltsim.geometry.rotations import rotation_about_z
+from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import Construction, misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState

@@ -20,7 +20,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.parallel import run_parallel
 from ltsim.core.units import MICROMETRE
 from ltsim.reports.figures.campaign import PUBLISHED_CRITERIA, TrialDistribution, distributions_figure
-from ltsim.simulation.gauge import measure_nominal_points
+from ltsim.simulation.workshop import measure_nominal_points
 
 DRAWN = {
     "workshop": {"noise_factor": 2.8, "error_factor": 0.7, "prior_factor": 1.0},

@@ -22,7 +22,7 @@ from ltsim.core.errors import RecordError
 from ltsim.core.randomness import stream
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rotations import from_rotation_vector
+from ltsim.geometry.rigid import from_rotation_vector
 from ltsim.physics.effects import BASELINE_EFFECTS
 from ltsim.physics.model.construction import ideal_construction, misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState

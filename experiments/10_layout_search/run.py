@@ -11,13 +11,12 @@ from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
 from ltsim.planning.information import CriteriaPredictor, LayoutInformation
-from ltsim.planning.layout_scenario import with_layout
 from ltsim.planning.loading import load_plan
 from ltsim.planning.making import make_plan
 from ltsim.planning.objective import a_criterion, d_criterion, e_criterion
 from ltsim.planning.planner import PlannedNetwork
 from ltsim.planning.reasons import cheapest_equal_option
-from ltsim.planning.result import Plan
+from ltsim.planning.result import Plan, with_layout
 from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey

@@ -3,12 +3,11 @@
 from experiments.common import Made, Options, Row, show_table, write_figure, write_table
 from ltsim.core.units import MICROMETRE
 from ltsim.planning.information import LayoutInformation
-from ltsim.planning.layout_scenario import scenario_of_plan
 from ltsim.planning.loading import load_plan
 from ltsim.planning.making import make_plan
 from ltsim.planning.objective import d_criterion
 from ltsim.planning.planner import PlannedNetwork
-from ltsim.planning.result import Plan
+from ltsim.planning.result import Plan, scenario_of_plan
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.workshop import planned_survey
 from ltsim.reports.figures.floor_plan import floor_plan

@@ -10,11 +10,10 @@ from ltsim.campaigns.truth import make_cell_truth
 from ltsim.core.arrays import Floats
 from ltsim.core.parallel import run_parallel
 from ltsim.core.units import MICROMETRE
-from ltsim.planning.layout_scenario import scenario_of_plan
 from ltsim.planning.loading import load_plan
 from ltsim.planning.making import make_plan
-from ltsim.planning.plan_change import PlanChange
-from ltsim.planning.result import Plan
+from ltsim.planning.reflector_changes import PlanChange
+from ltsim.planning.result import Plan, scenario_of_plan
 from ltsim.reports.figures.marked_floor_plans import reflector_changes_figure
 from ltsim.reports.workshop import workshop_from_scenario
 from ltsim.simulation.scenario import Scenario

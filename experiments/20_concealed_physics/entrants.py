@@ -78,7 +78,7 @@ def gama(recording: Path, out: Path) -> None:
     import ltsim as lt
     from ltsim.calibration.correct import corrected_readings
     from ltsim.geometry.polar import from_polar, to_face, to_polar
-    from ltsim.geometry.rotations import rotation_about_z
+    from ltsim.geometry.rigid import rotation_about_z
 
     read = lt.read(str(recording))
     found = lt.calibrate(read, advise=False)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
 import ltsim as lt
-from ltsim.geometry.rotations import rotation_about_z
+from ltsim.geometry.rigid import rotation_about_z
 from ltsim.recordings.setup import Station
 
 from .hall import Array, Hall, Observations, name_of, polar

@@ -3,9 +3,11 @@
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
 from ltsim.core.results import Table, columns_of
+from ltsim.core.units import MICROMETRE
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, Positive, ResultFile
 from ltsim.recordings.specification import Specification
 
@@ -186,3 +188,21 @@ def group_entries(
         )
         for name, entries in by_group.items()
     )
+
+
+def make_test_entry(
+    test_name: str, test_group: str, error: float, limit: float, expanded_uncertainty: float = float("nan")
+) -> TestEntry:
+    """Entry of an error with its limit [m], judged by ISO 14253-1.
+
+    `expanded_uncertainty` is its uncertainty (95 %) [m], NaN if not given.
+    """
+    sizes = {
+        "error_um": error / MICROMETRE,
+        "limit_um": limit / MICROMETRE,
+        "expanded_um": expanded_uncertainty / MICROMETRE,
+    }
+    margin = 0.0 if np.isnan(expanded_uncertainty) else expanded_uncertainty
+    is_accepted, is_rejected = abs(error) + margin <= limit, abs(error) - margin > limit
+    judgement: Judgement = "accepted" if is_accepted else "rejected" if is_rejected else "undecided"
+    return TestEntry(name=test_name, group=test_group, judgement=judgement, **sizes)

@@ -2,13 +2,20 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ltsim.acceptance.files import AcceptanceFile, Judgement, TestEntry, group_entries, joint_judgement
+from ltsim.acceptance.files import (
+    AcceptanceFile,
+    Judgement,
+    TestEntry,
+    group_entries,
+    joint_judgement,
+    make_test_entry,
+)
+from ltsim.acceptance.network import NetworkTests, evaluate_network
 from ltsim.acceptance.prediction import AcceptancePlan, predicted_result
 from ltsim.acceptance.spec import (
     AcceptanceSettings,
@@ -17,20 +24,17 @@ from ltsim.acceptance.spec import (
     read_table_rows,
     validate_acceptance,
 )
-from ltsim.adjustment import Adjustment, adjust
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import read_calibration
-from ltsim.core.arrays import Floats, Ints
-from ltsim.core.errors import NetworkError, SetupError, as_setup_error, unknown_name
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import SetupError, as_setup_error, unknown_name
 from ltsim.core.notation import listing
 from ltsim.core.units import MICROMETRE
-from ltsim.geometry.polar import from_polar, parts_across_beam
-from ltsim.physics.model.construction import construction_of_design, declared_construction
+from ltsim.physics.model.construction import construction_of_design
 from ltsim.recordings import read
 from ltsim.recordings.files import parse_comma_number, quoted_text
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
-from ltsim.recordings.specification import Specification
 
 
 def accept(acceptance: str | Path | Mapping[str, Any] | AcceptanceSettings, folder: str | Path = ".") -> AcceptanceFile:
@@ -67,8 +71,10 @@ def _predict_or_evaluate(acceptance_settings: AcceptanceSettings, folder: Path) 
     limits = acceptance_settings.limits
     if acceptance_settings.recording is not None:
         recording = read(folder / acceptance_settings.recording)
-        result = network_test_entries(recording, limits)
-        return evaluated_result(result, acceptance_settings, recording=recording)
+        network_tests = evaluate_network(recording, limits)
+        return evaluated_result(
+            network_tests.entries, acceptance_settings, recording=recording, network_tests=network_tests
+        )
     tests = acceptance_settings.make_tests(folder)
     limits_si = limits.to_instrument(acceptance_settings.construction)
     model = construction_of_design(acceptance_settings.construction)
@@ -106,24 +112,6 @@ def _load_calibration(path: Path) -> Calibration:
     return calibration
 
 
-def make_test_entry(
-    test_name: str, test_group: str, error: float, limit: float, expanded_uncertainty: float = float("nan")
-) -> TestEntry:
-    """Entry of an error with its limit [m], judged by ISO 14253-1.
-
-    `expanded_uncertainty` is its uncertainty (95 %) [m], NaN if not given.
-    """
-    sizes = {
-        "error_um": error / MICROMETRE,
-        "limit_um": limit / MICROMETRE,
-        "expanded_um": expanded_uncertainty / MICROMETRE,
-    }
-    margin = 0.0 if np.isnan(expanded_uncertainty) else expanded_uncertainty
-    is_accepted, is_rejected = abs(error) + margin <= limit, abs(error) - margin > limit
-    judgement: Judgement = "accepted" if is_accepted else "rejected" if is_rejected else "undecided"
-    return TestEntry(name=test_name, group=test_group, judgement=judgement, **sizes)
-
-
 @as_setup_error()
 def read_measured(file: Path, tests: Sequence[AcceptanceTest], limits: Floats) -> list[TestEntry]:
     """Errors of a CSV with the columns ``test``, ``error_um`` and (optionally) ``U_um``.
@@ -153,99 +141,28 @@ def read_measured(file: Path, tests: Sequence[AcceptanceTest], limits: Floats) -
     return list(entries.values())
 
 
-def network_test_entries(recording: Recording, instrument_specification: Specification) -> list[TestEntry]:
-    """Errors of lengths measured by each station, relative to the adjusted network, and differences between faces.
-
-    The network is adjusted together with the instrument's constants, so that its lengths do not contain their errors.
-    The uncorrected lengths of each station in one face are compared with them. Raises NetworkError for a network with
-    one station, which has no independent lengths, and for one that cannot be adjusted.
-
-    References
-    ----------
-    Wang, Muralikrishnan, Icasio Hernandez, Shakarji, Sawyer, Measurement 165 (2020) 108165.
-    """
-    if len(recording.stations) < 2:
-        raise NetworkError("the recording has one station; the network method needs at least two")
-    adjustment = adjust(recording, declared_construction(recording))
-    adjustment.solution.require_success()
-    is_complete = recording.is_measured.all(axis=1) & ~adjustment.is_gross_pointing
-    errors: list[TestEntry] = []
-    for s, station in enumerate(recording.stations):
-        front, back = (
-            _mean_points(recording, is_complete & (recording.station == s) & (recording.face == f)) for f in (1, 2)
-        )
-        errors += _length_entries(station, adjustment, front or back, instrument_specification)
-        both = sorted(front.keys() & back.keys())
-        for t in both:
-            error = float(np.linalg.norm(parts_across_beam((front[t] - back[t])[None], front[t][None])))
-            limit = float(instrument_specification.two_face_limits(front[t][None])[0])
-            errors.append(make_test_entry(f"{station}: {recording.targets[t]}", "two-face", error, limit))
-    if not errors:
-        raise NetworkError("no station measured two whole targets; a length needs both ends")
-    return errors
-
-
-def _mean_points(recording: Recording, rows: Floats) -> dict[int, Floats]:
-    """Mean points (3,) [m] in the instrument's frame of the targets in some rows, uncorrected."""
-    points = from_polar(recording.readings[rows])
-    targets = recording.target[rows]
-    return {int(t): points[targets == t].mean(axis=0) for t in np.unique(targets)}
-
-
-def _length_entries(
-    station: str, adjusted: Adjustment, mean_point_by_target: dict[int, Floats], instrument_specification: Specification
-) -> list[TestEntry]:
-    """Entries of all lengths between targets of a station, relative to the network, with their uncertainty."""
-    names, points = adjusted.recording.targets, adjusted.state.target_points
-    target_indices = [
-        t
-        for t in sorted(mean_point_by_target)
-        if names[t] not in adjusted.undetermined_targets and np.isfinite(points[t]).all()
-    ]
-    pairs = np.array(list(combinations(target_indices, 2)), dtype=np.int64).reshape(-1, 2)
-    if not len(pairs):
-        return []
-    first, second = (np.array([mean_point_by_target[int(t)] for t in ends]) for ends in pairs.T)
-    way = points[pairs[:, 1]] - points[pairs[:, 0]]
-    length = np.linalg.norm(way, axis=1)
-    direction = way / length[:, None]
-    uncertainties = 2 * np.sqrt(_length_variance(adjusted, target_indices, pairs, direction))
-    error = np.linalg.norm(second - first, axis=1) - length
-    limit = instrument_specification.length_limits(first, second)
-    entry_names = [f"{station}: {names[a]} to {names[b]}" for a, b in pairs]
-    return [
-        make_test_entry(name, f"lengths from {station}", float(e), float(m), float(u))
-        for name, e, m, u in zip(entry_names, error, limit, uncertainties, strict=True)
-    ]
-
-
-def _length_variance(adjusted: Adjustment, points: Sequence[int], pairs: Ints, unit_directions: Floats) -> Floats:
-    """Variances (k,) [m^2] of lengths along directions (k, 3) between pairs (k, 2) of adjusted targets.
-
-    The ends of a length have most errors in common (poses, constants), so that their joint covariance is needed; a
-    length does not depend on the datum.
-    """
-    unknowns, size = adjusted.problem.unknowns, len(points)
-    columns = unknowns.target_columns[points].ravel()
-    unit = np.zeros((unknowns.n_columns, len(columns)))
-    unit[columns, np.arange(len(columns))] = 1.0
-    covariance = adjusted.factorised_normals.covariance_columns(unit)[columns].reshape(size, 3, size, 3)
-    a, b = np.searchsorted(points, pairs).T
-    pair_covariance = covariance[a, :, a] + covariance[b, :, b] - covariance[a, :, b] - covariance[b, :, a]
-    return np.asarray(np.einsum("ki,kij,kj->k", unit_directions, pair_covariance, unit_directions))
-
-
 def evaluated_result(
     test_entries: Sequence[TestEntry],
     acceptance_settings: AcceptanceSettings,
     *,
     unmeasured_tests: Sequence[str] = (),
     recording: Recording | None = None,
+    network_tests: NetworkTests | None = None,
 ) -> AcceptanceFile:
-    """Result for measured errors; `unmeasured_tests` are the tests of the plan without one."""
+    """Result for measured errors; `unmeasured_tests` are the tests of the plan without one.
+
+    `network_tests` are the tests of a recording, with the errors in it; the test entries are its own.
+    """
     judgement = joint_judgement([t.judgement for t in test_entries if t.judgement])
-    if judgement == "accepted" and unmeasured_tests:
+    is_valid = network_tests is None or not network_tests.uncorrected_causes
+    if not is_valid or (judgement == "accepted" and unmeasured_tests):
         judgement = "undecided"
+    sentence = _judgement_sentence(test_entries, len(unmeasured_tests))
+    actions = _next_actions(test_entries, unmeasured_tests, is_network=recording is not None)
+    if network_tests is not None:
+        sentence = " ".join((*network_tests.sentences, sentence[0].upper() + sentence[1:]))
+        judgement_actions = actions if is_valid else ()
+        actions = (*network_tests.urgent_actions, *judgement_actions, *network_tests.further_actions)
     content = AcceptanceFile(
         title=acceptance_settings.title,
         kind="measured" if recording is None else "network",
@@ -253,8 +170,8 @@ def evaluated_result(
         specification=acceptance_settings.limits,
         judgement=judgement,
         unmeasured=tuple(unmeasured_tests),
-        sentence=_judgement_sentence(test_entries, len(unmeasured_tests)),
-        next_actions=_next_actions(test_entries, unmeasured_tests, is_network=recording is not None),
+        sentence=sentence,
+        next_actions=actions,
         groups=group_entries(test_entries),
         tests=tuple(test_entries),
     )

@@ -13,7 +13,7 @@ from ltsim.adjustment.datum import InnerDatum
 from ltsim.adjustment.frame import are_collinear
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests
+from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests_with_constants
 from ltsim.adjustment.reliability import (
     MIN_DOF_FOR_ESTIMATED_NOISE,
     iterative_snooping,
@@ -236,7 +236,8 @@ class Adjustment(Result):
     @cached_property
     def reference_tests(self) -> tuple[ReferenceTest, ...]:
         """Tests of the reference values, each against the other observations; removed values come first."""
-        return (*self.rejected_references, *reference_tests(self.problem, self.solution), *self.axis_tests)
+        tests = reference_tests_with_constants(self.problem, self.solution)
+        return (*self.rejected_references, *tests, *self.axis_tests)
 
     @property
     def undetermined_targets(self) -> tuple[str, ...]:

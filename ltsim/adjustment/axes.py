@@ -19,7 +19,7 @@ from ltsim.adjustment.start import initial_network
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, RecordError, option
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.alignment import align_robustly
+from ltsim.geometry.rigid import align_robustly
 from ltsim.physics.model.measurement import plumb_directions
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.files import quoted_text

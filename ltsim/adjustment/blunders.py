@@ -15,8 +15,8 @@ from ltsim.adjustment.frame import StationTargetPairs, alignment_distances
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.alignment import align_robustly
 from ltsim.geometry.polar import from_polar
+from ltsim.geometry.rigid import align_robustly
 from ltsim.physics.effects.face_confusion import FaceConfusion
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.physics.effects.wrong_unit import WrongUnit

@@ -1,8 +1,8 @@
-"""Centring errors: marks on which an instrument or target was set up again, on another day, at a displaced point.
+"""Centring errors of an instrument or target that was set up again over a mark, on another day, at a displaced point.
 
-All set-ups over a mark, and all targets on it, count as one point. An occupation is the use of a mark on one day by an
-instrument, or by a target. A separate shift for an occupation is added to the adjustment, one after the other, if it
-explains far more than the estimated noise. Readings of noisy targets are weighted by their estimated noise.
+All set-ups over a mark, and all targets on it, count as one point. An occupation is the use of a mark by an instrument
+or by a target on one day. One after the other, a separate shift is estimated for the occupation that it explains best,
+as long as the reduction of chi-square is significant. Readings of noisy targets are weighted by their estimated noise.
 """
 
 from dataclasses import dataclass, replace
@@ -22,49 +22,48 @@ from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import solve
 
 MAX_CENTRING_ERRORS = 6
-"""Largest number of estimated centring errors: a network with more has to be measured again."""
+"""Largest number of centring errors that are estimated. A network with more of them has to be measured again."""
 CENTRING_EFFECT_NAME = "target-moved"
 """Catalogue effect that represents a centring error: the equipment on a mark was displaced."""
 
 
 @dataclass(frozen=True)
 class MarkOccupation:
-    """Occupation of a mark by an instrument or target on one day.
-
-    `shift_sign` (n,) is +1 for pointings to it and -1 for those from it, for which the shift has the opposite sign.
-    """
+    """Occupation of a mark by an instrument or target on one day."""
 
     mark: str
     """Name of the mark."""
     role: str
-    """Equipment on the mark: instrument or target."""
+    """Equipment on the mark: `instrument` or `target`."""
     day: str
     """Day of the occupation."""
     shift_sign: Floats
-    """Sign (n, 1) with which a shift of the equipment acts on each pointing."""
+    """Sign (n,) with which a shift of the equipment acts on each of n pointings: +1 to it, -1 from it, 0 for others."""
 
 
 @dataclass(frozen=True)
 class CentringErrors:
-    """Centring errors of occupations: shifts (k, 3) and covariances (k, 3, 3) [m], and the adjustment with them.
-
-    If heights of heads are observations, shifts are in plan only, (k, 2) and (k, 2, 2).
-
-    `adjustment_without_errors` is the adjustment without them.
-    """
+    """Centring errors of k occupations, and the global test of the adjustment with them."""
 
     adjustment_without_errors: Adjustment
+    """Adjustment without centring errors."""
     occupations: tuple[MarkOccupation, ...]
+    """Occupations with a centring error."""
     shifts: Floats
+    """Shift of each occupation [m], (k, 3). It is in plan only, (k, 2), if heights of tracker heads are observations.
+    """
     covariance: Floats
+    """Covariance of the components of each shift [m^2], (k, 3, 3) or (k, 2, 2)."""
     chi2: float
+    """Chi-square of the adjustment with the centring errors."""
     dof: int
+    """Degrees of freedom of the adjustment with the centring errors."""
     noisy_targets: tuple[str, ...]
-    """Targets whose readings are weighted by their observed noise."""
+    """Names of the targets whose readings are weighted by their estimated noise."""
 
     @property
     def sizes(self) -> list[tuple[float, float]]:
-        """Size of each shift and its standard deviation [m]."""
+        """Length of each shift and its standard deviation, both in metres."""
         lengths = np.linalg.norm(self.shifts, axis=1)
         sigma = np.sqrt(np.einsum("ki,kij,kj->k", self.shifts, self.covariance, self.shifts)) / lengths
         return list(zip(lengths.tolist(), sigma.tolist(), strict=True))
@@ -93,14 +92,14 @@ class CentringErrors:
         )
         return (
             f"centring errors (tripod not re-occupied at the same point): {'; '.join(self.descriptions)}; "
-            f"with them in the model chi2/dof falls from {before} to {after}{suffix}"
+            f"with these errors in the model chi2/dof falls from {before} to {after}{suffix}"
         )
 
 
 def repeated_occupations(recording: Recording, station_marks: tuple[str, ...]) -> list[MarkOccupation]:
     """Occupations of all marks that were occupied on several days.
 
-    `station_marks` (S,) are the marks under the stations.
+    `station_marks` (S,) are the names of the marks under the S stations, empty for a station without a mark.
     """
     days = np.array(days_of_pointings(recording))
     if len(set(days.tolist())) < 2:
@@ -109,13 +108,13 @@ def repeated_occupations(recording: Recording, station_marks: tuple[str, ...]) -
     from_mark, to_mark = np.array(station_marks)[recording.station], np.array(recording.targets)[recording.target]
     for mark in dict.fromkeys(name for name in station_marks if name):
         roles = (("instrument", from_mark == mark, -1.0), ("target", to_mark == mark, 1.0))
-        of_mark = [
+        mark_occupations = [
             MarkOccupation(mark, role, day, sign * (rows & (days == day)))
             for role, rows, sign in roles
             for day in dict.fromkeys(days[rows].tolist())
         ]
-        if len({occupation.day for occupation in of_mark}) > 1:
-            all_occupations += of_mark
+        if len({occupation.day for occupation in mark_occupations}) > 1:
+            all_occupations += mark_occupations
     return all_occupations
 
 
@@ -133,13 +132,16 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
     model = adjustment.problem.model
     axes = 2 if model.head_heights else 3  # heights that the network corrects anyway tell of no tripod
     height_sigma = max((heads.sigma for heads in model.head_heights), default=0.0)
-    moves = model.linearise(adjustment.state).target_derivatives[:, :, :axes]
-    shifts = {i: whole.whiten(moves * occupation.shift_sign[:, None, None]) for i, occupation in enumerate(candidates)}
+    axis_derivatives = model.linearise(adjustment.state).target_derivatives[:, :, :axes]
+    shifts = {
+        i: whole.whiten(axis_derivatives * occupation.shift_sign[:, None, None])
+        for i, occupation in enumerate(candidates)
+    }
     occupations: list[int] = []
     while len(occupations) < min(MAX_CENTRING_ERRORS, len(candidates)):
-        fall = {i: space.chi2_drop(shift) for i, shift in shifts.items() if i not in occupations}
-        best = max(fall, key=lambda i: fall[i])
-        drop, rank = fall[best]
+        chi2_drops = {i: space.chi2_drop(shift) for i, shift in shifts.items() if i not in occupations}
+        best = max(chi2_drops, key=lambda i: chi2_drops[i])
+        drop, rank = chi2_drops[best]
         ratio = (drop / max(rank, 1)) / max((chi2 - drop) / max(dof - rank, 1), 1e-30)
         if rank < axes or dof <= rank or not special.fdtrc(rank, dof - rank, ratio) * len(candidates) < SINGLE_LEVEL:
             break
@@ -158,9 +160,9 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
 
 
 def correct_centring(adjustment: Adjustment) -> tuple[Recording, list[IdentifiedBlunder]]:
-    """Recording with the readings corrected for centring errors, and a finding for each error."""
-    moved, recording = estimate_centring_errors(adjustment), adjustment.recording
-    if moved is None:
+    """Recording with readings corrected for centring errors, and a blunder for each error."""
+    centring_errors, recording = estimate_centring_errors(adjustment), adjustment.recording
+    if centring_errors is None:
         return recording, []
     by_target, readings, findings = (
         adjustment.problem.model.linearise(adjustment.state).target_derivatives,
@@ -168,7 +170,11 @@ def correct_centring(adjustment: Adjustment) -> tuple[Recording, list[Identified
         [],
     )
     for occupation, value, (size, sigma), named in zip(
-        moved.occupations, moved.shifts, moved.sizes, moved.descriptions, strict=True
+        centring_errors.occupations,
+        centring_errors.shifts,
+        centring_errors.sizes,
+        centring_errors.descriptions,
+        strict=True,
     ):
         readings = readings - occupation.shift_sign[:, None] * (by_target[:, :, : len(value)] @ value)
         sentence = f"Centring error (tripod not re-occupied at the same point): {named}."

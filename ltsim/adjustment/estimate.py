@@ -27,8 +27,7 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import ModelError, NetworkError
 from ltsim.core.limits import MAX_ADJUSTED_POINTINGS
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.alignment import align_robustly
-from ltsim.geometry.rigid import rigid_motion_design
+from ltsim.geometry.rigid import align_robustly, rigid_motion_design
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.model.construction import Construction, ideal_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, smr_radius_offsets, with_plumb_lines
@@ -139,7 +138,12 @@ def adjust(
     wrong: tuple[ReferenceTest, ...] = ()
     if needs_start and not (robust and whole.has_no_references):
         sound = replace(whole, used_readings=whole.used_readings & ~gross[:, None]) if robust and gross.any() else whole
-        problem, solution, wrong = snoop_references(sound, solve(sound, start_state), tested_kinds)
+        tested, tested_state = sound.with_instrument_constants(start_state)
+        problem, solution, wrong = snoop_references(tested, solve(tested, tested_state), tested_kinds)
+        if tested is not sound:
+            problem = sound.with_model(replace(model, recording=problem.model.recording)) if wrong else sound
+            state = replace(solution.x, instrument_parameters=start_state.instrument_parameters)
+            solution = solve(problem, state)
         model = problem.model
     if wrong and robust:
         whole, start_state = whole.with_model(model), solution.x

@@ -15,7 +15,7 @@ import numpy as np
 from ltsim.adjustment.sight import FitReadings
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rotations import cross_matrix, from_rotation_vector, rotation_about_z
+from ltsim.geometry.rigid import cross_matrix, from_rotation_vector, rotation_about_z
 
 MIN_DAMPING = 1e-10
 """Smallest damping of Levenberg-Marquardt steps, relative to the diagonal of the normal equations, which keeps these

@@ -14,9 +14,8 @@ from ltsim.adjustment.marks import StationMarks
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import DEGREE, MILLIMETRE
-from ltsim.geometry.alignment import align_rigidly, align_robustly
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rotations import rotation_about_z, smallest_rotation
+from ltsim.geometry.rigid import align_rigidly, align_robustly, rotation_about_z, smallest_rotation
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Target
 

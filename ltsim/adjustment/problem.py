@@ -21,8 +21,10 @@ from ltsim.adjustment.rows import (
 )
 from ltsim.adjustment.structure import NetworkRows, UnknownColumns
 from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import NetworkError
 from ltsim.geometry.polar import wrap_angle
-from ltsim.geometry.rotations import cross_matrix
+from ltsim.geometry.rigid import cross_matrix
+from ltsim.physics.model.construction import declared_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, Prediction
 from ltsim.solve.design import ROWS_PER_PIECE, DesignMatrix, SparsityPattern, to_dense
 from ltsim.solve.elimination import BlockSystem
@@ -108,6 +110,24 @@ class NetworkProblem(NetworkRows):
             np.isin(new_problem.difference_rows.names, self.difference_rows.names)
         )
         return replace(new_problem, extra_sigma=self.extra_sigma, difference_rows=differences)
+
+    def with_instrument_constants(self, state: NetworkState) -> tuple[NetworkProblem, NetworkState]:
+        """Problem and state for tests of known lengths: with the constants of the instruments and their priors.
+
+        The scale of the distances and their zero make the error of a length uncertain also if the network is adjusted
+        without them. Problem and state are unchanged if they contain constants, or no length.
+        """
+        recording = self.model.recording
+        if not len(self.gauge_rows) or self.model.construction.n_parameters:
+            return self, state
+        try:
+            construction = declared_construction(recording)
+        except NetworkError:  # instruments of two designs have no common constants
+            return self, state
+        prior = ParameterPrior.independent(prior_sigmas(recording, construction))
+        parameters = np.zeros((len(recording.instruments), construction.n_parameters))
+        problem = replace(self, prior=prior).with_model(replace(self.model, construction=construction))
+        return problem, replace(state, instrument_parameters=parameters)
 
     def with_other_positions(self, model: MeasurementModel) -> NetworkProblem:
         """Problem of the same set-up and pointings, in any order, with stations and targets at other positions."""

@@ -17,8 +17,8 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import LtsimError, NetworkError
 from ltsim.core.notation import listing
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.alignment import align_rigidly
 from ltsim.geometry.polar import wrap_angle
+from ltsim.geometry.rigid import align_rigidly
 from ltsim.recordings.transcription_errors import GON_PER_DEGREE, UNIT_ERRORS, TranscriptionError
 
 MAX_UNUSED_FRACTION = 0.1

@@ -18,6 +18,7 @@ from ltsim.adjustment.reference_values import (
     common_scale,
     drop_reference,
     reference_values,
+    relax_exact_references,
 )
 from ltsim.adjustment.reliability import (
     critical_w,
@@ -62,8 +63,6 @@ MIN_RELATIVE_SIGNATURE = 1e-9
 """Relative length of a component's signature up to which the component has no influence on the observations."""
 MIN_RESIDUAL = 0.2
 """Whitened residual below which a reference value is not tested, because an error of 5 sigmas causes a larger one."""
-MIN_RELATIVE_SIGMA = 0.3
-"""Smallest standard deviation with which a reference value is tested, relative to the median one of the readings."""
 MAX_INCLINATION = 0.01
 """Ratio of horizontal to vertical error up to which an error of a point counts as a height error."""
 REFERENCE_BATCH_SIZE = 64
@@ -162,26 +161,6 @@ class ReferenceTest(ReferenceValue):
         return np.sqrt(noncentrality(alpha=FAMILY_LEVEL)) * self.sigma_error
 
 
-def relax_exact_references(problem: NetworkProblem, state: NetworkState) -> NetworkProblem:
-    """Problem in which exact reference values have a small standard deviation, so that a test of them is possible."""
-    if not problem.used_readings.any():
-        return problem
-    range_ = problem.model.geometry(state).range_
-    sizes = problem.sigma * np.stack([np.ones_like(range_), range_, range_], axis=1)
-    floor = MIN_RELATIVE_SIGMA * float(np.median(sizes[problem.used_readings]))
-    turn = floor / float(np.median(range_[problem.used_readings.any(axis=1)]))
-    floors = {
-        "control_rows": floor,
-        "control_rows_of_marks": floor,
-        "difference_rows": floor,
-        "level_rows": turn,
-        "yaw_rows": turn,
-    }
-    tested = {name: getattr(problem, name).with_min_sigma(least) for name, least in floors.items()}
-    exact = any(tested[name] is not getattr(problem, name) for name in floors)
-    return replace(problem, **tested) if exact else problem
-
-
 def reference_tests(
     problem: NetworkProblem, solution: Solution[NetworkState], min_residual: float = 0.0
 ) -> list[ReferenceTest]:
@@ -206,6 +185,19 @@ def reference_tests(
             gram = value.signature.T @ value.signature - inside[:, columns].T @ response[:, columns]
             tests.append(_reference_test(value, gram, value.signature.T @ residual[value.rows]))
     return tests
+
+
+def reference_tests_with_constants(
+    problem: NetworkProblem, solution: Solution[NetworkState]
+) -> tuple[ReferenceTest, ...]:
+    """Tests of the reference values of an adjustment, whose errors are uncertain by the constants of the instruments.
+
+    The residuals are those of the adjustment itself.
+    """
+    tested, state = problem.with_instrument_constants(solution.x)
+    tests = reference_tests(tested, solution if tested is problem else solve(tested, state))
+    residuals = {(value.kind, value.name): value.residual for value in reference_values(problem, solution.x)}
+    return tuple(replace(test, residual=residuals.get((test.kind, test.name), test.residual)) for test in tests)
 
 
 def _reference_test(value: ReferenceValueRows, gram_matrix: Floats, residual_product: Floats) -> ReferenceTest:

@@ -1,7 +1,7 @@
 """Reference values in an adjustment: declared value, misclosure, and effect of an error of the value."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -15,6 +15,8 @@ from ltsim.recordings.references import MIN_UNKNOWN_SCALE_PPM
 
 ReferenceKind = Literal["point", "difference", "length", "level", "yaw", "mark", "axes", "scale"]
 """Kind of reference value."""
+MIN_RELATIVE_SIGMA = 0.3
+"""Smallest standard deviation with which a reference value is tested, relative to the median one of the readings."""
 REMOVED_SETTINGS: dict[str, dict[str, object]] = {
     "level": {"levelled": False, "yaw_sigma_arcsec": None},
     "yaw": {"yaw_sigma_arcsec": None},
@@ -169,3 +171,23 @@ def exchange_coordinates(recording: Recording, first_name: str, second_name: str
         coordinates = {key: getattr(recording.setup.targets[there], key) for key in COORDINATE_KEYS}
         targets[here] = recording.setup.targets[here].model_copy(update=coordinates)
     return recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
+
+
+def relax_exact_references(problem: NetworkProblem, state: NetworkState) -> NetworkProblem:
+    """Problem in which exact reference values have a small standard deviation, so that a test of them is possible."""
+    if not problem.used_readings.any():
+        return problem
+    range_ = problem.model.geometry(state).range_
+    sizes = problem.sigma * np.stack([np.ones_like(range_), range_, range_], axis=1)
+    floor = MIN_RELATIVE_SIGMA * float(np.median(sizes[problem.used_readings]))
+    turn = floor / float(np.median(range_[problem.used_readings.any(axis=1)]))
+    floors = {
+        "control_rows": floor,
+        "control_rows_of_marks": floor,
+        "difference_rows": floor,
+        "level_rows": turn,
+        "yaw_rows": turn,
+    }
+    tested = {name: getattr(problem, name).with_min_sigma(least) for name, least in floors.items()}
+    exact = any(tested[name] is not getattr(problem, name) for name in floors)
+    return replace(problem, **tested) if exact else problem

@@ -13,8 +13,7 @@ from ltsim.adjustment.marks import StationMarks
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE
 from ltsim.geometry.polar import wrap_angle
-from ltsim.geometry.rigid import MAX_COLLINEAR_RATIO, rigid_motion_design
-from ltsim.geometry.rotations import cross_matrix, perpendicular_vectors
+from ltsim.geometry.rigid import MAX_COLLINEAR_RATIO, cross_matrix, perpendicular_vectors, rigid_motion_design
 from ltsim.physics.model.measurement import plumb_directions
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths, mark_indices

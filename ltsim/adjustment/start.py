@@ -20,9 +20,8 @@ from ltsim.adjustment.start_errors import require_connected_stations, require_lo
 from ltsim.core.arrays import Bools, Floats, Ints, group_rows
 from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing
-from ltsim.geometry.alignment import align_robustly
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rotations import rotation_about_z, smallest_rotation
+from ltsim.geometry.rigid import align_robustly, rotation_about_z, smallest_rotation
 from ltsim.recordings.recording import Recording
 
 INITIALISATION_METHODS = ("frame", "cloud", "ranges", "places", "bearings")

@@ -13,7 +13,7 @@ from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.significance import MIN_FAR_RESIDUAL
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.model.measurement import NetworkState
-from ltsim.recordings.recording import OBSERVABLES
+from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.solve.design import robust_sigma, weight_rows
 from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
 from ltsim.solve.gauss_newton import Solution, solve
@@ -30,8 +30,20 @@ too: more than single errors explain.
 """
 MAX_ROBUST_STEPS = 25
 """Largest number of reweightings, each with a linear step."""
+NOISE_KEYS = {
+    "distance": ("distance_mm", "distance_ppm"),
+    "azimuth": ("azimuth_arcsec",),
+    "elevation": ("elevation_arcsec",),
+}
+"""Keys of `[instrument.noise]` by observable."""
 ROBUST_TOLERANCE = 1e-2
 """Squared length of a step, in standard deviations, below which the reweighting ends."""
+
+
+def noise_settings(recording: Recording, observable: str, factor: float) -> list[str]:
+    """Texts of the settings that declare the noise of an observable of the only instrument times a factor."""
+    noise = recording.setup.instrument_named(recording.instruments[0]).noise
+    return [f"{key} to {factor * getattr(noise, key):.2g}" for key in NOISE_KEYS[observable] if getattr(noise, key)]
 
 
 def n_observation_rows(problem: NetworkProblem) -> int:
@@ -139,8 +151,8 @@ from 1,250 readings.
 MAX_VARIANCE_ESTIMATES = 30
 """Largest number of estimates of the noise factors for a given set of outliers."""
 MAX_CONVERGENCE_RATIO = 0.9
-"""Upper limit of the estimated ratio of successive steps of the noise factors, so that an extrapolation is at most ten
-times the last step.
+"""Upper limit of the estimated ratio of successive changes of the noise factors, so that a secant step is at most ten
+times the change.
 """
 MAX_OUTLIER_ESTIMATES = 6
 """Largest number of searches for outliers, each with new noise factors; the set of outliers may alternate."""
@@ -188,7 +200,7 @@ def estimate_variance_components(
     factor, redundancy = np.ones(3 * len(names) + 1), np.zeros(3 * len(names) + 1)
     declared, available = problem, problem.used_readings if reading_mask is None else reading_mask
     for _ in range(MAX_OUTLIER_ESTIMATES):
-        before_last = np.zeros(len(factor))
+        last_change, last_step = np.zeros(len(factor)), np.zeros(len(factor))
         for _ in range(MAX_VARIANCE_ESTIMATES):
             if solution.factor is None:
                 return problem, solution, ()
@@ -196,12 +208,12 @@ def estimate_variance_components(
             enough = redundancy > MIN_GROUP_REDUNDANCY
             change = np.where(enough, np.sqrt(square / np.where(enough, redundancy, 1.0)), 1.0)
             log_change = np.log(np.maximum(change, 0.1))
-            factor = factor * np.exp(_extrapolated_limit(log_change, before_last))
+            last_change, last_step = log_change, _secant_step(log_change, last_change, last_step)
+            factor = factor * np.exp(last_step)
             problem = _scale_sigmas(declared, factor, group, problem.used_readings)
             solution = solve(problem, solution.x)
             if np.max(np.abs(change - 1.0)) < VARIANCE_FACTOR_TOLERANCE:
                 break
-            before_last = np.where(before_last, 0.0, log_change)
         before = problem.used_readings
         problem, solution = reject_outliers(_scale_sigmas(declared, factor, group, available), solution.x)
         if np.array_equal(problem.used_readings, before):
@@ -215,13 +227,14 @@ def estimate_variance_components(
     return problem, solution, tuple(VarianceComponent(*kind, *numbers) for kind, *numbers in rows)
 
 
-def _extrapolated_limit(step: Floats, last_step: Floats) -> Floats:
-    """Remaining change to the limit of a sequence with linear convergence (Aitken's delta-squared process).
+def _secant_step(change: Floats, last_change: Floats, last_step: Floats) -> Floats:
+    """Step (g,) of g fixed-point iterations to their limits, by the secant through the present and the last change.
 
-    `step` (g,) is the present step of each of g sequences, `last_step` (g,) the step before it; 0 for no extrapolation.
+    `change` (g,) is the change of each value by the fixed-point function, `last_change` (g,) the one before it, and
+    `last_step` (g,) the step between the two; a step of 0 means that there is none, and the change is the step.
     """
-    ratio = np.divide(step, last_step, out=np.zeros_like(step), where=last_step != 0.0)
-    return step / (1.0 - np.clip(ratio, 0.0, MAX_CONVERGENCE_RATIO))
+    slope = np.divide(change - last_change, last_step, out=np.full_like(change, -1.0), where=last_step != 0.0)
+    return change / (1.0 - np.clip(1.0 + slope, 0.0, MAX_CONVERGENCE_RATIO))
 
 
 def _scale_sigmas(problem: NetworkProblem, factor: Floats, group_indices: Ints, reading_mask: Bools) -> NetworkProblem:

@@ -10,19 +10,12 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.quality import adjustment_warnings
 from ltsim.adjustment.reliability import MIN_DOF_FOR_ESTIMATED_NOISE
 from ltsim.adjustment.significance import GLOBAL_LEVEL
+from ltsim.adjustment.stochastic_model import noise_settings
 from ltsim.core.notation import listing
 from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
 
 MAX_SINGLE_ERROR_FRACTION = 0.05
 """Fraction of outliers among the readings up to which they count as single errors; above it the noise is wrong."""
-
-
-NOISE_KEYS = {
-    "distance": ("distance_mm", "distance_ppm"),
-    "azimuth": ("azimuth_arcsec",),
-    "elevation": ("elevation_arcsec",),
-}
-"""Keys of `[instrument.noise]` by observable."""
 
 
 class VerdictCase(Enum):
@@ -174,10 +167,7 @@ def noise_declaration_advice(adjustment: Adjustment, alpha: float = GLOBAL_LEVEL
         if np.isfinite(recording.covariates.get(SIGMA_COLUMNS[k], np.full(len(recording), np.nan))[use]).all():
             by_row.append(f"the sigmas of {observable} by {factor:.2g}")
         elif len(recording.instruments) == 1:
-            noise = recording.setup.instrument_named(recording.instruments[0]).noise
-            advice += [
-                f"{key} to {factor * getattr(noise, key):.2g}" for key in NOISE_KEYS[observable] if getattr(noise, key)
-            ]
+            advice += noise_settings(recording, observable, float(factor))
         else:
             by_row.append(f"the noise of {observable} by {factor:.2g}")
     sentences = [f"Set {listing(advice, len(advice))} in [instrument.noise]." if advice else ""]

@@ -27,7 +27,9 @@ class UndeterminedEntry(CombinationTerms):
     gain: OptionalFloat = None
     """Fraction of the prior variance that the readings removed."""
     cure: str = ""
-    """Measurement that would determine the combination."""
+    """Measurement that would determine the combination, and its benefit."""
+    measurement: str = ""
+    """Instruction of this measurement without its benefit; empty if no tested measurement determines it."""
 
 
 class DeterminedEntry(CombinationTerms):

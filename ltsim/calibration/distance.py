@@ -155,9 +155,9 @@ def _undetermined_entries(
             [list(estimate.undetermined_combinations)],
             recommend_measurements=recommend_measurements,
         )
-    names = construction.instrument_parameter_names(instruments)
+    names, advice = construction.instrument_parameter_names(instruments), "try the network method"
     return tuple(
-        UndeterminedEntry(combination=d.coefficients(names), gain=d.gain, cure="try the network method")
+        UndeterminedEntry(combination=d.coefficients(names), gain=d.gain, cure=advice, measurement=advice)
         for d in estimate.undetermined_combinations
     )
 

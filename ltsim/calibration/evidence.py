@@ -21,9 +21,9 @@ is reported: the recording then determines it four times better than its members
 MAX_TRUNCATION_SIGMA_RATIO = 1.2
 """Largest permitted increase of the standard deviation of a combination when its smallest members are omitted, as a
 ratio."""
-MIN_LEADING_WEIGHT = 0.9
+MIN_LEADING_WEIGHT = 0.5
 """Coefficient, relative to the largest of a combination, above which a member can be the reference with coefficient 1.
-The first such member is used."""
+The first such member is used: the vertical index before the harmonics of the circle, in the order of the model."""
 MIN_AMPLITUDE_FOR_PHASE = 2.0
 """Ratio of a harmonic's amplitude to its standard deviation above which a phase is reported."""
 EVIDENCE_SIZES = np.array(list(probability.SIZE_PRIOR))

@@ -136,7 +136,7 @@ def effect_display_name(effect: Signature, adjustment: Adjustment) -> str:
     """Name of an effect; for an empirical law its text, response ~ regressor."""
     if not isinstance(effect, EmpiricalLaw):
         return effect.name
-    regressor_name = regressor_text(effect.regressor, clock=adjustment.recording.has_clock)
+    regressor_name = regressor_text(effect.regressor, has_clock=adjustment.recording.has_clock)
     return f"{effect.response.name} ~ {regressor_name}{law_suffix(effect)}"
 
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from ltsim.adjustment.joint import COVARIANCE_FILE
+from ltsim.adjustment.coordinate_uncertainty import COVARIANCE_FILE
 from ltsim.calibration.arrays import arrays_from_file_rows
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.reported import joint_covariance_csv

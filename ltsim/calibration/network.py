@@ -191,16 +191,22 @@ def adjust(
 
 
 def _fit_with_constants(adjustment: Adjustment) -> FitEntry | None:
-    """Fit with the instrument's constants estimated, if the readings reject the fit without them; otherwise None.
+    """Fit of the readings in use with the instrument's constants estimated, if they reject the fit without these.
 
-    It is None for corrected instruments too.
+    It is None if they do not, and for corrected instruments.
     """
     recording = adjustment.recording
     if recording.is_corrected or _uncertainty_factor_of(adjustment) == 1.0:
         return None
     try:
         built = declared_construction(recording)
-        fitted = adjusted_network(recording, built, effects=adjustment.effects, sigma=adjustment.problem.sigma)
+        problem = adjustment.problem
+        how: dict[str, Any] = {
+            "effects": adjustment.effects,
+            "sigma": problem.sigma,
+            "reading_mask": problem.used_readings,
+        }
+        fitted = adjusted_network(recording, built, **how)
     except LtsimError:
         return None
     return result.fit_entry(fitted) if fitted.solution.has_converged else None

@@ -8,9 +8,10 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.joint import MAX_TARGETS_IN_FILE, covariance_csv
-from ltsim.adjustment.unmodelled import (
+from ltsim.adjustment.coordinate_uncertainty import (
+    MAX_TARGETS_IN_FILE,
     air_covariance,
+    covariance_csv,
     hidden_displacements,
     joint_air_covariance,
     longest_range,

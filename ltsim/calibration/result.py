@@ -11,8 +11,9 @@ from ltsim.adjustment.evaluation.criteria import CriteriaEntry, evaluate_criteri
 from ltsim.adjustment.frame import DeclaredFrame
 from ltsim.adjustment.reference_tests import ERROR_UNITS
 from ltsim.adjustment.remedies.undetermined import (
+    DeterminingMeasurement,
     ParameterCombination,
-    determining_sentences,
+    determining_measurements,
     undetermined_combinations,
 )
 from ltsim.adjustment.verdict import Verdict, verdict_on
@@ -33,8 +34,7 @@ from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing, with_sigma
 from ltsim.core.probability import AGREEMENT_LEVEL
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE, PPM
-from ltsim.geometry.rigid import rigid_motion_design
-from ltsim.geometry.rotations import quaternion_from_matrix
+from ltsim.geometry.rigid import quaternion_from_matrix, rigid_motion_design
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.smr_incidence import SmrIncidence
@@ -312,16 +312,16 @@ def undetermined_entries(
 ) -> tuple[UndeterminedEntry, ...]:
     """Entries of each instrument's undetermined combinations, on request with the measurements that determine them."""
     instruments = adjustment.recording.instruments
-    nothing = [[""] * len(group) for group in undetermined_directions]
-    sentences = (
-        determining_sentences(adjustment, construction, undetermined_directions) if recommend_measurements else nothing
-    )
+    measurements = [[DeterminingMeasurement()] * len(group) for group in undetermined_directions]
+    if recommend_measurements:
+        measurements = determining_measurements(adjustment, construction, undetermined_directions)
     combinations = []
     for i, group in enumerate(undetermined_directions):
         names = construction.instrument_parameter_names(instruments)[i * construction.n_parameters :]
-        for direction, cure in zip(group, sentences[i], strict=True):
+        for direction, (instruction, sentence) in zip(group, measurements[i], strict=True):
+            terms = direction.coefficients(names)
             combinations.append(
-                UndeterminedEntry(combination=direction.coefficients(names), gain=direction.gain, cure=cure)
+                UndeterminedEntry(combination=terms, gain=direction.gain, cure=sentence, measurement=instruction)
             )
     return tuple(combinations)
 

@@ -31,6 +31,7 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.notation import listing
 from ltsim.core.units import MICROMETRE
 from ltsim.geometry.rigid import remove_rigid_motion
+from ltsim.physics.effects import parameter_text
 from ltsim.recordings.recording import Recording
 from ltsim.solve.design import to_dense
 
@@ -101,7 +102,7 @@ def recommend_correction(
     not_applied = tuple(parameter_names[k] for k in dropped_terms)
     notes = [n for n in (evidence.scale_sentence, note) if n]
     if not_applied:
-        words, plural = listing([name.replace("-", " ") for name in not_applied]), len(not_applied) > 1
+        words, plural = listing(list(map(parameter_text, not_applied))), len(not_applied) > 1
         terms, they = ("terms", "they are") if plural else ("term", "it is")
         notes.append(f"held-out targets are predicted better without the {terms} {words}: {they} not applied")
     values = mean * held

@@ -22,6 +22,7 @@ from ltsim.calibration.history import History
 from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.prior_information import EarlierCalibrations, ParameterSelection
 from ltsim.calibration.reported import with_reported_uncertainty
+from ltsim.core.arguments import check_mapping
 from ltsim.core.errors import LtsimError, ModelError, RecordError, option, unknown_name
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.verbs import SizedEffect, effect_tuple, make_effect, name_tuple
@@ -109,6 +110,7 @@ def calibrate(
     >>> found.to_dataframe("parameters").columns.tolist()
     ['parameter', 'instrument', 'value', 'sigma', 'unit', 'prior_sigma', 'held', 'applied']
     """
+    check_mapping("hold", hold)
     if method not in ("network", *DISTANCE_METHODS):
         raise unknown_name("method", method, ("network", *DISTANCE_METHODS))
     if isinstance(construction, Construction):

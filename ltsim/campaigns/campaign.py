@@ -71,6 +71,11 @@ class WorkerSettings:
         check_choice("backend", self.backend, ("local", "dask"))
         if self.scheduler and self.backend != "dask":
             raise SetupError(f"{option('scheduler')} is {self.scheduler}, which needs {option('backend=dask')}")
+        if self.backend == "dask" and not self.scheduler:
+            raise SetupError(
+                f"{option('backend=dask')} needs {option('scheduler')}, an address such as tcp://127.0.0.1:8786 or a "
+                "cluster file"
+            )
 
 
 @dataclass(frozen=True)
@@ -112,8 +117,13 @@ def run_campaign(
     taken = [] if store.has_campaign or force else store.conflicting_files(sources)
     if taken:
         raise SetupError(
-            f"{folder}: contains {', '.join(taken)} but no campaign; name another --out, or replace them with --force"
+            f"{folder}: contains {', '.join(taken)} but no campaign; name another {option('out')}, "
+            f"or replace them with {option('force=True')}"
         )
+    chosen_workers = workers or WorkerSettings()
+    if chosen_workers.backend == "dask":
+        with _dask_cluster(chosen_workers):
+            pass  # a scheduler that does not answer is reported before anything is written
     with store.lock():
         if force and not resume:
             store.remove_files()
@@ -131,7 +141,7 @@ def run_campaign(
             notes += damaged
             done, existing = done + len(waiting), existing + len(wanted) - len(waiting)
             try:
-                for task, content in _iterate_results(waiting, workers or WorkerSettings(), store):
+                for task, content in _iterate_results(waiting, chosen_workers, store):
                     store.write_shard(task.cell, task.shard, content)
                     progress(n_rows_of_shard(campaign, task.shard))
             except WorkerError as problem:
@@ -190,13 +200,14 @@ def _extended_campaign(
     """
     if not resume:
         raise SetupError(
-            f"{store.folder}: holds a campaign; continue it with --resume, name another --out, "
-            "or start again with --force"
+            f"{store.folder}: holds a campaign; continue it with {option('resume=True')}, "
+            f"name another {option('out')}, or start again with {option('force=True')}"
         )
     manifest = store.manifest()
     if not all(old.digest for old in manifest.cells):
         raise SetupError(
-            f"{store.folder}: started by an earlier version of ltsim; start again with another --out, or with --force"
+            f"{store.folder}: started by an earlier version of ltsim; start again with another {option('out')}, "
+            f"or with {option('force=True')}"
         )
     before, ordered, remaining = manifest.settings, list[CampaignCell](), list(cells)
     for old in manifest.cells:
@@ -208,14 +219,14 @@ def _extended_campaign(
             ]
             raise SetupError(
                 f"{file}: changed since this campaign started ({', '.join(changed)}); its rows in {store.folder} stay: "
-                f"continue with {store.folder / CAMPAIGN_FILE}, or start again with another --out"
+                f"continue with {store.folder / CAMPAIGN_FILE}, or start again with another {option('out')}"
             )
         remaining.remove(same)
         ordered.append(same)
     if [*manifest.cells[0].levels] != [*cells[0].levels]:
         raise SetupError(
             f"{file}: varies {', '.join(cells[0].levels) or 'nothing'}, but the campaign in {store.folder} varies "
-            f"{', '.join(manifest.cells[0].levels) or 'nothing'}: a different factor needs another --out"
+            f"{', '.join(manifest.cells[0].levels) or 'nothing'}: a different factor needs another {option('out')}"
         )
     statistics = tuple(dict.fromkeys((*before.get("statistics", ()), *campaign.statistics)))
     extension = {"trials": max(campaign.trials, manifest.trials), "statistics": statistics}
@@ -234,7 +245,7 @@ def _environment_change_notes(store: CampaignFolder) -> list[str]:
             before = quoted_text(str(then.get(name)))
             raise SetupError(
                 f"{store.folder}: started with {name} {before}, this is {today[name]}, whose rows may differ; "
-                "continue with the same version, or start again with another --out"
+                f"continue with the same version, or start again with another {option('out')}"
             )
     notes = []
     if (begun := manifest.commit) != (now := checkout_commit()):
@@ -366,8 +377,6 @@ def _dask_cluster(workers: WorkerSettings) -> Iterator[None]:
         from distributed import Client, KilledWorker
     except ImportError:
         raise SetupError("the dask backend needs the extra 'cluster': pip install ltsim[cluster]") from None
-    if not workers.scheduler:
-        raise SetupError("--backend dask needs --scheduler, an address such as tcp://127.0.0.1:8786 or a cluster file")
     try:
         connect: Any = Client
         place = "scheduler_file" if Path(workers.scheduler).is_file() else "address"

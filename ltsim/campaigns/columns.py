@@ -1,6 +1,5 @@
 """Columns of a campaign's rows: settings of the cell, then results, each with its unit."""
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from ltsim.campaigns.design import Factor
 from ltsim.campaigns.schema import PARAMETER_UNIT_TEXT, TRIAL_STATUSES, WITHOUT_RESULT, find_column
 from ltsim.core.arrays import Floats
-from ltsim.physics.effects.effect import Effect, Parameter
+from ltsim.physics.effects.effect import Effect, Parameter, effect_parameter_names
 from ltsim.physics.model.construction import Construction
 
 ResultColumns = dict[str, NDArray[Any]]
@@ -37,15 +36,11 @@ def parameter_labels(
     construction: Construction, instruments: Sequence[str], effects: Sequence[Effect]
 ) -> list[ParameterLabel]:
     """Labels of the parameters of all instruments, followed by the parameters of effects."""
-    names, counts = construction.instrument_parameter_names(instruments), Counter[str]()
+    names = construction.instrument_parameter_names(instruments)
     labels = [ParameterLabel(*pair) for pair in zip(names, construction.parameters * len(instruments), strict=True)]
-    for effect in effects:
-        for parameter in effect.parameters:
-            name = f"{effect.name}:{parameter.name}" + (f" {effect.place_text}" if effect.place_text else "")
-            counts[name] += 1
-            again = f" #{counts[name]}" if counts[name] > 1 else ""
-            labels.append(ParameterLabel(name + again, parameter, effect))
-    return labels
+    parameters = [(parameter, effect) for effect in effects for parameter in effect.parameters]
+    names_of_effects = effect_parameter_names((e.name, e.place_text, [p.name for p in e.parameters]) for e in effects)
+    return labels + [ParameterLabel(name, *pair) for name, pair in zip(names_of_effects, parameters, strict=True)]
 
 
 def parameter_columns(labels: Sequence[ParameterLabel], parameters: Floats, prefix: str) -> ResultColumns:

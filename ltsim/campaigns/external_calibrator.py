@@ -19,7 +19,7 @@ from typing import Annotated, NamedTuple
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from ltsim.core.errors import CalibratorError, RecordError, SetupError
+from ltsim.core.errors import CalibratorError, RecordError, SetupError, option
 from ltsim.core.parallel import SAFE_PATH
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.recordings import Recording, write as write_recording
@@ -55,11 +55,11 @@ def split_command(command: str) -> list[str]:
     for place in (RECORDING_PLACEHOLDER, OUTPUT_PLACEHOLDER):
         if place not in command:
             expected = f"'CMD {RECORDING_PLACEHOLDER} {OUTPUT_PLACEHOLDER}'"
-            raise SetupError(f"--calibrator '{quoted_text(command)}' lacks {place}: expected {expected}")
+            raise SetupError(f"{option('calibrator')} '{quoted_text(command)}' lacks {place}: expected {expected}")
     try:
         return shlex.split(command)
     except ValueError as problem:
-        raise SetupError(f"--calibrator '{quoted_text(command)}': {problem}") from None
+        raise SetupError(f"{option('calibrator')} '{quoted_text(command)}': {problem}") from None
 
 
 def run_external_calibrator(
@@ -91,7 +91,8 @@ def run_external_calibrator(
                 filled, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, check=False, env=environment
             )
         except OSError as problem:
-            raise SetupError(f"--calibrator: {quoted_text(words[0])} cannot be started ({problem.strerror})") from None
+            message = f"{option('calibrator')}: {quoted_text(words[0])} cannot be started ({problem.strerror})"
+            raise SetupError(message) from None
         what = f"'{quoted_text(calibrator, MAX_LINE_LENGTH)}' ended with status {done.returncode} for {origin}"
         lines = done.stderr.decode("utf-8", "replace").split("\n")
         last = next((line.strip() for line in reversed(lines) if line.strip()), "")

@@ -12,7 +12,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
-from ltsim.geometry.kinematics.chain import ElementaryMotion, RotationStep
+from ltsim.geometry.kinematics import ElementaryMotion, RotationStep
 from ltsim.physics.model.construction import Construction
 
 DERIVATIVE_STEP = 1e-4

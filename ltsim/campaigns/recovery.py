@@ -41,7 +41,7 @@ from ltsim.campaigns.recovery_trials import (
 )
 from ltsim.campaigns.schema import ErrorOrigin, NonNegativeInt
 from ltsim.campaigns.scoring import TrialScore
-from ltsim.core.arguments import check_bounds
+from ltsim.core.arguments import check_bounds, check_mapping
 from ltsim.core.errors import ModelError, SetupError, option, unknown_name
 from ltsim.core.notation import listing
 from ltsim.core.results import Table
@@ -230,6 +230,7 @@ def recover(
     []
     """
     check_bounds(trials=trials, seed=seed, jobs=jobs, required_argument="trials seed jobs")
+    check_mapping("tolerance", tolerance)
     scenario, given = scenario_of(source), tolerance or {}
     true_construction, mode = make_scenario_construction(scenario), errors or suggested_error_origin(scenario)
     if true_construction.name == "dh" and construction not in (None, "dh"):

@@ -37,10 +37,9 @@ from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings import Recording
 from ltsim.recordings.result_file import Entry, OptionalFloat
-from ltsim.simulation.fieldwork import make_geometry
-from ltsim.simulation.physics import instrument_error_distribution
+from ltsim.simulation.physics import instrument_error_distribution, make_scenario_construction
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.simulator import measure_trial, placing_stream_key
+from ltsim.simulation.simulator import simulate
 
 CONVERGENCE = "convergence"
 """Subject of the check that every trial has a result."""
@@ -141,15 +140,15 @@ def with_errors_from_prior(scenario: Scenario) -> Scenario:
 
 def run_trial(scenario: Scenario, seed: int, index: int, settings: RecoverySettings) -> TrialScore | FailedTrial:
     """Result of a trial: simulation, calibration and comparison with the truth."""
-    geometry = make_geometry(scenario, seed, *placing_stream_key(index, "per-trial"))
-    recording, truth = measure_trial(geometry, seed, index)
-    law = instrument_error_distribution(geometry.scenario, geometry.construction)
-    names = geometry.construction.instrument_parameter_names(tuple(geometry.scenario.trackers_in_use))
+    recording, truth = simulate(scenario, seed, index, "per-trial")
+    construction = make_scenario_construction(scenario)
+    law = instrument_error_distribution(scenario, construction)
+    names = construction.instrument_parameter_names(tuple(scenario.trackers_in_use))
     laws = dict(zip(names, zip(*(x.ravel() for x in law), strict=True), strict=True))
     reference = None
     try:
         reference = score_calibration(
-            calibrate_with(recording, settings, settings.construction or geometry.construction), truth, laws
+            calibrate_with(recording, settings, settings.construction or construction), truth, laws
         )
     except LtsimError as problem:
         if settings.calibrator is None and not isinstance(problem, ConvergenceError):

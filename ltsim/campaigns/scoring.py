@@ -16,6 +16,7 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import CalibratorError, SetupError
 from ltsim.core.units import SI_PER_UNIT, has_same_kind
 from ltsim.core.values import ValueEquality
+from ltsim.physics.effects.effect import effect_parameter_names
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.recordings.files import quoted_text
 from ltsim.simulation.truth import Truth
@@ -76,11 +77,14 @@ class TrueParameter(NamedTuple):
 def true_parameters(truth: Truth) -> dict[str, TrueParameter]:
     """True parameters by name; those of effects as ``head-sag:sag``, followed by their place if they have one."""
     values = {name: TrueParameter(value, truth.units[name]) for name, value in truth.instrument_values.items()}
-    for applied in truth.applied_effects:
-        place = f" {applied.effect.place_text}" if applied.effect.place_text else ""
-        for parameter, value in zip(applied.effect.parameters, applied.parameter_values, strict=True):
-            values[f"{applied.effect.name}:{parameter.name}{place}"] = TrueParameter(float(value), parameter.unit)
-    return values
+    effects = [applied.effect for applied in truth.applied_effects]
+    names = effect_parameter_names((e.name, e.place_text, [p.name for p in e.parameters]) for e in effects)
+    entries = [
+        TrueParameter(float(value), parameter.unit)
+        for applied in truth.applied_effects
+        for parameter, value in zip(applied.effect.parameters, applied.parameter_values, strict=True)
+    ]
+    return values | dict(zip(names, entries, strict=True))
 
 
 def check_true_parameters(names: Sequence[str], true_names: Collection[str], truth: Truth) -> None:
@@ -202,12 +206,12 @@ def score_calibration(
 
 def _effect_parameters(calibration: Calibration) -> dict[str, ParameterEstimate]:
     """Estimates of the parameters of effects in a calibration, by the names of `true_parameters`."""
+    entries = calibration.effects
+    names = effect_parameter_names((e.effect, e.place_text, [p.name for p in e.parameters]) for e in entries)
+    parameters = [parameter for entry in entries for parameter in entry.parameters]
     return {
-        f"{entry.effect}:{parameter.name}" + (f" {entry.place_text}" if entry.place_text else ""): ParameterEstimate(
-            parameter.value, parameter.sigma, parameter.unit
-        )
-        for entry in calibration.effects
-        for parameter in entry.parameters
+        name: ParameterEstimate(parameter.value, parameter.sigma, parameter.unit)
+        for name, parameter in zip(names, parameters, strict=True)
         if isinstance(parameter.value, float) and parameter.sigma
     }
 

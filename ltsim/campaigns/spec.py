@@ -12,8 +12,8 @@ from pydantic import Field, model_validator
 
 from ltsim.adjustment.evaluation.criteria import read_nominal
 from ltsim.campaigns.design import Design, Factor, short_key_names
-from ltsim.campaigns.schema import StatisticGroup, find_column
-from ltsim.core.errors import SetupError, as_setup_error
+from ltsim.campaigns.schema import RESULT_COLUMNS, ManifestFile, StatisticGroup, find_column
+from ltsim.core.errors import SetupError, as_setup_error, unknown_name
 from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.settings import read_toml, validate_settings
 from ltsim.recordings.setup import Positive, TomlSection
@@ -152,10 +152,15 @@ class CampaignFile(TomlSection):
 
     @model_validator(mode="after")
     def _stops_by_what_rows_hold(self) -> Self:
-        column = find_column(self.stop.statistic) if self.stop else None
-        wanted = column and column.group
-        if self.stop and wanted and wanted not in self.statistics:
-            raise ValueError(f"it should have '{wanted}' among its statistics, since stop needs {self.stop.statistic}")
+        if self.stop is None:
+            return self
+        column = find_column(self.stop.statistic)
+        if column is None:
+            columns = [column.name for column in RESULT_COLUMNS]
+            raise ValueError(f"stop.statistic: {unknown_name('column of the rows', self.stop.statistic, columns)}")
+        if column.group and column.group not in self.statistics:
+            message = f"it should have '{column.group}' among its statistics, since stop needs {self.stop.statistic}"
+            raise ValueError(message)
         return self
 
     @model_validator(mode="after")
@@ -231,6 +236,8 @@ def load_campaign(
     `changes` are new values of keys of the file (such as `trials`) or of dotted keys of the scenario, which are then
     the same in all cells. Raises SetupError.
     """
+    if tables is None and (path / ManifestFile.FILE).is_file():
+        raise SetupError(f"{path}: the folder holds rows of a campaign; to run it, give {path / 'campaign.toml'}")
     with as_setup_error():
         given = read_toml(path, "campaign") if tables is None else {"format": CAMPAIGN_FORMAT, **tables}
         campaign = validate_settings(given, CampaignFile, "campaign", path)

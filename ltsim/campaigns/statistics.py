@@ -30,7 +30,7 @@ from ltsim.campaigns.schema import (
 from ltsim.campaigns.stopping import interval_error_rate, student_quantile
 from ltsim.campaigns.store import CampaignFolder, sql_path
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import ModelError, SetupError, unknown_name
+from ltsim.core.errors import ModelError, SetupError, option, unknown_name
 from ltsim.core.results import ColumnValues, Table, columns_from_rows
 from ltsim.recordings.files import quoted_text
 
@@ -396,4 +396,5 @@ def _finite_or_none(value: float | None) -> float:
 
 def _damaged_folder_error(folder: Path, problem: Exception) -> SetupError:
     reason = quoted_text(str(problem).split("\n")[0], 200)
-    return SetupError(f"{folder}: a shard cannot be read ({reason}); run the campaign with --resume to repair it")
+    repair = f"run the campaign with {option('resume=True')} to repair it"
+    return SetupError(f"{folder}: a shard cannot be read ({reason}); {repair}")

@@ -26,7 +26,7 @@ import pyarrow.parquet as pq
 from filelock import FileLock, Timeout
 
 from ltsim.campaigns.schema import SUMMARY_FILE, ManifestFile
-from ltsim.core.errors import RecordError, SetupError
+from ltsim.core.errors import RecordError, SetupError, option
 from ltsim.core.storage import complete_interrupted_moves, path_in_folder, write_files
 from ltsim.recordings.result_file import read_result
 
@@ -66,8 +66,8 @@ def read_shard(path: Path) -> pa.Table:
 
 def interruption_error(folder: Path, reason: object, remedy: str = "") -> SetupError:
     """Error for a campaign that ended early and can be continued; `remedy` is an action before that."""
-    action = f"{remedy} and continue" if remedy else "continue"
-    return SetupError(f"{folder}: {reason}; complete files of rows remain in the folder: {action} with --resume")
+    action = f"{f'{remedy} and ' if remedy else ''}continue with {option('resume=True')}"
+    return SetupError(f"{folder}: {reason}; complete files of rows remain in the folder: {action}")
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,8 @@ class CampaignFolder:
         try:
             return read_shard(path)
         except (pa.ArrowException, OSError) as problem:
-            raise SetupError(f"{path}: cannot be read ({problem}); continue with --resume to repair it") from None
+            repair = f"continue with {option('resume=True')} to repair it"
+            raise SetupError(f"{path}: cannot be read ({problem}); {repair}") from None
 
     def verify(self, shards: Iterable[Path], cell_digests: Mapping[int, str]) -> None:
         """Check that the shards are unchanged since they were written, and belong to their cells.

@@ -82,9 +82,7 @@ def campaign(
     if tables is not None and out is None:
         raise SetupError("a campaign without a file needs a folder for its rows: out=...")
     path = Path("the campaign") if isinstance(source, Mapping) else source_path(source)
-    if tables is None and path.is_dir():
-        if out is not None or resume or force or changes:
-            raise SetupError(f"{path}: the folder holds rows of a campaign; to run it, give {path / 'campaign.toml'}")
+    if tables is None and path.is_dir() and out is None and not (resume or force or changes):
         return CampaignResults(path)
     folder = path.with_suffix("") if out is None else Path(out)
     run_campaign(

@@ -188,7 +188,7 @@ def _run_estimation(
 
     Without --force each command replaces only earlier results of the same command.
     """
-    from ltsim.adjustment.joint import COVARIANCE_FILE
+    from ltsim.adjustment.coordinate_uncertainty import COVARIANCE_FILE
     from ltsim.calibration.calibration import Calibration
     from ltsim.calibration.files import write_calibration
     from ltsim.calibration.schema import RESIDUALS_TABLE, TARGETS_TABLE

@@ -13,11 +13,10 @@ import typer
 
 import ltsim as lt
 from ltsim.campaigns import require_packages
-from ltsim.cli import streams
 from ltsim.cli.places import COMMAND_CHECKED_OUTPUT, FILE_OUTPUT, ForceOption
 from ltsim.cli.simulate import ScenarioArgument
-from ltsim.cli.terminal import ResultTerminal, Terminal
-from ltsim.core.arguments import bounded_parser, range_text
+from ltsim.cli.terminal import ResultTerminal, Terminal, write_line
+from ltsim.core.arguments import bounded_parser, range_text, source_path
 from ltsim.core.errors import SetupError, StoppedError
 from ltsim.core.storage import with_digest_comment
 from ltsim.recordings.files import write_text
@@ -34,9 +33,7 @@ A larger difference on a verified trial gives exit status 1.
 """
 
 
-CampaignFileArgument = Annotated[
-    Path | None, typer.Argument(metavar="FILE", help="A campaign file (ltsim-campaign/1).")
-]
+CampaignFileArgument = Annotated[str | None, typer.Argument(metavar="FILE", help="A campaign file (ltsim-campaign/1).")]
 ShowTemplateOption = Annotated[
     bool, typer.Option("--show", help="Print a commented template of a campaign file, and stop.")
 ]
@@ -83,13 +80,14 @@ def campaign(
     from ltsim.reports.sections.campaign import campaign_section
 
     workers = WorkerSettings(*(options.pop(name) for name in ("jobs", "backend", "scheduler")))
-    folder = out or file.with_suffix("")
-    settings, scenarios = load_campaign(file, options["changes"])
+    path = source_path(file)
+    folder = out or path.with_suffix("")
+    settings, scenarios = load_campaign(path, options["changes"])
     n_trials = settings.trials * len(settings.methods) * len(scenarios)
     terminal.print_note_on_compilation()
     try:
         with terminal.show_progress("trials", n_trials) as advance:
-            outcome = run_campaign(file, folder, progress=advance, workers=workers, force=force, **options)
+            outcome = run_campaign(path, folder, progress=advance, workers=workers, force=force, **options)
     except KeyboardInterrupt:
         n_finished_files = len(CampaignFolder(folder).shards())
         raise StoppedError(
@@ -112,7 +110,7 @@ def campaign(
         if (e["largest_difference_sigma"] or 0.0) > MAX_BATCH_SOLVER_DIFFERENCE
     ]
     for failure in failures:
-        streams.write_line(failure, sys.stderr)
+        write_line(failure, sys.stderr)
     return 1 if failures else 0
 
 
@@ -187,7 +185,7 @@ def recover(
             meaning = " ".join(table.meanings["absolute error difference"].split())
             terminal.print_text(f"absolute error difference: {meaning[0].lower()}{meaning[1:]}.")
     for sentence in result.failure_sentences():
-        streams.write_line(sentence, sys.stderr)
+        write_line(sentence, sys.stderr)
     if not result.passed:
         raise typer.Exit(1)
     chance_text = f" (a correct model fails this check in {100 * FALSE_ALARM_RATE:.0f} % of runs)"

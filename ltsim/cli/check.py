@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import ltsim as lt
-from ltsim.cli import streams
 from ltsim.cli.examples import example_text
 from ltsim.cli.options import ControlledReadingOptions, ReadingOptions, RecordingArgument
-from ltsim.cli.terminal import ResultTerminal, Terminal
+from ltsim.cli.terminal import ResultTerminal, Terminal, is_reader_gone
 from ltsim.core.errors import NetworkError, RecordError, SetupError
 from ltsim.core.notation import align_columns
 from ltsim.recordings.files import is_number
@@ -152,7 +151,7 @@ def watch_recording(terminal: Terminal, run_check: Callable[[], Check], changes:
         if (reported_failures and not failed) or not reported_failures.union(map(_item_key, failed)):
             terminal.print_unbuffered(f"{len(result.arrays.recording)} pointings: {result.sentence}")
         reported_failures = set(map(_item_key, failed))
-        if streams.is_reader_gone():
+        if is_reader_gone():
             return
 
 
@@ -273,7 +272,8 @@ def uncertainty(
 ) -> int:
     """Evaluate the uncertainty of the tasks of a file: GUM and Monte Carlo, budget, conformity.
 
-    Writes uncertainty.json, uncertainty.csv and budget.csv to --out. Exit status 1 if a result fails its tolerance.
+    Writes uncertainty.json, uncertainty.csv and budget.csv to --out. Exit status 0 if all results with a tolerance are
+    accepted, 1 if one is rejected or undecided.
 
     Example: ltsim uncertainty flange.toml --out my-uncertainty
     """
@@ -315,7 +315,7 @@ def uncertainty(
         )
         terminal.print_text(f"\n{text}")
     terminal.print_folder(terminal.out)
-    return int(any(r.conformity is not None and r.conformity.judgement == "rejected" for r in content.results))
+    return int(any(r.conformity is not None and r.conformity.judgement != "accepted" for r in content.results))
 
 
 def _recording_of_tasks(

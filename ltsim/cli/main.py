@@ -11,8 +11,8 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from ltsim.cli import streams
 from ltsim.cli.options import typer_command
+from ltsim.cli.terminal import discard_output, flush_streams, prepare_streams, write_line
 from ltsim.core.errors import LtsimError, StoppedError, options_are_flags
 
 INVALID_INPUT_STATUS = 2
@@ -104,7 +104,7 @@ def print_version(is_requested: bool) -> None:
     if is_requested:
         from importlib.metadata import version
 
-        streams.write_line(f"ltsim {version('ltsim')}", sys.stdout)
+        write_line(f"ltsim {version('ltsim')}", sys.stdout)
         raise typer.Exit
 
 
@@ -127,7 +127,7 @@ def run(arguments: Sequence[str]) -> int:
     try:
         with options_are_flags():
             status = app(args=list(arguments) or ["--help"], prog_name="ltsim", standalone_mode=False)
-        streams.flush_streams()
+        flush_streams()
     except UsageError as problem:
         return _report_invalid_input(_usage_error_sentence(problem))
     except StoppedError as stop:
@@ -136,7 +136,7 @@ def run(arguments: Sequence[str]) -> int:
         return _report_invalid_input(str(problem))
     except (BrokenPipeError, SystemExit):
         # The reader of the pipe has closed it (`| head`); Typer exits for that reason only.
-        streams.discard_output(sys.stdout)
+        discard_output(sys.stdout)
         return 0
     except (KeyboardInterrupt, typer.Abort):
         return _report_interruption()
@@ -148,7 +148,7 @@ def run(arguments: Sequence[str]) -> int:
 
 def _report_interruption(remark: str = "no partial file remains") -> int:
     """Exit status after an interruption; prints a remark."""
-    streams.write_line(f"interrupted; {remark}", sys.stderr)
+    write_line(f"interrupted; {remark}", sys.stderr)
     return INTERRUPTED_STATUS
 
 
@@ -158,11 +158,11 @@ def _report_failure(error: Exception) -> int:
     Prints the error.
     """
     if isinstance(error, OSError) and error.errno in UNWRITABLE_OUTPUT_ERRNOS:
-        streams.discard_output(sys.stdout)
+        discard_output(sys.stdout)
         return _report_invalid_input(f"{error.filename or 'the output'} cannot be written ({error.strerror})")
-    streams.write_line("".join(traceback.format_exception(error)).rstrip(), sys.stderr)
+    write_line("".join(traceback.format_exception(error)).rstrip(), sys.stderr)
     cause = "the memory is not sufficient" if isinstance(error, MemoryError) else "internal error of ltsim"
-    streams.write_line(f"error: {cause} ({type(error).__name__}); please report it with the lines above", sys.stderr)
+    write_line(f"error: {cause} ({type(error).__name__}); please report it with the lines above", sys.stderr)
     return INTERNAL_ERROR_STATUS
 
 
@@ -176,14 +176,14 @@ def _usage_error_sentence(error: Any) -> str:
 
 def _report_invalid_input(message: str) -> int:
     """Exit status after invalid input or wrong usage; prints the error as one line."""
-    streams.write_line("error: " + " ".join(message.split()), sys.stderr)
+    write_line("error: " + " ".join(message.split()), sys.stderr)
     return INVALID_INPUT_STATUS
 
 
 def main() -> None:
     """Entry point of the installed command."""
-    streams.prepare_streams()
+    prepare_streams()
     gc.set_threshold(50_000, 10, 10)  # collecting garbage took a tenth of the time of a page
     status = run(sys.argv[1:])
-    streams.flush_streams()
+    flush_streams()
     sys.exit(status)

@@ -15,10 +15,16 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 import typer
 
 import ltsim as lt
-from ltsim.cli import streams
 from ltsim.cli.places import OutputPlace, check_outputs
-from ltsim.cli.terminal import Terminal
-from ltsim.core.arguments import ARGUMENT_BOUNDS, MOVE_SYNTAX, bounded_parser, check_choice, range_text
+from ltsim.cli.terminal import Terminal, is_output_closed
+from ltsim.core.arguments import (
+    ARGUMENT_BOUNDS,
+    MAPPING_SYNTAX,
+    MAX_MAPPING_NUMBER,
+    bounded_parser,
+    check_choice,
+    range_text,
+)
 from ltsim.core.errors import FLAG_SPELLINGS, RecordError, SetupError
 
 if TYPE_CHECKING:
@@ -184,7 +190,7 @@ def typer_command(name: str, function: Callable[..., Any]) -> Callable[..., Any]
     def run(**values: Any) -> Any:
         places = ((flag, values[name], output) for name, flag, output in outputs if values[name] is not None)
         check_outputs(places, force=values.get("force", False))
-        if values.get("as_json") and streams.is_output_closed():
+        if values.get("as_json") and is_output_closed():
             raise SetupError("--json prints to standard output, which is closed; open it, or omit --json")
         for key, group in groups.items():
             values[key] = group(**{f.name: values.pop(f.name) for f in fields(group)})
@@ -212,8 +218,6 @@ def _keyword_parameter(name: str, annotation: Any, default: Any) -> inspect.Para
 
 PYTHON_ONLY = ("advise", "allow_repeated", "geometry", "about", "format", "hints", "callbacks")
 """Parameters of public functions that are not made into options."""
-MAX_MAPPING_NUMBER = 1e12
-"""Largest magnitude of a number in an option NAME=NUMBER; a larger number is refused."""
 SHORT_FLAGS = {"trials": "-n", "jobs": "-j"}
 """Short spelling of an option, by the name of its parameter."""
 METAVARIABLES = {"prior": "FILE|none", "with_effects": "EFFECT[:WHERE,...]", "calibrator": "'CMD {recording} {out}'"}
@@ -235,20 +239,13 @@ def _parse_toml_value(text: str) -> Any:
         return text
 
 
-def _parse_place(text: str) -> tuple[float, ...]:
-    place = tuple(_parse_number(part) for part in text.split(","))
-    if len(place) not in (2, 3, 4):
-        raise ValueError
-    return place
-
-
-MAPPING_OPTIONS: dict[str, tuple[str, str, Callable[[str], Any]]] = {
-    "hold": ("NAME=VALUE", "NAME=VALUE with a number, e.g. beam-tilt=2.5", _parse_number),
-    "tolerance": ("NAME=QUANTITY", "NAME=QUANTITY, such as beam-tilt='2 urad'", lambda text: text.strip("'\"")),
-    "changes": ("KEY=VALUE", "KEY=VALUE, such as work.faces=2", _parse_toml_value),
-    "move": ("STATION=X,Y[,Z[,YAW]]", MOVE_SYNTAX, _parse_place),
+MAPPING_OPTIONS: dict[str, tuple[str, Callable[[str], Any]]] = {
+    "hold": ("NAME=VALUE", _parse_number),
+    "tolerance": ("NAME=QUANTITY", lambda text: text.strip("'\"")),
+    "changes": ("KEY=VALUE", _parse_toml_value),
+    "move": ("STATION=X,Y[,Z[,YAW]]", lambda text: text.split(",")),
 }
-"""Options that are mappings: placeholder in the help, form in the error message, parser of a value."""
+"""Options that are mappings: placeholder in the help, parser of a value."""
 
 
 @dataclass(frozen=True)
@@ -270,7 +267,7 @@ class FunctionOption:
     @property
     def flag(self) -> str:
         """Flag on the command line: `--noise-from-data`."""
-        return FLAG_SPELLINGS.get(self.name, "--set" if self.name == "changes" else "--" + self.name.replace("_", "-"))
+        return FLAG_SPELLINGS.get(self.name, "--" + self.name.replace("_", "-"))
 
     @property
     def is_repeatable(self) -> bool:
@@ -320,12 +317,12 @@ class FunctionOption:
         return tuple(command_line_value) if self.is_repeatable else command_line_value
 
     def _parse_pair(self, text: str) -> tuple[str, Any]:
-        _, expected_form, parse = MAPPING_OPTIONS[self.name]
+        _, parse = MAPPING_OPTIONS[self.name]
         key, _, value = (part.strip() for part in text.partition("="))
         with suppress(ValueError):
             if key and value:
                 return key, parse(value)
-        raise SetupError(f"{self.flag} {text}: expected {expected_form}")
+        raise SetupError(f"{self.flag} {text}: expected {MAPPING_SYNTAX[self.name]}")
 
 
 def function_options(function_name: str, parameter_names: list[str]) -> list[FunctionOption]:

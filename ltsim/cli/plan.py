@@ -160,9 +160,8 @@ def _print_station_alternatives(terminal: Terminal, source: str, alternatives: S
 
 def _search_plan(terminal: Terminal, source: str, folder: Path | None, search_options: dict[str, Any]) -> Plan:
     """Plan from a search for a layout; during the search the best layout so far is printed and written."""
-    from ltsim.planning.layout_scenario import copy_cad_files, with_layout
     from ltsim.planning.making import SearchCallbacks
-    from ltsim.planning.result import load_plan_and_scenario
+    from ltsim.planning.result import copy_cad_files, load_plan_and_scenario, with_layout
     from ltsim.recordings.files import write_texts
     from ltsim.simulation.scenario import scenario_to_toml
     from ltsim.simulation.workshop import placed_obstacles
@@ -209,8 +208,8 @@ def _write_and_print_plan(terminal: Terminal, plan_result: Plan, folder: Path | 
 def _picture_files(plan_result: Plan) -> dict[str, bytes]:
     """Contents of the files with pictures: work order, floor plan, trade-off of time and quality."""
     from ltsim.reports.figures.parameters import trade_off_figure
+    from ltsim.reports.page import work_order_page
     from ltsim.reports.style import png_bytes
-    from ltsim.reports.work_order import work_order_page
 
     content_by_name = {
         WORK_ORDER_FILE: work_order_page(plan_result).encode(),

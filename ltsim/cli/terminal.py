@@ -1,24 +1,97 @@
-"""Terminal output of a command: text, JSON and progress."""
+"""Terminal output of a command: text, JSON, progress; standard streams that may be closed, full or without reader."""
 
 from __future__ import annotations
 
 import json
+import os
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import IO, TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from ltsim.cli import streams
 from ltsim.cli.places import COMMAND_CHECKED_OUTPUT, ForceOption, check_overwrite
+from ltsim.core.errors import printable
 
 if TYPE_CHECKING:
     from ltsim.recordings.result_file import ResultFile
+
+_CLOSED_AT_START: set[int] = set()
+"""File descriptors of the standard streams that were closed when the process started."""
+_DROPPED_STREAMS: set[int] = set()
+"""File descriptors of the standard streams whose further output is discarded."""
+
+
+def prepare_streams() -> None:
+    """Preparation of the standard streams of this process for output.
+
+    A closed stream is replaced by the null device, so that no other file takes its number. Characters that the encoding
+    lacks are printed as escapes. Warnings are shown only with `-W` or PYTHONWARNINGS.
+    """
+    for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            _CLOSED_AT_START.add(descriptor)
+            null_device = Path(os.devnull).open("r+", encoding="utf-8")  # noqa: SIM115  # takes the lowest free number
+            os.set_inheritable(null_device.fileno(), True)
+            setattr(sys, name, null_device)
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")
+        os.environ["PYTHONWARNINGS"] = "ignore"  # of worker processes
+
+
+def is_output_closed() -> bool:
+    """True if this process was started with a closed standard output."""
+    return 1 in _CLOSED_AT_START
+
+
+def is_reader_gone() -> bool:
+    """True if the program that reads standard output (such as `head`) has closed it."""
+    return 1 in _DROPPED_STREAMS
+
+
+def write_line(text: str, stream: IO[str]) -> None:
+    """Output of a line whose control characters are replaced; raises OSError if standard output cannot be written."""
+    with _discard_when_lost(stream):
+        print(printable(text), file=stream)
+
+
+def flush_streams() -> None:
+    """Flush of both streams; raises OSError if standard output cannot be written."""
+    for stream in (sys.stdout, sys.stderr):
+        with _discard_when_lost(stream):
+            stream.flush()
+
+
+@contextmanager
+def _discard_when_lost(stream: IO[str]) -> Iterator[None]:
+    """Context after which a stream discards its output, if its reader is gone or standard error cannot be written.
+
+    Raises OSError if standard output cannot be written for another reason.
+    """
+    try:
+        yield
+    except OSError as problem:
+        if stream is not sys.stderr and not isinstance(problem, BrokenPipeError):
+            raise
+        discard_output(stream)
+
+
+def discard_output(stream: IO[str]) -> None:
+    """Redirection of a stream to the null device, so that Python does not fail at exit."""
+    _DROPPED_STREAMS.add(stream.fileno())
+    null_device = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null_device, stream.fileno())
+    os.close(null_device)
+
 
 ResultFileType = TypeVar("ResultFileType", bound="ResultFile")
 PROGRESS_DELAY_S = 10.0
@@ -41,23 +114,23 @@ class Terminal:
     def print_text(self, text: str = "") -> None:
         """Output of a line of text on standard output; nothing is printed with `--quiet` or `--json`."""
         if not self.is_silent:
-            streams.write_line(text, sys.stdout)
+            write_line(text, sys.stdout)
 
     def print_always(self, text: str) -> None:
         """Output of a text that was requested, such as a template or an address; it is printed also with `--quiet`."""
-        streams.write_line(text.removesuffix("\n"), sys.stdout)
+        write_line(text.removesuffix("\n"), sys.stdout)
 
     def print_unbuffered(self, text: str, *, bell: bool = False) -> None:
         """Unbuffered output of a line, optionally with a bell on a terminal."""
         if bell and not self.is_silent and sys.stdout.isatty():
             print("\a", end="")
         self.print_text(text)
-        streams.flush_streams()
+        flush_streams()
 
     def print_note(self, text: str) -> None:
         """Output of a remark on standard error."""
         if not self.quiet:
-            streams.write_line(text, sys.stderr)
+            write_line(text, sys.stderr)
 
     def print_note_on_compilation(self) -> None:
         """Output of a remark on the compilation time of the campaign solver, if the solver is not compiled yet."""
@@ -89,7 +162,7 @@ class Terminal:
     def print_json(self, content: Any) -> None:
         """Output of the result as JSON, if requested."""
         if self.as_json:
-            streams.write_line(json.dumps(content, indent=1, allow_nan=False), sys.stdout)
+            write_line(json.dumps(content, indent=1, allow_nan=False), sys.stdout)
 
     @contextmanager
     def show_progress(self, task_text: str, n_steps: int | None = None) -> Iterator[Callable[[int], None]]:
@@ -123,7 +196,7 @@ class Terminal:
             while not is_finished.wait(wait_s):
                 wait_s = time.monotonic() - start_time
                 self.print_note(f"{progress_text()} ({wait_s:.0f} s)")
-                streams.flush_streams()
+                flush_streams()
 
         thread = threading.Thread(target=print_lines, daemon=True)
         thread.start()

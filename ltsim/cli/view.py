@@ -10,10 +10,9 @@ import typer
 from pydantic import ValidationError
 
 import ltsim as lt
-from ltsim.cli import streams
 from ltsim.cli.options import FramedReadingOptions
 from ltsim.cli.places import COMMAND_CHECKED_OUTPUT, FILE_OUTPUT, ForceOption, OutputPlace, check_new_file
-from ltsim.cli.terminal import QuietOption, Terminal
+from ltsim.cli.terminal import QuietOption, Terminal, flush_streams
 from ltsim.core.errors import RecordError, SetupError, require
 from ltsim.recordings.settings import validation_sentence
 from ltsim.recordings.setup import About
@@ -112,7 +111,7 @@ def view(
 
 def _serve_planner(terminal: Terminal, plan: str, result_folder: Path, port: int, *, force: bool) -> None:
     """Serve the page on which the stations of a plan are moved by hand, until Ctrl-C."""
-    from ltsim.planning.layout_scenario import PLAN_FILE, SCENARIO_FILE
+    from ltsim.planning.result import PLAN_FILE, SCENARIO_FILE
     from ltsim.reports.board.board import MovableLayout
     from ltsim.reports.board.server import PlannerRequests, serve_planner
 
@@ -123,7 +122,7 @@ def _serve_planner(terminal: Terminal, plan: str, result_folder: Path, port: int
 
     def announce(address: str) -> None:
         terminal.print_always(address)
-        streams.flush_streams()
+        flush_streams()
         terminal.print_text("open this address to move the stations; Ctrl-C ends the server")
         if _has_display():
             webbrowser.open(address)

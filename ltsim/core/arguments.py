@@ -23,6 +23,17 @@ MOVE_SYNTAX = "STATION=X,Y or STATION=X,Y,Z or STATION=X,Y,Z,YAW in mm and degre
 """Syntax of a moved station, for messages and help."""
 
 
+MAPPING_SYNTAX = {
+    "hold": "NAME=VALUE with a number, e.g. beam-tilt=2.5",
+    "tolerance": "NAME=QUANTITY, such as beam-tilt='2 urad'",
+    "changes": "KEY=VALUE, such as work.faces=2",
+    "move": MOVE_SYNTAX,
+}
+"""Syntax of the arguments that are mappings, by name, for messages and help."""
+MAX_MAPPING_NUMBER = 1e12
+"""Largest magnitude of a number in an argument NAME=NUMBER; a larger number is refused."""
+
+
 def range_text(argument_name: str) -> str:
     """Range of an argument as text: `0 or more`, `1 to 256`."""
     low, high = ARGUMENT_BOUNDS[argument_name]
@@ -73,9 +84,12 @@ def check_choice(
 
 
 def check_mapping(argument_name: str, argument_value: object) -> None:
-    """Check that an argument is a mapping or None; raises SetupError otherwise."""
+    """Check that an argument is a mapping with names as keys, or None; raises SetupError otherwise."""
     if argument_value is not None and not isinstance(argument_value, Mapping):
         raise SetupError(f"{option(argument_name)} is {argument_value}, expected a mapping")
+    for key, value in (argument_value or {}).items():
+        if not isinstance(key, str) or not key.strip():
+            raise SetupError(f"{option(argument_name)} {key}={value}: expected {MAPPING_SYNTAX[argument_name]}")
 
 
 def source_path(path_or_name: object) -> Path:

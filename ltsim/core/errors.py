@@ -94,7 +94,10 @@ MAX_QUOTED_NAME_LENGTH = 60
 """Number of characters up to which a message quotes a name in full; longer names are shortened."""
 _SPELLING = {"flags": False}
 """Spelling of options in messages: as flags of the command line, or as arguments in Python."""
-FLAG_SPELLINGS = {"with_effects": "--with", "scaled": "--scale", "hints": "--hint", "calibrate=False": "--no-calibrate"}
+FLAG_SPELLINGS = {
+    "with_effects": "--with", "scaled": "--scale", "hints": "--hint", "changes": "--set",
+    "calibrate=False": "--no-calibrate",
+}  # fmt: skip
 """Command-line spelling of the options that are not named like their Python parameter."""
 
 

@@ -1,4 +1,4 @@
-"""Assembly of the result of a diagnosis from an explained recording."""
+"""Assembly of the result of a diagnosis from the selected model and the findings of tests."""
 
 from collections.abc import Sequence
 
@@ -18,7 +18,7 @@ from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.recordings.result_file import SourceEntry
 
 MAX_REPORTED_FINDINGS = 5
-"""Largest number of reported findings, blunders and constants first."""
+"""Largest number of reported findings. Blunders and constants are counted first, then effects by their significance."""
 
 
 def assemble_diagnosis(
@@ -32,14 +32,19 @@ def assemble_diagnosis(
     *,
     mismatch: bool,
 ) -> Diagnosis:
-    """Diagnosis from the explained model, and from findings of tests (`certain_findings`), which need no search."""
+    """Diagnosis from the selected model after its refit, and from the findings of tests.
+
+    `certain_findings` are those of tests, which need no search. `final_adjustment` is the adjustment with the model, or
+    without it if that did not converge. `errors` are prediction errors of held-out readings, and `selection` contains
+    the simple causes of the adjustment before the search.
+    """
     case, model, detection = model_fit.state, model_fit.model, model_fit.detection
     baseline, adjusted = case.baseline, model_fit.refit.adjustment
     shifts = [
         model_fit.finding(i) for i, finding in enumerate(model.members) if finding.key not in model_fit.withheld_keys
     ]
-    clock = case.recording.has_clock
-    noises = [noise_finding(finding, baseline.sightings, detection, clock=clock) for finding in case.noise]
+    has_clock = case.recording.has_clock
+    noises = [noise_finding(finding, baseline.sightings, detection, has_clock=has_clock) for finding in case.noise]
     certain = [finding for finding in (*shifts, *noises) if finding.evidence.p_real >= MIN_PROBABLE]
     is_noise_only = not certain_findings and all(finding.effect == NoiseLevel.name for finding in certain)
     likely = (
@@ -89,9 +94,9 @@ def assemble_diagnosis(
 def _averaged_targets_and_change(
     model_fit: ExplainedRecording, shifts: Sequence[Finding], noises: Sequence[Finding]
 ) -> tuple[AveragedTargets, Floats]:
-    """Targets and difference of the change of the readings (n, 3), averaged over explanations.
+    """Targets, and the change (n, 3) of the readings minus that of the refit, both averaged over explanations.
 
-    The targets are those of the calibration if no cause is more probable than not.
+    If no cause is more probable than not, the targets are those of the ordinary adjustment.
     """
     case = model_fit.state
     targets, change = average_over_explanations(case.searcher, model_fit.model, model_fit.rankings, model_fit.refit)

@@ -1,12 +1,13 @@
 """Bayesian model average of the target coordinates over the explanations that the recording does not exclude.
 
-Each explanation shifts the adjusted coordinates; sizes are shrunk by their prior, and explanations are weighted by
-their probability, "no effect" included (Hoeting et al. 1999, Statistical Science 14). The curve of an empirical law is
-an approximation, so evidence between laws is tempered by its discrepancy. The covariance includes the variance between
-explanations.
+An explanation is one possible cause of the residuals: an effect, a law, or no effect. Each explanation shifts the
+adjusted coordinates. The prior shrinks its size, and its weight is its probability (Hoeting et al. 1999, Statistical
+Science 14). The curve of an empirical law is an approximation. Log evidences are therefore divided by a temperature
+above 1. The covariance includes the variance between explanations.
 
-The shift s of the targets by empirical laws is applied as far as the risk allows. Without it, coordinates err by s and
-by an independent error e; applying t s changes the sum of squares by t^2 s's - 2 t (s's + s'e), a normal variable.
+Only a fraction t of the shift s of the targets by empirical laws is applied, because the laws may be wrong. Without the
+shift, the error of the coordinates is s plus an independent error e. The fraction t changes the sum of squared errors
+by t^2 s's - 2 t (s's + s'e), which is a normal variable.
 """
 
 from collections.abc import Sequence
@@ -16,8 +17,8 @@ import numpy as np
 from scipy.special import ndtri
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.coordinate_uncertainty import air_covariance
 from ltsim.adjustment.refit import Refit
-from ltsim.adjustment.unmodelled import air_covariance
 from ltsim.core.arrays import Floats
 from ltsim.diagnosis.diagnosis import AveragedTargets
 from ltsim.diagnosis.evidence import coefficient_posterior, normalised_probabilities, wide_prior_posterior
@@ -30,31 +31,35 @@ from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.variance import VarianceFunction
 
 MAX_ERROR_INCREASE = 0.05
-"""Permitted relative increase of the coordinate error when the shift of a law is subtracted."""
+"""Limit on the relative increase of the coordinate error by the correction for a law. The probability that the increase
+exceeds it is at most `P_ERROR_INCREASE_EXCEEDED`."""
 P_ERROR_INCREASE_EXCEEDED = 0.03
-"""Probability with which the increase of the coordinate error may exceed `MAX_ERROR_INCREASE`."""
+"""Largest permitted probability that the relative increase of the coordinate error exceeds `MAX_ERROR_INCREASE`."""
 MAX_AVERAGED_EXPLANATIONS = 12
-"""Largest number of averaged explanations (cost)."""
+"""Largest number of explanations in the average, which limits the computing time."""
 MIN_AVERAGED_PROBABILITY = 0.003
-"""Smallest probability of an averaged explanation (cost)."""
+"""Smallest probability of an explanation in the average. Less probable ones are left out, to limit the computing time.
+"""
 
 
 def average_over_explanations(
     searcher: Searcher, model: Model, rankings: Sequence[Ranking], fitted: Refit
 ) -> tuple[AveragedTargets, Floats]:
-    """Average over the alternative explanations of each member of a refitted model.
+    """Target coordinates and change of the readings, averaged over the explanations of each member of a model.
+
+    `rankings` contain the alternatives to each member, and `fitted` is the nonlinear refit of the model.
 
     Returns
     -------
-    Targets
-        Coordinates, those of the refit to second order.
+    AveragedTargets
+        Coordinates and their covariance: those of the refit, corrected by the average over the explanations.
     (n, 3) float
-        Difference of the expected change of the readings from that of the refit [m, rad, rad].
+        Averaged change of the three readings of n pointings, minus their change by the refit [m, rad, rad].
     """
     refitted = [replace(h, effect=effect) for h, effect in zip(model.members, fitted.effects, strict=True)]
     space, linear = searcher.space, first_order_change(searcher, searcher.model_of(refitted))
     points, change = fitted.adjustment.state.target_points + space.target_shifts(linear), -linear
-    by_laws, open_ = np.zeros_like(points), [np.zeros((0, *points.shape))]
+    shift_by_laws, weighted_deviations = np.zeros_like(points), [np.zeros((0, *points.shape))]
     for i, ranking in enumerate(rankings):
         others = searcher.model_without(model, i)
         weights, changes = model_weights(searcher, others, model.members[i], ranking, 1.0 + model.discrepancy_penalty)
@@ -62,10 +67,10 @@ def average_over_explanations(
         mean = np.einsum("k,kti->ti", weights, shifts)
         points += mean
         change += weights @ changes
-        by_laws += mean if not model.members[i].is_catalogued else 0.0
-        open_.append(np.sqrt(weights)[:, None, None] * (shifts - mean))
-    deviations = np.concatenate(open_)
-    residual_shift = (1.0 - _safe_fraction_of_change(fitted.adjustment, by_laws, deviations)) * by_laws
+        shift_by_laws += mean if not model.members[i].is_catalogued else 0.0
+        weighted_deviations.append(np.sqrt(weights)[:, None, None] * (shifts - mean))
+    deviations = np.concatenate(weighted_deviations)
+    residual_shift = (1.0 - _safe_fraction_of_change(fitted.adjustment, shift_by_laws, deviations)) * shift_by_laws
     spread = np.concatenate([deviations, residual_shift[None]])
     adjustment = fitted.adjustment
     covariance = adjustment.target_covariance + air_covariance(adjustment, adjustment.problem.unknowns.target_columns)
@@ -74,48 +79,55 @@ def average_over_explanations(
 
 
 def _safe_fraction_of_change(adjustment: Adjustment, change: Floats, deviations: Floats) -> float:
-    """Largest fraction of a change (T, 3) [m] that hardly increases target errors.
+    """Largest fraction of a shift of the targets that is likely to increase their errors only slightly.
 
-    Explanations deviate by (k, T, 3) [m].
+    `change` (T, 3) [m] is the shift of T targets, and `deviations` (k, T, 3) [m] are weighted differences of k
+    explanations from their mean.
     """
     problem, points = adjustment.problem, np.nan_to_num(adjustment.state.target_points)
     shift = remove_rigid_motion(
         np.nan_to_num(change).reshape(-1, 1), points - points.mean(axis=0), problem.free_motions
     )[:, 0]
-    along = np.zeros(adjustment.solution.system.design.shape[1])
-    along[problem.unknowns.target_columns.ravel()] = shift
-    disagreements = np.nan_to_num(deviations).reshape(len(deviations), len(shift)) @ shift
+    shift_vector = np.zeros(adjustment.solution.system.design.shape[1])
+    shift_vector[problem.unknowns.target_columns.ravel()] = shift
+    deviations_along_shift = np.nan_to_num(deviations).reshape(len(deviations), len(shift)) @ shift
     spread = float(
-        along @ adjustment.factorised_normals.covariance_columns(along[:, None])[:, 0] + disagreements @ disagreements
+        shift_vector @ adjustment.factorised_normals.covariance_columns(shift_vector[:, None])[:, 0]
+        + deviations_along_shift @ deviations_along_shift
     )
     noise = float(np.nansum(np.einsum("tii->t", adjustment.target_covariance)) + np.nansum(deviations**2))
     return safe_fraction(float(shift @ shift), spread, noise)
 
 
-def safe_fraction(size: float, spread: float, noise: float) -> float:
-    """Largest fraction t of a shift s for which t^2 s's - 2 t (s's + s'e) is small.
+def safe_fraction(squared_shift: float, cross_variance: float, squared_error: float) -> float:
+    """Largest fraction t of a shift s whose subtraction is likely to increase the errors only slightly.
 
-    It is below ((1 + `MAX_ERROR_INCREASE`)^2 - 1) (s's + e'e), with e'e at its expectation, except with probability
-    `P_ERROR_INCREASE_EXCEEDED`.
+    With the error e without the shift, the change of the sum of squares is t^2 s's - 2 t (s's + s'e). It is below
+    ((1 + `MAX_ERROR_INCREASE`)^2 - 1) (s's + E[e'e]), except with the probability `P_ERROR_INCREASE_EXCEEDED`.
 
     Parameters
     ----------
-    size, spread, noise : float
-        s's, the variance of s'e, the expectation of e'e.
+    squared_shift : float
+        Sum of squares s's.
+    cross_variance : float
+        Variance of s'e.
+    squared_error : float
+        Expectation E[e'e].
     """
-    if size == 0.0:
+    if squared_shift == 0.0:
         return 1.0
-    linear_term = -float(ndtri(P_ERROR_INCREASE_EXCEEDED)) * np.sqrt(spread) - size
-    allowed_increase = ((1.0 + MAX_ERROR_INCREASE) ** 2 - 1.0) * (size + noise)
-    return min(1.0, float(np.sqrt(linear_term**2 + size * allowed_increase) - linear_term) / size)
+    linear_term = -float(ndtri(P_ERROR_INCREASE_EXCEEDED)) * np.sqrt(cross_variance) - squared_shift
+    allowed_increase = ((1.0 + MAX_ERROR_INCREASE) ** 2 - 1.0) * (squared_shift + squared_error)
+    return min(1.0, float(np.sqrt(linear_term**2 + squared_shift * allowed_increase) - linear_term) / squared_shift)
 
 
 def model_weights(
     searcher: Searcher, other_effects: Model, selected: Hypothesis, ranking: Ranking, temperature: float
 ) -> tuple[Floats, Floats]:
-    """Weights (k,) of explanations, the chosen one first, and the whitened change (k, m) of the readings by each.
+    """Weights (k,) of k explanations of one member of a model, and the whitened change (k, m) of the readings by each.
 
-    Log evidences are divided by `temperature`. Changes of the noise, like no effect, do not change readings.
+    The explanation `selected` is the first, and the last is that there is no effect. Changes of the noise count with
+    the last, because they do not change readings either. Log evidences are divided by `temperature`.
     """
     none, *rest_of = normalised_probabilities(
         np.array([0.0, *(h.log_evidence for h in ranking.entries)]) / temperature
@@ -140,7 +152,7 @@ def _is_noise_hypothesis(hypothesis: Hypothesis) -> bool:
 def _instances_at_probable_shapes(
     searcher: Searcher, other_effects: Model, selected: Hypothesis
 ) -> list[tuple[Hypothesis, float]]:
-    """Instances of an explanation at its most probable shapes, with their probabilities."""
+    """Copies of an explanation at its most probable shapes, with their probabilities."""
     shapes = (
         []
         if isinstance(selected.effect, EmpiricalLaw)
@@ -154,7 +166,7 @@ def _instances_at_probable_shapes(
 
 
 def first_order_change(searcher: Searcher, model: Model) -> Floats:
-    """First-order change (m,) of the whitened readings by all members of a refitted model."""
+    """Linear approximation of the change (m,) of the whitened readings by all members of a refitted model."""
     if not model.members:
         return np.zeros(searcher.space.n_rows)
     mean = wide_prior_posterior(*model.gram_and_scores, np.concatenate([h.plausible_sizes for h in model.members]))[0]
@@ -163,7 +175,7 @@ def first_order_change(searcher: Searcher, model: Model) -> Floats:
 
 
 def expected_change(searcher: Searcher, other_effects: Model, hypothesis: Hypothesis) -> Floats:
-    """Posterior mean (m,) of the change of the whitened readings by an explanation, given the other members."""
+    """Posterior mean (m,) of the change of the whitened readings by an explanation, given the `other_effects`."""
     moments = searcher.evidence_calculator.gram_and_score([hypothesis.effect], other_effects)[0]
     change: Floats = (
         searcher.space.whitened_signature(hypothesis.effect)

@@ -1,6 +1,7 @@
-"""Signatures of the catalogue effects as hypotheses, at every possible place and shape.
+"""Signatures of the effects of the catalogue as hypotheses, at every possible place and shape.
 
-All are scored with the same vectors and the same evidence as the empirical laws.
+They are scored with the same vectors of the null ensemble and the same log evidence as the empirical laws. Shapes
+below: h effects with k parameters each, m rows of the residual space, v vectors of the null ensemble.
 """
 
 from __future__ import annotations
@@ -26,21 +27,23 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 MAX_SPARSE_FRACTION = 0.15
-"""Fraction of nonzeros below which a signature is stored as a sparse matrix (speed only)."""
+"""Fraction of nonzero rows below which a signature is stored as a sparse matrix. It affects only the computing time."""
 MAX_SIGNATURE_PRODUCTS = 2_000_000
-"""Largest number of products of signatures and vectors in memory at a time, some tens of MB."""
+"""Largest number of products of signatures and vectors in memory at a time: some tens of MB."""
 N_VECTORS_PER_PART = 128
-"""Number of vectors that are weighted at a time."""
+"""Number of vectors of the null ensemble that are multiplied by the row weights at a time, to limit the memory."""
 
 
 ORDINARY_CALIBRATION_TYPES = {type(effect) for effect in BASELINE_EFFECTS}
-"""Effects of the ordinary calibration, which are always estimated; as hypotheses they mean a value
-beyond their prior.
-"""
+"""Effects of the ordinary calibration, whose constants every adjustment estimates. As a hypothesis, such an effect
+means that its constants are larger than their prior permits."""
 
 
 def catalogue_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[CandidateEffect]:
-    """Every effect of the catalogue, at every place and shape; constants of each of several `instruments` too."""
+    """Effects of the catalogue at every place and shape, and constants of each instrument if there are several.
+
+    `instruments` are the names of the instruments. Changes of the noise are not included.
+    """
     trackers = instrument_places(sightings, instruments)
     constants = [
         kind(stations=place.stations) for kind in CATALOGUE if kind in ORDINARY_CALIBRATION_TYPES for place in trackers
@@ -51,48 +54,62 @@ def catalogue_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) 
 
 @dataclass(frozen=True)
 class SignatureGroup:
-    """Group of effects with equal numbers k of parameters, all stored sparse, or all dense on their rows.
+    """Group of h effects with the same number k of parameters, whose signatures are stored in one matrix.
 
-    It has `members` (h,), indices `places` (r,) of the rows, scaled signatures as rows (h k, r), the `row_weights` (r,)
-    of each row, Gram matrices (h, k, k) of the weighted signatures, and those of their projections, computed in the
-    first
-    pass.
+    The matrix is sparse, or dense on the r rows of the residual space that the effects change.
     """
 
-    size: int
-    members: Ints
-    places: Ints | slice
-    rows: Singles | sp.csr_array
+    n_parameters: int
+    """Number k of parameters of each effect."""
+    effect_indices: Ints
+    """Indices (h,) of the effects."""
+    row_indices: Ints | slice
+    """Indices (r,) of the rows of the residual space."""
+    signature_rows: Singles | sp.csr_array
+    """Signatures (h k, r) in units of plausible sizes, one row per parameter."""
     row_weights: Singles
+    """Factors (r,) by which the signatures are multiplied, for an adjustment with other weights."""
     unscaled_gram: Floats
+    """Gram matrices (h, k, k) of the weighted signatures."""
     gram: Floats
+    """Gram matrices (h, k, k) of the projected signatures, computed with the empty model."""
 
-    def parts(self, vectors: int) -> Iterator[slice]:
-        """Parts of the members whose products with a number of vectors are in memory at a time."""
-        step = max(1, MAX_SIGNATURE_PRODUCTS // (self.size * max(vectors, 1)))
-        yield from (slice(i, min(i + step, len(self.members))) for i in range(0, len(self.members), step))
+    def parts(self, n_vectors: int) -> Iterator[slice]:
+        """Ranges of members whose products with `n_vectors` vectors are in memory at a time."""
+        step = max(1, MAX_SIGNATURE_PRODUCTS // (self.n_parameters * max(n_vectors, 1)))
+        yield from (slice(i, min(i + step, len(self.effect_indices))) for i in range(0, len(self.effect_indices), step))
 
-    def weighted_products(self, members: slice, vectors: Floats | Singles) -> Floats:
-        """Products (h, k, v) of some weighted signatures with vectors (m, v)."""
-        rows, count = self.rows[members.start * self.size : members.stop * self.size], vectors.shape[1]
-        products = np.empty((rows.shape[0], count))
+    def weighted_products(self, member_range: slice, vectors: Floats | Singles) -> Floats:
+        """Products (h, k, v) of the weighted signatures of a range of h members with `vectors` (m, v)."""
+        signature_rows, count = (
+            self.signature_rows[member_range.start * self.n_parameters : member_range.stop * self.n_parameters],
+            vectors.shape[1],
+        )
+        products = np.empty((signature_rows.shape[0], count))
         for i in range(0, count, N_VECTORS_PER_PART):
             few = slice(i, i + N_VECTORS_PER_PART)
-            products[:, few] = rows @ np.multiply(
-                vectors[self.places, few], self.row_weights[:, None], dtype=np.float32
+            products[:, few] = signature_rows @ np.multiply(
+                vectors[self.row_indices, few], self.row_weights[:, None], dtype=np.float32
             )
-        return products.reshape(members.stop - members.start, self.size, count)
+        return products.reshape(member_range.stop - member_range.start, self.n_parameters, count)
 
     def scaled_rows(self, ratio: Singles) -> SignatureGroup:
-        """Group for rows of the space multiplied by a `ratio` (m,)."""
-        weight = self.row_weights * ratio[self.places]
-        if isinstance(self.rows, np.ndarray):
-            parts = (self.rows[p.start * self.size : p.stop * self.size] * weight for p in self.parts(len(weight)))
-            products = np.concatenate([row_gram(rows.reshape(-1, self.size, len(weight))) for rows in parts])
+        """Copy of the group for a residual space with other weights, which multiply its rows by `ratio` (m,)."""
+        weight = self.row_weights * ratio[self.row_indices]
+        if isinstance(self.signature_rows, np.ndarray):
+            parts = (
+                self.signature_rows[p.start * self.n_parameters : p.stop * self.n_parameters] * weight
+                for p in self.parts(len(weight))
+            )
+            products = np.concatenate(
+                [row_gram(signature_rows.reshape(-1, self.n_parameters, len(weight))) for signature_rows in parts]
+            )
         else:
-            data = self.rows.data * weight[self.rows.indices]
-            ends = self.rows.indptr[:: self.size].tolist()
-            products = np.stack([row_gram(data[low:high].reshape(self.size, -1)) for low, high in pairwise(ends)])
+            data = self.signature_rows.data * weight[self.signature_rows.indices]
+            ends = self.signature_rows.indptr[:: self.n_parameters].tolist()
+            products = np.stack(
+                [row_gram(data[low:high].reshape(self.n_parameters, -1)) for low, high in pairwise(ends)]
+            )
         return replace(
             self, row_weights=weight, unscaled_gram=products.astype(np.float64), gram=np.zeros_like(self.gram)
         )
@@ -100,22 +117,19 @@ class SignatureGroup:
 
 @dataclass(frozen=True)
 class CatalogueSignatures:
-    """Catalogue effects with their signatures in units of plausible sizes.
+    """Effects of the catalogue with their signatures in units of plausible sizes.
 
-    Attributes
-    ----------
-    effects : list of CandidateEffect
-        Effects that change a reading.
-    groups : list of SignatureGroup
-    families : tuple of str
-    family_of_effect : (h,) int
-        Index of the family of each effect.
+    A family contains the same effect at all its places and shapes.
     """
 
     effects: list[CandidateEffect]
+    """Effects that change a reading of the recording, h of them."""
     groups: list[SignatureGroup]
+    """Signatures, grouped by their number of parameters and their form of storage."""
     families: tuple[str, ...]
+    """Names of the families, which are names of the catalogue."""
     family_of_effect: Ints
+    """Index (h,) of the family of each effect."""
 
     @classmethod
     def from_space(cls, space: ResidualSpace, effects: Sequence[CandidateEffect]) -> CatalogueSignatures:
@@ -128,27 +142,34 @@ class CatalogueSignatures:
         pointing, kind = (np.append(of, n * other) for of, n in zip(read, space.used_readings.shape, strict=True))
         for effect in effects:
             signature = space.whitened_signature(effect)
-            places = np.flatnonzero(np.logical_or.reduce(np.not_equal(signature.T, 0.0, order="C")))
-            if not len(places):
+            row_indices = np.flatnonzero(np.logical_or.reduce(np.not_equal(signature.T, 0.0, order="C")))
+            if not len(row_indices):
                 continue
-            touched = np.bincount(kind[places], minlength=len(OBSERVABLES) + 1) > 0
-            is_sparse = len(places) < MAX_SPARSE_FRACTION * space.n_rows
-            stored = places if is_sparse else np.flatnonzero(touched[kind])
+            touched = np.bincount(kind[row_indices], minlength=len(OBSERVABLES) + 1) > 0
+            is_sparse = len(row_indices) < MAX_SPARSE_FRACTION * space.n_rows
+            stored = row_indices if is_sparse else np.flatnonzero(touched[kind])
             signature = signature[stored]
             signature *= effect.size_scales
             effect, coarser = _scaled_to_noise(effect, signature, pointing[stored])
-            rows = np.ascontiguousarray(signature.T * coarser, dtype=np.float32)
+            signature_rows = np.ascontiguousarray(signature.T * coarser, dtype=np.float32)
             if is_sparse:
-                sparse_signatures.setdefault(len(rows), []).append((len(touching), stored.astype(np.int32), rows))
+                sparse_signatures.setdefault(len(signature_rows), []).append(
+                    (len(touching), stored.astype(np.int32), signature_rows)
+                )
             else:
-                members, made = dense_signatures.setdefault((len(rows), tuple(touched.tolist())), ([], []))
-                members.append(len(touching))
-                made.append(rows)
+                effect_indices, made = dense_signatures.setdefault(
+                    (len(signature_rows), tuple(touched.tolist())), ([], [])
+                )
+                effect_indices.append(len(touching))
+                made.append(signature_rows)
             touching.append(effect)
-        groups = [_sparse_group(size, sparse_signatures.pop(size), space.n_rows) for size in sorted(sparse_signatures)]
+        groups = [
+            _sparse_group(n_parameters, sparse_signatures.pop(n_parameters), space.n_rows)
+            for n_parameters in sorted(sparse_signatures)
+        ]
         groups += [
-            _dense_group(size, members, stack_and_release(made), np.flatnonzero(np.array(kinds)[kind]))
-            for (size, kinds), (members, made) in sorted(dense_signatures.items())
+            _dense_group(n_parameters, effect_indices, stack_and_release(made), np.flatnonzero(np.array(kinds)[kind]))
+            for (n_parameters, kinds), (effect_indices, made) in sorted(dense_signatures.items())
         ]
         names = tuple(dict.fromkeys(effect.name for effect in touching))
         index = {name: i for i, name in enumerate(names)}
@@ -163,37 +184,38 @@ class CatalogueSignatures:
         ratio[: int(new_space.used_readings.sum())] = (old_space.sigma / new_space.sigma)[new_space.used_readings]
         return replace(self, groups=[group.scaled_rows(ratio) for group in self.groups])
 
-    def log_evidence_and_trials(self, probe: NullEnsemble) -> tuple[Floats, Floats]:
-        """Log evidence (h,) of each effect given the model, and of the trials by family (families, trials).
+    def log_evidence_and_trials(self, null_ensemble: NullEnsemble) -> tuple[Floats, Floats]:
+        """Log evidence (h,) of each effect given a model, and null values of each family (families, trials).
 
-        The model reduces the Gram matrix of a projected signature. A Monte-Carlo Gram matrix is not reduced, because
-        the difference of an estimate and an exact value may vanish.
+        The null values are log means of the evidence for simulated recordings. The signatures are projected also onto
+        the residual space of the model, which reduces their Gram matrices. A Monte-Carlo Gram matrix is not reduced,
+        because the difference of an estimate and an exact value may vanish.
         """
         values, chance = (
             np.zeros(len(self.effects)),
-            FamilyMeans.without_effects(self.family_of_effect, len(self.families), probe.n_trials),
+            FamilyMeans.without_effects(self.family_of_effect, len(self.families), null_ensemble.n_trials),
         )
         for group in self.groups:
-            for part in group.parts(probe.probe_vectors.shape[1]):
-                scores = group.weighted_products(part, probe.probe_vectors)
-                if probe.is_first_pass:
-                    group.gram[part] = probe.projected_gram(scores, group.unscaled_gram[part])
-                score, trials, _ = probe.split_products(scores)
+            for part in group.parts(null_ensemble.probe_vectors.shape[1]):
+                scores = group.weighted_products(part, null_ensemble.probe_vectors)
+                if null_ensemble.is_first_pass:
+                    group.gram[part] = null_ensemble.projected_gram(scores, group.unscaled_gram[part])
+                score, trials, _ = null_ensemble.split_products(scores)
                 gram = group.gram[part]
-                if not probe.gram_is_monte_carlo:
-                    gram = gram - row_gram(group.weighted_products(part, probe.model_basis))
+                if not null_ensemble.gram_is_monte_carlo:
+                    gram = gram - row_gram(group.weighted_products(part, null_ensemble.model_basis))
                 strength, turn = np.linalg.eigh(gram)
                 strength, turn = np.maximum(strength, 0.0), np.swapaxes(turn, 1, 2)
-                members = group.members[part]
-                values[members] = log_evidence(np.einsum("hij,hj->hi", turn, score) ** 2, strength)
-                if probe.n_trials:
-                    chance.add(members, simulated_log_evidence(turn @ trials, strength))
+                effect_indices = group.effect_indices[part]
+                values[effect_indices] = log_evidence(np.einsum("hij,hj->hi", turn, score) ** 2, strength)
+                if null_ensemble.n_trials:
+                    chance.add(effect_indices, simulated_log_evidence(turn @ trials, strength))
         return values, chance.log_means
 
     def effects_by_family(self) -> list[list[Effect]]:
-        """Effects of each family, without the constants of the ordinary calibration other than the scale.
+        """Effects of each family, without the constants of the ordinary calibration except the range scale.
 
-        A network without a known length absorbs the scale completely, and `calibrate` gives the other constants.
+        A network without a known length absorbs the scale completely. `calibrate` reports the other constants.
         """
         families: list[list[Effect]] = [[] for _ in self.families]
         for family, effect in zip(self.family_of_effect.tolist(), self.effects, strict=True):
@@ -206,43 +228,42 @@ class CatalogueSignatures:
         ]
 
     def family_evidence(self, values: Floats) -> Floats:
-        """Log evidence (families, ...) with places and shapes averaged, from that of each effect (h, ...)."""
+        """Log evidence (families, ...) averaged over places and shapes, from the values (h, ...) of all effects."""
         return log_means_by_group(values, self.family_of_effect, len(self.families)) if self.effects else values
 
 
 @dataclass(frozen=True)
 class FamilyMeans:
-    """Log means of the evidence of each family in each trial, from batches of its members.
-
-    `family` (h,) is that of each effect, `sums` (families, trials) are log sums so far.
-    """
+    """Log means of the evidence of each family for simulated recordings (trials), accumulated over its members."""
 
     family: Ints
+    """Index (h,) of the family of each effect."""
     sums: Floats
+    """Logs (families, trials) of the summed evidence of the effects that were added."""
 
     @classmethod
-    def without_effects(cls, family: Ints, n_columns: int, trials: int) -> FamilyMeans:
-        """Means of no effect yet."""
-        return cls(family, np.full((n_columns, trials), -np.inf))
+    def without_effects(cls, family: Ints, n_families: int, n_trials: int) -> FamilyMeans:
+        """Means before any effect is added."""
+        return cls(family, np.full((n_families, n_trials), -np.inf))
 
-    def add(self, members: Ints, values: Floats) -> None:
-        """Addition of the log evidence (k, trials) of some effects (k,)."""
-        present, group = np.unique(self.family[members], return_inverse=True)
+    def add(self, effect_indices: Ints, values: Floats) -> None:
+        """Addition of the log evidence `values` (b, trials) of the b effects with the indices `effect_indices`."""
+        present, group = np.unique(self.family[effect_indices], return_inverse=True)
         means = log_means_by_group(values, group, len(present))
         means += np.log(np.bincount(group))[:, None]
         self.sums[present] = np.logaddexp(self.sums[present], means)
 
     @property
     def log_means(self) -> Floats:
-        """Log mean (families, trials) over the members of each family."""
+        """Log mean (families, trials) of the evidence over all members of each family."""
         return self.sums - np.log(np.bincount(self.family, minlength=len(self.sums)))[:, None]
 
 
 def _scaled_to_noise(effect: CandidateEffect, signature: Floats, pointing: Ints) -> tuple[CandidateEffect, float]:
     """Effect whose plausible size is at least as large as the noise of the readings, and the factor on its size.
 
-    The factor is 1 for effects of the air, which belong to the hall. The arguments are the nonzero rows (r, q) of the
-    whitened signature of plausible size, and the pointing (r,) of each.
+    The factor is 1 for effects of the air, whose size depends on the hall and not on the instrument. `signature` (r, k)
+    is the whitened change by the plausible sizes on r nonzero rows, and `pointing` (r,) the pointing of each row.
     """
     if (
         not isinstance(effect, Effect)
@@ -255,19 +276,30 @@ def _scaled_to_noise(effect: CandidateEffect, signature: Floats, pointing: Ints)
     return replace(effect, size_factor=factor) if factor > 1.0 else effect, factor
 
 
-def _dense_group(size: int, members: Sequence[int], rows: Singles, places: Ints) -> SignatureGroup:
-    """Group of effects with equal numbers of parameters, from `rows` (h, size, r), dense on the rows `places` (r,)."""
-    products, weight = row_gram(rows).astype(np.float64), np.ones(len(places), dtype=np.float32)
-    flattened = rows.reshape(-1, len(places))
-    return SignatureGroup(size, np.array(members), places, flattened, weight, products, np.zeros_like(products))
+def _dense_group(
+    n_parameters: int, effect_indices: Sequence[int], signature_rows: Singles, row_indices: Ints
+) -> SignatureGroup:
+    """Group of h effects with k parameters each, from `signature_rows` (h, k, r) on the rows `row_indices` (r,)."""
+    products, weight = row_gram(signature_rows).astype(np.float64), np.ones(len(row_indices), dtype=np.float32)
+    flattened = signature_rows.reshape(-1, len(row_indices))
+    return SignatureGroup(
+        n_parameters, np.array(effect_indices), row_indices, flattened, weight, products, np.zeros_like(products)
+    )
 
 
-def _sparse_group(size: int, signatures: Sequence[tuple[int, Ints, Singles]], length: int) -> SignatureGroup:
-    """Group of effects with equal numbers of parameters, each on few of `length` rows."""
-    products = np.stack([row_gram(rows) for _, _, rows in signatures]).astype(np.float64)
-    indices = np.concatenate([np.tile(places, size) for _, places, _ in signatures])
-    ends = np.cumsum([0, *(len(places) for _, places, _ in signatures for _ in range(size))]).astype(np.int32)
-    data = np.concatenate([rows.ravel() for _, _, rows in signatures])
-    rows = sp.csr_array((data, indices, ends), (len(signatures) * size, length))
-    weight, members = np.ones(length, dtype=np.float32), np.array([i for i, _, _ in signatures])
-    return SignatureGroup(size, members, slice(None), rows, weight, products, np.zeros_like(products))
+def _sparse_group(n_parameters: int, signatures: Sequence[tuple[int, Ints, Singles]], n_rows: int) -> SignatureGroup:
+    """Group of effects with k parameters each, from the index, the rows and the values (k, r) of each signature.
+
+    Each effect changes only a few of `n_rows` rows of the residual space.
+    """
+    products = np.stack([row_gram(signature_rows) for _, _, signature_rows in signatures]).astype(np.float64)
+    indices = np.concatenate([np.tile(row_indices, n_parameters) for _, row_indices, _ in signatures])
+    ends = np.cumsum([0, *(len(row_indices) for _, row_indices, _ in signatures for _ in range(n_parameters))]).astype(
+        np.int32
+    )
+    data = np.concatenate([signature_rows.ravel() for _, _, signature_rows in signatures])
+    signature_rows = sp.csr_array((data, indices, ends), (len(signatures) * n_parameters, n_rows))
+    weight, effect_indices = np.ones(n_rows, dtype=np.float32), np.array([i for i, _, _ in signatures])
+    return SignatureGroup(
+        n_parameters, effect_indices, slice(None), signature_rows, weight, products, np.zeros_like(products)
+    )

@@ -1,8 +1,8 @@
-"""Global test of a recording against model and declared noise, one for the complete search.
+"""Global test of whether a recording agrees with the model and the declared noise, for the complete search.
 
-The statistic is the log evidence of all hypotheses with their priors (catalogue effects, laws, changes of the noise)
-relative to none. Its null distribution is computed from simulated residuals of the same network, so that the
-false-alarm rate is valid for any number of hypotheses.
+The statistic is the log of the summed evidence of all hypotheses with their priors (effects of the catalogue, laws, and
+changes of the noise) relative to no effect. Its null distribution is computed from simulated residuals of the same
+network. The false-alarm rate is therefore valid for any number of hypotheses.
 """
 
 from dataclasses import dataclass
@@ -16,41 +16,35 @@ from ltsim.diagnosis.noise import NoiseBank
 from ltsim.diagnosis.search import Searcher
 
 EVIDENCE_ROUNDING_ERROR = 1e-3
-"""Error of log evidences by single precision, in which simulated recordings are scored."""
+"""Largest error of the log evidence of simulated recordings, which is computed in single precision. A simulated
+recording counts as reaching the statistic of the recording if it is smaller by this error."""
 
 
 @dataclass(frozen=True)
 class Detection:
-    """Outcome of the global tests.
-
-    Attributes
-    ----------
-    statistic : float
-        Log evidence of the whole search.
-    chi2_p_value : float
-        p-value of the global test (chi-square); NaN without redundancy.
-    null_statistics : (trials,) float
-        Statistic of simulated recordings without any effect.
-    """
+    """Result of the global tests of a recording."""
 
     statistic: float
+    """Log of the summed evidence of all hypotheses of the search."""
     chi2_p_value: float
+    """p-value of the chi-square test of the ordinary adjustment; NaN without redundancy."""
     null_statistics: Floats
+    """Statistic of each simulated recording without any effect, (recordings,)."""
 
     @property
     def p_value(self) -> float:
-        """p-value of the search, corrected for everything that was tried."""
+        """p-value of the search, corrected for the number of hypotheses."""
         return self.p_value_of(self.statistic)
 
     def threshold(self, alpha: float) -> float:
-        """Value of the statistic that a clean recording exceeds with probability `alpha`."""
+        """Value of the statistic that a recording without effects exceeds with the probability `alpha`."""
         return float(np.quantile(self.null_statistics, 1.0 - alpha))
 
     def p_value_of(self, statistic: float) -> float:
         """p-value of a statistic in the complete search: (k + 1) / (n + 1) if k of n simulated recordings reach it.
 
-        A recording without effects is exchangeable with them, so that the probability of a value up to p is at most p.
-        The smallest value is 1 / (n + 1).
+        A recording without effects is exchangeable with the simulated recordings. Its p-value is therefore at most p
+        with a probability of at most p. The smallest p-value is 1 / (n + 1).
         """
         return (int(np.sum(self.null_statistics >= statistic - EVIDENCE_ROUNDING_ERROR)) + 1) / (
             len(self.null_statistics) + 1
@@ -58,7 +52,7 @@ class Detection:
 
 
 def detect(searcher: Searcher, noise: NoiseBank) -> Detection:
-    """Joint test of the residuals of an adjustment against all effects, laws and changes of the noise."""
+    """Joint test of the residuals of an adjustment for all effects, laws and changes of the noise."""
     space = searcher.space
     noise_evidence = noise.family_evidence(space.residuals[:, None], space.redundancy)[:, 0]
     simulated_evidence = noise.family_evidence(searcher.null_ensemble.simulated_residuals, space.redundancy)

@@ -1,4 +1,4 @@
-"""Detectability of effects in a network, and the measurement that discriminates between explanations."""
+"""Detectability of the effects of the catalogue, and the measurement that discriminates between explanations."""
 
 from collections.abc import Iterable, Sequence
 from itertools import groupby, repeat
@@ -28,41 +28,42 @@ from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.effects.signature import Signature
 
 MAX_PROJECTED_ENTRIES = 1_000_000
-"""Largest number of entries of signatures in memory at a time, 8 MB; their projections take several times as much."""
+"""Largest number of entries of signatures in memory at a time: 8 MB. Their projections take several times as much."""
 MAX_DETECTABLE_SIZE_RATIO = 10.0
-"""Multiple of a large but plausible size above which a detectable size counts as undetectable."""
+"""Smallest detectable size of an effect, as a multiple of a large but plausible size, from which the effect is reported
+as not detectable."""
 MAX_EQUAL_SIZE_DIFFERENCE = 1e-6
-"""Relative difference up to which sizes count as equal, so that rounding does not decide which is reported."""
+"""Relative difference up to which detectable sizes count as equal, so that rounding does not decide which is reported.
+"""
 DISTORTION_DECIMALS = 6
-"""Decimals [um] to which a distortion is rounded."""
+"""Number of decimals to which a distortion of the targets [um] is rounded."""
 DetectabilityReport = tuple[tuple[MinimalSize, ...], tuple[Undetectable, ...]]
+"""Smallest detectable sizes of the detectable effects, and entries of the effects that are not detectable."""
 
 
 def detectability_report(space: ResidualSpace, catalogue_signatures: CatalogueSignatures) -> DetectabilityReport:
-    """Detectable effects, and undetectable ones with the target error that they cause, the largest first.
+    """Detectable effects of the catalogue, and the others, those that cause the largest target errors first.
 
-    For an effect with several parameters the parameter with the smallest ratio of detectable to plausible size at a
-    median place is reported.
-
-    Parameters
-    ----------
-    catalogue_signatures : CatalogueSignatures
-        All hypotheses of the catalogue.
+    An effect with several parameters is reported with the one that has the smallest ratio of the detectable to the
+    plausible size, at a median place. `catalogue_signatures` contain all effects of the catalogue at all places.
     """
-    detectable, hidden = [], []
+    detectable, undetectable = [], []
     for effects in catalogue_signatures.effects_by_family():
         rows = _detectability_of_effects(space, effects).table()
-        times = np.array([row.median_size / row.prior_sigma for row in rows])
-        best = int(np.flatnonzero(times <= times.min() * (1.0 + MAX_EQUAL_SIZE_DIFFERENCE))[0])
-        if times[best] < MAX_DETECTABLE_SIZE_RATIO:
+        size_ratios = np.array([row.median_size / row.prior_sigma for row in rows])
+        best = int(np.flatnonzero(size_ratios <= size_ratios.min() * (1.0 + MAX_EQUAL_SIZE_DIFFERENCE))[0])
+        if size_ratios[best] < MAX_DETECTABLE_SIZE_RATIO:
             detectable.append(rows[best])
         else:
-            hidden.append(_undetectable_entry(space, effects[(len(effects) - 1) // 2], float(times[best])))
-    return tuple(detectable), tuple(sorted(hidden, key=lambda entry: -(entry.undetected_target_error_um or 0.0)))
+            undetectable.append(_undetectable_entry(space, effects[(len(effects) - 1) // 2], float(size_ratios[best])))
+    return tuple(detectable), tuple(sorted(undetectable, key=lambda entry: -(entry.undetected_target_error_um or 0.0)))
 
 
 def _detectability_of_effects(space: ResidualSpace, effects: Sequence[Effect]) -> EffectDetectability:
-    """Detectability of an effect at a sample of its places, in double precision."""
+    """Detectability of an effect at a sample of its places, computed in double precision.
+
+    `effects` are the effect at all its places and shapes.
+    """
     entries: list[tuple[Effect, Floats, float, int, Floats]] = []
     for size, same in groupby(select_places(effects), key=lambda effect: len(effect.parameters)):
         sample = list(same)
@@ -80,25 +81,29 @@ def _detectability_of_effects(space: ResidualSpace, effects: Sequence[Effect]) -
     return effect_detectability(entries, len(effects))
 
 
-def _undetectable_entry(space: ResidualSpace, effect: Effect, times: float) -> Undetectable:
+def _undetectable_entry(space: ResidualSpace, effect: Effect, size_ratio: float) -> Undetectable:
+    """Entry of an effect that is not detectable.
+
+    `size_ratio` is its smallest detectable size divided by a large but plausible size.
+    """
     sizes = np.diag([p.prior_sigma for p in effect.parameters])
-    hides = round(
+    distortion = round(
         max(target_distortion(space, space.whitened_signature(effect) @ size) for size in sizes), DISTORTION_DECIMALS
     )
-    size = f"only from {times:.0f} times its plausible size on" if np.isfinite(times) else "at no size"
-    reason = f"absorbed by poses, targets and instrument parameters: it would be detected {size}"
-    factor = times if np.isfinite(times) else None
+    size = f"only from {size_ratio:.0f} times its plausible size on" if np.isfinite(size_ratio) else "at no size"
+    reason = f"poses, targets and instrument parameters absorb the effect, which would be detected {size}"
+    factor = size_ratio if np.isfinite(size_ratio) else None
     return Undetectable(
         effect=effect.name,
         reason=reason,
-        undetected_target_error_um=hides,
+        undetected_target_error_um=distortion,
         detectable_at_factor=factor,
         cure=advice_sentence("cause"),
     )
 
 
 def target_distortion(space: ResidualSpace, shift: Floats) -> float:
-    """Distortion of the adjusted targets by a whitened shift (m,) of readings: rms [um] after the best rigid fit."""
+    """Distortion of the adjusted targets by a whitened `shift` (m,) of readings: rms [um] after the best rigid fit."""
     shifts = space.target_shifts(shift).ravel()
     points = space.adjustment.state.target_points
     motion = rigid_motion_design(points, points.mean(axis=0))
@@ -107,28 +112,29 @@ def target_distortion(space: ResidualSpace, shift: Floats) -> float:
 
 
 def separating_measurement(
-    adjustment: Adjustment, effect: str, equivalents: Iterable[str], with_effects: Sequence[Signature]
+    adjustment: Adjustment, effect: str, equivalents: Iterable[str], other_effects: Sequence[Signature]
 ) -> str:
     """Sentence on the measurement that discriminates an effect from its equivalents; empty without equivalents.
 
-    Parameters
-    ----------
-    with_effects : sequence of Signature
-        The other findings.
+    `effect` and `equivalents` are names of the catalogue. `other_effects` are those of the other findings, which are in
+    the model in any case.
     """
     names = _comparable_effects(effect, equivalents)
     if not names:
         return ""
-    space = residual_space_of(adjustment, with_effects)
+    space = residual_space_of(adjustment, other_effects)
     try:
         explanations = [best_explanation(space, name) for name in names]
     except ModelError:  # the network absorbs one of them
         return ""
-    return rank_deciding_measurements(adjustment, explanations, with_effects, stops_at_first=True).advice_sentence
+    return rank_deciding_measurements(adjustment, explanations, other_effects, stops_at_first=True).advice_sentence
 
 
 def ambiguous_explanations(diagnosis: Diagnosis) -> tuple[tuple[str, ...], tuple[Signature, ...]]:
-    """Alternative explanations of the first ambiguous finding of a diagnosis, and the other effects of its model."""
+    """Names of the explanations of the first ambiguous finding, and the effects of all other findings.
+
+    Both are empty for a diagnosis without an ambiguous finding.
+    """
     for finding in diagnosis.findings:
         names = (
             _comparable_effects(finding.effect, [other.effect for other in finding.equivalents])
@@ -141,7 +147,7 @@ def ambiguous_explanations(diagnosis: Diagnosis) -> tuple[tuple[str, ...], tuple
 
 
 def _comparable_effects(effect: str, equivalents: Iterable[str]) -> tuple[str, ...]:
-    """An effect and its equivalents that shift readings; empty where there is nothing to compare."""
+    """Names of an effect and of its equivalents that shift readings; empty if there is nothing to compare."""
     remaining = [name for name in equivalents if name != "unknown" and _shifts_readings(name)]
     return (effect, *remaining) if remaining and _shifts_readings(effect) else ()
 

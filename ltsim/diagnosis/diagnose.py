@@ -45,17 +45,15 @@ from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.threads import single_threaded
 
 MAX_ALTERNATIONS = 3
-"""Largest number of alternations between variance and mean hypotheses."""
+"""Largest number of alternations between the selection of changes of the noise and that of effects."""
 MIN_FALSE_ALARM_RATE = 1e-3
-"""Smallest false-alarm rate; a p-value of 1 / (n + 1) needs n simulated recordings."""
+"""Smallest permitted false-alarm rate. A p-value of 1 / (n + 1) needs n simulated recordings."""
 MIN_REMAINING_OFFSET = 0.5
-"""Smallest fraction of its offset that a contradicting constant must retain with the selected effects in the model to
-be reported.
-"""
+"""Smallest ratio of the difference of a constant from its reference with the selected effects in the model to that
+without them. With a smaller ratio the effects explain the difference, and it is not reported."""
 MIN_EFFECT_LOG_EVIDENCE = 2.0
-"""Smallest log evidence of an additional effect: a geometric prior on the number of effects, with prior odds of e^-2 (1
-to 7) for each additional one.
-"""
+"""Smallest log evidence of an additional effect. It represents a geometric prior on the number of effects, with prior
+odds of e^-2 (1 to 7) for each additional effect."""
 
 
 @raise_for_singular_network
@@ -68,20 +66,21 @@ def diagnose(
     history: EarlierCalibrations | None = None,
     held_out: bool | None = False,
 ) -> Diagnosis:
-    """Diagnose a recording.
+    """Diagnosis of a recording: its agreement with the model, and otherwise the probable causes.
 
     Parameters
     ----------
     recording : Recording
     seed : int
-        Root seed of the simulated null distribution.
+        Root of the random draws of simulated recordings.
     level : float
-        False-alarm rate of the whole search, `MIN_FALSE_ALARM_RATE` at least.
+        False-alarm rate of the whole search, at least `MIN_FALSE_ALARM_RATE`.
     history : EarlierCalibrations, optional
-        Earlier calibrations that each constant of the instruments is compared with.
+        Earlier calibrations with which each constant of the instruments is compared.
     held_out : bool, optional
-        True for a search without each fold of the readings, which are then predicted: five more searches if the model
-        is not empty. None: in networks with up to `null_ensemble.MAX_EXACT_UNKNOWNS` unknowns.
+        True for 5-fold cross-validation. The search is repeated without each fold of the readings, which is then
+        predicted; this takes five more searches if the model is not empty. None for cross-validation only in networks
+        with up to `null_ensemble.MAX_EXACT_UNKNOWNS` unknowns.
 
     Returns
     -------
@@ -91,7 +90,7 @@ def diagnose(
     Raises
     ------
     RecordError
-        When the history is of other instruments or another construction, or the level is none.
+        When the history is of other instruments or another construction, or `level` is not a false-alarm rate.
     """
     if not MIN_FALSE_ALARM_RATE <= level < 1.0:
         raise RecordError(f"the level is {level:g}; expected a false-alarm rate from {MIN_FALSE_ALARM_RATE:g} to 1")
@@ -148,7 +147,7 @@ def diagnose(
 
 
 def _varies_constant(constant: str, effects: Sequence[CandidateEffect]) -> bool:
-    """True if an effect varies this constant of an instrument, which then has no single value."""
+    """True if one of the effects varies the constant with the name `constant`, which then has no single value."""
     laws = (VARIED_CONSTANTS.get(e.response.name, ()) for e in effects if isinstance(e, EmpiricalLaw))
     drifts = (constants_of_slot(getattr(e, "slot", "")) for e in effects)
     parameters = ([p.name for p in e.parameters] for e in effects)
@@ -156,13 +155,19 @@ def _varies_constant(constant: str, effects: Sequence[CandidateEffect]) -> bool:
 
 
 ConstantComparison = Callable[[Adjustment, float], ContradictingConstants]
-"""Function from an adjustment and a smallest log evidence to the constants that contradict their reference."""
+"""Function that returns the constants of instruments that contradict their reference.
+
+Its arguments are an adjustment, and the smallest log evidence of a contradiction.
+"""
 
 
 def _search_recording(
     case: SelectionState, comparison: ConstantComparison, *, mismatch: bool
 ) -> tuple[tuple[ResidualSpace, CatalogueSignatures], Model, Refit]:
-    """Space and hypotheses of the initial network, the model (empty without a `mismatch`), and its refit."""
+    """Residual space and catalogue signatures before the search, the selected model, and its nonlinear refit.
+
+    The model is empty without a `mismatch`.
+    """
     beginning = case.space, case.searcher.catalogue_signatures
     model = _select_model(case, MIN_EFFECT_LOG_EVIDENCE, comparison) if mismatch else case.empty_model
     return beginning, *_refit_model(case, model)
@@ -171,7 +176,10 @@ def _search_recording(
 def _contradicting_constants(
     case: SelectionState, model: Model, final_adjustment: Adjustment, comparison: ConstantComparison
 ) -> tuple[ConstantContradiction, ...]:
-    """Constants that contradict their reference with nearly equal offsets with and without the model."""
+    """Constants that contradict their reference with the model as well as without it.
+
+    The difference from the reference is at least `MIN_REMAINING_OFFSET` times that without the model.
+    """
     with_model = comparison(final_adjustment, MIN_EFFECT_LOG_EVIDENCE).contradictions
     if not model.members:
         return with_model
@@ -188,16 +196,17 @@ def _contradicting_constants(
 
 
 def _select_model(case: SelectionState, threshold: float, comparison: ConstantComparison) -> Model:
-    """Selected model: changed constants, mean shifts and changes of the noise, until the evidence does not increase.
+    """Selected model of effects, after a selection of changes of the noise and of changed constants.
 
-    The kind with the larger evidence is selected first: a law selected with a wrong noise level absorbs noise, and
-    noise estimated before a law absorbs the law; the same is true for constants.
+    `case` is updated with the changes of the noise and the constants. The kind of hypothesis with the largest evidence
+    is selected first, and the selection ends when the evidence does not increase. The order matters, because a law that
+    is selected with a wrong noise level absorbs noise, and noise that is estimated before a law absorbs the law.
     """
     noise = case.ranked_noise(case.empty_model)[0][0]
     shifts = case.searcher.lower_bound_model(threshold, noise).score
     if noise >= shifts:
-        _variance_only(case, threshold, max(shifts, case.searcher.ranking(case.empty_model).log_evidence_total))
-        model = _mean_and_variance(case, threshold)
+        _select_noise(case, threshold, max(shifts, case.searcher.ranking(case.empty_model).log_evidence_total))
+        model = _select_effects_given_noise(case, threshold)
     else:
         model = case.searcher.select_model(threshold, requires_member=True)
     contradicting = comparison(case.space.adjustment, MIN_EFFECT_LOG_EVIDENCE)
@@ -205,29 +214,35 @@ def _select_model(case: SelectionState, threshold: float, comparison: ConstantCo
     if constants and contradicting.joint_evidence - model.score > (len(constants) - len(model.members)) * threshold:
         case.release_priors(constants)
         model = case.searcher.select_model(threshold, requires_member=False)
-    return _alternate_mean_and_variance(case, model, threshold)
+    return _alternate_noise_and_effects(case, model, threshold)
 
 
-def _variance_only(case: SelectionState, threshold: float, shifts: float) -> None:
-    """Forward selection of changes of the noise; the first is always selected, since the global test has failed.
+def _select_noise(case: SelectionState, threshold: float, log_evidence_of_effects: float) -> None:
+    """Forward selection of changes of the noise, which are added to `case`.
 
-    The log evidence of mean `shifts` counts among the alternatives to the first one.
+    The first change is always selected, because the global test has failed. Effects with the log evidence
+    `log_evidence_of_effects` count among its alternatives. Each further change must increase the log evidence by
+    `threshold`.
     """
     for further in range(MAX_ALTERNATIONS):
         ranked = case.ranked_noise(case.empty_model)
         if further and ranked[0][0] < threshold:
             break
         case.add_noise(
-            most_likely_sizes(case.space, case.space.sigma, _most_probable_noise(ranked, 0.0 if further else shifts))
+            most_likely_sizes(
+                case.space,
+                case.space.sigma,
+                _most_probable_noise(ranked, 0.0 if further else log_evidence_of_effects),
+            )
         )
         case.set_adjustment(case.estimate_variance_components(()))
 
 
-def _mean_and_variance(case: SelectionState, threshold: float) -> Model:
-    """Model of mean shifts in addition to a change of the noise, if they increase the evidence; else the empty model.
+def _select_effects_given_noise(case: SelectionState, threshold: float) -> Model:
+    """Model of effects in addition to the selected changes of the noise; the empty model if these suffice.
 
-    Noise estimated alone hides a shift: it is estimated again with the best shifts, and both together are
-    compared with noise alone by their restricted likelihood.
+    Noise that is estimated without an effect includes it. The noise is therefore estimated again with the best effects,
+    and both together are compared with the noise alone by their restricted likelihood.
     """
     alone, sigma, adjusted = list(case.noise), case.reading_sigmas, case.space.adjustment
     case.prune_variance_components(case.searcher.select_model(threshold, requires_member=True).effects)
@@ -241,11 +256,10 @@ def _mean_and_variance(case: SelectionState, threshold: float) -> Model:
     return case.empty_model
 
 
-def _alternate_mean_and_variance(case: SelectionState, model: Model, threshold: float) -> Model:
-    """Alternation between variance and mean hypotheses.
+def _alternate_noise_and_effects(case: SelectionState, model: Model, threshold: float) -> Model:
+    """Model after alternating selections of changes of the noise and of effects, while the evidence increases.
 
-    Each noise hypothesis is tried added to the model, or replacing one member or all, until the evidence stops
-    increasing.
+    Each change of the noise is tried in addition to `model`, in place of one member, and in place of all members.
     """
     for _ in range(MAX_ALTERNATIONS):
         searcher, members = case.searcher, model.members
@@ -270,13 +284,16 @@ def _alternate_mean_and_variance(case: SelectionState, model: Model, threshold: 
     return model
 
 
-def _most_probable_noise(ranked: Sequence[tuple[float, NoiseHypothesis]], p_other: float) -> NoiseHypothesis:
-    """Most probable change of the noise with its probability among all hypotheses.
+def _most_probable_noise(
+    ranked: Sequence[tuple[float, NoiseHypothesis]], log_evidence_of_effects: float
+) -> NoiseHypothesis:
+    """Most probable change of the noise, with its probability among all hypotheses.
 
-    `p_other` is the log sum of the others.
+    `ranked` are pairs of log evidence and a change of the noise. `log_evidence_of_effects` is the log of the summed
+    evidence of all other hypotheses.
     """
     values = np.array([value for value, _ in ranked])
-    weights = np.exp(values - log_sum_exp(np.array([0.0, p_other, *values])))
+    weights = np.exp(values - log_sum_exp(np.array([0.0, log_evidence_of_effects, *values])))
     p_by_name: dict[str, float] = {}
     for (_, entry), weight in zip(ranked, weights.tolist(), strict=True):
         p_by_name[entry.effect.name] = min(p_by_name.get(entry.effect.name, 0.0) + weight, 1.0)
@@ -287,16 +304,16 @@ def _most_probable_noise(ranked: Sequence[tuple[float, NoiseHypothesis]], p_othe
 
 
 def _refit_model(case: SelectionState, model: Model) -> tuple[Model, Refit]:
-    """Nonlinear refit of the model, without members that it no longer supports.
+    """Model without members that its nonlinear refit does not support, and this refit.
 
-    The search is linear: the second-order part of a large effect can look like a further effect.
+    The search is linear, so that the second-order part of a large effect can look like a further effect.
     """
     fitted = case.refit(model.effects, case.reading_sigmas)
     while len(model.members) > 1:
         rest = [case.searcher.model_without(model, i) for i in range(len(model.members))]
         without = [case.refit(reduced.effects, case.reading_sigmas) for reduced in rest]
         gains = [
-            log_support(model, reduced, refitted.adjustment.chi2 - fitted.adjustment.chi2)
+            log_bayes_factor_of_refits(model, reduced, refitted.adjustment.chi2 - fitted.adjustment.chi2)
             for reduced, refitted in zip(rest, without, strict=True)
         ]
         least = int(np.argmin(gains))
@@ -306,24 +323,25 @@ def _refit_model(case: SelectionState, model: Model) -> tuple[Model, Refit]:
     return model, fitted
 
 
-def log_support(model: Model, reduced: Model, chi2_drop: float) -> float:
-    """Log evidence of a model relative to a reduced one, with the chi-square decrease of the nonlinear refits.
+def log_bayes_factor_of_refits(model: Model, reduced_model: Model, chi2_drop: float) -> float:
+    """Log Bayes factor of a model against a model with fewer members, from their nonlinear refits.
 
-    The linear evidence has the Occam factors and priors; its decrease of chi-square is replaced by `chi2_drop`.
+    It is the difference of the log evidences of the linear models, in which `chi2_drop` (the difference of chi-square
+    between the nonlinear refits) replaces the difference of the linear models.
     """
-    linear = float(reduced.residual @ reduced.residual - model.residual @ model.residual)
-    return model.score - reduced.score + 0.5 * (chi2_drop - linear)
+    linear = float(reduced_model.residual @ reduced_model.residual - model.residual @ model.residual)
+    return model.score - reduced_model.score + 0.5 * (chi2_drop - linear)
 
 
 def _has_more_than_noise_level(noise: Sequence[NoiseHypothesis]) -> bool:
-    """True if a change of the noise other than its overall level was selected."""
+    """True if one of the changes of the noise is not a change of the noise level of the recording."""
     return any(not isinstance(change.effect, NoiseLevel) for change in noise)
 
 
 def _held_out_errors(model_fit: ExplainedRecording, threshold: float, repeats_search: bool) -> HeldOutErrors:
-    """Errors of held-out readings, relative to the larger of the declared and the estimated noise.
+    """Prediction errors of held-out readings, divided by the larger of the declared and the estimated noise.
 
-    `after` is given if the search is `repeats_search`, or the model shifts no reading.
+    The error with the model is known if `repeats_search`, and for an empty model, with which the errors are equal.
     """
     case, nominal = model_fit.state, model_fit.state.recording.sigma()
     space, seed = case.searcher.space, case.seed

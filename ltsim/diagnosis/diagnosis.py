@@ -1,4 +1,4 @@
-"""Result of a diagnosis: verdict, findings, and the networks and coordinates behind them."""
+"""Result of a diagnosis: verdict and findings, with the adjustments and the coordinates from which they follow."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -39,23 +39,26 @@ from ltsim.recordings.result_file import ResultFile
 
 @dataclass(frozen=True)
 class AveragedTargets(ValueEquality):
-    """Coordinates (T, 3) [m] and their covariance (T, 3, 3) [m^2]."""
+    """Coordinates of T targets, averaged over the explanations of a recording."""
 
     points: Floats
+    """Coordinates (T, 3) [m]."""
     covariance: Floats
+    """Covariance (T, 3, 3) [m^2] of the coordinates of each target, with the variance between explanations."""
     explanation_deviations: Floats
-    """Weighted deviations between explanations; part of the covariance, (k, T, 3) [m]."""
+    """Weighted differences (k, T, 3) [m] of k explanations from the mean. Their squares are part of the covariance."""
 
 
 @dataclass(frozen=True)
 class DiagnosisArrays(ValueEquality):
-    """Networks of a diagnosis, and its coordinates."""
+    """Adjustments and coordinates of a diagnosis."""
 
     targets: AveragedTargets
+    """Coordinates of the targets, averaged over the explanations."""
     averaging_change: Floats
-    """Change (n, 3) [m, rad, rad] of the readings averaged over the explanations, minus that of the refit."""
+    """Averaged change (n, 3) [m, rad, rad] of the readings of n pointings, minus their change by the refitted model."""
     variance_factors: Floats
-    """Factors (n, 3) on the declared variance, averaged over the changes of the noise."""
+    """Factors (n, 3) on the declared variances of the readings, averaged over the changes of the noise."""
     baseline_adjustment: Adjustment
     """Adjustment of the ordinary model."""
     final_adjustment: Adjustment
@@ -90,14 +93,14 @@ class Diagnosis(ResultFile):
 
     @classmethod
     def from_arrays(cls, arrays: DiagnosisArrays, **fields: Any) -> Self:
-        """Diagnosis with its networks; `fields` are those of the file."""
+        """Diagnosis with its adjustments. `fields` are the fields of the file."""
         result = cls(**fields)
         result._arrays = arrays
         return result
 
     @property
     def arrays(self) -> DiagnosisArrays:
-        """Networks of the diagnosis; raises ModelError for a diagnosis that was read from a file."""
+        """Adjustments and coordinates of the diagnosis; raises ModelError for a diagnosis that was read from a file."""
         if self._arrays is None:
             raise ModelError("a diagnosis read from a file has no networks; call lt.diagnose with the recording")
         return self._arrays
@@ -171,7 +174,7 @@ class Diagnosis(ResultFile):
         """Change (n, 3) [m, rad, rad] of the raw readings that the diagnosis models: effects, corrections and outliers.
 
         Effects enter with their posterior mean over sizes and explanations, as in the coordinates. `recording` is the
-        recording that was diagnosed; readings without a modelled change have 0.
+        recording that was diagnosed. The change is 0 for readings that no effect, correction or outlier concerns.
         """
         adjusted, state = self.final_adjustment, self.final_adjustment.state
         model = adjusted.problem.model
@@ -182,9 +185,9 @@ class Diagnosis(ResultFile):
         return np.nan_to_num(change + corrected)
 
     def modelled_length_change(self, recording: Recording) -> Floats:
-        """Change (g,) [m] of the reference lengths of the recording that the diagnosis models.
+        """Change (g,) [m] of the g reference lengths of the recording that the diagnosis models.
 
-        A length that the diagnosis rejects changes by its difference from the adjusted distance.
+        If the diagnosis rejects a length, its change is its difference from the adjusted distance.
         """
         problem, state = self.final_adjustment.problem, self.final_adjustment.state
         none = replace(state, extra_parameters=np.zeros_like(state.extra_parameters))
@@ -205,14 +208,15 @@ class Diagnosis(ResultFile):
 
     @property
     def variance_factors(self) -> Floats:
-        """Factors (n, 3) on the declared variance of the readings: posterior means; 1 without a change of the noise."""
+        """Posterior means (n, 3) of factors on the declared variances of readings; 1 without a change of the noise."""
         return self.arrays.variance_factors
 
     @property
     def n_coefficients(self) -> int:
-        """Number of estimated coefficients of all effects that shift readings; without such effects, of the findings.
+        """Number of estimated coefficients of all effects that shift readings.
 
-        A law whose w components have an estimated ratio has w - 1 coefficients more.
+        The w components of a law with an estimated ratio add w - 1 coefficients. If no effect shifts readings, it is
+        the number of parameters of the findings.
         """
         model = self.final_adjustment.problem.model
         ratios = sum(len(e.direction) - 1 for e in model.effects if isinstance(e, EmpiricalLaw) and e.direction)

@@ -1,9 +1,10 @@
-"""Ratio of the components of a law: the same function of the regressor in all of them, with different sizes.
+"""Fixed ratio of the components of a law, which then are the same function of the regressor with different sizes.
 
-A stand that sinks moves along one line, and what differs between set-ups often differs in size alone. With a ratio u
-(unit vector) of the w components and coefficients c, a law has k + w - 1 constants in place of w k. The evidence of
-the coefficients is exact at the best ratio; over ratios it is integrated by Laplace's approximation with a uniform
-prior on the half sphere (MacKay 2003, Information Theory, Inference, and Learning Algorithms, ch. 27).
+For example, a stand that sinks moves along one line, and an error often differs between set-ups only in its size. Let w
+be the number of components, each with k coefficients. With a ratio u (unit vector) of the components and common
+coefficients c, a law has k + w - 1 constants in place of w k. The evidence of the coefficients is exact at the best
+ratio. It is integrated over all ratios by Laplace's approximation with a uniform prior on the half sphere (MacKay 2003,
+Information Theory, Inference, and Learning Algorithms, ch. 27).
 """
 
 import numpy as np
@@ -13,28 +14,33 @@ from ltsim.core.arrays import Floats
 from ltsim.diagnosis.evidence import coefficient_posterior, log_evidence_of_coefficients
 
 N_RATIO_ITERATIONS = 10
-"""Number of alternating steps for the ratio and the coefficients."""
+"""Number of iterations, each of which estimates the coefficients given the ratio, and then the ratio."""
 RATIO_DECIMALS = 4
-"""Number of decimals of a ratio, so that a law is equal to the one that is read from its text form."""
+"""Number of decimals to which a ratio is rounded, so that a law equals the law that is read from its text form."""
 
 
-def best_ratio(gram: Floats, score: Floats, spread: Floats, components: int) -> tuple[tuple[float, ...], float, float]:
-    """Best ratio (w,) of the components of a law, the log evidence with that ratio, and the log share of such ratios.
+def best_ratio(
+    gram: Floats, score: Floats, plausible_sizes: Floats, n_components: int
+) -> tuple[tuple[float, ...], float, float]:
+    """Best ratio of the components of a law, as a unit vector (w,), and two log evidences.
 
-    The sum of both is the log evidence with the ratio integrated.
+    The first is the log evidence at this ratio, the second the log of the share of all ratios that the readings permit.
+    Their sum is the log evidence with the ratio integrated.
 
     Parameters
     ----------
-    gram, score : (w k, w k), (w k,) float
-        Products of the projected signature with itself and with the residual, component after component.
-    spread : (w k,) float
-        Prior standard deviations, equal in all components.
+    gram : (w k, w k) float
+        Products of the projected signature with itself, for w components with k coefficients each.
+    score : (w k,) float
+        Products of the projected signature with the residuals.
+    plausible_sizes : (w k,) float
+        Plausible sizes of the coefficients, equal in all components.
     """
-    k = len(score) // components
-    products, scores = gram.reshape(components, k, components, k), score.reshape(components, k)
-    common_spread = spread[:k] * np.sqrt(components)
-    coefficients = coefficient_posterior(gram, score, spread)[0].reshape(components, k)
-    ratio = np.linalg.svd(coefficients / spread[:k], full_matrices=False)[0][:, 0]
+    k = len(score) // n_components
+    products, scores = gram.reshape(n_components, k, n_components, k), score.reshape(n_components, k)
+    common_spread = plausible_sizes[:k] * np.sqrt(n_components)
+    coefficients = coefficient_posterior(gram, score, plausible_sizes)[0].reshape(n_components, k)
+    ratio = np.linalg.svd(coefficients / plausible_sizes[:k], full_matrices=False)[0][:, 0]
     for _ in range(N_RATIO_ITERATIONS):
         mean = coefficient_posterior(np.einsum("i,iajb,j->ab", ratio, products, ratio), ratio @ scores, common_spread)[
             0
@@ -55,9 +61,9 @@ def best_ratio(gram: Floats, score: Floats, spread: Floats, components: int) -> 
 
 
 def _log_share_of_ratios(curvature: Floats, ratio: Floats) -> float:
-    """Log of the share of the half sphere that the readings leave to a ratio, at most 0.
+    """Log, at most 0, of the share of the half sphere of all ratios that the readings permit.
 
-    The `curvature` (w, w) is that of the log evidence at the ratio (w,).
+    `curvature` (w, w) is the curvature of the log evidence at the best `ratio` (w,).
     """
     count = len(ratio)
     tangent = np.linalg.svd(ratio[None])[2][1:]

@@ -1,12 +1,15 @@
-"""Log marginal likelihoods of the hypotheses of a diagnosis.
+"""Log marginal likelihoods (evidence) of the hypotheses of a diagnosis.
 
-In the residual space (whitened residuals r, projector P off all that the ordinary adjustment estimates) a hypothesis
-with signature g and coefficients b ~ N(0, t^2 L), L the squares of plausible sizes, has, relative to the model
-without it, the log marginal likelihood ratio
-    log B = sum_j [ z_j^2 t^2 / (1 + t^2 d_j) - log(1 + t^2 d_j) ] / 2,
-with d_j the eigenvalues of L^1/2 g' P g L^1/2 and z_j the scores L^1/2 g' r along its eigenvectors. It is averaged over
-sizes t. Places, shapes and scales are averaged as well, which penalises hypotheses with many of them. Changes of the
-noise are averaged over a grid of sizes and enter by their restricted likelihood.
+Let r be the whitened residuals, and P the projector onto the residual space, which removes all that the ordinary
+adjustment estimates. A hypothesis has a signature g and coefficients b ~ N(0, t^2 L) with a size factor t; the diagonal
+matrix L contains the squares of the plausible sizes. Its log marginal likelihood ratio relative to the model without it
+is
+    log B = sum_j [ z_j^2 t^2 / (1 + t^2 d_j) - log(1 + t^2 d_j) ] / 2.
+Here d_j are the eigenvalues of L^1/2 g' P g L^1/2, and z_j the scores L^1/2 g' r along its eigenvectors. The ratio is
+averaged over the size factors t. It is also averaged over places, shapes and length scales, which penalises hypotheses
+with many of them. Changes of the noise enter by their restricted likelihood, averaged over a grid of sizes.
+
+Shapes below: m rows of the residual space, h hypotheses, k coefficients, and a number of trials (simulated recordings).
 
 References
 ----------
@@ -34,28 +37,28 @@ from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.recordings.recording import OBSERVABLES
 
 MAX_EVIDENCE_TIE = 1e-6
-"""Difference of log evidences up to which they count as equal: rounding of sums, which depends on the processor, must
-not decide."""
+"""Difference of log evidences up to which they count as equal, so that the rounding of sums, which depends on the
+processor, does not decide."""
 MAX_SCREENED_EVIDENCE_TIE = 1e-4
-"""Difference of log evidences in single precision up to which they count as equal."""
+"""Difference of log evidences up to which they count as equal if they were computed in single precision."""
 
 
 def index_of_best(values: Floats) -> int:
-    """Index of the largest value; the middle one if several are equal, as on a plateau."""
+    """Index of the largest value. If several values are equal, as on a plateau, it is the middle index of these."""
     ties = np.flatnonzero(values >= np.max(values) - MAX_EVIDENCE_TIE)
     return int(ties[(len(ties) - 1) // 2])
 
 
-def ranked_indices(values: Floats, tie: float = MAX_EVIDENCE_TIE) -> Ints:
-    """Indices in the order of decreasing values; values equal within `tie` keep their order."""
+def ranked_indices(values: Floats, max_difference: float = MAX_EVIDENCE_TIE) -> Ints:
+    """Indices in the order of decreasing values. Values within `max_difference` keep their order."""
     falling = np.nan_to_num(-values)
     order = np.argsort(falling, kind="stable")
-    group = np.cumsum(np.diff(falling[order]) > tie)
+    group = np.cumsum(np.diff(falling[order]) > max_difference)
     return order[np.lexsort((order, np.append(0, group)[: len(order)]))]
 
 
 def normalised_probabilities(logs: Floats) -> Floats:
-    """Probabilities (k,) from unnormalised log probabilities (k,)."""
+    """Probabilities (k,) that add up to one, from k unnormalised log probabilities."""
     probabilities: Floats = np.exp(logs - log_sum_exp(logs))
     return probabilities
 
@@ -64,27 +67,30 @@ MAX_SIMULATED_SCORES = 500_000
 """Largest number of simulated scores in memory at a time, some tens of MB."""
 
 
-def simulated_log_evidence(scores: Floats, strength: Floats) -> Floats:
-    """`log_evidence` (h, trials) of scores (h, k, trials) of simulated residuals, in single precision."""
+def simulated_log_evidence(scores: Floats, eigenvalues: Floats) -> Floats:
+    """Log evidence (h, trials) of h hypotheses for simulated residuals, computed in single precision.
+
+    `scores` (h, k, trials) and `eigenvalues` (h, k) are those of k eigenvectors.
+    """
     parts = [
-        _log_sum_exp_in_place(logs, 1) for logs in _simulated_log_evidence(scores, strength, np.zeros(len(scores)))
+        _log_sum_exp_in_place(logs, 1) for logs in _simulated_log_evidence(scores, eigenvalues, np.zeros(len(scores)))
     ]
     evidence: Floats = np.concatenate(parts).astype(np.float64)
     return evidence
 
 
-def simulated_log_total(scores: Singles, strength: Floats, log_prior: Floats) -> Floats:
-    """Log of the sum (trials,) over all hypotheses, each with its prior (h,)."""
-    flattened = scores.reshape(-1, *scores.shape[-2:]), strength.reshape(-1, scores.shape[-2])
+def simulated_log_total(scores: Singles, eigenvalues: Floats, log_prior: Floats) -> Floats:
+    """Log (trials,) of the sum of the evidence of all hypotheses with their priors (h,), for simulated residuals."""
+    flattened = scores.reshape(-1, *scores.shape[-2:]), eigenvalues.reshape(-1, scores.shape[-2])
     parts = [_log_sum_exp_in_place(logs, (0, 1)) for logs in _simulated_log_evidence(*flattened, log_prior)]
     return log_sum_exp(np.stack(parts).astype(np.float64))
 
 
-def _simulated_log_evidence(scores: Floats | Singles, strength: Floats, log_prior: Floats) -> Iterator[Singles]:
-    """Log evidence with priors, (h, sizes, trials), in batches of hypotheses."""
+def _simulated_log_evidence(scores: Floats | Singles, eigenvalues: Floats, log_prior: Floats) -> Iterator[Singles]:
+    """Iterator over batches of hypotheses: log evidence with priors, (h, size factors, trials)."""
     step = max(1, MAX_SIMULATED_SCORES * len(scores) // max(scores.size, 1))
     for i in range(0, len(scores), step):
-        weights, constants = size_weights_and_constants(strength[i : i + step])
+        weights, constants = size_weights_and_constants(eigenvalues[i : i + step])
         constants += log_prior[i : i + step, None]
         logs = np.swapaxes(weights, -1, -2).astype(np.float32) @ np.square(scores[i : i + step], dtype=np.float32)
         logs += constants[..., None].astype(np.float32)
@@ -92,46 +98,49 @@ def _simulated_log_evidence(scores: Floats | Singles, strength: Floats, log_prio
 
 
 def _log_sum_exp_in_place(logs: Singles, axis: int | tuple[int, ...]) -> Singles:
-    """Log of the sum of exp(logs) along axes; `logs` is overwritten."""
+    """Log of the sum of exp(logs) along `axis`. The array `logs` is overwritten."""
     top = logs.max(axis=axis, keepdims=True)
     np.exp(np.subtract(logs, top, out=logs), out=logs)
     total: Singles = np.log(logs.sum(axis=axis)) + top.squeeze(axis)
     return total
 
 
-def log_restricted_likelihood_ratio(squares: Floats, redundancy: Floats, factor: Floats) -> Floats:
-    """Log restricted likelihood ratio of variances `factor` times as large, in its diagonal form, reading by reading.
+def log_restricted_likelihood_ratio(squares: Floats, redundancy: Floats, variance_factor: Floats) -> Floats:
+    """Log restricted likelihood ratio of variances `variance_factor` times as large as declared, for each reading.
 
-    `squares` are those of whitened residuals, `redundancy` the redundancies; or sums of both over readings of equal
-    factor.
+    This is the diagonal form, in which the readings are independent. `squares` are squares of whitened residuals, and
+    `redundancy` the redundancy numbers of the readings. Both may be sums over readings with the same factor.
     """
-    ratio: Floats = 0.5 * (squares * (1.0 - 1.0 / factor) - redundancy * np.log(factor))
+    ratio: Floats = 0.5 * (squares * (1.0 - 1.0 / variance_factor) - redundancy * np.log(variance_factor))
     return ratio
 
 
 def log_evidence_of_wrong_readings(
     space: ResidualSpace, residual: Floats, redundancy: Floats, log_prior: float
 ) -> float:
-    """Log evidence of several wrong readings, each with an error of its own.
+    """Log evidence of a number of wrong readings, each with a separate error.
 
-    Readings whose own log evidence is positive are taken as wrong, whatever the others are.
+    Each reading with a positive log evidence counts as wrong, independently of the others.
 
     Parameters
     ----------
     residual, redundancy : (m,) float
-        Whitened residuals and redundancies given a model.
+        Whitened residuals and redundancy numbers given a model.
     log_prior : float
-        Log prior of a wrong reading, all readings together.
+        Log prior probability that any reading is wrong. It is divided equally among all readings.
     """
     sizes = np.concatenate([Outlier(observable=name).size_scales for name in OBSERVABLE_COLUMN])
     scale = (sizes / space.sigma)[space.used_readings]
-    score, strength = residual[: len(scale)] * scale, np.maximum(redundancy[: len(scale)], 0.0) * scale**2
-    values = log_evidence((score**2)[:, None], strength[:, None]) + log_prior - np.log(len(scale))
+    score, eigenvalues = residual[: len(scale)] * scale, np.maximum(redundancy[: len(scale)], 0.0) * scale**2
+    values = log_evidence((score**2)[:, None], eigenvalues[:, None]) + log_prior - np.log(len(scale))
     return float(np.maximum(values, 0.0).sum())
 
 
 def log_means_by_group(values: Floats, groups: Ints, n_groups: int) -> Floats:
-    """Log of the mean of exp(values) in each of `n_groups` non-empty groups, for values (k,) or (k, trials)."""
+    """Log of the mean of exp(values) in each of `n_groups` groups, none of which is empty.
+
+    `groups` (h,) are the groups of the `values` (h,) or (h, trials).
+    """
     order = np.argsort(groups, kind="stable")
     starts = np.searchsorted(groups[order], np.arange(n_groups))
     top = np.maximum.reduceat(values[order], starts, axis=0)
@@ -141,26 +150,39 @@ def log_means_by_group(values: Floats, groups: Ints, n_groups: int) -> Floats:
     return means
 
 
-def log_evidence_of_coefficients(gram: Floats, score: Floats, spread: Floats) -> Floats:
-    """Log evidence (...) of coefficients with prior N(0, t^2 spread^2), averaged over sizes.
+def log_evidence_of_coefficients(gram: Floats, score: Floats, plausible_sizes: Floats) -> Floats:
+    """Log evidence (...) of k coefficients with the prior N(0, t^2 size^2), averaged over the size factors t.
 
     Parameters
     ----------
-    gram, score, spread : (..., k, k), (..., k), (..., k) float
+    gram : (..., k, k) float
+        Gram matrix of the projected signature.
+    score : (..., k) float
+        Product of the signature with the residuals.
+    plausible_sizes : (..., k) float
+        Plausible sizes of the coefficients.
     """
-    strength, turn = _eigen_decomposition(gram, spread)
-    return log_evidence((np.swapaxes(turn, -1, -2) @ score[..., None])[..., 0] ** 2, strength)
+    eigenvalues, turn = _eigen_decomposition(gram, plausible_sizes)
+    return log_evidence((np.swapaxes(turn, -1, -2) @ score[..., None])[..., 0] ** 2, eigenvalues)
 
 
 def coefficient_posterior(
-    gram: Floats, score: Floats, spread: Floats, sizes: Floats = EVIDENCE_SIZES, log_weights: Floats = LOG_SIZE_PRIOR
+    gram: Floats,
+    score: Floats,
+    plausible_sizes: Floats,
+    sizes: Floats = EVIDENCE_SIZES,
+    log_weights: Floats = LOG_SIZE_PRIOR,
 ) -> tuple[Floats, Floats, float]:
-    """Mean (k,), covariance (k, k) and log evidence of coefficients with prior N(0, t^2 spread^2), averaged over t."""
-    strength, turn = _eigen_decomposition(gram, spread)
+    """Posterior mean (k,), covariance (k, k) and log evidence of k coefficients, averaged over size factors t.
+
+    The prior of the coefficients is N(0, t^2 size^2) with their plausible sizes. The factors t are `sizes`, and
+    `log_weights` are the logs of their prior weights. `gram` and `score` are as in `log_evidence_of_coefficients`.
+    """
+    eigenvalues, turn = _eigen_decomposition(gram, plausible_sizes)
     z = turn.T @ score
-    logs = log_evidence_by_size(z**2, size_weights_and_constants(strength, sizes, log_weights))
+    logs = log_evidence_by_size(z**2, size_weights_and_constants(eigenvalues, sizes, log_weights))
     weight = normalised_probabilities(logs)
-    variances = sizes[:, None] ** 2 / (1.0 + sizes[:, None] ** 2 * strength)
+    variances = sizes[:, None] ** 2 / (1.0 + sizes[:, None] ** 2 * eigenvalues)
     means = variances * z
     mean = weight @ means
     deviations = means - mean
@@ -168,50 +190,55 @@ def coefficient_posterior(
     return turn @ mean, turn @ inner @ turn.T, float(log_sum_exp(logs))
 
 
-def _eigen_decomposition(gram: Floats, spread: Floats) -> tuple[Floats, Floats]:
-    """Eigenvalues (..., k) of Gram matrices in plausible sizes, and the matrix that transforms scores to them."""
-    strength, vectors = np.linalg.eigh(gram * spread[..., :, None] * spread[..., None, :])
-    return np.maximum(strength, 0.0), spread[..., None] * vectors
+def _eigen_decomposition(gram: Floats, plausible_sizes: Floats) -> tuple[Floats, Floats]:
+    """Eigenvalues (..., k) of Gram matrices scaled by plausible sizes, and the scaled eigenvectors (..., k, k).
+
+    The product of the transposed eigenvectors with a score is the score along each eigenvector.
+    """
+    eigenvalues, vectors = np.linalg.eigh(gram * plausible_sizes[..., :, None] * plausible_sizes[..., None, :])
+    return np.maximum(eigenvalues, 0.0), plausible_sizes[..., None] * vectors
 
 
 WIDE_PRIOR_SIZES = 30.0
-"""Prior standard deviation of reported sizes, in plausible sizes: it hardly shrinks them, but keeps undetermined
-combinations finite.
-"""
+"""Prior standard deviation of reported sizes, as a multiple of their plausible sizes. It hardly shrinks the estimates,
+but keeps undetermined combinations finite."""
 
 
-def wide_prior_posterior(gram: Floats, score: Floats, spread: Floats) -> tuple[Floats, Floats, float]:
-    """Mean (k,), covariance (k, k) and log evidence of coefficients with a prior of `WIDE_PRIOR_SIZES`."""
-    return coefficient_posterior(gram, score, spread, np.array([WIDE_PRIOR_SIZES]), np.zeros(1))
+def wide_prior_posterior(gram: Floats, score: Floats, plausible_sizes: Floats) -> tuple[Floats, Floats, float]:
+    """Posterior mean (k,), covariance (k, k) and log evidence of k coefficients with the prior `WIDE_PRIOR_SIZES`."""
+    return coefficient_posterior(gram, score, plausible_sizes, np.array([WIDE_PRIOR_SIZES]), np.zeros(1))
 
 
 def log_sign_weight(mean: float, sigma: float) -> float:
-    """Log factor on the evidence of a nonnegative parameter: twice the posterior probability of a positive size."""
+    """Log factor on the evidence of a parameter that cannot be negative, from its posterior mean and deviation.
+
+    The factor is twice the posterior probability of a positive size.
+    """
     return float(np.log(2.0) + log_ndtr(mean / max(sigma, 1e-300)))
 
 
 def log_evidence_of_effect(effect: CandidateEffect, gram: Floats, score: Floats) -> float:
-    """Log marginal likelihood ratio of an effect from its Gram matrix (k, k) and score (k,), sizes averaged."""
-    spread = effect.size_scales
+    """Log marginal likelihood ratio of an effect, averaged over sizes, from its Gram matrix (k, k) and score (k,)."""
+    plausible_sizes = effect.size_scales
     if not any(p.is_positive for p in effect.parameters):
-        return float(log_evidence_of_coefficients(gram, score, spread))
-    mean, covariance, total = coefficient_posterior(gram, score, spread)
+        return float(log_evidence_of_coefficients(gram, score, plausible_sizes))
+    mean, covariance, total = coefficient_posterior(gram, score, plausible_sizes)
     for p, m, v in zip(effect.parameters, mean, np.diag(covariance), strict=True):
         total += log_sign_weight(float(m), float(np.sqrt(v))) if p.is_positive else 0.0
     return total
 
 
 MAX_SIZE_FACTOR = 1e4
-"""Largest factor on the plausible size of a tracker: millimetres in place of tenths of a micrometre."""
+"""Largest factor on a plausible size of an error of a tracker. It makes millimetres of tenths of a micrometre."""
 
 
-def noise_level_factor(strength: Floats) -> float:
-    """Factor (>= 1) that raises a plausible size to the noise level; smaller effects are undetectable.
+def noise_level_factor(effects_in_sigmas: Floats) -> float:
+    """Factor, at least 1, that raises a plausible size to the noise level, because smaller effects are not detectable.
 
-    `strength` (n,) is the effect of a plausible size on each pointing over the noise; its median over the affected
-    pointings becomes 1.
+    `effects_in_sigmas` (n,) is the change of each of n pointings by an effect of plausible size, divided by the noise.
+    With the factor its median over the affected pointings is at least 1.
     """
-    positive = np.sort(strength[strength > 0])
+    positive = np.sort(effects_in_sigmas[effects_in_sigmas > 0])
     if not len(positive):
         return 1.0
     median = 0.5 * float(positive[(len(positive) - 1) // 2] + positive[len(positive) // 2])
@@ -219,17 +246,17 @@ def noise_level_factor(strength: Floats) -> float:
 
 
 MIN_ACTIVE_FRACTION = 0.01
-"""Smallest fraction of the squared signature of an observable on which an effect is reported to act."""
+"""Smallest fraction of the squared shift that is in an observable on which an effect is reported to act."""
 MIN_PROJECTED_ACTIVE_FRACTION = 0.1
-"""Smallest fraction of the squared projected signature of such an observable: the adjustment spreads a shift of one
-observable over the others."""
+"""Smallest fraction of the squared projected shift that is in an observable on which an effect is reported to act. It
+is larger than `MIN_ACTIVE_FRACTION`, because the adjustment spreads a shift of one observable over the others."""
 
 
 def active_observables(acts_on: Bools, shift: Floats, projected_shift: Floats) -> tuple[str, ...]:
-    """Observables on which an effect acts; empty for all.
+    """Names of the observables on which an effect acts; empty for all.
 
-    `shift` (r,) is its whitened shift of the readings in `acts_on` (n, 3), `projected_shift` (r,) the projection of
-    that.
+    `acts_on` (n, 3) are flags of r readings, `shift` (r,) is the whitened shift of these readings by the effect, and
+    `projected_shift` (r,) its projection onto the residual space.
     """
     active = (_observable_fractions(acts_on, shift) >= MIN_ACTIVE_FRACTION) & (
         _observable_fractions(acts_on, projected_shift) >= MIN_PROJECTED_ACTIVE_FRACTION
@@ -238,7 +265,7 @@ def active_observables(acts_on: Bools, shift: Floats, projected_shift: Floats) -
 
 
 def _observable_fractions(acts_on: Bools, shift: Floats) -> Floats:
-    """Fraction (3,) of the squares of a shift (r,) in each observable."""
+    """Fraction (3,) in each observable of the squares of a shift (r,) of the r readings flagged by `acts_on` (n, 3)."""
     kind = np.nonzero(acts_on)[1]
     squares = np.bincount(kind, shift**2, minlength=len(OBSERVABLES))
     fraction: Floats = squares / max(float(squares.sum()), 1e-300)
@@ -246,17 +273,18 @@ def _observable_fractions(acts_on: Bools, shift: Floats) -> Floats:
 
 
 DISCREPANCY_RATIOS = np.geomspace(0.05, 1.0, 9)
-"""Grid of the differences of an unmodelled cause from the best hypothesis, relative to the change by the hypothesis:
-log-uniform from hardly visible to 1, a difference as large as the change.
+"""Grid of the difference between an unmodelled cause and the best hypothesis, as a fraction of the change by the
+hypothesis. It is log-uniform from a hardly visible difference to 1, a difference as large as the change.
 """
 
 
 def log_bayes_factor_discrepancy(space: ResidualSpace, shift: Floats, residual: Floats, redundancy: Floats) -> float:
     """Log Bayes factor of an unmodelled cause that resembles a hypothesis, relative to the hypothesis itself.
 
-    Such a cause differs from the hypothesis by a random shift of each reading of standard deviation delta times the rms
-    shift in its observable, delta log-uniform over `DISCREPANCY_RATIOS`. The residuals support or contradict that added
-    variance through the restricted likelihood; for a weak effect the factor is near 1.
+    Such a cause differs from the hypothesis by a random shift of each reading. The standard deviation of this shift is
+    delta times the rms shift by the hypothesis in the observable, with delta log-uniform over `DISCREPANCY_RATIOS`. The
+    restricted likelihood of the added variance tells whether the residuals support it. For a weak effect the factor is
+    near 1.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Moments and evidence of effects given a model, without approximation, for many effects at a time.
+"""Gram matrices, scores and log evidence of effects given a model, without approximation, for many effects at a time.
 
-Residuals and the columns of a set lie in the residual space: a projection is needed for a signature's products with
-itself alone, and these are the same for every model.
+The residuals and the basis of a model lie in the residual space. A signature therefore has to be projected only for its
+products with itself, which are the same for every model.
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,21 +25,24 @@ from ltsim.physics.laws.responses import RESPONSES_BY_NAME
 
 CachedType = TypeVar("CachedType", bound=CandidateEffect)
 PlaceKey = tuple[tuple[str, ...], tuple[str, ...]]
+"""Place of an effect: the names of its stations, and of its targets."""
 MAX_SEARCH_STEPS = 12
-"""Largest number of steps of the local search."""
+"""Largest number of steps of the local search for the constants of an effect."""
 MAX_SIGNATURE_ENTRIES = 3_000_000
 """Largest number of entries of signatures in memory at a time, some tens of MB."""
 
 
 class ResidualRows(NamedTuple):
-    """Rows of the residual space, and the pointing (r,) of each row that is a reading."""
+    """Rows of the residual space on which an effect acts."""
 
     rows: Ints | slice
+    """Indices of the rows, or their slice."""
     pointing: Ints
+    """Index (r,) of the pointing of each of the r rows that are readings."""
 
 
 class EvidenceCalculator:
-    """Moments and evidence of effects in one residual space."""
+    """Calculator of Gram matrices, scores and log evidence of effects in one residual space."""
 
     def __init__(self, space: ResidualSpace) -> None:
         self.space = space
@@ -49,12 +52,15 @@ class EvidenceCalculator:
         self._rows: dict[PlaceKey, ResidualRows] = {}
 
     def gram_and_score(self, effects: Sequence[CandidateEffect], base_model: Model) -> list[tuple[Floats, Floats]]:
-        """Gram matrix (k, k) and score (k,) of each effect's signature, projected off the adjustment and a model."""
+        """Gram matrix (k, k) and score (k,) of each effect, given the adjustment and a model.
+
+        They are the products of the projected signature of its k parameters with itself and with the residuals.
+        """
         moments: dict[int, tuple[Floats, Floats]] = {}
         for rows, members in self._batches(effects):
-            chosen = [effects[i] for i in members]
-            signatures, edges = self._adjacent_signatures(chosen, rows)
-            self._cache_projected_grams(chosen, signatures, edges, rows)
+            batch_effects = [effects[i] for i in members]
+            signatures, edges = self._adjacent_signatures(batch_effects, rows)
+            self._cache_projected_grams(batch_effects, signatures, edges, rows)
             overlap, score = base_model.basis[rows.rows].T @ signatures, base_model.residual[rows.rows] @ signatures
             for i, low, high in zip(members, edges[:-1], edges[1:], strict=True):
                 part = overlap[:, low:high]
@@ -62,7 +68,7 @@ class EvidenceCalculator:
         return [moments[i] for i in range(len(effects))]
 
     def log_evidence(self, effects: Sequence[CandidateEffect], base_model: Model) -> Floats:
-        """Log marginal likelihood ratio of each effect given a model, averaged over sizes."""
+        """Log marginal likelihood ratio (effects,) of each effect given a model, averaged over sizes."""
         values = np.zeros(len(effects))
         by_size: dict[int, list[int]] = {}
         moments = self.gram_and_score(effects, base_model)
@@ -78,36 +84,44 @@ class EvidenceCalculator:
         return values
 
     def refine_locally(self, effects: Sequence[CachedType], base_model: Model) -> list[tuple[CachedType, float]]:
-        """Local search from each effect over its neighbours; the evidence is the mean over the last neighbourhood."""
+        """Best effect of a local search from each effect over its neighbours, with a log evidence.
+
+        The evidence is the mean over the best effect and its neighbours, not its maximum.
+        """
         best, values = list(effects), self.log_evidence(effects, base_model)
-        means, moving = values.copy(), list(range(len(best)))
+        means, moving_indices = values.copy(), list(range(len(best)))
         for _ in range(MAX_SEARCH_STEPS):
-            candidates = {i: neighbours for i in moving if (neighbours := best[i].neighbours(self.space.sightings))}
-            means[moving] = values[moving]
+            candidates = {
+                i: neighbours for i in moving_indices if (neighbours := best[i].neighbours(self.space.sightings))
+            }
+            means[moving_indices] = values[moving_indices]
             if not candidates:
                 break
             logs = self.log_evidence(
                 [neighbour for neighbours in candidates.values() for neighbour in neighbours], base_model
             )
             edges = np.cumsum([len(neighbours) for neighbours in candidates.values()])[:-1]
-            moving = []
+            moving_indices = []
             for (i, neighbours), parts in zip(candidates.items(), np.split(logs, edges), strict=True):
                 means[i] = log_sum_exp(np.append(parts, values[i])) - np.log(len(parts) + 1)
                 top = index_of_best(parts)
                 if parts[top] > values[i] + MAX_EVIDENCE_TIE:
                     best[i], values[i] = neighbours[top], parts[top]
-                    moving.append(i)
+                    moving_indices.append(i)
         return list(zip(best, means.tolist(), strict=True))
 
     def whitened_signature(self, effect: CandidateEffect) -> Floats:
-        """Whitened signature (m, k) of an effect."""
+        """Whitened signature (m, k) of an effect with k parameters, on all m rows of the residual space."""
         rows = self._rows_of(effect)
         signature = np.zeros((self.space.n_rows, len(effect.parameters)))
         signature[rows.rows] = self._adjacent_signatures([effect], rows)[0]
         return signature
 
     def _batches(self, effects: Sequence[CandidateEffect]) -> Iterator[tuple[ResidualRows, list[int]]]:
-        """Batches of effects that act on the same rows, as large as memory permits."""
+        """Batches of effects that act on the same rows, as pairs of the rows and the indices of the effects.
+
+        A batch has at most `MAX_SIGNATURE_ENTRIES` entries.
+        """
         by_rows: dict[int, tuple[ResidualRows, list[int]]] = {}
         for i, effect in enumerate(effects):
             rows = self._rows_of(effect)
@@ -118,7 +132,7 @@ class EvidenceCalculator:
             yield from ((rows, part.tolist()) for part in parts)
 
     def _rows_of(self, effect: CandidateEffect) -> ResidualRows:
-        """Rows on which a law acts; all rows for other effects."""
+        """Rows on which an effect acts: those at the places of a law, and all rows for an effect of the catalogue."""
         place = (effect.stations, effect.targets) if isinstance(effect, EmpiricalLaw) else (("",), ("",))
         if place not in self._rows:
             if not isinstance(effect, EmpiricalLaw):
@@ -126,30 +140,33 @@ class EvidenceCalculator:
             elif place == ((), ()):
                 self._rows[place] = ResidualRows(slice(len(self._pointing)), self._pointing)
             else:
-                acting = np.flatnonzero(effect.row_weights(self.space.sightings)[self._pointing])
-                self._rows[place] = ResidualRows(acting, self._pointing[acting])
+                acting_rows = np.flatnonzero(effect.row_weights(self.space.sightings)[self._pointing])
+                self._rows[place] = ResidualRows(acting_rows, self._pointing[acting_rows])
         return self._rows[place]
 
     def _adjacent_signatures(self, effects: Sequence[CandidateEffect], rows: ResidualRows) -> tuple[Floats, Ints]:
-        """Whitened signatures (r, q) of effects in adjacent columns on their rows, and the limits of each effect."""
+        """Whitened signatures of effects side by side, (r, q) on r rows, and the index of the first column of each.
+
+        The q columns are the parameters of all effects. The indices end with q.
+        """
         edges = np.append(0, np.cumsum([len(effect.parameters) for effect in effects]))
         if not isinstance(effects[0], EmpiricalLaw):
             return np.hstack([self.space.whitened_signature(effect) for effect in effects]), edges
         signatures = np.empty((len(rows.pointing), edges[-1]))
-        carried: dict[str, Floats] = {}
+        response_changes: dict[str, Floats] = {}
         for effect, low, high in zip(effects, edges[:-1], edges[1:], strict=True):
             assert isinstance(effect, EmpiricalLaw)
             name = effect.response.name
-            if name not in carried:
-                carried[name] = self._response_changes(name)[rows.rows]
-            moved = effect.change_along_direction(carried[name], self.space.sightings, rows.pointing)
+            if name not in response_changes:
+                response_changes[name] = self._response_changes(name)[rows.rows]
+            moved = effect.change_along_direction(response_changes[name], self.space.sightings, rows.pointing)
             columns = effect.columns(self.space.sightings)[rows.pointing]
             shape = len(signatures), moved.shape[1], columns.shape[1]
             np.multiply(moved[:, :, None], columns[:, None, :], out=signatures[:, low:high].reshape(shape))
         return signatures, edges
 
     def _response_changes(self, name: str) -> Floats:
-        """Whitened change (m, c) of the readings by each component of a response, computed once."""
+        """Whitened change (m, c) of the readings per unit of each of c components of a response, computed once."""
         if name not in self._changes_by_response:
             self._changes_by_response[name] = self.space.whiten(RESPONSES_BY_NAME[name][1](self.space.sightings))
         return self._changes_by_response[name]
@@ -157,13 +174,16 @@ class EvidenceCalculator:
     def _cache_projected_grams(
         self, effects: Sequence[CandidateEffect], signatures: Floats, edges: Ints, rows: ResidualRows
     ) -> None:
-        """Computation of the Gram matrices of projected signatures of new effects, which are then cached."""
-        new = sorted({effect: i for i, effect in enumerate(effects) if effect not in self._grams}.values())
-        if not new:
+        """Computation of the Gram matrices of the projected signatures of new effects, which are then cached.
+
+        `edges` are the indices of the first column of each effect in `signatures`, followed by the number of columns.
+        """
+        new_indices = sorted({effect: i for i, effect in enumerate(effects) if effect not in self._grams}.values())
+        if not new_indices:
             return
         columns = signatures
-        if len(new) < len(effects):
-            columns = np.hstack([signatures[:, edges[i] : edges[i + 1]] for i in new])
-        ends = np.append(0, np.cumsum(np.diff(edges)[new]))
+        if len(new_indices) < len(effects):
+            columns = np.hstack([signatures[:, edges[i] : edges[i + 1]] for i in new_indices])
+        ends = np.append(0, np.cumsum(np.diff(edges)[new_indices]))
         grams = self.space.projector.gram_matrices(columns, ends, rows.rows)
-        self._grams.update(zip((effects[i] for i in new), grams, strict=True))
+        self._grams.update(zip((effects[i] for i in new_indices), grams, strict=True))

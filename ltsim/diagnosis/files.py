@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from ltsim.adjustment.joint import COVARIANCE_FILE, covariance_csv
-from ltsim.adjustment.unmodelled import joint_air_covariance
+from ltsim.adjustment.coordinate_uncertainty import COVARIANCE_FILE, covariance_csv, joint_air_covariance
 from ltsim.calibration.schema import RESIDUALS_TABLE
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import DIAGNOSED_TARGETS_TABLE, RESIDUALS_BEFORE_TABLE
@@ -12,6 +11,7 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import write_result
 
 RECORDING_FOLDER = "recording"
+"""Name of the folder with the recording, within the folder of a diagnosis."""
 COMPANION_FILES = (
     DIAGNOSED_TARGETS_TABLE.file,
     COVARIANCE_FILE,
@@ -23,11 +23,11 @@ COMPANION_FILES = (
 
 
 def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | None = None) -> Diagnosis:
-    """Diagnosis with the digests of its files, which are written to a folder with its recording (if given).
+    """Diagnosis with the digests of the files that are written to `folder`.
 
-    `targets.csv` holds the coordinates adjusted with the findings modelled, `targets.covariance.csv` their joint
-    covariance with the variance between explanations, `residuals.csv` their residuals, `residuals_before.csv`
-    those of the ordinary adjustment, `recording/` the recording.
+    `targets.csv` contains the coordinates adjusted with the findings in the model, and `targets.covariance.csv` their
+    joint covariance with the variance between explanations. `residuals.csv` contains the residuals of this adjustment,
+    and `residuals_before.csv` those of the ordinary adjustment. `recording/` contains the recording, if it is given.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Findings from a selected model: place, size, probability, sentence."""
+"""Reported findings of a selected model, each with its place, size, probability and sentence."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -50,32 +50,36 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 MAX_REPORTED_NOISE_SIZES = 12
-"""Largest number of reported sizes of one change of the noise by target or set-up."""
+"""Largest number of targets, set-ups or readings whose sizes a finding on separate noise reports."""
 MAX_LISTED_READINGS = 4
-"""Largest number of readings that a sentence lists."""
+"""Largest number of readings that a sentence lists. With more readings, the sentence lists none."""
 MIN_LISTED_CHI2_FRACTION = 0.8
-"""Smallest fraction of the chi-square decrease that the listed readings have together."""
+"""Smallest fraction of the chi-square decrease of a finding that the listed readings have together."""
 MIN_SIGNIFICANT_SIGMAS = 2.0
-"""A size is significant if it exceeds this many standard deviations (two-sided 5 %)."""
+"""Number of standard deviations above which a size is significant (two-sided 5 %)."""
 BASELINE_EFFECT_TYPES = tuple(type(effect) for effect in BASELINE_EFFECTS)
 """Effects of the ordinary calibration, which are findings only if they exceed their prior."""
 MIN_IMPLAUSIBLE_SIZE_RATIO = 5.0
-"""Multiple of a large but plausible size that an implausible size exceeds by two standard deviations."""
+"""Multiple of a large but plausible size, above which a size minus two standard deviations counts as implausible."""
 
 
 @dataclass(frozen=True)
 class ExplainedRecording:
-    """Explanation of a recording, searched and refitted, from which its findings are reported."""
+    """Selected model of a recording after its nonlinear refit, from which the findings are reported."""
 
     state: SelectionState
+    """State of the model selection at its end."""
     detection: Detection
+    """Result of the global tests."""
     model: Model
+    """Selected model of effects."""
     refit: Refit
+    """Nonlinear adjustment with this model."""
     has_test_findings: bool = False
-    """True if findings are reported in addition to the members."""
+    """True if findings of tests, or of the noise, are reported in addition to the members of the model."""
 
     def _ranking(self, member: int) -> Ranking:
-        """Ranking of all alternatives to a member, changes of the noise and an unmodelled cause included."""
+        """Ranking of all alternatives to a member of the model, with changes of the noise and an unmodelled cause."""
         searcher, model = self.state.searcher, self.model
         other_members = searcher.model_without(model, member)
         noises = [
@@ -83,18 +87,17 @@ class ExplainedRecording:
             for value, change in self.state.ranked_noise(other_members)
         ]
         effect, spread = self.refit.effects[member], model.members[member].plausible_sizes
-        mean = coefficient_posterior(*searcher.evidence_calculator.gram_and_score([effect], other_members)[0], spread)[
-            0
-        ]
+        moments = searcher.evidence_calculator.gram_and_score([effect], other_members)[0]
+        mean = coefficient_posterior(*moments, spread)[0]
         redundancy = searcher.space.redundancy - np.sum(model.basis**2, axis=1)
         shift = searcher.space.whitened_signature(effect) @ mean
         likeness = log_bayes_factor_discrepancy(searcher.space, shift, model.residual, redundancy)
         return searcher.ranking(other_members).with_rivals(noises).with_unmodelled_cause(likeness)
 
     def probability(self, member: int) -> float:
-        """Posterior probability that the named effect is the cause.
+        """Posterior probability that the effect with the name of a member is the cause.
 
-        For an unknown one, that it acts on these observables.
+        For an unknown effect it is the probability that an unknown effect acts on the same observables.
         """
         hypothesis, ranking = self.model.members[member], self.rankings[member]
         if hypothesis.is_catalogued:
@@ -110,20 +113,21 @@ class ExplainedRecording:
 
     @cached_property
     def p_located(self) -> list[float]:
-        """Probability, for each member of the model, that any effect acts on its observables at its place."""
+        """Probability, for each member of the model, that any effect acts on the same observables at the same place."""
         return [self._p_located_of(i) for i in range(len(self.model.members))]
 
     @cached_property
     def squared_residual_decreases(self) -> list[Floats]:
-        """Decrease of the squared residuals (m,) by each member given the others."""
+        """Decrease of the squared whitened residuals (m,) by each member, given the others."""
         reduced_models = (self.state.searcher.model_without(self.model, i) for i in range(len(self.model.members)))
         return [others.residual**2 - self.model.residual**2 for others in reduced_models]
 
     @cached_property
     def withheld_keys(self) -> tuple[str, ...]:
-        """Keys of improbable members, which are in the model but not reported.
+        """Keys of improbable members, which are in the model but are not reported.
 
-        The strongest is reported if there is no other finding, or if it is certain that there is a cause.
+        The member with the largest chi-square decrease is reported nevertheless, if there is no other finding, or if it
+        is certain that there is a cause.
         """
         members, gains = self.model.members, [gain.sum() for gain in self.squared_residual_decreases]
         is_doubtful = [
@@ -134,10 +138,10 @@ class ExplainedRecording:
         return tuple(member.key for member, doubt in zip(members, is_doubtful, strict=True) if doubt)
 
     def p_real(self, member: int) -> float:
-        """Probability that a member is real, whatever its name, and that no wrong readings are the cause in its place.
+        """Probability that a member is a real effect with any name, and not a number of wrong readings.
 
-        It is 0 if no size exceeds `MIN_SIGNIFICANT_SIGMAS` standard deviations and the decrease of chi-square is not
-        significant either, or if neither place, observable nor form is determined.
+        It is 0 if neither a size nor the decrease of chi-square is significant. It is also 0 if neither the place, nor
+        the observable, nor the form of the effect is determined.
         """
         effect, gain = self.refit.effects[member], float(self.squared_residual_decreases[member].sum())
         sizes = [size for size in self.refit.estimates[member] if size.parameter in effect.parameters]
@@ -150,11 +154,11 @@ class ExplainedRecording:
         return max(self.probability(member), p_located) * (1.0 - self._p_wrong_readings(member))
 
     def p_any(self, member: int) -> float:
-        """Probability of any cause in place of a member, other than wrong readings, each for itself."""
+        """Probability that there is any cause in place of a member, other than a number of wrong readings."""
         return (1.0 - self.rankings[member].p_none) * (1.0 - self._p_wrong_readings(member))
 
     def _p_wrong_readings(self, member: int) -> float:
-        """Probability that wrong readings, each for itself, are the cause in place of a member."""
+        """Probability that several wrong readings, each with a separate error, are the cause in place of a member."""
         searcher, model = self.state.searcher, self.model
         others = searcher.model_without(model, member)
         if isinstance(model.members[member].effect, Outlier):
@@ -165,7 +169,7 @@ class ExplainedRecording:
         return float(expit(rival - (model.score - others.score)))
 
     def finding(self, member: int) -> Finding:
-        """Finding of a member, a mean shift, given the others."""
+        """Finding of a member of the model, given the other members."""
         searcher, model, ranking = self.state.searcher, self.model, self.rankings[member]
         space, others = searcher.space, searcher.model_without(model, member)
         hypothesis = replace(model.members[member], effect=self.refit.effects[member])
@@ -186,7 +190,7 @@ class ExplainedRecording:
         if isinstance(effect, EmpiricalLaw):
             extra_fields = {
                 "carrier": effect.response.name,
-                "driver": regressor_text(effect.regressor, clock=self.state.recording.has_clock),
+                "driver": regressor_text(effect.regressor, has_clock=self.state.recording.has_clock),
             }
             extra_fields["curve"] = response_curve(effect, space.sightings, *searcher.law_coefficients(effect, others))
             law = law_text(effect, extra_fields["driver"])
@@ -221,20 +225,13 @@ class ExplainedRecording:
             **_non_empty_entries(extra_fields),
         )
 
-    def _readings_sentence(self, gain: Floats) -> str:
-        """Sentence on the readings with most of a gain (m,), if they are few."""
+    def _readings_sentence(self, chi2_decreases: Floats) -> str:
+        """Sentence on the readings with most of the decrease of chi-square (m,) by row; empty for many readings."""
         use, recording = self.state.searcher.space.used_readings, self.state.recording
-        reading_gain = gain[: int(use.sum())]
+        reading_gain = chi2_decreases[: int(use.sum())]
         order = np.argsort(-reading_gain)
-        count = (
-            int(
-                np.searchsorted(
-                    np.cumsum(reading_gain[order]),
-                    MIN_LISTED_CHI2_FRACTION * max(float(gain.sum()), MIN_TESTED_INFORMATION),
-                )
-            )
-            + 1
-        )
+        min_sum = MIN_LISTED_CHI2_FRACTION * max(float(chi2_decreases.sum()), MIN_TESTED_INFORMATION)
+        count = int(np.searchsorted(np.cumsum(reading_gain[order]), min_sum)) + 1
         if count > MAX_LISTED_READINGS:
             return ""
         at = [
@@ -248,10 +245,10 @@ class ExplainedRecording:
         return f" Most of it is in the {', the '.join(names)}."
 
     def _p_located_of(self, member: int) -> float:
-        """Probability of all explanations with the observables, place and covariates of a member.
+        """Sum of the probabilities of all explanations with the observables, place and covariates of a member.
 
-        A moved, badly seated or wrongly read target is the same change: effects that act on one target alone count
-        together.
+        Effects that act on one target only have the same scope, because a target that moved, is badly seated or was
+        read wrongly changes the same readings.
         """
         effect = self.model.members[member].effect
 
@@ -265,7 +262,7 @@ class ExplainedRecording:
         return self.rankings[member].posterior_probability_of(lambda h: scope_of(h.effect) == scope)
 
     def _scope(self, effect: CandidateEffect, carrying_observables: tuple[str, ...] = ()) -> FindingScope:
-        """Scope of an effect; if it covers all set-ups of one of several instruments, that instrument."""
+        """Scope of an effect. An effect at all set-ups of one of several instruments has this instrument as place."""
         scope = effect_scope(effect, carrying_observables)
         for tracker in instrument_places(self.state.searcher.space.sightings, self.state.recording.instruments):
             if set(scope.stations) == set(tracker.stations) and isinstance(effect, SlotEffect):
@@ -273,7 +270,7 @@ class ExplainedRecording:
         return scope
 
     def _plausibility_sentence(self, effect: CandidateEffect, estimates: Sequence[ParameterEstimate]) -> str:
-        """Sentence on a constant beyond its declared prior, or on a size that is implausible for its cause."""
+        """Sentence on the declared prior of a constant, or on a size that is implausible for its cause; else empty."""
         recording = self.state.recording
         if isinstance(effect, BASELINE_EFFECT_TYPES):
             name = recording.instruments[self._instrument_index(effect)]
@@ -281,11 +278,14 @@ class ExplainedRecording:
             declared = ((p.sigma_from(prior) / p.si_per_display_unit, p.unit) for p in effect.parameters)
             sigmas = ", ".join(f"{number_text(sigma, 2)} {unit}" for sigma, unit in declared)
             return f" Its declared prior is zero with a standard deviation of {sigmas}."
-        implausible = " Such a size is hardly plausible for this cause: check other causes too."
+        implausible = " Such a size is hardly plausible for this cause. Check other causes too."
         return implausible if _is_implausible_size(effect, estimates) else ""
 
     def _constants_without_prior(self, effect: CandidateEffect) -> tuple[ParameterEstimate, ...]:
-        """Constants of an instrument from the readings without their own prior, with the priors of the others."""
+        """Estimates of the constants of an effect of the ordinary calibration without their prior.
+
+        All other constants of the instrument have their prior.
+        """
         adjustment, which = self.state.baseline, self._instrument_index(effect)
         prior = prior_sigmas(self.state.recording, adjustment.construction)[which]
         variance = np.diag(adjustment.instrument_covariance_of(which))
@@ -297,13 +297,13 @@ class ExplainedRecording:
         )
 
     def _instrument_index(self, effect: CandidateEffect) -> int:
-        """Index of the instrument whose set-ups an effect is confined to."""
+        """Index of the instrument at whose set-ups an effect acts."""
         recording = self.state.recording
         index = recording.stations.index(effect.stations[0]) if effect.stations else int(recording.station[0])
         return int(recording.instrument[recording.station == index][0])
 
     def _estimates_of(self, member: int, hypothesis: Hypothesis, other_members: Model) -> tuple[ParameterEstimate, ...]:
-        """Sizes of a member, in rows in place of time for a recording without clock."""
+        """Estimates of the sizes and shape constants of a member. Without a clock, times count the rows."""
         refitted = [
             ParameterEstimate.from_si(*estimate)
             for estimate in self.refit.estimates[member]
@@ -316,9 +316,9 @@ class ExplainedRecording:
 
 
 def noise_finding(
-    hypothesis: NoiseHypothesis, sightings: Sightings, detection: Detection, *, clock: bool = True
+    hypothesis: NoiseHypothesis, sightings: Sightings, detection: Detection, *, has_clock: bool = True
 ) -> Finding:
-    """Finding on a change of the noise in observables with a significant change; time in rows without a `clock`."""
+    """Finding on a change of the noise, limited to the observables in which the change is significant."""
     effect = hypothesis.effect
     scope = effect_scope(effect, _observables_with_changed_noise(hypothesis, sightings))
     sizes = zip(effect.parameters, hypothesis.sizes, hypothesis.size_sigmas, strict=True)
@@ -334,7 +334,7 @@ def noise_finding(
             names = [f"{name} ({times})" for name, times in reversed(worst.items())][:2]
             most = f", most at {' and '.join(names)}, as a factor on the declared standard deviation"
         if effect.covariate_band:
-            ends = [covariate_value_text(effect.covariates[0], value, clock=clock) for value in effect.covariate_band]
+            ends = [covariate_value_text(effect.covariates[0], x, has_clock=has_clock) for x in effect.covariate_band]
             most = f", from {', '.join(f'{low} to {high}' for low, high in zip(ends[::2], ends[1::2], strict=True))}"
         if effect.region is not None:
             most += f", {region_text(effect.region)}"
@@ -344,8 +344,7 @@ def noise_finding(
             ]
         sentence = unknown_effect_sentence(scope, effect.text + most)
         if isinstance(effect, CentringVariance):
-            text = with_sigma(rows[0].value, rows[0].sigma, rows[0].unit)
-            sentence = f"Centring errors: {effect.text}, with a standard deviation of {text} along each axis."
+            sentence = effect.sentence(with_sigma(rows[0].value, rows[0].sigma, rows[0].unit))
     return Finding(
         effect=effect.name,
         known=not isinstance(effect, VarianceFunction),
@@ -364,7 +363,7 @@ def noise_finding(
 
 
 def _observables_with_changed_noise(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str, ...]:
-    """Observables whose noise differs significantly from the declared one, in the direction of the largest size."""
+    """Observables whose noise is significantly larger than declared, or smaller if the largest change is a decrease."""
     sizes = hypothesis.effect.size_scales
     sizes_in_units = np.array(hypothesis.sizes) / sizes
     signed_sizes = (
@@ -379,19 +378,19 @@ def _observables_with_changed_noise(hypothesis: NoiseHypothesis, sightings: Sigh
 
 
 def law_text(law: EmpiricalLaw, driver: str) -> str:
-    """Text of a law with its regressor in one line: ``distance correction follows cos(3 azimuth)``."""
+    """Text of a law from that of its regressor (`driver`): ``distance correction follows cos(3 azimuth)``."""
     phrase = f"{law.response.name} correction" if law.response.kind == "reading" else law.response.name
     suffix = law_suffix(law)
     return f"{phrase} differs{suffix}" if law.regressor.kind == "constant" else f"{phrase} follows {driver}{suffix}"
 
 
 def _non_empty_entries(entries: Mapping[str, Any]) -> dict[str, Any]:
-    """Entries with a non-empty value."""
+    """Entries whose value is not empty."""
     return {key: value for key, value in entries.items() if value}
 
 
 def _is_implausible_size(effect: CandidateEffect, estimates: Sequence[ParameterEstimate]) -> bool:
-    """True if a size is far beyond a plausible one, or negative for a positive parameter."""
+    """True if a size is much larger than plausible, or negative for a parameter that must be positive."""
     sizes = zip(effect.parameters, effect.size_scales.tolist(), strict=True)
     matches = [(e, p, size) for p, size in sizes for e in estimates if e.name == p.name]
     is_large = any(

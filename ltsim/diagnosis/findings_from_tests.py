@@ -1,4 +1,4 @@
-"""Findings from tests, without the search: blunders, and contradicting reference values and constants."""
+"""Findings from tests, which need no search: blunders, reference values and constants that contradict the readings."""
 
 import numpy as np
 
@@ -12,31 +12,31 @@ from ltsim.diagnosis.instruments import ConstantContradiction
 from ltsim.diagnosis.prior import P_CAP_TESTS
 from ltsim.diagnosis.schema import Equivalent, Finding, FindingEvidence, ParameterEstimate
 from ltsim.diagnosis.scopes import confined_scope
-from ltsim.diagnosis.words import parameter_text, percent_text
-from ltsim.physics.effects import BASELINE_EFFECTS
+from ltsim.diagnosis.words import percent_text
+from ltsim.physics.effects import BASELINE_EFFECTS, parameter_text
 from ltsim.physics.effects.signature import Parameter
 from ltsim.recordings.recording import OBSERVABLES
 
 DECLARED_COORDINATES_TEXT = "declared coordinates"
-"""Name of the erroneous item if a point defines the axes."""
+"""Text for the erroneous quantity of a point whose declared coordinates define the axes."""
 
 
-def gross_error_finding(gross: IdentifiedBlunder) -> Finding:
-    """Finding of a gross error whose size the network determines."""
+def gross_error_finding(blunder: IdentifiedBlunder) -> Finding:
+    """Finding of a blunder whose size the network determines."""
     return Finding(
-        effect=gross.effect,
+        effect=blunder.effect,
         known=True,
-        where=confined_scope(observables=gross.observables, stations=gross.stations, targets=gross.targets),
-        parameters=(ParameterEstimate(name="size", value=1e3 * gross.size, sigma=1e3 * gross.sigma, unit="mm"),),
+        where=confined_scope(observables=blunder.observables, stations=blunder.stations, targets=blunder.targets),
+        parameters=(ParameterEstimate(name="size", value=1e3 * blunder.size, sigma=1e3 * blunder.sigma, unit="mm"),),
         evidence=FindingEvidence(
-            chi2_drop=(gross.size / gross.sigma) ** 2, parameters=3, p_value=None, probability=P_CAP_TESTS
+            chi2_drop=(blunder.size / blunder.sigma) ** 2, parameters=3, p_value=None, probability=P_CAP_TESTS
         ),
-        sentence=gross.sentence,
+        sentence=blunder.sentence,
     )
 
 
 def axis_finding(test: ReferenceTest) -> Finding:
-    """Finding of a point whose declared coordinates contradict the axes of the other points."""
+    """Finding of a point whose declared coordinates contradict the axes that the other points define."""
     rows = [
         ParameterEstimate(name=f"off along {axis}", value=e / MILLIMETRE, sigma=s / MILLIMETRE, unit="mm")
         for axis, e, s in zip(test.declared_components, test.error.tolist(), test.sigma_error.tolist(), strict=True)
@@ -55,7 +55,7 @@ def axis_finding(test: ReferenceTest) -> Finding:
 
 
 def instrument_finding(contradiction: ConstantContradiction) -> Finding:
-    """Finding of a constant that contradicts the other instruments, its history or a declared correction."""
+    """Finding of a constant that contradicts the other instruments, its history or its declared correction."""
     p, off = contradiction.parameter, 1.0 / (1.0 + float(np.exp(-contradiction.evidence)))
     chances: dict[str, float] = {}
     for constant, share in contradiction.rivals.items():
@@ -70,7 +70,7 @@ def instrument_finding(contradiction: ConstantContradiction) -> Finding:
     sentence = (
         f"The {parameter_text(p.name)} of {owners} differs by "
         f"({with_sigma(estimate.value, estimate.sigma)}) {p.unit} from {contradiction.against}, "
-        f"probability {percent_text(off)}.{ambiguity}"
+        f"with a probability of {percent_text(off)}.{ambiguity}"
     )
     chi2_drop = (contradiction.difference / contradiction.sigma) ** 2
     return Finding(
@@ -87,7 +87,7 @@ def instrument_finding(contradiction: ConstantContradiction) -> Finding:
 
 
 def _effect_of_constant(constant: Parameter) -> str:
-    """Effect of the ordinary calibration to which a constant belongs."""
+    """Name of the effect of the ordinary calibration to which a constant belongs."""
     return next(e.name for e in BASELINE_EFFECTS if constant.name in {q.name for q in e.parameters})
 
 
@@ -110,11 +110,12 @@ EFFECT_BY_CAUSE = {
     ("unit", "position"): "wrong-unit",
     ("height", "position"): "outlier",
 }
-"""Catalogue effect of a cause, by its kind and the observable on which it acts; `outlier` and `unknown` for others."""
+"""Name of the catalogue effect that a test's cause is reported as, by the kind of the cause and what it acts on. Other
+outliers are reported as `outlier`, and all other causes as `unknown`."""
 
 
 def finding_of_test(test: CauseTest) -> Finding:
-    """Finding of an accepted test."""
+    """Finding of a test that was accepted as a cause."""
     name = "outlier" if test.kind == "outlier" else EFFECT_BY_CAUSE.get((test.kind, test.acts_on), "unknown")
     observables = (test.acts_on,) if test.acts_on in OBSERVABLES else ()
     rows: tuple[ParameterEstimate, ...] = ()

@@ -1,6 +1,7 @@
-"""Functional forms of a law: curve, short formulas, steps and ramps, common to all set-ups or separate for each.
+"""Functional forms of a law: curve, formulas, steps and ramps, common to all set-ups or separate for each.
 
-Screening scores a law by one form; the best few laws are evaluated here in all forms, without approximation.
+The screening evaluates each law in one form only. The best few laws are evaluated here in all forms, without
+approximation.
 """
 
 from collections.abc import Sequence
@@ -34,22 +35,29 @@ from ltsim.physics.laws.regressors import CONSTANT_REGRESSOR, COORDINATE_COVARIA
 from ltsim.scene.sightings import Sightings
 
 TILT_REGRESSOR = Regressor("field", COORDINATE_COVARIATES, constant=1.0)
-"""Regressor of a group that moves and tilts as one."""
+"""Regressor of a group of targets that moves and tilts as a rigid body."""
 MAX_ABSORBED_EVIDENCE_DIFFERENCE = 0.5
-"""Difference of log evidence up to which a law is equal to the one at one set-up: poses absorb it at all others."""
+"""Difference of log evidence up to which a law at all set-ups counts as equal to the same law at one set-up. The poses
+of the other set-ups then absorb it, and only the law at the one set-up is kept."""
 MAX_PIECES = 10
-"""Largest number of steps and ramps of a law."""
+"""Largest number of steps and ramps in the sum that forms a law."""
 
 
 def min_promising_evidence(best_evidence: float) -> float:
-    """Screened log evidence, relative to the best, from which a law is evaluated in all forms: forms may double it."""
+    """Log evidence in the screening, above which a law is evaluated in all forms.
+
+    It is about half that of the best law, because another form may double the evidence.
+    """
     return 0.5 * best_evidence - 5.0
 
 
 def evaluate_forms(
     calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, base_model: Model, *, pieces: bool
 ) -> list[Hypothesis]:
-    """Evidence of a law in all its forms: the best form of each name, with the total evidence of that name."""
+    """Best form of a law for each name of an effect, with the summed evidence of all forms with that name.
+
+    Steps, ramps and switches are tried only with `pieces`.
+    """
     sightings = calculator.space.sightings
     law = law.equivalent_index_law(sightings)
     base_evidence = log_prior + float(np.log(len(law.regressor.coefficient_sigmas)))
@@ -57,8 +65,8 @@ def evaluate_forms(
         _piecewise_forms(calculator, law, base_evidence + float(np.log(P_PIECEWISE)), base_model) if pieces else []
     )
     base_evidence += float(np.log(1.0 - P_PIECEWISE)) if hypotheses else 0.0
-    always, share = law.without_switch(), float(np.log(P_SWITCHED * n_resembling_waves(law, sightings)))
-    switch_hypotheses = switched_forms(calculator, always, base_evidence + share, base_model) if pieces else []
+    permanent_law, share = law.without_switch(), float(np.log(P_SWITCHED * n_resembling_waves(law, sightings)))
+    switch_hypotheses = switched_forms(calculator, permanent_law, base_evidence + share, base_model) if pieces else []
     base_evidence += float(np.log(1.0 - P_SWITCHED)) if switch_hypotheses else 0.0
     hypotheses += switch_hypotheses
     setup_laws = law.per_setup(sightings)
@@ -68,7 +76,9 @@ def evaluate_forms(
     hypotheses += (
         _functional_forms(calculator, setup_laws, base_evidence + np.log(P_PER_SETUP), base_model) if setup_laws else []
     )
-    hypotheses += _functional_forms(calculator, always, base_evidence, base_model) if always != law else []
+    hypotheses += (
+        _functional_forms(calculator, permanent_law, base_evidence, base_model) if permanent_law != law else []
+    )
     factors = (
         [h for h in hypotheses if isinstance(h.effect, EmpiricalLaw) and may_have_a_second_factor(h.effect)]
         if pieces
@@ -87,17 +97,19 @@ def evaluate_forms(
 
 
 def _index_of_best(forms: Sequence[Hypothesis]) -> int:
-    """Index of the form with the largest evidence."""
+    """Index of the form with the largest log evidence."""
     return index_of_best(np.array([form.log_evidence for form in forms]))
 
 
 def _functional_forms(
-    calculator: EvidenceCalculator, law: EmpiricalLaw, prior: float, base_model: Model
+    calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, base_model: Model
 ) -> list[Hypothesis]:
-    """Functional forms of a law at its place."""
+    """Forms of a law as a curve, a formula and the like, at the place of the law and with their log evidence."""
     forms = law.candidate_forms(calculator.space.sightings)
     weight_sum = sum(FORM_WEIGHTS[kind] for kind in forms)
-    shares = {kind: prior + float(np.log(FORM_WEIGHTS[kind] / weight_sum / len(sets))) for kind, sets in forms.items()}
+    shares = {
+        kind: log_prior + float(np.log(FORM_WEIGHTS[kind] / weight_sum / len(sets))) for kind, sets in forms.items()
+    }
     form_scales = [(shares[kind], scales) for kind, sets in forms.items() for scales in sets]
     single, several = (
         [form for form in form_scales if (len(form[1]) == 1) == is_single] for is_single in (True, False)
@@ -113,13 +125,13 @@ def _functional_forms(
 
 
 def _forms_with_ratio(calculator: EvidenceCalculator, form: Hypothesis, base_model: Model) -> list[Hypothesis]:
-    """Form of a law as it is and, if several components have several coefficients each, with a fixed ratio."""
+    """Form of a law and the same form with a fixed ratio of its components, if these have several coefficients each."""
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
-    if law.components == 1 or law.regressor.n_columns == 1 or law.direction:
+    if law.n_components == 1 or law.regressor.n_columns == 1 or law.direction:
         return [form]
     gram, score = calculator.gram_and_score([law], base_model)[0]
-    ratio, evidence, log_share = best_ratio(gram, score, law.size_scales, law.components)
+    ratio, evidence, log_share = best_ratio(gram, score, law.size_scales, law.n_components)
     gain = evidence - float(log_evidence_of_coefficients(gram, score, law.size_scales))
     share, other = np.log(P_FIXED_RATIO) + log_share, np.log(1.0 - P_FIXED_RATIO)
     return [
@@ -134,7 +146,10 @@ def _forms_with_ratio(calculator: EvidenceCalculator, form: Hypothesis, base_mod
 
 
 def _forms_at_set_ups(calculator: EvidenceCalculator, form: Hypothesis, base_model: Model) -> list[Hypothesis]:
-    """Form of a law, and its forms at one set-up alone; only the latter if the law changes nothing at the others."""
+    """Form of a law, and its forms at a single set-up, in a list.
+
+    If the poses of all other set-ups absorb the law, the list contains only its form at the one set-up.
+    """
     law, stations = form.effect, calculator.space.sightings.station_names
     assert isinstance(law, EmpiricalLaw)
     if law.stations or law.instruments or len(stations) < 2:
@@ -150,13 +165,14 @@ def _forms_at_set_ups(calculator: EvidenceCalculator, form: Hypothesis, base_mod
         for driver in drivers
         for name in stations
     ]
-    mask = [law.row_weights(calculator.space.sightings).sum() for law in laws]
-    laws = [x for x, n in zip(laws, mask, strict=True) if n >= MIN_POINTINGS_PER_COEFFICIENT * len(x.parameters)]
+    n_pointings = [law.row_weights(calculator.space.sightings).sum() for law in laws]
+    laws = [x for x, n in zip(laws, n_pointings, strict=True) if n >= MIN_POINTINGS_PER_COEFFICIENT * len(x.parameters)]
     share = P_SINGLE_SET_UP.get(law.response.kind, P_SINGLE_SET_UP_OTHERS)
-    prior = form.log_prior + float(np.log(share / max(len(laws), 1)))
+    log_prior = form.log_prior + float(np.log(share / max(len(laws), 1)))
     values = calculator.log_evidence(laws, base_model)
     hypotheses = [
-        Hypothesis(x, prior, float(value) + prior, catalogue_name(x)) for x, value in zip(laws, values, strict=True)
+        Hypothesis(x, log_prior, float(value) + log_prior, catalogue_name(x))
+        for x, value in zip(laws, values, strict=True)
     ]
     with_ratios = [
         other for hypothesis in hypotheses for other in _forms_with_ratio(calculator, hypothesis, base_model)
@@ -173,9 +189,12 @@ def _forms_at_set_ups(calculator: EvidenceCalculator, form: Hypothesis, base_mod
 
 
 def _piecewise_forms(
-    calculator: EvidenceCalculator, law: EmpiricalLaw, prior: float, base_model: Model
+    calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, base_model: Model
 ) -> list[Hypothesis]:
-    """Forms of a law with a few steps and ramps, by forward selection while the evidence increases."""
+    """Form of a law as a sum of steps and ramps, from a forward selection while the evidence increases, in a list.
+
+    The list is empty for a law without a curve, and for a law of a single target.
+    """
     atoms = law.candidate_pieces(calculator.space.sightings)
     if not atoms or len(law.targets) == 1:  # a target that moves, or sits badly, has cards
         return []
@@ -184,27 +203,33 @@ def _piecewise_forms(
     spread = full_law.size_scales
     places = np.arange(len(score)).reshape(len(full_law.response.component_names), len(atoms), -1)
     atom_indices: list[int] = []
-    taken, best, price = 0, -np.inf, float(np.log(2 * len(atoms)))  # which one, and that there is a further one
-    while len(atom_indices) < min(taken + N_INTERVALS_AFTER_MAXIMUM, MAX_PIECES, len(atoms)):
+    n_selected, best, log_price = (
+        0,
+        -np.inf,
+        float(np.log(2 * len(atoms))),
+    )  # which one, and that there is a further one
+    while len(atom_indices) < min(n_selected + N_INTERVALS_AFTER_MAXIMUM, MAX_PIECES, len(atoms)):
         values = np.full(len(atoms), -np.inf)
-        free = [i for i in range(len(atoms)) if i not in atom_indices]
-        columns = np.stack([places[:, [*atom_indices, i]].ravel() for i in free])
-        values[free] = log_evidence_of_coefficients(
+        remaining = [i for i in range(len(atoms)) if i not in atom_indices]
+        columns = np.stack([places[:, [*atom_indices, i]].ravel() for i in remaining])
+        values[remaining] = log_evidence_of_coefficients(
             gram[columns[:, :, None], columns[:, None, :]], score[columns], spread[columns]
         )
         atom_indices.append(index_of_best(values))
-        value = float(log_sum_exp(values)) - len(atom_indices) * price
+        value = float(log_sum_exp(values)) - len(atom_indices) * log_price
         if value > best + MAX_EVIDENCE_TIE:
-            best, taken = value, len(atom_indices)
+            best, n_selected = value, len(atom_indices)
     refined, value = calculator.refine_locally(
-        [law.with_pieces([atoms[i] for i in sorted(atom_indices[:taken])])], base_model
+        [law.with_pieces([atoms[i] for i in sorted(atom_indices[:n_selected])])], base_model
     )[0]
-    prior -= taken * price
-    return [Hypothesis(refined, prior, max(best + taken * price, value) + prior, catalogue_name(refined))]
+    log_prior -= n_selected * log_price
+    return [
+        Hypothesis(refined, log_prior, max(best + n_selected * log_price, value) + log_prior, catalogue_name(refined))
+    ]
 
 
 N_CURVE_POINTS = 61
-"""Number of points of a reported curve."""
+"""Number of points of a reported curve, except for waves with many cycles."""
 N_POINTS_PER_CYCLE = 16
 """Number of points of each cycle of a wave in a reported curve."""
 MAX_CURVE_POINTS = 600
@@ -212,9 +237,10 @@ MAX_CURVE_POINTS = 600
 
 
 def response_curve(law: EmpiricalLaw, sightings: Sightings, mean: Floats, covariance: Floats) -> ResponseCurve | None:
-    """Curve at the set-up and in the direction of the largest response; None with several covariates.
+    """Curve of a law over its covariate, at the set-up and in the direction where its effect is largest.
 
-    The coefficients have a `mean` (k,) and a `covariance` (k, k) [SI].
+    None for a law with several covariates, or with separate amounts. The k coefficients of the law have a `mean` (k,)
+    and a `covariance` (k, k) [SI].
     """
     regressor = law.regressor
     if len(regressor.covariates) != 1 or regressor.kind in ("amounts", "passage"):

@@ -1,14 +1,14 @@
 """Cross-validated prediction error: the whole search is repeated without each fold of the readings.
 
-Pointings are divided at random into five folds. Without a fold's readings the adjustment predicts them with the error e
-= P_FF^-1 r_F of covariance P_FF^-1, in whitened units, P the projector of the whole network and r its residuals.
-Effects, places, shapes and sizes are then estimated from the rest alone, and their model is subtracted from all
-readings before the fold is predicted again. Both errors are measured by e' P_FF e, the covariance of the plain
-prediction: 1 per reading where model and noise hold. A spurious finding does not predict held-out readings.
+Pointings are divided at random into five folds. Let P be the projector of the whole network onto the residual space, r
+its whitened residuals, and F a fold. An adjustment without the readings of the fold predicts them with the error e =
+P_FF^-1 r_F, whose covariance is P_FF^-1. Then effects, places, shapes and sizes are estimated without the fold, their
+changes are subtracted from all readings, and the fold is predicted again. The measure of both errors is e' P_FF e. Its
+expectation is 1 per reading if the model and the noise are correct. A false finding does not predict held-out readings.
 
-Excluding readings is equivalent to estimating a separate error for each of them: the residual space without a fold is
-that of the network extended by the unit columns of its readings. Only the weights of the readings, changes of the noise
-among them, are those of the whole recording.
+To exclude readings is equivalent to estimating a separate error for each of them. The residual space without a fold is
+therefore that of the network extended by the unit columns of the readings of the fold. Only the weights of the
+readings, which changes of the noise affect, are those of the whole recording.
 """
 
 from collections.abc import Sequence
@@ -24,17 +24,16 @@ from ltsim.diagnosis.evidence import wide_prior_posterior
 from ltsim.diagnosis.search import Searcher
 
 N_FOLDS = 5
-"""Number of folds, usual in cross-validation: each search has 80 % of the readings."""
+"""Number of folds, a usual value in cross-validation. Each search uses 80 % of the readings."""
 
 
 class HeldOutErrors(NamedTuple):
-    """Root mean square errors in standard deviations: of the adjustment alone, and with the model of a fold.
-
-    Both are None if nothing can be predicted; `after` also without a search.
-    """
+    """Root mean square errors of predicted readings, in standard deviations of the prediction."""
 
     before: float | None = None
+    """Error with the ordinary adjustment; None if no reading can be predicted."""
     after: float | None = None
+    """Error with the model that was selected without the fold; None also without a search."""
 
 
 def cross_validated_errors(
@@ -49,9 +48,9 @@ def cross_validated_errors(
     seed : int
         Seed of the random folds.
     searcher : Searcher, optional
-        Search on the same readings; without one only `before` is given.
+        Search on the same readings. Without a search, `after` of the result is None.
     threshold : float
-        Log evidence of a second and further finding.
+        Smallest log evidence by which a further member of a model increases it.
     """
     before, after, count = 0.0, 0.0, 0
     groups = fold_rows(space, seed)
@@ -68,25 +67,28 @@ def cross_validated_errors(
 
 
 def fold_rows(space: ResidualSpace, seed: int) -> list[Ints]:
-    """Rows of the used readings of each fold of complete pointings, drawn at random."""
-    pointing = np.nonzero(space.used_readings)[0]
-    dealt = stream(seed, "diagnose", "folds").permutation(len(space.used_readings)) % N_FOLDS
-    groups = (np.flatnonzero(dealt[pointing] == fold) for fold in range(N_FOLDS))
+    """Rows of the used readings of each fold, drawn at random: all pointings of a target from a set-up together."""
+    pointing, sightings = np.nonzero(space.used_readings)[0], space.sightings
+    pair = np.unique(np.stack([sightings.station, sightings.target]), axis=1, return_inverse=True)[1]
+    fold_of_pair = stream(seed, "diagnose", "folds").permutation(int(pair.max(initial=-1)) + 1) % N_FOLDS
+    groups = (np.flatnonzero(fold_of_pair[pair][pointing] == fold) for fold in range(N_FOLDS))
     return [rows for rows in groups if len(rows)]
 
 
-def _quadratic_form_on_fold(residual: Floats, values: Floats, vectors: Floats) -> float:
-    """Quadratic form r' (1 - H)^-1 r on a fold, from the eigenvalues of H there.
+def _quadratic_form_on_fold(residual: Floats, eigenvalues: Floats, eigenvectors: Floats) -> float:
+    """Quadratic form r' (1 - H)^-1 r of the residuals (f,) of a fold, from the spectrum of its hat matrix H.
 
-    The complement of the eigenvectors has redundancy one.
+    `eigenvectors` (f, e) are those of the e nonzero `eigenvalues` (e,). Directions that the network determines only
+    with the fold are left out.
     """
-    along = (vectors.T @ residual) ** 2
-    is_predicted = values < 1.0 - MIN_NUMERICAL_REDUNDANCY
-    return float(residual @ residual - along.sum() + np.sum(along[is_predicted] / (1.0 - values[is_predicted])))
+    along = (eigenvectors.T @ residual) ** 2
+    is_predicted = eigenvalues < 1.0 - MIN_NUMERICAL_REDUNDANCY
+    predicted = np.sum(along[is_predicted] / (1.0 - eigenvalues[is_predicted]))
+    return float(residual @ residual - along.sum() + predicted)
 
 
 def _selected_model_shift(space: ResidualSpace, searcher: Searcher, threshold: float) -> Floats:
-    """Shift (m,) of all whitened readings by the model that a search selects."""
+    """Change (m,) of the whitened readings by the model that the search selects; 0 for the other rows of `space`."""
     model = searcher.select_model(threshold, requires_member=True)
     if not model.members:
         return np.zeros(space.n_rows)

@@ -20,63 +20,50 @@ from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.signature import CandidateEffect
 
 MAX_EQUIVALENTS = 3
-"""Largest number of reported equivalents."""
+"""Largest number of other effects that a finding lists because they cannot be excluded."""
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Hypothesis: possible cause of a misfit, with the log prior of its place and shape.
-
-    Attributes
-    ----------
-    effect : CandidateEffect
-    log_prior : float
-    log_evidence : float
-        Log evidence given the model at its evaluation, prior and shapes included.
-    name : str
-        Id of the catalogue effect, or `unknown`.
-    """
+    """Hypothesis: possible cause of a misfit, an effect at one place with one shape."""
 
     effect: CandidateEffect
+    """Effect of the catalogue, or empirical law, with its place and shape."""
     log_prior: float
+    """Log prior probability of the effect at this place with this shape."""
     log_evidence: float
+    """Log evidence with the prior, given the model for which it was evaluated, averaged over neighbouring shapes."""
     name: str
+    """Name of the effect in the catalogue, or `unknown`."""
 
     @property
     def plausible_sizes(self) -> Floats:
-        """Plausible sizes (k,) of its coefficients [SI]."""
+        """Plausible sizes (k,) of the k coefficients of the effect [SI]."""
         return self.effect.size_scales
 
     @property
     def is_catalogued(self) -> bool:
-        """True if it is an effect of the catalogue."""
+        """True if the hypothesis is an effect of the catalogue."""
         return self.name != "unknown"
 
     @property
     def key(self) -> str:
-        """Key that distinguishes two findings."""
+        """Text that differs between any two effects, places or shapes."""
         return repr(self.effect)
 
 
 @dataclass(frozen=True)
 class Model:
-    """Model: a set of hypotheses; its basis and residual are computed on demand.
-
-    Attributes
-    ----------
-    members : tuple of Hypothesis
-    projected_signatures : tuple of (m, k) float
-        Signatures of the members, projected onto the residual space.
-    signature_norms : tuple of (k,) float
-        Lengths of the signatures' columns before the projection.
-    baseline_residual : (m,) float
-        Residual of the empty model.
-    """
+    """Model: a set of hypotheses that hold together. Its basis and residuals are computed on demand."""
 
     members: tuple[Hypothesis, ...]
+    """Hypotheses of the model."""
     projected_signatures: tuple[Floats, ...]
+    """Signature (m, k) of each member, projected onto the residual space with m rows, for its k coefficients."""
     signature_norms: tuple[Floats, ...]
+    """Lengths (k,) of the columns of each signature before the projection."""
     baseline_residual: Floats = field(repr=False)
+    """Whitened residuals (m,) of the empty model."""
 
     @property
     def effects(self) -> list[CandidateEffect]:
@@ -85,26 +72,29 @@ class Model:
 
     @cached_property
     def basis(self) -> Floats:
-        """Orthonormal basis (m, e) of the projected signatures."""
+        """Orthonormal basis (m, e) of the e independent columns of the projected signatures."""
         if not self.members:
             return np.zeros((len(self.baseline_residual), 0))
         return orthonormal_columns(np.hstack(self.projected_signatures), np.concatenate(self.signature_norms))
 
     @cached_property
     def residual(self) -> Floats:
-        """Residual (m,) with the members modelled."""
+        """Whitened residuals (m,) with the members in the model."""
         residual: Floats = self.baseline_residual - self.basis @ (self.basis.T @ self.baseline_residual)
         return residual
 
     @cached_property
     def gram_and_scores(self) -> tuple[Floats, Floats]:
-        """Gram matrix (k, k) of the projected signatures, and their products (k,) with the baseline residual."""
+        """Gram matrix (k, k) of all projected signatures, and their products (k,) with the empty model's residuals."""
         projected_signature = np.hstack(self.projected_signatures)
         return projected_signature.T @ projected_signature, projected_signature.T @ self.baseline_residual
 
     @cached_property
     def discrepancy_penalty(self) -> float:
-        """Log evidence that the discrepancy of an empirical law may produce; a further effect must exceed it."""
+        """Additional log evidence required of a further effect, because the form of an empirical law is imperfect.
+
+        It is 0 for a model with effects of the catalogue only.
+        """
         if all(h.is_catalogued for h in self.members):
             return 0.0
         norms = np.concatenate(self.signature_norms)
@@ -120,7 +110,10 @@ class Model:
 
     @cached_property
     def score(self) -> float:
-        """Log evidence of the model, averaged over sizes, with priors and the discrepancy penalty."""
+        """Log evidence of the model with priors, averaged over sizes, minus a penalty for each member after the first.
+
+        The penalty is `discrepancy_penalty`.
+        """
         if not self.members:
             return 0.0
         likeness = sum(log_odds_repeated(h, self.members[:i]) for i, h in enumerate(self.members))
@@ -129,36 +122,30 @@ class Model:
 
 
 RELATIVE_MODEL_ERROR = 0.05
-"""Relative model error of an empirical law: this fraction of the chi-square that it explains is not attributed to a
-second effect.
+"""Fraction of the chi-square decrease by an empirical law that a further effect must exceed. The form of a law is an
+approximation, and a second effect could otherwise describe what it leaves.
 """
 
 
 @dataclass(frozen=True)
 class Ranking:
-    """Ranking of hypotheses given a model, in the order of their evidence.
-
-    Attributes
-    ----------
-    entries : tuple of Hypothesis
-    log_evidence_total : float
-        Log sum over them, the first ones evaluated without approximation.
-    log_evidence_unmodelled : float
-        Log evidence of an unmodelled cause.
-    """
+    """Ranking of hypotheses given a model, in the order of their evidence."""
 
     entries: tuple[Hypothesis, ...]
+    """Hypotheses, the one with the largest log evidence first."""
     log_evidence_total: float
+    """Log of the sum of the evidence of all hypotheses. The first of them are evaluated without approximation."""
     log_evidence_unmodelled: float = -np.inf
+    """Log evidence of a cause that is no hypothesis of the ranking."""
 
     def with_rivals(self, rivals: Sequence[Hypothesis]) -> Ranking:
-        """Ranking with additional hypotheses."""
+        """Ranking that also contains the hypotheses `rivals`."""
         entries = sorted([*self.entries, *rivals], key=lambda h: -h.log_evidence)
         total = float(log_sum_exp(np.array([self.log_evidence_total, *(h.log_evidence for h in rivals)])))
         return Ranking(tuple(entries), total)
 
     def with_unmodelled_cause(self, log_bayes_factor: float) -> Ranking:
-        """Ranking with an unmodelled cause, of a given log Bayes factor against the best hypothesis."""
+        """Ranking with an unmodelled cause, from its log Bayes factor against the best hypothesis."""
         return replace(
             self,
             log_evidence_unmodelled=self.log_evidence_total
@@ -167,24 +154,24 @@ class Ranking:
         )
 
     def most_probable_name(self) -> str:
-        """Most probable name."""
+        """Most probable name of the cause; `unknown` if that is more probable than all effects of the catalogue."""
         return most_probable_name(self.probabilities_by_name())
 
     @cached_property
     def posterior_probabilities(self) -> Floats:
-        """Posterior probability (k,) of each among all hypotheses and none."""
+        """Posterior probability of each hypothesis, (hypotheses,). The alternatives include that there is no cause."""
         logs = np.array([h.log_evidence for h in self.entries])
         probabilities: Floats = np.exp(logs - self._log_evidence_sum)
         return probabilities
 
     @cached_property
     def _log_evidence_sum(self) -> float:
-        """Log sum of the evidence of all hypotheses and none."""
+        """Log of the sum of the evidence of all hypotheses, of an unmodelled cause, and of no cause."""
         return float(np.logaddexp.reduce([*(h.log_evidence for h in self.entries), self.log_evidence_unmodelled, 0.0]))
 
     @property
     def p_none(self) -> float:
-        """Posterior probability that no hypothesis is true, nor any unmodelled cause."""
+        """Posterior probability that there is no cause, neither a hypothesis of the ranking nor an unmodelled one."""
         return float(np.exp(-self._log_evidence_sum))
 
     @cached_property
@@ -193,14 +180,14 @@ class Ranking:
         return float(np.exp(self.log_evidence_unmodelled - self._log_evidence_sum))
 
     def posterior_probability_of(self, is_counted: Callable[[Hypothesis], bool]) -> float:
-        """Posterior probability of the `is_counted` hypotheses together."""
+        """Sum of the posterior probabilities of the hypotheses for which `is_counted` is true."""
         return min(
             sum(w for h, w in zip(self.entries, self.posterior_probabilities.tolist(), strict=True) if is_counted(h)),
             1.0,
         )
 
     def probabilities_by_name(self) -> dict[str, float]:
-        """Posterior probability of each name."""
+        """Posterior probability by name of the effect, `unknown` included."""
         by_name = {"unknown": self.p_unmodelled} if self.p_unmodelled else {}
         for hypothesis, weight in zip(self.entries, self.posterior_probabilities.tolist(), strict=True):
             by_name[hypothesis.name] = min(by_name.get(hypothesis.name, 0.0) + weight, 1.0)
@@ -208,7 +195,7 @@ class Ranking:
 
 
 def most_probable_name(probabilities: Mapping[str, float]) -> str:
-    """Most probable name; `unknown` if that is more probable than all names together."""
+    """Most probable name; `unknown` if that is more probable than all other names together."""
     by_name = {name: chance for name, chance in probabilities.items() if name != "unknown"}
     return (
         "unknown"
@@ -217,24 +204,26 @@ def most_probable_name(probabilities: Mapping[str, float]) -> str:
     )
 
 
-def name_probabilities(chances: Mapping[str, float], name: str) -> tuple[float, tuple[Equivalent, ...]]:
+def name_probabilities(probabilities: Mapping[str, float], name: str) -> tuple[float, tuple[Equivalent, ...]]:
     """Probability of a name, and the most probable other names that are not excluded."""
     others = [
-        Equivalent(effect=n, probability=p) for n, p in chances.items() if n != name and p > MIN_REPORTED_PROBABILITY
+        Equivalent(effect=other_name, probability=p)
+        for other_name, p in probabilities.items()
+        if other_name != name and p > MIN_REPORTED_PROBABILITY
     ]
-    return chances.get(name, 0.0), tuple(sorted(others, key=lambda other: -other.probability)[:MAX_EQUIVALENTS])
+    return probabilities.get(name, 0.0), tuple(sorted(others, key=lambda other: -other.probability)[:MAX_EQUIVALENTS])
 
 
 MAX_EVIDENCE_DEFICIT = 6.0
-"""Deficit of log evidence below the maximum from which grid sizes are dropped from the sum
-(relative error e^-6 each).
-"""
+"""Difference from the largest log evidence, above which a size of the grid is left out of the sum. The relative error
+is e^-6 for each."""
 
 
 def _log_evidence_over_sizes(model: Model) -> float:
-    """Log evidence of coefficients with prior N(0, (t spread)^2) of each member, averaged over all sizes t.
+    """Log evidence of a model, averaged over the size factors t of its members.
 
-    Only sizes near the optimum of a member, with the others at their optimum, are summed.
+    The coefficients of a member have the prior N(0, (t size)^2) with their plausible sizes. For each member the sum
+    covers only the factors near the best one, with the other members at their best.
     """
     gram, score = model.gram_and_scores
     spread, owner = _plausible_sizes(model.members)
@@ -243,7 +232,7 @@ def _log_evidence_over_sizes(model: Model) -> float:
     unit_prior = np.diag(np.append(np.ones(len(score)), 0.0))
 
     def evidence(sizes: Ints) -> Floats:
-        """Log evidence with prior (b,) at sizes (b, members)."""
+        """Log evidence (b,) with prior for b sets of sizes. `sizes` (b, members) are indices in `EVIDENCE_SIZES`."""
         scale = np.pad(EVIDENCE_SIZES[sizes][:, owner] * spread, ((0, 0), (0, 1)), constant_values=1.0)
         factor = np.linalg.cholesky(bordered_matrix * scale[:, :, None] * scale[:, None, :] + unit_prior)
         fit = 0.5 * np.sum(factor[:, -1, :-1] ** 2, axis=1)  # the last row of the factor holds the solved residual
@@ -264,13 +253,16 @@ def _log_evidence_over_sizes(model: Model) -> float:
 
 
 def _plausible_sizes(members: Sequence[Hypothesis]) -> tuple[Floats, Ints]:
-    """Plausible sizes (k,) of all coefficients, and the member (k,) of each."""
+    """Plausible sizes (k,) of the coefficients of all members, and the index (k,) of the member of each coefficient."""
     size_sets = [h.plausible_sizes for h in members]
     return np.concatenate(size_sets), np.repeat(np.arange(len(size_sets)), [len(spread) for spread in size_sets])
 
 
 def log_odds_repeated(hypothesis: Hypothesis, other_members: Sequence[Hypothesis]) -> float:
-    """Log prior odds of a repeated effect of a kind that rarely occurs twice; 0 for all others."""
+    """Log prior odds of a hypothesis with the same name as another member, if such effects rarely occur twice.
+
+    For all other hypotheses it is 0.
+    """
     if hypothesis.name not in {h.name for h in other_members}:
         return 0.0
     return 0.0 if hypothesis.is_catalogued and find_effect(hypothesis.name).may_recur else LOG_ODDS_REPEATED

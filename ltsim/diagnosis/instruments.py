@@ -35,19 +35,20 @@ from ltsim.recordings.recording import Recording
 from ltsim.solve.design import scale_to_unit_diagonal
 
 CHANGED_PRIOR_VARIANCE = sum(share * size**2 for size, share in SIZE_PRIOR.items())
-"""Prior variance, relative to the specification, of a constant that is selected as changed while others are tested."""
+"""Prior variance of a constant that is already selected as changed, in squares of the specification."""
 MIN_EIGENVALUE = 1e-6
-"""Smallest eigenvalue of the correlation of distinguishable changes (rounding); of others the more probable is
-reported.
+"""Smallest eigenvalue of the correlation matrix of changes that are reported together. Changes that the readings cannot
+distinguish have a smaller one, and only the more probable change is reported.
 """
 MIN_TESTED_INFORMATION = 1e-12
-"""Information below which a constant is not tested (rounding)."""
+"""Information of the readings on a constant up to which it counts as zero except for rounding. The constant is then not
+tested."""
 CONSTANT_REFERENCE_PHRASES = {True: "its declared correction", False: "the other instruments"}
-"""Text of the reference with which a constant of a corrected instrument, or of another one, is compared."""
+"""Text of the reference of a constant: of an instrument with a declared correction (True), and of others (False)."""
 
 
 def instrument_entries(adjustment: Adjustment) -> tuple[InstrumentEntry, ...]:
-    """Entries of the constants and determined combinations of every instrument of a recording."""
+    """Entries of all instruments of a recording, with their constants and determined combinations of these."""
     return tuple(_instrument_entry(adjustment, i) for i in range(len(adjustment.recording.instruments)))
 
 
@@ -67,90 +68,74 @@ def _instrument_entry(adjustment: Adjustment, instrument: int) -> InstrumentEntr
 
 @dataclass(frozen=True)
 class ConstantContradiction:
-    """Contradiction between a constant of an instrument and its reference.
-
-    Attributes
-    ----------
-    instruments : tuple of str
-    parameter : Parameter
-    difference, sigma : float
-        [SI], from the other instruments, from zero for a corrected instrument, or from its history.
-    evidence : float
-        Log marginal likelihood ratio given the other contradictions, prior odds included.
-    p_value : float
-        Two-sided p-value of the difference, corrected for all constants compared.
-    against : str
-        Name of the reference.
-    rivals : mapping of Parameter to float
-        Alternative constants of the same instruments, this one included, and their shares of the evidence.
-    """
+    """Contradiction between a constant of one or more instruments and its reference."""
 
     instruments: tuple[str, ...]
+    """Names of the instruments."""
     parameter: Parameter
+    """Constant that contradicts its reference."""
     difference: float
+    """Difference [SI] from the other instruments, from zero for a corrected instrument, or from the history."""
     sigma: float
+    """Standard deviation [SI] of the difference."""
     evidence: float
+    """Log marginal likelihood ratio of the change, with its prior odds, given the other contradictions."""
     p_value: float
+    """Two-sided p-value of the difference, corrected for the number of constants that are compared."""
     against: str
+    """Text of the reference."""
     rivals: Mapping[Parameter, float]
+    """Constants of the same instruments that may have changed instead, and this one, with their shares of the evidence.
+    """
 
 
 @dataclass(frozen=True)
 class ContradictingConstants:
-    """Constants of a recording's instruments that contradict their reference.
-
-    Attributes
-    ----------
-    contradictions : tuple of ConstantContradiction
-        The most significant first.
-    joint_evidence : float
-        Log evidence of all contradictions together against the prior of the adjustment, prior odds included: comparable
-        with that of a model of effects; 0 without any.
-    """
+    """Constants of a recording's instruments that contradict their reference."""
 
     contradictions: tuple[ConstantContradiction, ...] = ()
+    """Contradictions, the most significant first."""
     joint_evidence: float = 0.0
+    """Log evidence of all contradictions together against the prior of the adjustment, with prior odds; 0 for none.
+
+    It can be compared with the log evidence of a model of effects.
+    """
 
 
 @dataclass(frozen=True)
 class ConstantChange:
-    """Possible change of a constant, of one instrument or of several in common.
-
-    Attributes
-    ----------
-    instruments : tuple of int
-        The instruments.
-    constant : int
-    reference_text : str
-        Name of the reference.
-    further, log_weights : (s,) float, or one
-        Variances in addition to the expected one, and the logs of their weights.
-    """
+    """Possible change of a constant of one instrument, or of several instruments by the same amount."""
 
     instruments: tuple[int, ...]
+    """Indices of the instruments."""
     constant: int
+    """Index of the constant."""
     reference_text: str
-    further: Floats | float = 0.0
+    """Text of the reference with which the constant is compared."""
+    added_variances: Floats | float = 0.0
+    """Possible variances (s,) of the constant in addition to the expected one, in squares of the specification."""
     log_weights: Floats | float = 0.0
+    """Logs (s,) of the weights of these variances."""
 
 
 @dataclass(frozen=True)
 class ExpectedConstants:
-    """Expected constants of all instruments, in units of the specification, and possible changes.
-
-    `mean` (I p,), `covariance` (I p, I p).
-    """
+    """Expected values of the p constants of I instruments, in units of their specifications, and possible changes."""
 
     mean: Floats
+    """Expected values (I p,)."""
     covariance: Floats
+    """Covariance (I p, I p) of the expected values."""
     changes: tuple[ConstantChange, ...]
+    """Changes that are tested."""
 
 
 def find_contradictions(adjustment: Adjustment, min_log_evidence: float) -> ContradictingConstants:
     """Constants that differ from those of the other instruments, or from zero for a corrected instrument.
 
-    Of two instruments that differ the readings do not identify the one in error; the one farther from zero is the more
-    probable. An offset common to all corrected instruments is one change, possibly of their reference.
+    If two instruments differ, the readings do not show which of them is in error. The constant that is farther from
+    zero is then the more probable. An offset common to all corrected instruments is one change, possibly of their
+    reference. A contradiction has a log evidence of more than `min_log_evidence`.
     """
     recording = adjustment.recording
     setup, unit = recording.setup, prior_sigmas(recording, adjustment.construction)
@@ -167,56 +152,59 @@ def find_contradictions(adjustment: Adjustment, min_log_evidence: float) -> Cont
     owners = [(i,) for i in np.flatnonzero(is_corrected | is_compared).tolist()] + (
         [corrected_indices] if len(corrected_indices) > 1 else []
     )
-    words = {group: CONSTANT_REFERENCE_PHRASES[bool(is_corrected[group[0]])] for group in owners}
-    changes = tuple(ConstantChange(group, k, words[group]) for group in owners for k in range(unit.shape[1]))
+    reference_texts = {group: CONSTANT_REFERENCE_PHRASES[bool(is_corrected[group[0]])] for group in owners}
+    changes = tuple(ConstantChange(group, k, reference_texts[group]) for group in owners for k in range(unit.shape[1]))
     return compare_constants(adjustment, ExpectedConstants(np.zeros(unit.size), covariance, changes), min_log_evidence)
 
 
 def compare_constants(
     adjustment: Adjustment, expectation: ExpectedConstants, min_log_evidence: float
 ) -> ContradictingConstants:
-    """Constants that differ from their expectation, each with more than `min_log_evidence` given the others.
+    """Constants that differ from their expectation, each with a log evidence above `min_log_evidence` given the others.
 
-    They follow from forward selection with exchange, in which selected constants have the prior variance
-    `CHANGED_PRIOR_VARIANCE`. The readings without the prior of the adjustment give N x = b + noise of covariance N.
-    With x ~ N(m, V) expected, the information on a change of constant k is (V + N^-1)^-1[k, k].
+    They are selected by forward selection with exchange, in which selected constants have the prior variance
+    `CHANGED_PRIOR_VARIANCE`. The readings without the prior of the adjustment give the normal equations N x = b of the
+    constants x. With the expectation x ~ N(m, V), the information on a change of constant k is (V + N^-1)^-1[k, k].
     """
     prior = adjustment.problem.prior.sigma
     unit = prior_sigmas(adjustment.recording, adjustment.construction)
     likelihood = likelihood_information(
         adjustment.state.instrument_parameters.ravel(), adjustment.constants_covariance, prior.ravel(), unit.ravel()
     )
-    surprise, odds = (
+    score_vector, log_prior = (
         likelihood.information_vector - likelihood.information @ expectation.mean,
         log_prior_share("constant", len(expectation.changes)),
     )
-    ways = np.zeros((len(expectation.changes), *unit.shape))
-    for way, change in zip(ways, expectation.changes, strict=True):
-        way[list(change.instruments), change.constant] = 1.0
-    ways = ways.reshape(len(ways), unit.size)
+    change_directions = np.zeros((len(expectation.changes), *unit.shape))
+    for change_direction, change in zip(change_directions, expectation.changes, strict=True):
+        change_direction[list(change.instruments), change.constant] = 1.0
+    change_directions = change_directions.reshape(len(change_directions), unit.size)
 
     def logs(other_changes: Collection[int]) -> Floats:
-        """Log evidence (h,) of each change given the others."""
-        given_changes = ways[list(other_changes)]
+        """Log evidence (changes,) of each change, given that `other_changes` (their indices) are selected."""
+        given_changes = change_directions[list(other_changes)]
         score, weight = score_test(
             likelihood.information,
-            surprise,
+            score_vector,
             expectation.covariance + CHANGED_PRIOR_VARIANCE * given_changes.T @ given_changes,
         )
-        strength, score_along = np.einsum("hi,ij,hj->h", ways, weight, ways), ways @ score
-        values = np.full(len(ways), -np.inf)
+        strength, score_along = (
+            np.einsum("hi,ij,hj->h", change_directions, weight, change_directions),
+            change_directions @ score,
+        )
+        values = np.full(len(change_directions), -np.inf)
         for k in np.flatnonzero(
-            (strength > MIN_TESTED_INFORMATION) & ~np.isin(np.arange(len(ways)), list(other_changes))
+            (strength > MIN_TESTED_INFORMATION) & ~np.isin(np.arange(len(change_directions)), list(other_changes))
         ):
             change = expectation.changes[k]
-            values[k] = odds + _change_log_evidence(
-                score_along[k] / strength[k], 1.0 / strength[k] + change.further, change.log_weights
+            values[k] = log_prior + _change_log_evidence(
+                score_along[k] / strength[k], 1.0 / strength[k] + change.added_variances, change.log_weights
             )
         return values
 
     odds_by_change = forward_select(logs, min_log_evidence)
-    score, weight = score_test(likelihood.information, surprise, expectation.covariance)
-    information = ways @ weight @ ways.T
+    score, weight = score_test(likelihood.information, score_vector, expectation.covariance)
+    information = change_directions @ weight @ change_directions.T
     contradictions: list[int] = []
     for k in sorted(
         (k for k in odds_by_change if odds_by_change[k][k] > min_log_evidence), key=lambda k: -odds_by_change[k][k]
@@ -231,43 +219,47 @@ def compare_constants(
         + log_marginal_likelihood(
             likelihood,
             expectation.mean,
-            expectation.covariance + size**2 * ways[contradictions].T @ ways[contradictions],
+            expectation.covariance + size**2 * change_directions[contradictions].T @ change_directions[contradictions],
         )
         for size, share in SIZE_PRIOR.items()
     ]
     unchanged = log_marginal_likelihood(likelihood, np.zeros(unit.size), np.diag((prior / unit).ravel() ** 2))
-    joint = float(log_sum_exp(np.array(changed))) - unchanged
+    joint_log_ratio = float(log_sum_exp(np.array(changed))) - unchanged
     covariance = np.linalg.inv(information[np.ix_(contradictions, contradictions)])
-    gap, sigma = covariance @ ways[contradictions] @ score, np.sqrt(np.diag(covariance))
+    gap, sigma = covariance @ change_directions[contradictions] @ score, np.sqrt(np.diag(covariance))
     units = [unit[expectation.changes[k].instruments[0], expectation.changes[k].constant] for k in contradictions]
-    chance = np.minimum(len(ways) * erfc(np.abs(gap) / sigma / np.sqrt(2.0)), 1.0)
+    chance = np.minimum(len(change_directions) * erfc(np.abs(gap) / sigma / np.sqrt(2.0)), 1.0)
     entries = (
         _contradiction_of_change(adjustment, expectation.changes, odds_by_change[k], k, *map(float, (g * u, s * u, c)))
         for k, g, s, c, u in zip(contradictions, gap, sigma, chance, units, strict=True)
     )
-    return ContradictingConstants(tuple(entries), joint + odds * len(contradictions))
+    return ContradictingConstants(tuple(entries), joint_log_ratio + log_prior * len(contradictions))
 
 
 def _contradiction_of_change(
     adjustment: Adjustment,
     changes: Sequence[ConstantChange],
-    logs: Floats,
+    log_evidences: Floats,
     change_index: int,
-    gap: float,
+    difference: float,
     sigma: float,
-    chance: float,
+    p_value: float,
 ) -> ConstantContradiction:
-    """Contradiction of a change, with its difference and standard deviation [SI] and its alternatives."""
+    """Contradiction of the change with this index, with its alternatives.
+
+    `log_evidences` are those of all changes, `difference` and `sigma` the difference from the reference and its
+    standard deviation [SI].
+    """
     change, parameters = changes[change_index], adjustment.construction.parameters
     rivals = [i for i, other in enumerate(changes) if other.instruments == change.instruments]
-    share = normalised_probabilities(logs[rivals])
+    share = normalised_probabilities(log_evidences[rivals])
     return ConstantContradiction(
         instruments=tuple(adjustment.recording.instruments[i] for i in change.instruments),
         parameter=parameters[change.constant],
-        difference=gap,
+        difference=difference,
         sigma=sigma,
-        evidence=float(logs[change_index]),
-        p_value=chance,
+        evidence=float(log_evidences[change_index]),
+        p_value=p_value,
         against=change.reference_text,
         rivals={
             parameters[changes[rivals[i]].constant]: float(share[i])
@@ -277,33 +269,35 @@ def _contradiction_of_change(
     )
 
 
-def _change_log_evidence(gap: float, variance: Floats | float, weights: Floats | float) -> float:
-    """Log evidence of a change from its estimate, averaged over variances (s,) with log weights (s,)."""
-    variance, weights = np.atleast_1d(variance), np.atleast_1d(weights)
-    log_unchanged = weights - 0.5 * (gap**2 / variance + np.log(variance))
-    log_changed = log_unchanged + log_evidence(((gap / variance) ** 2)[:, None], 1.0 / variance[:, None])
+def _change_log_evidence(difference: float, variances: Floats | float, log_weights: Floats | float) -> float:
+    """Log evidence of a change from its estimate `difference`, averaged over `variances` (s,) with log weights (s,)."""
+    variances, log_weights = np.atleast_1d(variances), np.atleast_1d(log_weights)
+    log_unchanged = log_weights - 0.5 * (difference**2 / variances + np.log(variances))
+    log_changed = log_unchanged + log_evidence(((difference / variances) ** 2)[:, None], 1.0 / variances[:, None])
     return float(log_sum_exp(log_changed) - log_sum_exp(log_unchanged))
 
 
 MIN_INFORMATION = 1e-3
-"""Smallest information of earlier calibrations on a constant, in units of the specification (avoids
-division by zero).
-"""
+"""Smallest information of earlier calibrations on a constant, in units of the specification. Smaller values are raised
+to it, to avoid a division by zero."""
 VARIANCE_RATIO_GRID = np.geomspace(0.05, 1e4, 80)
-"""Grid of the ratio of the true variance of a constant to the sample variance of a few calibrations."""
+"""Grid of the ratio of the true variance of a constant between calibrations to the sample variance of a few of them."""
 PRIOR_DOF = 4
-"""Prior degrees of freedom from the spreads of the other constants (Smyth 2004): most agree within a factor of two."""
+"""Degrees of freedom that the sample variances of all constants add to that of one constant (Smyth 2004). They
+correspond to standard deviations that mostly agree within a factor of two."""
 
 
 @dataclass(frozen=True)
 class HistoryExpectation:
-    """Expectation of the constants of a recording's instruments from earlier calibrations."""
+    """Expected constants of a recording's instruments, from earlier calibrations."""
 
     earlier: EarlierCalibrations
+    """Earlier calibrations."""
     expected: ParameterPrior
-    """Mean and covariance, including the day-to-day spread."""
+    """Mean and covariance of the constants [SI], with their spread between calibrations."""
     specification: Floats
-    """Specification of the manufacturer, (I, p) [SI], the unit of all computations here."""
+    """Specification of the manufacturer (I, p) [SI] for p constants of I instruments, the unit of all computations
+    here."""
 
     @classmethod
     def from_calibrations(
@@ -313,8 +307,8 @@ class HistoryExpectation:
         names = recording.instruments
         if len(calibrations.instruments) < min(len(names), 2):
             raise RecordError(
-                f"the earlier calibrations are of one instrument, the recording is of {', '.join(names)}; expected "
-                "those of all of them"
+                f"the earlier calibrations are of one instrument, but the recording is of {', '.join(names)}; expected "
+                "earlier calibrations of all these instruments"
             )
         nominal_prior = ParameterPrior.independent(prior_sigmas(recording, construction))
         return cls(
@@ -322,7 +316,7 @@ class HistoryExpectation:
         )
 
     def find_contradictions(self, adjustment: Adjustment, min_log_evidence: float) -> ContradictingConstants:
-        """Constants that have changed, each with more than `min_log_evidence`, the most significant first."""
+        """Constants that changed since the earlier calibrations, each with a log evidence above `min_log_evidence`."""
         parameters, unit = adjustment.construction.parameters, self.specification
         at = [k for k, p in enumerate(parameters) if p.name in self.earlier.parameters]
         names = [parameters[k].name for k in at]
@@ -340,11 +334,13 @@ class HistoryExpectation:
         )
 
     def _additional_variances(self, variance: Floats, unit: Floats, names: list[str]) -> tuple[Floats, Floats]:
-        """Variances (k, s) of constants in addition to the expected ones (k, k), and the logs of their weights.
+        """Possible variances (k, s) of k constants in addition to the expected ones, and logs (k, s) of their weights.
 
-        The spread of a few calibrations is uncertain: their sample variance is scaled chi-square with one degree of
-        freedom less than their number, and the spreads of the other constants add `PRIOR_DOF` (Smyth, Statistical
-        Applications in Genetics 3 (2004) 3). No spread exceeds the maker's guarantee.
+        The spread of a few calibrations is uncertain. Their sample variance has a scaled chi-square distribution, with
+        one degree of freedom less than their number. The spreads of the other constants add `PRIOR_DOF` degrees of
+        freedom (Smyth, Statistical Applications in Genetics 3 (2004) 3). No spread exceeds the specification of the
+        manufacturer. `variance` (k, k) is the expected covariance, `unit` (k,) the specification [SI], and `names` are
+        the names of the constants.
         """
         count = self.earlier.n_calibrations
         if count == 1:
@@ -366,7 +362,7 @@ class HistoryExpectation:
         return np.maximum(added_variance * (1.0 + 1.0 / count), -spread[:, None]), weights
 
     def _reference_phrase(self, parameter: Parameter) -> str:
-        """Name of the reference that a constant is compared with."""
+        """Text of the reference with which a constant is compared."""
         if self.earlier.n_calibrations == 1:
             return "its calibration"
         spread = (

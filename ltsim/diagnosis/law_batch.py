@@ -1,7 +1,11 @@
-"""Batch of laws: response terms x regressors x places, scored by sums over the pointings of each place.
+"""Batch of empirical laws: all combinations of some responses, regressors and places, scored together.
 
-The score of response c with regressor d at a place is the sum over its pointings of (derivative of c) x (column of d) x
-(residual): one matrix product for all pointings that belong to the same places, for any number of hypotheses.
+The score of a response c with a regressor d at a place is the sum over its pointings of (derivative of c) x (column of
+d) x (residual). Pointings that belong to the same places form a cell. One matrix product for each cell gives the sums
+for all hypotheses.
+
+Shapes below: n pointings, P places, C responses with c components each, D regressors with k columns each (d of them in
+one step), and v vectors of the null ensemble.
 """
 
 from __future__ import annotations
@@ -25,51 +29,53 @@ from ltsim.physics.laws.responses import Response
 from ltsim.scene.sightings import Sightings
 
 N_POINTINGS_PER_CHUNK = 1000
-"""Number of pointings whose products are in memory at a time."""
+"""Largest number of pointings whose products are in memory at a time."""
 MAX_COLUMN_PRODUCTS = 500_000
-"""Number of products of columns in memory at a time, the size of a cache."""
+"""Largest number of products of two columns in memory at a time, so that they fit into the processor's cache."""
 MAX_COLUMNS_AT_PLACES = 10_000
-"""Number of columns at places whose products with all vectors are in memory at a time, some tens of MB."""
+"""Largest number of columns, counted at each place, whose products with all vectors are in memory at a time: some tens
+of MB."""
 MAX_COLUMN_ENTRIES = 5_000_000
-"""Number of entries of columns of regressors that are computed at a time, 20 MB."""
+"""Largest number of entries of columns of regressors that are computed at a time: 20 MB."""
 MAX_SHARED_COLUMN_ENTRIES = 16_000_000
-"""Number of entries of columns up to which the batches with the same regressors share them, 64 MB."""
+"""Largest number of entries of columns that batches with the same regressors share in memory: 64 MB."""
 MAX_HITS_PER_PLACE = 6
-"""Largest number of hypotheses per place that are evaluated again."""
+"""Largest number of laws per place that a screening returns, for evaluation without approximation."""
 
 
 @dataclass(frozen=True)
 class ScreenedLaw:
-    """Screened law with its log evidence including the prior."""
+    """Law of a screening, with an approximate log evidence."""
 
     response: Response
+    """Quantity that the law changes."""
     regressor: Regressor
+    """Function on which the response depends."""
     place: LawPlace
+    """Place at which the law acts."""
     log_evidence: float
+    """Approximate log evidence, including the prior."""
     log_prior: float
+    """Log prior of the law at this place."""
 
 
 @dataclass(frozen=True)
 class RowPartition:
-    """Partition of the pointings into cells that belong to the same places: a place sums its cells.
+    """Partition of the pointings into cells of pointings that belong to the same places.
 
-    Attributes
-    ----------
-    order : (r,) int
-        Pointings, cell after cell.
-    cell_edges : (cells + 1,) int
-        Start of each cell in that order, and the end of the last one.
-    is_in_place : (P, cells) csr float32
-        Indicator of the cells of each place.
+    The sum over a place is the sum over its cells.
     """
 
     order: Ints
+    """Indices (n,) of the pointings, cell after cell."""
     cell_edges: Ints
+    """Start (cells + 1,) of each cell in `order`, and the end of the last cell."""
     is_in_place: sp.csr_array
+    """Indicator (P, cells) of the cells of each of P places."""
 
     @classmethod
     def from_places(cls, places: Sequence[LawPlace], n_pointings: int) -> RowPartition:
-        """Partition of `n_pointings` pointings by the places that they belong to."""
+        """Partition of `n_pointings` pointings by the places to which they belong."""
         is_inside = np.zeros((len(places), n_pointings), dtype=bool)
         for here, place in zip(is_inside, places, strict=True):
             here[place.rows] = True
@@ -79,7 +85,11 @@ class RowPartition:
         return cls(order, edges, sp.csr_array(is_inside[:, first].astype(np.float32)))
 
     def chunks(self, max_pointings: int) -> Iterator[tuple[slice, Ints, list[tuple[int, slice]]]]:
-        """Groups of at most `max_pointings` pointings: slice of the order, pointings, and slices of their cells."""
+        """Parts of at most `max_pointings` pointings.
+
+        Each part is a tuple: its slice of `order`, the indices of its pointings, and for each of its cells the index of
+        the cell and its slice in the part.
+        """
         for start in range(0, len(self.order), max_pointings):
             end = min(start + max_pointings, len(self.order))
             first, last = np.searchsorted(self.cell_edges, [start, end - 1], side="right") - 1
@@ -88,14 +98,14 @@ class RowPartition:
             yield slice(start, end), self.order[start:end], here
 
     def sums_over_places(self, cell_sums: Any) -> Any:
-        """Sums (P, ...) over places from the sums over cells (cells, ...)."""
+        """Sums over places, (P, ...), from the sums over cells, `cell_sums` (cells, ...)."""
         return (self.is_in_place @ cell_sums.reshape(len(cell_sums), -1)).reshape(-1, *cell_sums.shape[1:])
 
 
 class RegressorColumns:
-    """Columns of some regressors of equal size at all pointings, computed when they are needed.
+    """Columns of regressors with k columns each at all pointings, computed when they are needed.
 
-    Those of several batches are shared: they stay in memory until they are released, or always if `cached`.
+    Several batches share them. They stay in memory until they are released, or always if `is_cached`.
     """
 
     def __init__(
@@ -111,17 +121,17 @@ class RegressorColumns:
         self.is_cached = False
         self.n_entries_per_regressor = regressors[0].n_columns * len(sightings)  # of one regressor
 
-    def columns_of(self, regressors: slice) -> Singles:
-        """Columns (n, d k) of some regressors, at the pointings in the order of the cells."""
+    def columns_of(self, regressor_range: slice) -> Singles:
+        """Columns (n, d k) of a range of d regressors, with the pointings in the order of the cells."""
         if self.n_entries_per_regressor * len(self._regressors) > MAX_SHARED_COLUMN_ENTRIES:
-            return self._compute_columns(self._regressors[regressors])
+            return self._compute_columns(self._regressors[regressor_range])
         if self._all_columns is None:
             self._all_columns = self._compute_columns(self._regressors)
         size = self._regressors[0].n_columns
-        return self._all_columns[:, regressors.start * size : regressors.stop * size]
+        return self._all_columns[:, regressor_range.start * size : regressor_range.stop * size]
 
     def release(self) -> None:
-        """Removal of columns that are not cached."""
+        """Removal of the columns from memory, unless they are always cached."""
         if not self.is_cached:
             self._all_columns = None
 
@@ -136,44 +146,47 @@ class RegressorColumns:
 
 @dataclass(frozen=True)
 class LawBatch:
-    """Batch of laws: responses of one kind with c components, regressors with equal columns k and scales, P places.
+    """Batch of laws: all combinations of responses, regressors and places.
 
-    Attributes
-    ----------
-    weights : (n, 3, C, c) float32
-        Whitened change of the readings by a plausible size of each component.
-    columns : RegressorColumns
-        Columns of the regressors, shared by batches with the same regressors and cells.
-    log_prior : (P,) float
-        Log prior of each hypothesis and scale at a place.
+    The responses are of one kind. The regressors have the same number of columns and of length scales.
     """
 
     responses: tuple[Response, ...]
+    """Responses, C of them, with c components each."""
     regressors: tuple[Regressor, ...]
+    """Regressors, D of them, with k columns each."""
     places: tuple[LawPlace, ...]
+    """Places, P of them."""
     partition: RowPartition
+    """Partition of the pointings by these places."""
     weights: Singles
+    """Whitened change (n, 3, C, c) of the readings by a plausible size of each component of each response."""
     columns: RegressorColumns
+    """Columns of the regressors, shared by batches with the same regressors and cells."""
     log_prior: Floats
+    """Log prior (P,) of one response, regressor and length scale at each place."""
     _quadratic_forms: dict[int, list[tuple[Floats, Singles]]] = field(default_factory=dict, repr=False)
 
     @cached_property
     def _prior_sigmas(self) -> list[Floats]:
-        """Prior standard deviations (D, c k) for each scale."""
+        """Prior standard deviations (D, c k) of the coefficients of each regressor, one array per length scale."""
         ways = self.weights.shape[3]
         return [
             np.tile(np.stack(sets), ways) for sets in zip(*(d.coefficient_sigmas for d in self.regressors), strict=True)
         ]
 
-    def best_laws_and_totals(self, probe: NullEnsemble) -> tuple[list[ScreenedLaw], float, Floats]:
-        """Best hypotheses of every place, and log sums over all: of the recording, and of trials (trials,)."""
+    def best_laws_and_totals(self, null_ensemble: NullEnsemble) -> tuple[list[ScreenedLaw], float, Floats]:
+        """Best laws of every place, the log of the summed evidence of all laws, and its null values (trials,).
+
+        The null values are those of the simulated recordings of the null ensemble.
+        """
         count, size = len(self.regressors), self.regressors[0].n_columns
         products = size * self.weights[0, 0].size * len(self.places)
         step = max(
             1, min(MAX_COLUMNS_AT_PLACES // products, MAX_COLUMN_ENTRIES // self.columns.n_entries_per_regressor)
         )
         batch_results = [
-            self._log_evidence_at_places(probe, slice(i, min(i + step, count))) for i in range(0, count, step)
+            self._log_evidence_at_places(null_ensemble, slice(i, min(i + step, count))) for i in range(0, count, step)
         ]
         values = np.concatenate([values for values, _ in batch_results], axis=2).reshape(len(self.places), -1)
         null = log_sum_exp(np.stack([null for _, null in batch_results]))
@@ -189,47 +202,56 @@ class LawBatch:
         ]
         return hits, float(log_sum_exp(values.ravel())), null
 
-    def _log_evidence_at_places(self, probe: NullEnsemble, regressors: slice) -> tuple[Floats, Floats]:
-        """Log evidence (P, C, d) of some regressors with priors, and its log sum over trials.
+    def _log_evidence_at_places(self, null_ensemble: NullEnsemble, regressor_range: slice) -> tuple[Floats, Floats]:
+        """Log evidence (P, C, d) with priors of the laws with a range of d regressors, and null values (trials,).
 
-        The model does not reduce the Gram matrix of a law here, which overstates it where both are correlated; the best
-        laws are evaluated again without this approximation.
+        The null values are logs of the summed evidence of these laws for simulated recordings. The Gram matrix of a law
+        is not reduced for the members of the model. It is too large if both are correlated. The best laws are evaluated
+        again without this approximation.
         """
-        columns = self.columns.columns_of(regressors)
-        scores = self._products_with_ensemble(probe, columns)
-        score, trials, _ = probe.split_products(scores)
-        null = np.full((1, probe.n_trials), -np.inf)
-        if probe.is_first_pass:
-            turned = self._eigen_decomposition(probe.projected_gram(scores, self._gram_matrices(columns)), regressors)
-            self._quadratic_forms[regressors.start] = turned
-            if probe.n_trials:
+        columns = self.columns.columns_of(regressor_range)
+        scores = self._products_with_ensemble(null_ensemble, columns)
+        score, trials, _ = null_ensemble.split_products(scores)
+        null = np.full((1, null_ensemble.n_trials), -np.inf)
+        if null_ensemble.is_first_pass:
+            grams = null_ensemble.projected_gram(scores, self._gram_matrices(columns))
+            turned = self._eigen_decomposition(grams, regressor_range)
+            self._quadratic_forms[regressor_range.start] = turned
+            if null_ensemble.n_trials:
                 priors = np.repeat(self.log_prior, scores.shape[1] * scores.shape[2])
                 null = np.stack([simulated_log_total(turn @ trials, strength, priors) for strength, turn in turned])
         log_evidences = [
             log_evidence((turn @ score[..., None])[..., 0] ** 2, strength)
-            for strength, turn in self._quadratic_forms[regressors.start]
+            for strength, turn in self._quadratic_forms[regressor_range.start]
         ]
         return log_sum_exp(np.stack(log_evidences)) + self.log_prior[:, None, None], log_sum_exp(null)
 
-    def _eigen_decomposition(self, gram: Floats, regressors: slice) -> list[tuple[Floats, Singles]]:
-        """Eigenvalues (P, C, d, k) per scale, and the matrix that transforms scores to eigenvectors."""
+    def _eigen_decomposition(self, gram: Floats, regressor_range: slice) -> list[tuple[Floats, Singles]]:
+        """Eigenvalues (P, C, d, c k), and matrices (P, C, d, c k, c k), for each length scale.
+
+        The product of a matrix with the scores of a law gives the scores along its eigenvectors. `gram` has the shape
+        (P, C, d, c k, c k), and the regressors are a range of d.
+        """
         transforms = []
-        for spread in (spread[regressors] for spread in self._prior_sigmas):
+        for spread in (spread[regressor_range] for spread in self._prior_sigmas):
             strength, turn = np.linalg.eigh(gram * spread[:, :, None] * spread[:, None, :])
             turn = np.swapaxes(turn, -1, -2) * spread[:, None, :]
             transforms.append((np.maximum(strength, 0.0), turn.astype(np.float32)))
         return transforms
 
-    def _products_with_ensemble(self, probe: NullEnsemble, columns: Singles) -> Singles:
-        """Products (P, C, d, c k, v) of columns (n, d k) of regressors with the ensemble's vectors at all places."""
+    def _products_with_ensemble(self, null_ensemble: NullEnsemble, columns: Singles) -> Singles:
+        """Products (P, C, d, c k, v) of the signatures of laws with v vectors of the ensemble, at all places.
+
+        `columns` (n, d k) are those of d regressors.
+        """
         _, _, count, ways = self.weights.shape
-        vectors, d = probe.probe_vectors.shape[1], columns.shape[1] // self.regressors[0].n_columns
+        vectors, d = null_ensemble.probe_vectors.shape[1], columns.shape[1] // self.regressors[0].n_columns
         sums = np.zeros(
             (len(self.partition.cell_edges) - 1, columns.shape[1], count * ways * vectors), dtype=np.float32
         )
         for part, rows, cells in self.partition.chunks(N_POINTINGS_PER_CHUNK):
             weights = self.weights[rows].reshape(len(rows), 3, -1)
-            moved = (np.swapaxes(weights, 1, 2) @ probe.vectors_at(rows)).reshape(len(rows), -1)
+            moved = (np.swapaxes(weights, 1, 2) @ null_ensemble.vectors_at(rows)).reshape(len(rows), -1)
             turned = columns[part].T
             for cell, at in cells:
                 sums[cell] += turned[:, at] @ moved[at]
@@ -237,7 +259,7 @@ class LawBatch:
         return np.ascontiguousarray(products.transpose(0, 3, 1, 4, 2, 5)).reshape(len(products), count, d, -1, vectors)
 
     def _gram_matrices(self, columns: Singles) -> Floats:
-        """Gram matrices (P, C, d, c k, c k) of the columns (n, d k) of each hypothesis."""
+        """Gram matrices (P, C, d, c k, c k) of the signatures of laws, from the `columns` (n, d k) of d regressors."""
         _, _, count, ways = self.weights.shape
         k = self.regressors[0].n_columns
         d = columns.shape[1] // k
@@ -254,13 +276,15 @@ class LawBatch:
         return grams.transpose(0, 1, 4, 2, 5, 3, 6).reshape(len(grams), count, d, ways * k, ways * k)
 
 
-def score_batches(batches: Sequence[LawBatch], probe: NullEnsemble) -> list[tuple[list[ScreenedLaw], float, Floats]]:
-    """Scores of each batch, in their order; columns that several batches share are computed once."""
+def score_batches(
+    batches: Sequence[LawBatch], null_ensemble: NullEnsemble
+) -> list[tuple[list[ScreenedLaw], float, Floats]]:
+    """Results of `LawBatch.best_laws_and_totals` in the order of the batches; shared columns are computed once."""
     by_columns: dict[int, list[int]] = {}
     for i, batch in enumerate(batches):
         by_columns.setdefault(id(batch.columns), []).append(i)
     scores = {}
     for members in by_columns.values():
-        scores.update({i: batches[i].best_laws_and_totals(probe) for i in members})
+        scores.update({i: batches[i].best_laws_and_totals(null_ensemble) for i in members})
         batches[members[0]].columns.release()
     return [scores[i] for i in range(len(batches))]

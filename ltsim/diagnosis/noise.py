@@ -1,11 +1,15 @@
-"""Hypotheses of noise: some readings scatter more (or less) than declared.
+"""Hypotheses of the noise: some readings scatter more (or less) than declared.
 
-With r the whitened residuals, Q an orthonormal basis of what is estimated and W = 1 - 1/s of the variance factors s,
-the restricted likelihood ratio is exactly
+Let r be the whitened residuals, Q an orthonormal basis of the estimated parameters, s the variance factors, and W the
+diagonal matrix of 1 - 1/s. The restricted likelihood ratio is exactly
     log L = [ r' W r + c' N^-1 c - log|N| - sum log s ] / 2,   N = 1 - Q' W Q,   c = Q' W r.
-All are screened by the diagonal form, (r^2 W - k log s) / 2 summed over readings of redundancy k, for the recording and
-the null ensemble in the same way; the best are evaluated without approximation where there is a basis. Sizes are
-averaged over a grid, a fine one for the best, so these hypotheses compete with mean shifts by the same evidence.
+All hypotheses are screened by the diagonal form, the sum of (r^2 W - k log s) / 2 over readings with redundancy k. This
+is the same for the recording and for simulated recordings. The best hypotheses are evaluated without approximation, if
+the network is small enough for a basis. The evidence is an average over a grid of sizes, a fine one for the best
+hypotheses. It can therefore be compared with the evidence of effects that shift readings.
+
+Shapes below: m rows of the residual space, g means of repeated readings, h hypotheses, and trials (the recording, or
+simulated recordings).
 """
 
 from __future__ import annotations
@@ -48,27 +52,31 @@ from ltsim.scene.sightings import Sightings
 from ltsim.solve.projection import BasisProjection
 
 N_EVALUATED_FAMILIES = 6
-"""Number of families that are evaluated without approximation, the most probable first."""
+"""Number of families of noise hypotheses that are evaluated without approximation, the most probable first."""
 MAX_AVERAGED_PATTERNS = 12
-"""Number of patterns, the most probable first, over which the variance is averaged."""
+"""Largest number of patterns of noise over which the variance of a reading is averaged, the most probable first."""
 MAX_RESIDUAL_ENTRIES = 1_500_000
-"""Largest number of entries of residuals that are evaluated at a time, some tens of MB."""
+"""Largest number of entries of residuals that are evaluated at a time: some tens of MB."""
 MIN_COMPARABLE_EVIDENCE_FRACTION = 0.2
-"""Fraction of the largest log evidence from which windows of noise are also sought at single places."""
+"""Fraction of the largest log evidence. Noise in windows of time with more evidence is also sought at single places."""
 N_FINE_SIZES = 48
-"""Number of sizes over which the best hypotheses are averaged, in steps of a tenth."""
+"""Number of sizes of the fine grid over which the evidence of the best hypotheses is averaged."""
 MAX_NOISE_SIZE = 400.0
-"""Largest size in units of the plausible one."""
+"""Largest size of an estimated change of the noise, as a multiple of its plausible size."""
 N_VARIANCE_GRID_VALUES = 7
-"""Number of points of a grid on which the posterior of a size is summed."""
+"""Number of points of each grid on which the posterior distribution of a size is summed."""
 VARIANCE_GRID_HALF_WIDTH = 4.0
-"""Half-width of a grid on which the posterior of a size is summed, in standard deviations."""
+"""Half-width of the next grid on which the posterior of a size is summed, in standard deviations of the posterior."""
 N_GRID_ZOOMS = 9
-"""Number of such grids: sums of a normal density are exact for spacings up to 1.5 deviations."""
+"""Number of grids, each narrower, on which the posterior of a size is summed. The sum over a normal density is accurate
+for spacings of up to 1.5 standard deviations."""
 
 
 def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[NoiseHypothesis]:
-    """Changes of the noise with one pattern over a grid of sizes, also for each of several `instruments`."""
+    """Changes of the noise that have one size, each at the sizes of a grid.
+
+    `instruments` are the names of the instruments, each of which may have separate noise if there are several.
+    """
     kinds = [kind for kind in CATALOGUE if issubclass(kind, NoiseEffect) and kind is not NoiseLevel]
     effects = [(effect, effect.size_grid()) for kind in kinds for effect in kind.candidates(sightings)]
     hypotheses = [NoiseHypothesis(effect.name, effect, values) for effect, sizes in effects for values in sizes]
@@ -79,38 +87,33 @@ def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> l
 
 @dataclass(frozen=True)
 class NoiseBank:
-    """Noise hypotheses as linear forms of squared residuals, and of squared means of residuals over repeats.
+    """Noise hypotheses on a residual space, with their evidence for the recording and for simulated recordings.
 
-    Attributes
-    ----------
-    factors : NoiseFactors
-        Variance factors of the m rows, and of the g means for what repeats.
-    means : (g, m) csr float
-        Sums of repeats, in each face and then in both.
-    amounts : tuple of Amounts
-        The noise level first, then noise by group.
-    basis : (m, u) float, or None
-        Orthonormal basis of the estimated parameters, where there is one.
+    The evidence is a linear form of squared residuals, and of squared means of repeated readings.
     """
 
     hypotheses: list[NoiseHypothesis]
+    """Hypotheses with one size, h of them."""
     families: tuple[str, ...]
-    family: Ints
+    """Names of the families of these hypotheses."""
+    family_index: Ints
+    """Index (h,) of the family of each hypothesis."""
     factors: NoiseFactors
+    """Variance factors of the m rows, and of the g means of repeated readings for errors that these have in common."""
     means: sp.csr_array
+    """Matrix (g, m) of the means of repeated readings, first in each face and then in both faces."""
     basis: Floats | None
-    amounts: tuple[GroupNoise, ...]
+    """Orthonormal basis (m, u) of u estimated parameters; None in a network that is too large for a basis."""
+    group_noises: tuple[GroupNoise, ...]
+    """Hypotheses with a size for each group: the noise level first, then noise by target and station, and windows."""
     space: ResidualSpace
+    """Residual space of the adjustment."""
 
     @classmethod
     def from_space(
         cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], *, allows_quieter: bool = True
     ) -> NoiseBank:
-        """Bank of noise hypotheses on a residual space.
-
-        Without `allows_quieter` noise is never less than declared: errors that repeat make the differences of repeats
-        small.
-        """
+        """Noise hypotheses on a residual space. The noise level may be less than declared only if `allows_quieter`."""
         repeat_patterns = [repeat_means(space, faces) for faces in REPETITION_KINDS]
         means = sp.csr_array(sp.vstack(repeat_patterns))
         sizes = space.n_rows - int(space.used_readings.sum()), *(m.shape[0] for m in repeat_patterns)
@@ -123,21 +126,24 @@ class NoiseBank:
         index = {name: i for i, name in enumerate(names)}
         family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
         basis = space.projector.basis if isinstance(space.projector, BasisProjection) else None
-        amounts = (
+        group_noises = (
             RecordingNoiseLevel.from_space(space, allows_quieter=allows_quieter),
             *NoiseByGroup.all_of(space),
             *NoiseWindows.from_space(space),
         )
-        return cls(list(hypotheses), names, family, factors, means, basis, amounts, space)
+        return cls(list(hypotheses), names, family, factors, means, basis, group_noises, space)
 
     def log_likelihood_ratio(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log likelihood ratio (h, trials) for whitened residuals (m, trials) with redundancy (m,)."""
+        """Log likelihood ratio (h, trials) in the diagonal form.
+
+        `residual` (m, trials) are whitened residuals, and `redundancy` (m,) the redundancy numbers.
+        """
         squares = np.vstack([residual**2, (self.means @ residual) ** 2]).astype(np.float32)
         share = np.concatenate([redundancy, redundancy_of_means(self.means, redundancy)])
         return self.factors.log_likelihood_ratios(squares, share)
 
     def family_evidence(self, residual: Floats | Singles, redundancy: Floats) -> Floats:
-        """Log evidence (families, trials) with priors, in its diagonal form; group hypotheses last."""
+        """Log evidence (families, trials) with priors in the diagonal form, of `families`, then of `group_noises`."""
         step = max(1, MAX_RESIDUAL_ENTRIES // len(residual))
         batches = (residual[:, i : i + step].astype(np.float64) for i in range(0, residual.shape[1], step))
         return np.hstack([self._family_evidence(part, redundancy) for part in batches])
@@ -145,31 +151,33 @@ class NoiseBank:
     def _family_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         patterns = self._log_evidence_by_family(self.log_likelihood_ratio(residual, redundancy))
         return np.vstack(
-            [patterns, *(self._amounts_log_evidence(amount, residual, redundancy) for amount in self.amounts)]
+            [patterns, *(self._group_noise_evidence(change, residual, redundancy) for change in self.group_noises)]
         )
 
-    def _amounts_log_evidence(self, amount: GroupNoise, residual: Floats, redundancy: Floats) -> Floats:
-        return amount.log_evidence(residual, redundancy) + self.log_prior_of_family(amount.name)
+    def _group_noise_evidence(self, change: GroupNoise, residual: Floats, redundancy: Floats) -> Floats:
+        return change.log_evidence(residual, redundancy) + self.log_prior_of_family(change.name)
 
     def log_prior_of_family(self, family: str) -> float:
-        """Log prior of a family: noise of the catalogue, or outside it."""
-        unknown = [name.startswith("unknown") for name in (*self.families, *(amount.name for amount in self.amounts))]
-        return (
-            log_prior_share("scatter", sum(unknown))
-            if family.startswith("unknown")
-            else log_prior_share("noise", unknown.count(False))
-        )
+        """Log prior of a family, which is a change of the noise in the catalogue, or outside it (`unknown`)."""
+        names = (*self.families, *(change.name for change in self.group_noises))
+        unknown = [name.startswith("unknown") for name in names]
+        if family.startswith("unknown"):
+            return log_prior_share("scatter", sum(unknown))
+        return log_prior_share("noise", unknown.count(False))
 
     def _log_evidence_by_family(self, ratio: Floats) -> Floats:
         share = np.array([self.log_prior_of_family(family) for family in self.families])
-        return log_means_by_group(ratio, self.family, len(self.families)) + share[:, None]
+        return log_means_by_group(ratio, self.family_index, len(self.families)) + share[:, None]
 
-    def log_restricted_likelihood_ratio(self, index: int, residual: Floats, extension: Floats) -> float:
-        """Log restricted likelihood ratio of a hypothesis for residuals (m,) given a model basis (m, e)."""
+    def log_restricted_likelihood_ratio(self, index: int, residual: Floats, model_basis: Floats) -> float:
+        """Log restricted likelihood ratio of the hypothesis with this index, without approximation.
+
+        `residual` (m,) are the whitened residuals given a model, and `model_basis` (m, e) is the basis of the model.
+        """
         assert self.basis is not None
         at, logs = self.factors.log_variance_factors(index)
         weight, size = -np.expm1(-logs), len(residual)
-        basis = np.hstack([self.basis, extension])
+        basis = np.hstack([self.basis, model_basis])
         basis_rows = np.vstack([basis[at[at < size]], self.means[at[at >= size] - size] @ basis])
         values = np.concatenate([residual[at[at < size]], self.means[at[at >= size] - size] @ residual])
         normal = np.eye(basis_rows.shape[1]) - basis_rows.T @ (weight[:, None] * basis_rows)
@@ -177,14 +185,18 @@ class NoiseBank:
         fit = float(weight @ values**2 + products @ np.linalg.solve(normal, products))
         return 0.5 * (fit - float(np.linalg.slogdet(normal)[1]) - float(logs.sum()))
 
-    def _excess_over_diagonal_form(self, index: int, ratio: float, residual: Floats, extension: Floats) -> float:
-        """Log restricted likelihood ratio of a hypothesis minus its diagonal form `ratio`; 0 without a basis."""
-        return 0.0 if self.basis is None else self.log_restricted_likelihood_ratio(index, residual, extension) - ratio
+    def _excess_over_diagonal_form(self, index: int, ratio: float, residual: Floats, model_basis: Floats) -> float:
+        """Log restricted likelihood ratio of a hypothesis minus its diagonal form `ratio`; 0 in a large network."""
+        return 0.0 if self.basis is None else self.log_restricted_likelihood_ratio(index, residual, model_basis) - ratio
 
     def _fine_log_evidence(
         self, members: Ints, best_member: int, ratio: Floats, residual: Floats, redundancy: Floats
     ) -> float:
-        """Log evidence of a family with a fine grid of sizes of its best effect: each alone, or all together."""
+        """Log evidence of a family, with a fine grid of sizes of its best effect.
+
+        `members` are the indices of the family's hypotheses, `best_member` is the best of them, and `ratio` contains
+        their log likelihood ratios. For an effect with several parameters, each alone and all together are averaged.
+        """
         effect = self.hypotheses[best_member].effect
         is_same = np.array([self.hypotheses[i].effect == effect for i in members.tolist()])
         size_grid = np.array([self.hypotheses[i].sizes for i in members[is_same].tolist()])
@@ -198,30 +210,33 @@ class NoiseBank:
         return float(log_sum_exp(np.append(ratio[~is_same], fine_evidence)) - np.log(len(members)))
 
     def ranked_families(
-        self, residual: Floats, redundancy: Floats, extension: Floats
+        self, residual: Floats, redundancy: Floats, model_basis: Floats
     ) -> list[tuple[float, NoiseHypothesis]]:
-        """Families in the order of their evidence with prior, each with its best member."""
+        """Pairs of log evidence with prior and the best hypothesis of each family, the best family first.
+
+        `residual` (m,), `redundancy` (m,) and the basis `model_basis` (m, e) are those of a model.
+        """
         ratio = self.log_likelihood_ratio(residual[:, None], redundancy)
         evidence = self._log_evidence_by_family(ratio)[:, 0]
         entries = []
         for rank, family in enumerate(np.argsort(-evidence)):
-            members = np.flatnonzero(self.family == family)
+            members = np.flatnonzero(self.family_index == family)
             likeliest = int(members[int(np.argmax(ratio[members, 0]))])
             value = float(evidence[family])
             if rank < N_EVALUATED_FAMILIES:
                 value = self._fine_log_evidence(members, likeliest, ratio[members, 0], residual, redundancy)
                 value += self.log_prior_of_family(self.families[family])
-                value += self._excess_over_diagonal_form(likeliest, float(ratio[likeliest, 0]), residual, extension)
+                value += self._excess_over_diagonal_form(likeliest, float(ratio[likeliest, 0]), residual, model_basis)
             entries.append((value, self.hypotheses[likeliest]))
-        for amount, value in self.ranked_group_noise(residual, redundancy, max(0.0, *(value for value, _ in entries))):
-            effect = amount.most_likely_effect(residual, redundancy)
-            entries.append((value, NoiseHypothesis(amount.name, effect, (0.0,) * len(effect.parameters))))
+        for change, value in self.ranked_group_noise(residual, redundancy, max(0.0, *(value for value, _ in entries))):
+            effect = change.most_likely_effect(residual, redundancy)
+            entries.append((value, NoiseHypothesis(change.name, effect, (0.0,) * len(effect.parameters))))
         return sorted(entries, key=lambda entry: -entry[0])
 
     def expected_factors(self) -> Floats:
-        """Posterior mean (n, 3) of the variance factors over all hypotheses, "no change" included.
+        """Posterior mean (n, 3) of the variance factors of the readings over all hypotheses and no change.
 
-        The mean of a variance has the smallest expected loss s/t - 1 - log(s/t) of an estimate t (Stein's loss).
+        The mean of a variance s has the smallest expected loss s/t - 1 - log(s/t) of an estimate t (Stein's loss).
         """
         space, residual, redundancy = self.space, self.space.residuals, self.space.redundancy
         values, factors = [0.0], [np.ones(space.sigma.shape)]
@@ -230,21 +245,23 @@ class NoiseBank:
             values.append(value)
             factors.append(hypothesis.effect.variance(space.sightings, space.sigma, sizes) / space.sigma**2)
         rows = np.count_nonzero(space.used_readings)
-        for amount, value in self.ranked_group_noise(residual, redundancy, max(values)):
+        for change, value in self.ranked_group_noise(residual, redundancy, max(values)):
             values.append(value)
             factors.append(np.ones(space.sigma.shape))
-            factors[-1][space.used_readings] = amount.expected_factors(residual, redundancy)[:rows]
+            factors[-1][space.used_readings] = change.expected_factors(residual, redundancy)[:rows]
         mean = np.einsum("k,kij->ij", normalised_probabilities(np.array(values)), np.stack(factors))
         return np.nan_to_num(mean, nan=1.0)
 
     def _ranked_patterns(self, residual: Floats, redundancy: Floats) -> list[tuple[NoiseHypothesis, float]]:
-        """Most probable patterns of noise, each at its best size, with their log evidence over all sizes."""
+        """Most probable patterns of noise, each at its best size, with the log evidence summed over its sizes."""
         ratio = self.log_likelihood_ratio(residual[:, None], redundancy)[:, 0]
-        prior = np.array([self.log_prior_of_family(name) for name in self.families]) - np.log(np.bincount(self.family))
+        prior = np.array([self.log_prior_of_family(name) for name in self.families])
+        prior -= np.log(np.bincount(self.family_index))
         members: dict[NoiseSignature, list[int]] = {}
         for i, hypothesis in enumerate(self.hypotheses):
             members.setdefault(hypothesis.effect, []).append(i)
-        evidence = np.array([float(log_sum_exp((ratio + prior[self.family])[same])) for same in members.values()])
+        logs = ratio + prior[self.family_index]
+        evidence = np.array([float(log_sum_exp(logs[same])) for same in members.values()])
         none, groups, ranked = np.zeros((len(residual), 0)), list(members.values()), []
         for i in np.argsort(-evidence)[:MAX_AVERAGED_PATTERNS]:
             best = groups[i][int(np.argmax(ratio[groups[i]]))]
@@ -253,31 +270,33 @@ class NoiseBank:
         return ranked
 
     def ranked_group_noise(self, residual: Floats, redundancy: Floats, rival: float) -> list[tuple[GroupNoise, float]]:
-        """Changes of the noise by group or window with log evidence; at places too if comparable with a `rival`."""
+        """Changes of the noise by group or window with log evidence; at single places too if not far below `rival`."""
         ranked_hypotheses = [
-            (amount, self._log_evidence_of_group_noise(amount, residual, redundancy)) for amount in self.amounts
+            (change, self._log_evidence_of_group_noise(change, residual, redundancy)) for change in self.group_noises
         ]
         least = max(rival, *(value for _, value in ranked_hypotheses)) * MIN_COMPARABLE_EVIDENCE_FRACTION
         places = [
             x
-            for amount, value in ranked_hypotheses
+            for change, value in ranked_hypotheses
             if value > least
-            for x in amount.noise_at_best_place(residual, redundancy)
+            for x in change.noise_at_best_place(residual, redundancy)
         ]
         return ranked_hypotheses + [
             (place, self._log_evidence_of_group_noise(place, residual, redundancy)) for place in places
         ]
 
-    def _log_evidence_of_group_noise(self, amount: GroupNoise, residual: Floats, redundancy: Floats) -> float:
-        return float(self._amounts_log_evidence(amount, residual[:, None], redundancy)[0])
+    def _log_evidence_of_group_noise(self, change: GroupNoise, residual: Floats, redundancy: Floats) -> float:
+        return float(self._group_noise_evidence(change, residual[:, None], redundancy)[0])
 
 
 def _noise_patterns(
     space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], mean_patterns: Sequence[sp.csr_array]
 ) -> Iterator[VariancePattern]:
-    """Added variances of the first rows, and sizes: of readings; of means too for what repeats.
+    """Iterator over patterns: the added variance of the readings per unit of the size, and the sizes.
 
-    A variance function is linear in its size, an effect of the catalogue has a pattern for each of its sizes.
+    For errors that repeated readings have in common, the pattern contains the means of these readings
+    (`mean_patterns`). A variance function has one pattern, because it is linear in its size. A catalogue effect has one
+    pattern for each size.
     """
     used, variance = space.used_readings, space.sigma**2
     for effect, same in groupby(hypotheses, key=lambda h: h.effect):
@@ -297,10 +316,10 @@ def _noise_patterns(
 def reml_gain_function(
     space: ResidualSpace, sigma: Floats, effect: NoiseSignature, residual: Floats, redundancy: Floats
 ) -> Callable[[Floats], Floats]:
-    """Function from sizes (k,) to the gain (k,) of restricted log likelihood for each variance parameter.
+    """Function from the sizes (k,) of k variance parameters to the gain (k,) of restricted log likelihood by each.
 
-    Each reading depends on one parameter at most. The effect acts on the standard deviations `sigma` (n, 3);
-    residuals (m,) are whitened by those of the space.
+    Each reading depends on one parameter at most. The effect changes the standard deviations `sigma` (n, 3), while the
+    residuals (m,) are whitened by the standard deviations of the space.
     """
     faces, used, scale = getattr(effect, "repetition", ""), space.used_readings, effect.size_scales
     means = repeat_means(space, faces) if faces else None
@@ -323,16 +342,15 @@ def reml_gain_function(
 
 
 def _tail_with_variances(hypothesis: NoiseHypothesis, reml_gain: Callable[[Floats], Floats]) -> NoiseHypothesis:
-    """Hypothesis of a heavy tail with the variance of each reading: the inverse of its expected weight.
+    """Hypothesis of a heavy tail with the variance of each reading, which is the inverse of its expected weight.
 
-    A reading is in the tail with a probability p, there with one of the factors f; its weight is (1 - p) + p E[1 / f],
-    as in the EM algorithm for scale mixtures (Little 1988, Applied Statistics 37, 23). The share of the tail is that of
-    the largest likelihood.
+    Let p be the probability that a reading is in the tail, where its variance is multiplied by a factor f. Its expected
+    weight is (1 - p) + p E[1 / f], as in the EM algorithm for scale mixtures (Little 1988, Applied Statistics 37, 23).
+    The fraction of readings in the tail is the one with the largest likelihood.
     """
     count = len(hypothesis.effect.parameters)
-    logs = np.stack([reml_gain(np.full(count, factor - 1.0)) for factor in TAIL_VARIANCE_FACTORS]) - reml_gain(
-        np.zeros(count)
-    )
+    logs = np.stack([reml_gain(np.full(count, factor - 1.0)) for factor in TAIL_VARIANCE_FACTORS])
+    logs -= reml_gain(np.zeros(count))
     ratio = log_sum_exp(logs) - np.log(len(TAIL_VARIANCE_FACTORS))
     likelihood = [np.logaddexp(np.log1p(-q), np.log(q) + ratio).sum() for q in NOISY_GROUP_FRACTIONS]
     q = float(NOISY_GROUP_FRACTIONS[int(np.argmax(likelihood))])
@@ -344,17 +362,18 @@ def _tail_with_variances(hypothesis: NoiseHypothesis, reml_gain: Callable[[Float
     return replace(hypothesis, sizes=tuple(values.tolist()), chi2_drop=drop, size_sigmas=tuple(sigma.tolist()))
 
 
-def most_likely_sizes(space: ResidualSpace, nominal_variance: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
-    """Hypothesis with estimated sizes, standard deviations, and twice the log restricted likelihood ratio.
+def most_likely_sizes(space: ResidualSpace, nominal_sigma: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
+    """Hypothesis with estimated sizes, their standard deviations, and twice the log restricted likelihood ratio.
 
-    Estimates are posterior means and deviations under a log-uniform prior of the variance factor, since the likelihood
-    of a variance is skew. The posteriors are independent (`reml_gain_function`); a size without readings is 0 with an
-    infinite standard deviation.
+    The hypothesis changes the standard deviations `nominal_sigma` (n, 3). The estimates are posterior means and
+    standard deviations with a log-uniform prior of the variance factor, because the likelihood of a variance is skew.
+    The posteriors of several sizes are independent (`reml_gain_function`). A size on which no reading depends is 0 with
+    an infinite standard deviation.
     """
     effect, scale = hypothesis.effect, hypothesis.effect.size_scales
     if isinstance(effect, CentringVariance):
         return estimate_centring(space, hypothesis)
-    reml_gain = reml_gain_function(space, nominal_variance, effect, space.residuals, space.redundancy)
+    reml_gain = reml_gain_function(space, nominal_sigma, effect, space.residuals, space.redundancy)
     if getattr(effect, "group_kind", "") == "reading":
         return _tail_with_variances(hypothesis, reml_gain)
     least, most = np.full(len(scale), np.log1p(effect.min_relative_size)), np.full(len(scale), np.log1p(MAX_NOISE_SIZE))

@@ -1,5 +1,8 @@
 """Centring errors of all targets as changes of the noise, in recordings that distinguish occupations of a target.
 
+Occupations are those of a column, the days, or the set-ups if pointings repeat in one face: errors that these repeats
+share are displacements for each set-up.
+
 Their log evidence is the restricted likelihood ratio of the variance component of the displacements
 (`adjustment.identification.centring_errors`), with the Occam factor of its uncertainty.
 """
@@ -13,7 +16,7 @@ import numpy as np
 
 from ltsim.adjustment.identification.centring_errors import MIN_POINTINGS_PER_OCCUPATION, best_centring_sigma
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.core.arrays import Floats, Ints
+from ltsim.core.arrays import Ints
 from ltsim.core.units import MILLIMETRE
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.physics.laws.centring import CentringVariance
@@ -22,29 +25,32 @@ from ltsim.recordings.occupations import days_of_pointings, target_occupations
 from ltsim.recordings.recording import Recording
 
 MAX_CENTRING_OCCUPATIONS = 200
-"""Largest number of occupations in a hypothesis of centring errors: 600 columns of the residual space (cost)."""
+"""Largest number of occupations for which centring errors are a hypothesis, to limit the computing time. They have 600
+columns in the residual space."""
 MIN_OCCUPATIONS_PER_TARGET = 1.5
-"""Smallest mean number of occupations of a target: with one, the displacement is part of its coordinates."""
+"""Smallest mean number of occupations of a target for which centring errors are a hypothesis. With one occupation the
+displacement is part of the target's coordinates."""
 
 
 def centring_hypotheses_of_occupations(space: ResidualSpace) -> list[tuple[float, NoiseHypothesis]]:
-    """Hypotheses of centring errors with their log evidence without prior, in the order of `Occupation`."""
+    """Pairs of log evidence, without prior, and a hypothesis of centring errors, one for each kind of occupation."""
     recording, used = space.adjustment.recording, np.asarray(space.used_readings.any(axis=1))
     hypotheses = []
     for kind in _distinguished_occupations(recording):
         effect = CentringVariance(occupation=kind)
         occupation = np.where(used, target_occupations(recording, effect.uncertainty(MILLIMETRE)), -1)
-        if _shows_centring(recording, occupation):
+        if _shows_centring(recording, occupation, by_face=kind == "station"):
             estimate = best_centring_sigma(space, occupation)
             hypotheses.append((estimate.gain, NoiseHypothesis("unknown:noise:centring", effect, (estimate.sigma,))))
     return hypotheses
 
 
 def estimate_centring(space: ResidualSpace, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
-    """Centring errors with an estimated standard deviation, its standard deviation, and twice the log likelihood ratio.
+    """Hypothesis of centring errors with the estimated standard deviation of the displacements, and its uncertainty.
 
-    In an adjustment that contains them, the estimate is a step of the EM algorithm: the mean square of the
-    displacements, with their posterior variance.
+    If the adjustment does not estimate the displacements, `chi2_drop` of the result is twice the gain of log evidence.
+    If it does, the estimate is a step of the EM algorithm: the mean of the squared displacements and their posterior
+    variances.
     """
     effect, adjustment = hypothesis.effect, space.adjustment
     assert isinstance(effect, CentringVariance)
@@ -62,7 +68,7 @@ def estimate_centring(space: ResidualSpace, hypothesis: NoiseHypothesis) -> Nois
 
 
 def with_centring(recording: Recording, noise: Sequence[NoiseHypothesis]) -> Recording:
-    """Recording whose set-up declares the centring errors among some changes of the noise."""
+    """Recording whose set-up declares those of the given changes of the noise that are centring errors."""
     further: list[CentringUncertainty] = [
         change.effect.uncertainty(change.sizes[0]) for change in noise if isinstance(change.effect, CentringVariance)
     ]
@@ -73,25 +79,30 @@ def with_centring(recording: Recording, noise: Sequence[NoiseHypothesis]) -> Rec
 
 
 def _sigma_of(sigma: float, n_determined: float) -> float:
-    """Standard deviation of an estimated standard deviation of displacements, from the determined components."""
+    """Standard deviation of `sigma`, which was estimated from `n_determined` components of displacements."""
     return float(sigma / np.sqrt(2.0 * max(n_determined, 1.0)))
 
 
 def _distinguished_occupations(recording: Recording) -> list[Occupation]:
-    """Occupations of targets that a recording distinguishes by a column, or by its days."""
+    """Occupations of targets that a recording distinguishes: by set-up, by a column, or by its days."""
     declared = {c.occupation for c in recording.setup.centring if not c.stations and not c.targets}
     columns: tuple[Occupation, ...] = ("instrument_setup", "target_setup")
-    kinds = [column for column in columns if column in recording.labels]
+    kinds: list[Occupation] = ["station", *(column for column in columns if column in recording.labels)]
     kinds += ["day"] if len(set(days_of_pointings(recording))) > 1 else []
     return [kind for kind in kinds if kind not in declared]
 
 
-def _shows_centring(recording: Recording, occupation: Ints | Floats) -> bool:
-    """True if occupations (n,) are few, recur at the targets, and have repeated pointings."""
+def _shows_centring(recording: Recording, occupation: Ints, *, by_face: bool) -> bool:
+    """True if occupations (n,) are few, recur at the targets, and have repeated pointings.
+
+    With `by_face` the pointings must repeat in one face: displacements for each set-up would otherwise fit any error of
+    the model that recurs in both faces.
+    """
     rows = np.flatnonzero(occupation >= 0)
     count, targets = len(np.unique(occupation[rows])), len(np.unique(recording.target[rows]))
+    n_visits = len(np.unique(np.stack([occupation[rows], recording.face[rows] * by_face]), axis=1).T)
     return (
         count <= MAX_CENTRING_OCCUPATIONS
         and count >= MIN_OCCUPATIONS_PER_TARGET * targets
-        and len(rows) >= MIN_POINTINGS_PER_OCCUPATION * count
+        and len(rows) >= MIN_POINTINGS_PER_OCCUPATION * n_visits
     )

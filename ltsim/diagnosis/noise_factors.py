@@ -1,4 +1,7 @@
-"""Variance factors of noise hypotheses, and their log likelihood ratios in the diagonal form."""
+"""Variance factors of many noise hypotheses, and their log likelihood ratios in the diagonal form.
+
+In the diagonal form the rows of the residual space are independent, each with its redundancy number.
+"""
 
 from __future__ import annotations
 
@@ -11,48 +14,45 @@ import scipy.sparse as sp
 from ltsim.core.arrays import Floats, Ints, Singles, stack_and_release
 
 MIN_DENSE_FRACTION = 0.5
-"""Fraction of nonzeros on the rows of its kinds from which a pattern is stored as a dense row (memory)."""
+"""Fraction of nonzero elements from which a pattern is stored as a dense row, which limits the memory. The fraction
+refers to the rows of the kinds of observations that the pattern changes."""
 MAX_VARIANCE_FACTORS = 2_000_000
-"""Largest number of variance factors that are computed at a time, some tens of MB."""
+"""Largest number of variance factors that are computed at a time: some tens of MB."""
 
 
 @dataclass(frozen=True)
 class PatternGroup:
-    """Patterns of added variance, dense on common rows or sparse on all rows, and hypotheses of several sizes of each.
+    """Patterns of added variance, and hypotheses that are one pattern times a size.
 
-    Attributes
-    ----------
-    members : (h,) int
-        Indices of the hypotheses.
-    pattern : (h,) int
-        Pattern of each hypothesis, ascending.
-    size : (h,) float32
-        Size of each hypothesis: its variance factor is 1 + size * added.
-    places : (r,) int or slice
-        Rows of dense patterns; all for sparse ones.
-    added : (p, r) float32
-        Added variance per unit of the size, relative to the declared variance.
+    All patterns are sparse, or all are dense on the same rows of the residual space.
     """
 
     members: Ints
-    pattern: Ints
+    """Indices (h,) of the h hypotheses of the group."""
+    pattern_index: Ints
+    """Index (h,) of the pattern of each hypothesis, in ascending order."""
     size: Singles
-    places: Ints | slice
-    added: Singles | sp.csr_array
+    """Size (h,) of each hypothesis. Its variance factor is 1 plus the size times the added variance."""
+    row_indices: Ints | slice
+    """Indices (r,) of the rows of dense patterns; all rows for sparse patterns."""
+    added_variance: Singles | sp.csr_array
+    """Added variance (p, r) of p patterns per unit of the size, divided by the declared variance."""
 
     def log_likelihood_ratios(self, squares: Singles, redundancy: Floats) -> Iterator[tuple[Ints, Floats]]:
-        """Log likelihood ratios of some members (b,), (b, trials): sums of (1 - 1/s) r^2 - k log s, halved.
+        """Iterator over batches: indices (b,) of b hypotheses, and their log likelihood ratios (b, trials).
+
+        The log likelihood ratio is half the sum over rows of (1 - 1/s) r^2 - k log s, with the variance factors s.
 
         Parameters
         ----------
         squares : (m, trials) float32
-            Squares r^2 of all rows.
+            Squares r^2 of the whitened residuals on all m rows, of the recording or of simulated ones.
         redundancy : (m,) float
-            Redundancies k.
+            Redundancy numbers k.
         """
-        squares, redundancy = squares[self.places], redundancy[self.places]
-        count = self.added.size if isinstance(self.added, np.ndarray) else self.added.nnz
-        step = max(1, MAX_VARIANCE_FACTORS * self.added.shape[0] // max(count, 1))
+        squares, redundancy = squares[self.row_indices], redundancy[self.row_indices]
+        count = self.added_variance.size if isinstance(self.added_variance, np.ndarray) else self.added_variance.nnz
+        step = max(1, MAX_VARIANCE_FACTORS * self.added_variance.shape[0] // max(count, 1))
         for start in range(0, len(self.members), step):
             part = slice(start, start + step)
             logs = self._log_variance_factors_of(part)
@@ -60,61 +60,67 @@ class PatternGroup:
             yield self.members[part], 0.5 * (fit - (logs @ redundancy)[:, None])
 
     def log_variance_factors(self, member: int) -> tuple[Ints, Floats]:
-        """Rows (r,) on which one of the members changes the noise, and the logs (r,) of its variance factors there."""
+        """Indices (r,) of the rows on which a member changes the noise, and the logs (r,) of its variance factors."""
         logs = self._log_variance_factors_of(slice(member, member + 1))
         if not isinstance(logs, np.ndarray):
             return logs.indices, logs.data.astype(np.float64)
         changed_indices = np.flatnonzero(logs[0])
-        rows = np.arange(logs.shape[1]) if isinstance(self.places, slice) else self.places
+        rows = np.arange(logs.shape[1]) if isinstance(self.row_indices, slice) else self.row_indices
         return rows[changed_indices], logs[0, changed_indices].astype(np.float64)
 
     def _log_variance_factors_of(self, members: slice) -> Singles | sp.csr_array:
-        """Log variance factors (h, r) of some members."""
-        added, size = self.added[self.pattern[members]], self.size[members]
-        if isinstance(added, np.ndarray):
-            return np.log1p(size[:, None] * added)
-        data = np.log1p(np.repeat(size, np.diff(added.indptr)) * added.data)
-        return sp.csr_array((data, added.indices, added.indptr), added.shape)
+        """Log variance factors (h, r) of a range of h members."""
+        added_variance, size = self.added_variance[self.pattern_index[members]], self.size[members]
+        if isinstance(added_variance, np.ndarray):
+            return np.log1p(size[:, None] * added_variance)
+        data = np.log1p(np.repeat(size, np.diff(added_variance.indptr)) * added_variance.data)
+        return sp.csr_array((data, added_variance.indices, added_variance.indptr), added_variance.shape)
 
 
 def _precision_loss(logs: Singles | sp.csr_array) -> Singles | sp.csr_array:
-    """1 - 1/s from log s."""
+    """Relative loss of precision 1 - 1/s by variance factors s, from `logs` (h, r), the logs of s."""
     if isinstance(logs, np.ndarray):
         return -np.expm1(-logs)
     return sp.csr_array((-np.expm1(-logs.data), logs.indices, logs.indptr), logs.shape)
 
 
 VariancePattern = tuple[Floats, tuple[float, ...]]
-"""Added variance of the first rows per unit of the size, and the sizes of the hypotheses."""
+"""Pattern: the added variance of the first rows per unit of the size, and the sizes of the hypotheses with this
+pattern."""
 
 
 @dataclass(frozen=True)
 class NoiseFactors:
-    """Variance factors of `count` hypotheses, in groups of patterns; each hypothesis is in one of them."""
+    """Variance factors of hypotheses, each of which is in one group of patterns."""
 
     count: int
+    """Number h of hypotheses."""
     groups: tuple[PatternGroup, ...]
+    """Groups of patterns."""
 
     @classmethod
     def from_patterns(cls, patterns: Iterable[VariancePattern], kind: Ints) -> NoiseFactors:
-        """Groups of patterns, from those of consecutive hypotheses.
+        """Variance factors from the patterns of consecutive hypotheses.
 
-        `kind` (m,) is the kind of each row: dense patterns are stored on all rows of the kinds that they change.
+        `kind` (m,) is the kind of observation of each row. Dense patterns are stored on all rows of the kinds that they
+        change.
         """
         dense: dict[tuple[bool, ...], tuple[list[Singles], list[PatternHypotheses]]] = {}
         sparse: list[tuple[Ints, Singles]] = []
         few: list[PatternHypotheses] = []
         kinds, count = int(kind.max(initial=0)) + 1, 0
-        for added, sizes in patterns:
-            places = np.flatnonzero(added)
-            touched = np.bincount(kind[places], minlength=kinds) > 0
+        for added_variance, sizes in patterns:
+            row_indices = np.flatnonzero(added_variance)
+            touched = np.bincount(kind[row_indices], minlength=kinds) > 0
             rows = np.flatnonzero(touched[kind])
-            if len(places) < MIN_DENSE_FRACTION * len(rows) or not len(places):
-                sparse.append((places.astype(np.int32), added[places].astype(np.float32)))
+            if len(row_indices) < MIN_DENSE_FRACTION * len(rows) or not len(row_indices):
+                sparse.append((row_indices.astype(np.int32), added_variance[row_indices].astype(np.float32)))
                 few.append((count, sizes))
             else:
                 filled, owners = dense.setdefault(tuple(touched.tolist()), ([], []))
-                filled.append(np.append(added, np.zeros(len(kind) - len(added)))[rows].astype(np.float32))
+                filled.append(
+                    np.append(added_variance, np.zeros(len(kind) - len(added_variance)))[rows].astype(np.float32)
+                )
                 owners.append((count, sizes))
             count += len(sizes)
         groups = [_pattern_group(few, slice(None), _sparse_rows(sparse, len(kind)))] if sparse else []
@@ -126,7 +132,10 @@ class NoiseFactors:
         return cls(count, tuple(groups))
 
     def log_likelihood_ratios(self, squares: Singles, redundancy: Floats) -> Floats:
-        """Log likelihood ratios (h, trials) of all hypotheses, from squares (m, trials) and redundancies (m,)."""
+        """Log likelihood ratios (h, trials) of all hypotheses.
+
+        `squares` (m, trials) are squares of whitened residuals, and `redundancy` (m,) the redundancy numbers.
+        """
         ratio = np.empty((self.count, squares.shape[1]))
         for group in self.groups:
             for members, values in group.log_likelihood_ratios(squares, redundancy):
@@ -134,7 +143,10 @@ class NoiseFactors:
         return ratio
 
     def log_variance_factors(self, hypothesis: int) -> tuple[Ints, Floats]:
-        """Rows (r,) on which a hypothesis changes the noise, and the logs (r,) of its variance factors there."""
+        """Indices (r,) of the rows on which a hypothesis changes the noise, and the logs (r,) of its variance factors.
+
+        `hypothesis` is the index of the hypothesis.
+        """
         group = next(group for group in self.groups if hypothesis in group.members)
         return group.log_variance_factors(int(np.flatnonzero(group.members == hypothesis)[0]))
 
@@ -144,16 +156,16 @@ PatternHypotheses = tuple[int, tuple[float, ...]]
 
 
 def _pattern_group(
-    owners: Sequence[PatternHypotheses], places: Ints | slice, added_variance: Singles | sp.csr_array
+    owners: Sequence[PatternHypotheses], row_indices: Ints | slice, added_variance: Singles | sp.csr_array
 ) -> PatternGroup:
     members = np.concatenate([first + np.arange(len(sizes)) for first, sizes in owners])
-    pattern = np.repeat(np.arange(len(owners)), [len(sizes) for _, sizes in owners])
+    pattern_index = np.repeat(np.arange(len(owners)), [len(sizes) for _, sizes in owners])
     size = np.concatenate([sizes for _, sizes in owners]).astype(np.float32)
-    return PatternGroup(members, pattern, size, places, added_variance)
+    return PatternGroup(members, pattern_index, size, row_indices, added_variance)
 
 
-def _sparse_rows(row_entries: Sequence[tuple[Ints, Singles]], length: int) -> sp.csr_array:
-    """Sparse rows (p, length) from the places and values of each."""
-    ends = np.cumsum([0, *(len(places) for places, _ in row_entries)]).astype(np.int32)
-    places, values = (np.concatenate([part[k] for part in row_entries]) for k in (0, 1))
-    return sp.csr_array((values, places, ends), (len(row_entries), length))
+def _sparse_rows(row_entries: Sequence[tuple[Ints, Singles]], n_rows: int) -> sp.csr_array:
+    """Sparse matrix (p, n_rows) of p patterns, from the indices and the values of the nonzero elements of each row."""
+    ends = np.cumsum([0, *(len(row_indices) for row_indices, _ in row_entries)]).astype(np.int32)
+    row_indices, values = (np.concatenate([part[k] for part in row_entries]) for k in (0, 1))
+    return sp.csr_array((values, row_indices, ends), (len(row_entries), n_rows))

@@ -1,4 +1,8 @@
-"""Noise of groups of readings: level of the recording, of targets, of set-ups, and of readings in a heavy tail."""
+"""Noise that differs between groups of readings: the whole recording, targets, set-ups, or readings in a heavy tail.
+
+Shapes below: m rows of the residual space, g groups, and a number of trials (recordings whose residuals are evaluated
+together: the recording itself, or simulated ones).
+"""
 
 from __future__ import annotations
 
@@ -19,38 +23,46 @@ from ltsim.physics.laws.variance import VarianceFunction, noise_groups
 from ltsim.recordings.recording import OBSERVABLES
 
 GROUP_VARIANCE_FACTORS = np.geomspace(0.05, 400.0, 96)
-"""Factors on a variance that are averaged over, in steps of a tenth."""
+"""Factors on a variance, in steps of a tenth, over which the evidence is averaged."""
 COARSE_VARIANCE_FACTORS = np.geomspace(1.5, 400.0, 15)
-"""Factors on the variance of one group among many: only clearly larger ones."""
+"""Factors on the variance of one of many groups over which the evidence is averaged. Only clearly larger variances are
+tried."""
 NOISY_GROUP_FRACTIONS = np.array([0.05, 0.15, 0.5])
-"""Fractions of all targets, or set-ups, with more noise than declared, averaged over."""
+"""Fractions of targets, set-ups or readings with larger noise than declared, over which the evidence is averaged."""
 MIN_TAIL_READINGS = 60
-"""Smallest number of readings with a heavy-tail hypothesis; fewer show none."""
+"""Smallest number of readings in a recording for which the search tries a heavy tail of their distribution."""
 MAX_TAIL_READINGS = 4000
-"""Largest number of readings with a heavy-tail hypothesis (cost)."""
+"""Largest number of readings in a recording for which the search tries a heavy tail, to limit the computing time."""
 TAIL_VARIANCE_FACTORS = np.array([4.0, 12.0, 36.0, 100.0])
-"""Factors on the variance of a reading in the tail that are averaged over: two to ten standard deviations."""
+"""Factors on the variance of a reading in the tail over which the evidence is averaged. The standard deviation is two
+to ten times the declared one."""
 NOISY_OBSERVABLE_SETS: tuple[tuple[str, ...], ...] = (*((name,) for name in OBSERVABLES), OBSERVABLES[1:], OBSERVABLES)
-"""Sets of observables with possibly more noise."""
+"""Sets of observables that may have larger noise together."""
 MIN_GROUPS = 4
-"""Smallest number of targets, or stations, with a hypothesis of separate noise."""
+"""Smallest number of targets, or of stations, in a recording for which the search tries separate noise of each."""
 
 
 @dataclass(frozen=True)
 class GroupNoise:
-    """Change of the noise with a variance factor for each of g groups; `members` (g, m) are the flags of their rows."""
+    """Change of the noise with a separate variance factor for each of g groups of readings."""
 
     effect: NoiseSignature
+    """Change of the noise, with one parameter per group."""
     members: sp.csr_array
+    """Indicators (g, m) of the rows of each group."""
     factors: Floats
+    """Variance factors over which the evidence is averaged."""
 
     @property
     def name(self) -> str:
-        """Name of the family."""
+        """Name of the family of noise hypotheses."""
         return self.effect.name
 
     def log_evidence_by_group(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (g, trials) of each group, averaged over sizes."""
+        """Log evidence (g, trials) that the noise of each group differs, averaged over variance factors.
+
+        `residual` (m, trials) are whitened residuals, and `redundancy` (m,) their redundancy numbers.
+        """
         squares, share = self.members @ residual**2, self.members @ redundancy
         total = log_sum_exp(log_restricted_likelihood_ratio(squares, share[:, None], self.factors[:, None, None]))
         return total - np.log(len(self.factors))
@@ -60,21 +72,21 @@ class GroupNoise:
         raise NotImplementedError
 
     def noise_at_best_place(self, residual: Floats, redundancy: Floats) -> tuple[GroupNoise, ...]:
-        """The same change of the noise at the best of several places; empty if it has no places."""
+        """Change of the noise limited to the best of several places; empty if it cannot be limited to places."""
         del residual, redundancy
         return ()
 
     def expected_factors(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Posterior mean (m,) of the variance factors, for residuals (m,) of a given redundancy; 1 without a member."""
+        """Posterior mean (m,) of the variance factors of the rows, for residuals (m,); 1 for rows of no group."""
         factors: Floats = 1.0 + self.members.T @ self._expected_added_variance(residual, redundancy)
         return factors
 
     def _expected_added_variance(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Posterior mean (g,) of the added variance of each group, relative to the declared one."""
+        """Posterior mean (g,) of the added variance of each group, divided by the declared variance."""
         raise NotImplementedError
 
     def _added_variance_if_noisy(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Posterior mean (g,) of the added variance of each group if its noise differs from the declared one."""
+        """Posterior mean (g,) of the added variance of each group, if its noise differs from the declared noise."""
         logs = log_restricted_likelihood_ratio(
             self.members @ residual**2, self.members @ redundancy, self.factors[:, None]
         )
@@ -82,17 +94,17 @@ class GroupNoise:
         return mean
 
     def most_likely_effect(self, residual: Floats, redundancy: Floats) -> NoiseSignature:
-        """Effect whose sizes are estimated for residuals (m,) of a given redundancy."""
+        """Change of the noise whose sizes are to be estimated for whitened residuals (m,)."""
         del residual, redundancy
         return self.effect
 
 
 class RecordingNoiseLevel(GroupNoise):
-    """Noise level of the whole recording: common to all observables, or separate for any of them."""
+    """Noise level of the whole recording, with a common factor of all observables, or separate factors of some."""
 
     @classmethod
     def from_space(cls, space: ResidualSpace, *, allows_quieter: bool) -> RecordingNoiseLevel:
-        """Noise level of a space; below the declared one only if `allows_quieter`."""
+        """Noise level in a residual space. It may be below the declared one only if `allows_quieter`."""
         level, kind = NoiseLevel(), np.nonzero(space.used_readings)[1]
         members = sp.csr_array((np.ones(len(kind)), (kind, np.arange(len(kind)))), (len(OBSERVABLES), space.n_rows))
         return cls(
@@ -102,16 +114,19 @@ class RecordingNoiseLevel(GroupNoise):
         )
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence: prior one half for a common factor, one half for any nonempty set of observables."""
+        """Log evidence (trials,) for residuals (m, trials).
+
+        A common factor of all observables, and separate factors of some observables, have equal prior probabilities.
+        """
         return np.logaddexp(*self._log_evidence_of_kinds(residual, redundancy)) - np.log(2.0)
 
     @property
     def _with_common_group(self) -> RecordingNoiseLevel:
-        """Level with a single group of all readings."""
+        """Noise level with a single group that contains all readings."""
         return replace(self, members=sp.csr_array(self.members.sum(axis=0)[None, :]))
 
     def _log_evidence_of_kinds(self, residual: Floats, redundancy: Floats) -> tuple[Floats, Floats]:
-        """Log evidence (trials,) of a common factor, and of separate ones for any nonempty set of observables."""
+        """Log evidence (trials,) of a common factor, and that of separate factors for at least one observable."""
         together = self._with_common_group.log_evidence_by_group(residual, redundancy)[0]
         any_observable = np.logaddexp(0.0, self.log_evidence_by_group(residual, redundancy)).sum(axis=0)
         separate = (
@@ -122,7 +137,10 @@ class RecordingNoiseLevel(GroupNoise):
         return together, separate
 
     def _expected_added_variance(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Relative added variance (g,), averaged over a common factor and separate ones."""
+        """Posterior mean (g,) of the added variance of each observable, divided by the declared variance.
+
+        It is an average over a common factor and separate factors.
+        """
         common, each = self._with_common_group, self.log_evidence_by_group(residual[:, None], redundancy)[:, 0]
         noisy = expit(each) / max(-np.expm1(log_expit(-each).sum()), np.finfo(np.float64).tiny)
         common_evidence, separate_evidence = self._log_evidence_of_kinds(residual[:, None], redundancy)
@@ -133,11 +151,14 @@ class RecordingNoiseLevel(GroupNoise):
 
 
 class NoiseByGroup(GroupNoise):
-    """Noise that differs between targets, or stations: a fraction of them has more than declared."""
+    """Noise that is larger than declared for a fraction of the targets, of the stations, or of the readings."""
 
     @classmethod
     def all_of(cls, space: ResidualSpace) -> tuple[NoiseByGroup, ...]:
-        """Hypotheses by target and by station, common to all observables and separate for each."""
+        """Hypotheses of separate noise by target and by station, and of a heavy tail, in a residual space.
+
+        Targets and stations have a common factor for all observables, or a separate factor for each.
+        """
         banks, kinds = [], len(OBSERVABLES)
         for each, per_observable in product(("target", "station"), (False, True)):
             names, of = noise_groups(space.sightings, each)
@@ -160,7 +181,7 @@ class NoiseByGroup(GroupNoise):
 
     @classmethod
     def _heavy_tail(cls, space: ResidualSpace, observables: tuple[str, ...]) -> NoiseByGroup:
-        """Hypothesis of a heavy tail: a fraction of the readings of some observables has more noise than declared."""
+        """Hypothesis of a heavy tail: a fraction of the readings of `observables` has larger noise than declared."""
         pointing, kind = np.nonzero(space.used_readings)
         column = np.array([observables.index(o) if o in observables else -1 for o in OBSERVABLES])[kind]
         places = np.flatnonzero(column >= 0)
@@ -176,16 +197,19 @@ class NoiseByGroup(GroupNoise):
         return f"unknown:noise:each {getattr(self.effect, 'group_kind', '')}"
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence, averaged over the share of noisy groups."""
+        """Log evidence (trials,) for residuals (m, trials), averaged over the fraction of noisy groups."""
         return log_sum_exp(self._log_evidence_by_fraction(residual, redundancy)) - np.log(len(NOISY_GROUP_FRACTIONS))
 
     def _log_evidence_by_fraction(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (q, trials) for each share of noisy groups."""
+        """Log evidence (q, trials) for each of the q values of `NOISY_GROUP_FRACTIONS`."""
         each = self.log_evidence_by_group(residual, redundancy)
         return np.stack([np.logaddexp(np.log1p(-q), np.log(q) + each).sum(axis=0) for q in NOISY_GROUP_FRACTIONS])
 
     def _expected_added_variance(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Relative added variance (g,), averaged over the share of noisy groups."""
+        """Posterior mean (g,) of the added variance of each group, divided by the declared variance.
+
+        It is an average over the fraction of noisy groups.
+        """
         weight = normalised_probabilities(self._log_evidence_by_fraction(residual[:, None], redundancy)[:, 0])
         log_odds = (
             self.log_evidence_by_group(residual[:, None], redundancy)[:, 0] + logit(NOISY_GROUP_FRACTIONS)[:, None]

@@ -11,18 +11,26 @@ from ltsim.physics.effects.signature import NoiseSignature
 
 @dataclass(frozen=True)
 class NoiseHypothesis:
-    """A noise effect with sizes: a point of its grid, or estimates with standard deviations and evidence."""
+    """Change of the noise with its sizes, which are a point of a grid, or estimates."""
 
     family: str
+    """Name of the family of similar changes, which begins with `unknown` if the catalogue has none of them."""
     effect: NoiseSignature
+    """Effect that changes the noise."""
     sizes: tuple[float, ...]
+    """Sizes of its parameters [SI]."""
     size_sigmas: tuple[float, ...] = ()
+    """Standard deviations of estimated sizes [SI]; empty for a point of a grid."""
     chi2_drop: float = 0.0
+    """Twice the log restricted likelihood ratio of the estimates."""
     evidence: float = 0.0
+    """Log evidence of this change of the noise, with its prior."""
     probability: float = 0.0
+    """Posterior probability that the effect is the cause."""
     equivalents: tuple[Equivalent, ...] = ()
+    """Other effects that cannot be excluded."""
 
     @property
     def log_prior(self) -> float:
-        """Log prior probability of its kind among all explanations."""
+        """Log prior probability of a change of the noise, in the catalogue or outside it, among all explanations."""
         return log_prior_share("scatter" if self.family.startswith("unknown") else "noise", 1)

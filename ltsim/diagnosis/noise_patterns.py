@@ -1,4 +1,4 @@
-"""Variance functions outside the catalogue: growing with a covariate, in bands of it, at targets, in regions."""
+"""Changes of the noise outside the catalogue: with a covariate, in a band of it, at targets, or in a region."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -15,35 +15,40 @@ from ltsim.scene.regions import candidate_regions
 from ltsim.scene.sightings import Sightings
 
 ADDED_VARIANCES_OF_ALL = (0.25, 0.6, 1.5, 4.0, 12.0)
-"""Added variances of all readings, relative to the declared one."""
+"""Added variances of all readings that a search tries, divided by the declared variance."""
 ADDED_VARIANCES_AT_MAXIMUM = (2.0, 6.0, 20.0)
-"""Added variances at the maximum of a pattern, relative to the declared one."""
+"""Added variances at the maximum of a pattern that a search tries, divided by the declared variance."""
 ADDED_VARIANCES_OF_TARGETS = (3.0, 15.0, 75.0)
-"""Added variances of the readings to a target, relative to the declared one."""
+"""Added variances of the readings to a target that a search tries, divided by the declared variance."""
 MAX_SEPARATE_TARGETS = 60
-"""Largest number of targets of a network in which single targets and clusters of targets are hypotheses."""
+"""Largest number of targets in a network for which a search tries larger noise of single targets and clusters of
+targets."""
 MAX_POINTINGS_WITH_BANDS = 2000
-"""Largest number of pointings with which noise in bands of a covariate is a hypothesis (cost)."""
+"""Largest number of pointings for which a search tries larger noise in bands of a covariate, to limit the computing
+time."""
 SECTOR_WIDTHS = (np.pi / 4.0, np.pi / 2.0)
-"""Widths [rad] of the sectors of directions in which the noise may be larger."""
+"""Widths [rad] of the sectors of horizontal directions in which the noise may be larger."""
 THRESHOLD_QUANTILES = (0.25, 0.5, 0.75)
-"""Thresholds of other covariates beyond which the noise may be larger, as quantiles."""
+"""Thresholds of other covariates above or below which the noise may be larger, as quantiles of the covariate."""
 MIN_SECTOR_FRACTION = 0.05
-"""Smallest fraction of the pointings inside a sector, and outside it."""
+"""Smallest fraction of the pointings inside a sector, and smallest fraction outside. Other sectors are not tried."""
 NOISY_REGION_SHAPES = ("xyz", "xy", "x", "y")
-"""Shapes of the regions of the hall whose lines of sight may have more noise."""
+"""Shapes, as bounded axes, of the regions of the hall in which lines of sight may have larger noise."""
 
 
 def variance_functions(
-    sightings: Sightings, trackers: Sequence[LawPlace]
+    sightings: Sightings, instrument_places: Sequence[LawPlace]
 ) -> Iterator[tuple[str, VarianceFunction, tuple[float, ...]]]:
-    """Variance functions outside the catalogue: family, function, sizes.
+    """Iterator over changes of the noise outside the catalogue: family, variance function, and the sizes to be tried.
 
-    The one of an observable is the noise level.
+    `instrument_places` are the places of laws of single instruments.
     """
     regressors = ["elevation", "distance", "time", "station-time", "move-azimuth", "move-elevation"]
     regressors += ["incidence"] if np.isfinite(sightings.incidence).any() else []
-    places = [VarianceFunction(), *(VarianceFunction(stations=p.stations, instruments=p.instruments) for p in trackers)]
+    places = [
+        VarianceFunction(),
+        *(VarianceFunction(stations=p.stations, instruments=p.instruments) for p in instrument_places),
+    ]
     for at, acts, name, falling in product(
         places, NOISY_OBSERVABLE_SETS[:-1], [*regressors, *additional_columns(sightings)], (False, True)
     ):
@@ -78,7 +83,7 @@ def variance_functions(
 
 
 def _covariate_bands(sightings: Sightings) -> Iterator[tuple[str, tuple[float, float]]]:
-    """Covariates, and two of their values between which the noise may be larger."""
+    """Iterator over covariates, each with two of its values between which the noise may be larger."""
     for name, width in product(("azimuth", "bearing"), SECTOR_WIDTHS):
         for start in np.arange(0.0, 2.0 * np.pi, 0.5 * width).tolist():
             band = start, start + width

@@ -1,8 +1,9 @@
 """Noise that is larger in windows of time, such as while a machine runs: two states of a hidden Markov chain.
 
-Each step of the chain is a pointing, or a few in large recordings. The evidence is the sum over all sequences of the
-states quiet and noisy by the forward recursion; the windows are those of the most probable sequence (Rabiner 1989,
-Proceedings of the IEEE 77, 257).
+Each step of the chain is a pointing, or several pointings in a large recording. Its states are quiet and noisy. The
+evidence is the sum over all sequences of states, by the forward recursion. The windows are those of the most probable
+sequence (Rabiner 1989, Proceedings of the IEEE 77, 257). Shapes below: m rows of the residual space, a sets of
+observables, f variance factors.
 """
 
 from __future__ import annotations
@@ -23,42 +24,37 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.regions import candidate_regions
 
 WINDOW_VARIANCE_FACTORS = np.geomspace(2.0, 100.0, 7)
-"""Factors on the variance in the noisy state that are averaged over."""
+"""Factors on the variance in the noisy state over which the evidence is averaged."""
 DENSE_FACTORS = np.geomspace(1.5, 150.0, 33)
-"""Factors on the variance over which its posterior mean is taken, in steps of 15 %."""
+"""Factors on the variance in the noisy state, in steps of 15 %, over which its posterior mean is computed."""
 MEAN_WINDOW_COUNTS = np.array([1.5, 6.0])
-"""Mean numbers of windows in a recording that are averaged over."""
+"""Expected numbers of noisy windows in a recording over which the evidence is averaged."""
 MAX_CHAIN_STEPS = 200
-"""Largest number of steps of the chain."""
+"""Largest number of steps of the chain. In a recording with more pointings a step contains several of them."""
 WINDOW_REGION_SHAPES = ("x", "y", "z", "xy")
 """Shapes of the regions of the hall in which noise may be larger for a time."""
 MAX_LOG_RATIO = 500.0
-"""Limit on the log likelihood ratio of a step, below the range of floating-point numbers."""
+"""Limit to which the log likelihood ratio of a step is clipped, so that its exponential is a floating-point number."""
 OBSERVABLE_FLAGS = np.array(
     [[name in acts for name in OBSERVABLES] for acts in NOISY_OBSERVABLE_SETS], dtype=np.float64
 )
-"""Flags (a, 3) of the observables that may be noisy together."""
+"""Flags (a, 3) of the observables in each set of observables that may have larger noise at the same time."""
 
 
 @dataclass(frozen=True)
 class NoiseWindows(GroupNoise):
-    """Change of the noise in windows of time; the members are the steps of the chain, observable by observable.
-
-    Attributes
-    ----------
-    times : (steps + 1,) float
-        Ends [s] of the steps.
-    n_places : int
-        Number of places of which this one is the best.
-    """
+    """Larger noise in windows of time. Each observable in each step of the chain is a group."""
 
     times: Floats
+    """Start [s] of each step, and the end of the last step, (steps + 1,)."""
     space: ResidualSpace
+    """Residual space of the adjustment."""
     n_places: int = 1
+    """Number of places among which this one was selected; 1 for all places together."""
 
     @classmethod
     def from_space(cls, space: ResidualSpace) -> tuple[NoiseWindows, ...]:
-        """Hypothesis of a space; none for few readings, and without different times."""
+        """Hypothesis of windows in a residual space; empty for few readings, and for a recording without times."""
         time, (pointing, kind) = space.sightings.time, np.nonzero(space.used_readings)
         distinct = np.unique(time)
         if space.n_rows < MIN_TAIL_READINGS or len(distinct) < 2:
@@ -88,7 +84,10 @@ class NoiseWindows(GroupNoise):
         return "unknown:noise:windows"
 
     def _log_likelihood_ratios(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log likelihood ratios (steps, a, f, trials) of noise in each step, by set of observables and factor."""
+        """Log likelihood ratios (steps, a, f, trials) of the noisy to the quiet state in each step.
+
+        `residual` (m, trials) are whitened residuals of recordings, and `redundancy` (m,) the redundancy numbers.
+        """
         shape = len(self.times) - 1, len(OBSERVABLES), -1
         squares = OBSERVABLE_FLAGS @ (self.members @ residual**2).reshape(shape)
         share = OBSERVABLE_FLAGS @ (self.members @ redundancy).reshape(shape)
@@ -97,17 +96,17 @@ class NoiseWindows(GroupNoise):
 
     @property
     def _change_probabilities(self) -> Floats:
-        """Probabilities of a change from a step to the next."""
+        """Probability of a change of state from a step to the next, for each of `MEAN_WINDOW_COUNTS`."""
         return np.minimum(2.0 * MEAN_WINDOW_COUNTS / len(self.times), 0.5)
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (trials,) for residuals (m, trials), averaged over all sizes."""
+        """Log evidence (trials,) for residuals (m, trials), averaged over observables, factors and window numbers."""
         gains = np.exp(self._log_likelihood_ratios(residual, redundancy))
-        go = self._change_probabilities[:, None, None, None]
-        quiet = noisy = np.full((len(go), *gains.shape[1:]), 0.5)
+        p_change = self._change_probabilities[:, None, None, None]
+        quiet = noisy = np.full((len(p_change), *gains.shape[1:]), 0.5)
         total = np.zeros(quiet.shape)
         for gain in gains:
-            quiet, noisy = quiet + go * (noisy - quiet), (noisy + go * (quiet - noisy)) * gain
+            quiet, noisy = quiet + p_change * (noisy - quiet), (noisy + p_change * (quiet - noisy)) * gain
             scale = quiet + noisy
             total += np.log(scale)
             quiet, noisy = quiet / scale, noisy / scale
@@ -115,16 +114,19 @@ class NoiseWindows(GroupNoise):
         return log_sum_exp(flattened) - np.log(len(flattened) * self.n_places)
 
     def _expected_added_variance(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Relative added variance (g,), averaged over all sequences of the states by forward and backward recursion."""
+        """Posterior mean (g,) of the added variance of each group, divided by the declared variance.
+
+        It is an average over all sequences of states, by forward and backward recursion.
+        """
         dense = replace(self, factors=DENSE_FACTORS)
-        logs, go = (
+        logs, p_change = (
             dense._log_likelihood_ratios(residual[:, None], redundancy)[..., 0],
             self._change_probabilities[:, None, None],
         )
-        quiet = noisy = np.full((len(go), *logs.shape[1:]), 0.5)
-        total, ahead = np.zeros(quiet.shape), np.empty((len(logs), 2, *quiet.shape))
-        for here, gain in zip(ahead, np.exp(logs), strict=True):
-            quiet, noisy = quiet + go * (noisy - quiet), (noisy + go * (quiet - noisy)) * gain
+        quiet = noisy = np.full((len(p_change), *logs.shape[1:]), 0.5)
+        total, forward_probabilities = np.zeros(quiet.shape), np.empty((len(logs), 2, *quiet.shape))
+        for here, gain in zip(forward_probabilities, np.exp(logs), strict=True):
+            quiet, noisy = quiet + p_change * (noisy - quiet), (noisy + p_change * (quiet - noisy)) * gain
             total += np.log(quiet + noisy)
             here[:] = np.stack([quiet, noisy]) / (quiet + noisy)
             quiet, noisy = here
@@ -132,15 +134,19 @@ class NoiseWindows(GroupNoise):
         added = np.empty((len(logs), len(OBSERVABLES)))
         quiet = noisy = np.ones(total.shape)
         for step in reversed(range(len(logs))):
-            in_noise = ahead[step, 1] * noisy / (ahead[step, 0] * quiet + ahead[step, 1] * noisy)
-            added[step] = (weight * in_noise).sum(axis=(0, 2)) @ OBSERVABLE_FLAGS
+            p_noisy = (
+                forward_probabilities[step, 1]
+                * noisy
+                / (forward_probabilities[step, 0] * quiet + forward_probabilities[step, 1] * noisy)
+            )
+            added[step] = (weight * p_noisy).sum(axis=(0, 2)) @ OBSERVABLE_FLAGS
             noisy = noisy * np.exp(logs[step])
-            quiet, noisy = quiet + go * (noisy - quiet), noisy + go * (quiet - noisy)
+            quiet, noisy = quiet + p_change * (noisy - quiet), noisy + p_change * (quiet - noisy)
             quiet, noisy = quiet / (quiet + noisy), noisy / (quiet + noisy)
         return added.ravel()
 
     def most_likely_effect(self, residual: Floats, redundancy: Floats) -> VarianceFunction:
-        """Effect with the observables and the windows of the most probable sequence of states (Viterbi's algorithm)."""
+        """Change of the noise with the observables and windows of the most probable sequence (Viterbi's algorithm)."""
         ratios = self._log_likelihood_ratios(residual[:, None], redundancy)[..., 0].reshape(len(self.times) - 1, -1)
         best, states = _most_probable_states(ratios, self._change_probabilities[0])
         acts = NOISY_OBSERVABLE_SETS[best // len(self.factors)]
@@ -148,7 +154,7 @@ class NoiseWindows(GroupNoise):
         return replace(self.effect, observables=acts, covariate_band=self._window_times(states))
 
     def noise_at_best_place(self, residual: Floats, redundancy: Floats) -> tuple[NoiseWindows, ...]:
-        """Windows at the best place: a group of targets, a set-up or a region of the hall."""
+        """Windows of larger noise at the best place: a group of targets, a set-up or a region of the hall."""
         s, windows = self.space.sightings, self.most_likely_effect(residual, redundancy)
         places = [
             replace(windows, targets=tuple(s.target_names[t] for t in group)) for group in sorted(target_clusters(s))
@@ -170,7 +176,7 @@ class NoiseWindows(GroupNoise):
         return (replace(self, effect=whole, members=members, n_places=len(places)),)
 
     def _log_evidence_of(self, effect: VarianceFunction, residual: Floats, redundancy: Floats) -> float:
-        """Log evidence of an effect, averaged over its sizes."""
+        """Log evidence of a change of the noise with given windows and place, averaged over variance factors."""
         space = self.space
         added = (effect.variance(space.sightings, space.sigma, np.ones(1)) / space.sigma**2)[space.used_readings] - 1.0
         rows = np.flatnonzero(added)
@@ -179,19 +185,20 @@ class NoiseWindows(GroupNoise):
         return float(log_sum_exp(logs) - np.log(len(logs)))
 
     def _window_times(self, states: Bools) -> tuple[float, ...]:
-        """Times at which the noise becomes larger and smaller, in turn."""
+        """Times [s] at which the noise becomes larger and smaller, alternately; `states` (steps,) are true if noisy."""
         edges = np.flatnonzero(np.diff(np.concatenate([[False], states, [False]]).astype(int)))
         return tuple(self.times[edges].tolist())
 
 
-def _most_probable_states(ratios: Floats, change: float) -> tuple[int, Bools]:
-    """Best of several chains (c) by their most probable sequences, and its states (steps,), of which one is noisy.
+def _most_probable_states(ratios: Floats, change_probability: float) -> tuple[int, Bools]:
+    """Index of the chain with the most probable sequence of states, and this sequence (steps,), true if noisy.
 
-    The log likelihood ratios (steps, c) are those of the noisy state.
+    At least one state is noisy. `ratios` (steps, c) are the log likelihood ratios of the noisy state in c chains, and
+    `change_probability` is the probability of a change of state from a step to the next.
     """
     score, stays = np.zeros((ratios.shape[1], 2)), []
     for ratio in ratios:
-        same, changed = score + np.log1p(-change), score[:, ::-1] + np.log(change)
+        same, changed = score + np.log1p(-change_probability), score[:, ::-1] + np.log(change_probability)
         stays.append(same >= changed)
         score = np.maximum(same, changed)
         score[:, 1] += ratio

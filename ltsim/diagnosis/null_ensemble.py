@@ -1,9 +1,10 @@
-"""Null ensemble: simulated residuals without any effect, and the basis that projects signatures.
+"""Null ensemble: residuals of simulated recordings without any effect, and the basis that projects signatures.
 
-For columns g the Gram matrix g' P g is g' g less the products of g with an orthonormal basis of the estimated
-parameters; in a large network it is the mean product with simulated residuals, whose covariance is P. These are
-independent of the trials: given them, the recording and the trials are scored by the same function and, without any
-effect, exchangeable. Grams and scores are sums over the pointings of g times a few vectors.
+A signature g has the Gram matrix g' P g in the residual space with projector P. It is g' g minus the squared products
+of g with an orthonormal basis of the estimated parameters. In a large network it is instead the mean squared product
+with simulated residuals, whose covariance is P (Monte Carlo). These residuals are independent of the simulated
+recordings that give the p-value (trials). The recording and the trials are scored by the same function, and without any
+effect they are exchangeable. Gram matrices and scores are sums over the pointings of g times a few vectors.
 """
 
 from __future__ import annotations
@@ -21,63 +22,57 @@ from ltsim.core.randomness import stream
 from ltsim.solve.projection import BasisProjection
 
 MIN_SIMULATED_RECORDINGS = 300
-"""Smallest number of simulated recordings without any effect: p-values down to 1 / 301."""
+"""Smallest number of simulated recordings without any effect. The smallest p-value is then 1 / 301."""
 MIN_SIMULATED_RECORDINGS_IN_LARGE_NETWORK = 99
-"""Smallest number of simulated recordings of a large network (cost): p-values down to 1 / 100."""
+"""Smallest number of simulated recordings of a large network, which limits the computing time. The smallest p-value is
+then 1 / 100."""
 N_GRAM_DRAWS = 200
-"""Number of simulated residuals for Monte-Carlo Gram matrices: relative standard deviation sqrt(2 / 200), 10 %."""
+"""Number of simulated residuals for Monte-Carlo Gram matrices. Their relative standard deviation is sqrt(2 / 200), 10
+%."""
 MAX_EXACT_UNKNOWNS = 500
-"""Largest number of unknowns of a network whose Gram matrices use the basis (cost)."""
+"""Largest number of unknowns of a network whose Gram matrices are computed with a basis. In networks with more unknowns
+they are Monte-Carlo estimates, to limit the computing time."""
 N_RESIDUALS_PER_PROJECTION = 50
 """Number of simulated residuals that are projected at a time."""
 
 
 @dataclass(frozen=True)
 class NullEnsemble:
-    """Null ensemble: a residual space with the vectors whose products with signatures give scores and Gram matrices.
-
-    Attributes
-    ----------
-    space : ResidualSpace
-    probe_vectors : (m, 1 + t + u) float32
-        Residual of the model; residuals of t simulated recordings, by which a search is judged; orthonormal basis of
-        the estimated parameters, or with `gram_is_monte_carlo` further simulated residuals.
-    n_trials : int
-        Number t of simulated recordings; 0 where the search is not judged.
-    model_basis : (m, e) float
-        Orthonormal basis of the model.
-    is_first_pass : bool
-        True while the model is empty.
-    gram_is_monte_carlo : bool
-        True where Gram matrices are means over simulated residuals, for want of a basis.
-    """
+    """Null ensemble: a residual space with the vectors whose products with signatures give scores and Gram matrices."""
 
     space: ResidualSpace
+    """Residual space with m rows."""
     probe_vectors: Singles
+    """Vectors (m, 1 + t + u), side by side: the residuals given the model, the residuals of t simulated recordings, and
+    an orthonormal basis of u estimated parameters, or with `gram_is_monte_carlo` u further simulated residuals."""
     n_trials: int
+    """Number t of simulated recordings that give the p-value of a search; 0 for a search without p-value."""
     model_basis: Floats
+    """Orthonormal basis (m, e) of the signatures of the model."""
     is_first_pass: bool
+    """True while the model is empty."""
     gram_is_monte_carlo: bool
+    """True if Gram matrices are means over simulated residuals, because the network is too large for a basis."""
 
     @classmethod
-    def from_space(cls, space: ResidualSpace, seed: int, trials: int) -> NullEnsemble:
-        """Ensemble of a residual space, with `simulated_residuals` simulated recordings."""
+    def from_space(cls, space: ResidualSpace, seed: int, n_trials: int) -> NullEnsemble:
+        """Ensemble of a residual space with `n_trials` simulated recordings, for the empty model."""
         basis = exact_basis(space)
-        others = N_GRAM_DRAWS if basis is None else basis.shape[1]
-        vectors = np.empty((space.n_rows, 1 + trials + others), dtype=np.float32)
+        n_basis_vectors = N_GRAM_DRAWS if basis is None else basis.shape[1]
+        vectors = np.empty((space.n_rows, 1 + n_trials + n_basis_vectors), dtype=np.float32)
         vectors[:, 0] = space.residuals
-        _simulate_residuals(space, stream(seed, "diagnose", "null"), vectors[:, 1 : 1 + trials])
+        _simulate_residuals(space, stream(seed, "diagnose", "null"), vectors[:, 1 : 1 + n_trials])
         if basis is None:
-            _simulate_residuals(space, stream(seed, "diagnose", "gauges"), vectors[:, 1 + trials :])
+            _simulate_residuals(space, stream(seed, "diagnose", "gauges"), vectors[:, 1 + n_trials :])
         else:
-            vectors[:, 1 + trials :] = basis
-        nothing = np.zeros((space.n_rows, 0))
-        return cls(space, vectors, trials, nothing, is_first_pass=True, gram_is_monte_carlo=basis is None)
+            vectors[:, 1 + n_trials :] = basis
+        empty_basis = np.zeros((space.n_rows, 0))
+        return cls(space, vectors, n_trials, empty_basis, is_first_pass=True, gram_is_monte_carlo=basis is None)
 
     def with_model(self, residual: Floats, model_basis: Floats) -> NullEnsemble:
-        """Ensemble given a model, with its residual (m,) and orthonormal basis (m, e).
+        """Ensemble for a model with the residuals `residual` (m,) and the orthonormal basis `model_basis` (m, e).
 
-        Gram matrices and null statistics are those of the first pass.
+        It has no simulated recordings, because Gram matrices and null statistics of the empty model are used again.
         """
         vectors = residual[:, None].astype(np.float32)
         return replace(self, probe_vectors=vectors, n_trials=0, model_basis=model_basis, is_first_pass=False)
@@ -89,28 +84,31 @@ class NullEnsemble:
 
     @cached_property
     def _row_of_reading(self) -> Ints:
-        """Row (n, 3) of each reading; any row for readings that are not used, whose weight is zero."""
+        """Row (n, 3) of the residual space of each reading; 0 for readings that are not used, whose weight is zero."""
         use = self.space.used_readings
         rows = np.zeros(use.shape, dtype=np.int64)
         rows[use] = np.arange(int(use.sum()))
         return rows
 
     def vectors_at(self, pointings: Ints) -> Singles:
-        """Vectors (p, 3, v) at some pointings; only those of used readings are defined."""
+        """Elements (p, 3, v) of the v vectors at p pointings; meaningless for readings that are not used."""
         return self.probe_vectors[self._row_of_reading[pointings]]
 
     def split_products(self, scores: Floats | Singles) -> tuple[Any, Any, Any]:
-        """Products (..., k, v) with all vectors, split into those with residual, trials and basis."""
+        """Products with the residuals (..., k), with the trials (..., k, t) and with the basis (..., k, u).
+
+        They are the parts of `scores` (..., k, v), the products of k columns with all v vectors.
+        """
         edge = 1 + self.n_trials
         return scores[..., 0], scores[..., 1:edge], scores[..., edge:]
 
     def projected_gram(self, scores: Floats | Singles, products: Floats) -> Floats:
-        """Gram matrices (..., k, k) of projected columns.
+        """Gram matrices (..., k, k) of k projected columns of a signature.
 
         Parameters
         ----------
         scores : (..., k, v) float
-            Products of columns with all vectors, in the first pass.
+            Products of the columns with all v vectors, for the empty model.
         products : (..., k, k) float
             Products of the columns with each other.
         """
@@ -123,20 +121,20 @@ class NullEnsemble:
 
 
 def exact_basis(space: ResidualSpace) -> Floats | None:
-    """Orthonormal basis (m, u) of the estimated parameters; None in a network that is too large for it."""
+    """Orthonormal basis (m, u) of u estimated parameters; None for more than `MAX_EXACT_UNKNOWNS` parameters."""
     projection = space.projector
     is_small = isinstance(projection, BasisProjection) and projection.basis.shape[1] <= MAX_EXACT_UNKNOWNS
     return projection.basis if isinstance(projection, BasisProjection) and is_small else None
 
 
 def n_simulated_recordings(space: ResidualSpace, level: float) -> int:
-    """Number of simulated recordings for a test of false-alarm rate `level`."""
+    """Number of simulated recordings for a test with the false-alarm rate `level`."""
     usual = MIN_SIMULATED_RECORDINGS_IN_LARGE_NETWORK if exact_basis(space) is None else MIN_SIMULATED_RECORDINGS
     return max(usual, ceil(1.0 / level))
 
 
 def _simulate_residuals(space: ResidualSpace, rng: np.random.Generator, residuals: Singles) -> None:
-    """Computation of the residuals (m, count) of simulated recordings, in place."""
+    """Simulation of recordings without any effect; their residuals are written to `residuals` (m, recordings)."""
     white = rng.standard_normal(residuals.shape)
     for start in range(0, white.shape[1], N_RESIDUALS_PER_PROJECTION):
         part = slice(start, start + N_RESIDUALS_PER_PROJECTION)
@@ -144,5 +142,5 @@ def _simulate_residuals(space: ResidualSpace, rng: np.random.Generator, residual
 
 
 def row_gram(rows: Any) -> Any:
-    """Gram matrices (..., k, k) of rows (..., k, v)."""
+    """Gram matrices (..., k, k) of k rows with v elements each, `rows` (..., k, v)."""
     return rows @ np.swapaxes(rows, -1, -2)

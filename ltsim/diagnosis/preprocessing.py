@@ -1,4 +1,4 @@
-"""Blunders, which no effect explains, and their adaptation in the model before the search."""
+"""Blunders of a recording, which no effect explains, and the adjustment without them before the search."""
 
 from __future__ import annotations
 
@@ -23,23 +23,24 @@ from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import OBSERVABLES, Recording
 
 MIN_FAR_OUTLIER_SIGMAS = 8.0
-"""Error of an outlier relative to its prediction, in standard deviations, that twice the declared
-noise does not reach.
+"""Difference of an outlier from its prediction, in standard deviations, above which it may be a single error. Readings
+with twice the declared noise do not reach it.
 """
 MAX_CONSISTENT_W = 4.0
-"""Normalised residual up to which an omitted reading is consistent."""
+"""Normalised residual up to which a reading that was left out is consistent with the effects of a model."""
 MIN_GROSS_W = 30.0
-"""Smallest normalised residual of a gross error: noise of long ranges exceeds any error of a tracker."""
+"""Smallest normalised residual of a gross error. That an error exceeds any error of a tracker is not enough, because
+the noise of long ranges does so too."""
 MAX_SINGLE_OUTLIERS = 2
-"""Largest number of outliers of one observable at one station or target that count as single errors."""
+"""Largest number of outliers of one observable at a station, and at a target, that count as single errors."""
 
 
 def corrected_mistakes(selection: CauseSelection) -> list[Hypothesis]:
-    """Mistakes of a recording, among the selected hypotheses, that are corrected before the search for effects.
+    """Selected simple causes with sufficient evidence that are corrected before the search for effects.
 
-    These are wrongly recorded rows and contradicting reference values with sufficient evidence. Shifts are included
-    only if one of them is gross, which no effect in first order explains: then all of them, since each was tested given
-    the others.
+    They are blunders in rows of the recording, and reference values that contradict the readings. Shifts of readings
+    are included only if one of them is gross, because a search that is linear in the effects cannot explain it. Then
+    all shifts are included, because each was tested given the others. Changes of the noise are not included.
     """
     fit, chosen = (
         selection.fit,
@@ -53,9 +54,9 @@ def corrected_mistakes(selection: CauseSelection) -> list[Hypothesis]:
 
 
 def is_single_error(fit: NetworkFit) -> Bools:
-    """Flags (n, 3) of the outliers that no effect explains: gross ones, and far ones that are single at their place.
+    """Flags (n, 3) of the outliers that no effect explains: gross errors, and large errors that are single.
 
-    Several readings of an observable that are off at one station or at one target may follow an effect instead.
+    If several readings of an observable are wrong at one station or at one target, an effect may be the cause.
     """
     error = np.where(fit.is_outlier, np.abs(fit.whitened_residuals), 0.0) / fit.outlier_prediction_sigmas
     far, single = error > MIN_FAR_OUTLIER_SIGMAS, fit.is_gross_reading & (error > MIN_GROSS_W)
@@ -66,7 +67,7 @@ def is_single_error(fit: NetworkFit) -> Bools:
 
 
 def is_consistent_when_omitted(adjustment: Adjustment, is_omitted: Bools) -> Bools:
-    """Flags (n, 3) of the omitted readings whose residual is small with the effects of an adjustment."""
+    """Flags (n, 3) of the readings `is_omitted` whose residuals are small in an adjustment with effects."""
     whitened_residual = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma), nan=np.inf)
     return is_omitted & (whitened_residual < MAX_CONSISTENT_W)
 
@@ -74,10 +75,10 @@ def is_consistent_when_omitted(adjustment: Adjustment, is_omitted: Bools) -> Boo
 def adapted_baseline(
     recording: Recording, construction: Construction, selection: CauseSelection, *, is_restored: Bools | None = None
 ) -> tuple[Adjustment, Bools, list[Finding]]:
-    """Adjustment with the blunders of a selection in its model, usable readings (n, 3), and findings.
+    """Adjustment of the recording without its blunders, flags (n, 3) of the readings in it, and findings on blunders.
 
-    The recording of the adjustment is corrected by the estimates; their uncertainty is included in the model.
-    `is_restored` (n, 3) marks readings that are no errors.
+    The readings are corrected by the estimated blunders, whose uncertainty is in the model. `is_restored` (n, 3) flags
+    readings that are used although they were taken for single errors.
     """
     fit, mistakes = selection.fit, corrected_mistakes(selection)
     errors = is_single_error(fit)

@@ -1,12 +1,11 @@
-"""Prior of a diagnosis: one table of probabilities, normalised over all explanations of a recording.
+"""Prior probabilities of a diagnosis, in one table that is normalised over all explanations of a recording.
 
-An unmodelled cause and none have equal prior probability. The probability of a cause is divided among kinds of
-explanations, and each part equally among all of its kind that are possible in a recording: effects of the catalogue,
-their places and shapes, responses, regressors and places of laws (each operator of a regressor has the factor
-`laws.regressor_library.OPERATOR_ODDS`). `prior_rows` is the table on the theory page. The numbers are judgements of how
-often a cause occurs in service; several were revised after experiments with known causes. A factor of two in one of
-them is
-0.7 of log evidence.
+That there is a cause, and that there is none, have equal prior probabilities. The probability of a cause is divided
+among kinds of explanations, and each part equally among all explanations of its kind that are possible in a recording.
+These are effects of the catalogue with their places and shapes, and laws with their responses, regressors and places.
+Each operator of a regressor has the factor `laws.regressor_library.OPERATOR_ODDS`. `prior_rows` is the table on the
+theory page. The numbers are judgements of how often a cause occurs in service. Several were revised after experiments
+with known causes. A factor of two in one of them changes the log evidence by 0.7.
 """
 
 from collections.abc import Iterator
@@ -16,23 +15,24 @@ import numpy as np
 from ltsim.core.probability import P_CONSTANT
 
 CAUSE_PRIOR = {"named": 0.53, "law": 0.3, "noise": 0.095, "scatter": 0.035, "constant": P_CONSTANT}
-"""Prior probability of each kind of unmodelled cause, given that there is one."""
+"""Prior probability of each kind of cause, given that there is a cause."""
 CAUSE_TEXTS = {
     "named": "an effect of the catalogue that shifts readings",
     "law": "an empirical law outside the catalogue",
-    "noise": "a change of the noise of the catalogue",
-    "scatter": "another variance function of the noise",
+    "noise": "a change of the noise that the catalogue contains",
+    "scatter": "another change of the noise",
     "constant": (
         "a constant of an instrument that contradicts the other instruments, its history or a declared correction"
     ),
 }
-"""Texts of the kinds in `CAUSE_PRIOR`."""
+"""Texts for users of the kinds of causes in `CAUSE_PRIOR`."""
 P_UNMODELLED = 0.2
-"""Prior probability that a cause is in no list but resembles a listed one."""
+"""Prior probability that a cause is neither in the catalogue nor a law, but resembles one of these."""
 P_SAME_OBSERVABLE = 0.5
-"""Probability that an unmodelled cause acts on the observable of the listed cause that it resembles."""
+"""Prior probability that such a cause acts on the same observable as the effect or law that it resembles."""
 P_CAP_TESTS = 1.0 - P_UNMODELLED * P_SAME_OBSERVABLE
-"""Upper limit on the probability reported for findings that have no likelihood term for an unmodelled cause."""
+"""Largest probability that is reported for findings of tests, whose probabilities do not include an unmodelled cause.
+"""
 PLACE_PRIOR = {"everywhere": 0.5, "set-up": 0.2, "instrument": 0.1, "target": 0.1, "group": 0.1}
 """Prior probability of each kind of place at which a law outside the catalogue acts."""
 RESPONSE_PRIOR = {
@@ -44,38 +44,39 @@ RESPONSE_PRIOR = {
     "reflector": 0.02,
     "air": 0.04,
 }
-"""Prior probability of each kind of response. An unknown error mostly affects a reading alone; if all targets seem to
-move, the stands move."""
+"""Prior probability of each kind of response of a law. An unknown error mostly affects only a reading. If all targets
+seem to move, it is more probable that the stands move."""
 RESPONSE_PRIOR_AT_TARGETS = {"reading": 0.15, "target": 0.75, "reflector": 0.1}
-"""Prior probability of each kind of response for causes at some targets only. Mostly the target itself changes, because
-the instrument does not depend on it."""
+"""Prior probability of each kind of response of a law that acts at some targets only. Mostly the target itself changes,
+because an error of the instrument does not depend on the target."""
 FORM_WEIGHTS = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2, "members": 0.2}
-"""Weights of the forms that a curve may have, among the possible ones: mostly the curve itself, or a short formula."""
+"""Prior weights of the forms that a law may have. They are divided by their sum over the forms that are possible for
+the law. The most probable forms are a curve and a formula."""
 P_PIECEWISE = 0.1
-"""Prior probability of a law with a few steps and ramps."""
+"""Prior probability that a law is a sum of a few steps and ramps."""
 P_SWITCHED = 0.1
-"""Prior probability of a function of time that is switched on and off."""
+"""Prior probability that a law is constant and switched on and off, in time or in another covariate."""
 P_PER_SETUP = 0.1
-"""Prior probability of a law that differs by set-up."""
+"""Prior probability that a law has separate coefficients at each set-up."""
 P_FIXED_RATIO = 0.5
 """Prior probability that the components of a law have a fixed ratio."""
 P_SINGLE_SET_UP = {"stand": 0.5}
-"""Prior probability that a law acts at one set-up alone, by kind of response: stands differ, instruments do so less."""
+"""Prior probability that a law acts at only one set-up, by kind of response. It is large for stands, which differ
+between set-ups more than instruments do."""
 P_SINGLE_SET_UP_OTHERS = 0.1
-"""The same for all other kinds of responses."""
+"""Prior probability that a law acts at only one set-up, for kinds of responses not in `P_SINGLE_SET_UP`."""
 LOG_ODDS_REPEATED = float(np.log(0.03))
-"""Log odds of a second effect of a kind that rarely occurs twice (two windows, two unknown laws), relative to any other
-second effect.
-"""
+"""Log prior odds of a second effect with the same name (two windows, two unknown laws), relative to a second effect
+with another name. They apply to effects that rarely occur twice."""
 
 
 def log_prior_share(kind: str, n_explanations: int) -> float:
-    """Log prior of each of `n_explanations` explanations of a kind of `CAUSE_PRIOR`."""
+    """Log prior probability of each of `n_explanations` explanations of the same kind, one of `CAUSE_PRIOR`."""
     return float(np.log(CAUSE_PRIOR[kind] / max(n_explanations, 1)))
 
 
 def prior_rows() -> Iterator[tuple[str, float]]:
-    """Pairs of text and prior probability of every kind of explanation; the probabilities add up to one."""
+    """Pairs of text and prior probability, for every kind of explanation. The probabilities add up to one."""
     for kind, part in CAUSE_PRIOR.items():
         if kind != "law":
             yield CAUSE_TEXTS[kind], part

@@ -1,7 +1,8 @@
-"""Products of the best law of a step with a second factor: a weight in distance, elevation or height, or a region.
+"""Products of the best law of a search step with a second factor: distance, elevation, height, or a region of the hall.
 
-A law that acts in proportion to the distance, or on some lines of sight alone, is half seen as a law of all of them:
-what it acts on is found once its first quantity is known. Regions of the hall are factors of laws of time alone.
+An error can be proportional to the distance, or act only on some lines of sight. A law that acts equally on all lines
+of sight already explains about half of it. The second factor is therefore tried only for the best law, whose first
+factor is then known. Regions of the hall are tried only as factors of laws of time.
 """
 
 from dataclasses import replace
@@ -27,17 +28,18 @@ from ltsim.physics.laws.regressors import (
 from ltsim.scene.regions import candidate_regions
 
 FACTOR_QUANTITIES = ("distance", "elevation", "height")
-"""Quantities to which the effect of a law may be proportional."""
+"""Covariates to which the effect of a law may also be proportional."""
 FACTOR_REGION_SHAPES = ("z", "x", "y", "xy")
-"""Shapes of the regions of the hall to which a law may be confined."""
+"""Shapes of the regions of the hall to which a law may be confined, as the axes along which they are bounded."""
 MAX_FACTOR_COEFFICIENTS = 2
-"""Largest number of coefficients of a law with a second factor: those of a wave."""
+"""Largest number of coefficients of a law for which a second factor is tried. A wave has two."""
 MAX_REFINED_DEFICIT = 10.0
-"""Largest deficit of log evidence, before refinement, of a product that is refined."""
+"""Difference by which the log evidence of a product may be smaller than that of the law before a local search. With a
+larger difference the product is dropped without a local search."""
 
 
 def may_have_a_second_factor(law: EmpiricalLaw) -> bool:
-    """True for a law of one observable everywhere that follows one quantity with at most two coefficients."""
+    """True for a law of one observable, at all places, that depends on one covariate with at most two coefficients."""
     if law.response.kind != "reading" or law.response.component_units or law.stations or law.targets:
         return False
     regressor = law.regressor
@@ -46,12 +48,16 @@ def may_have_a_second_factor(law: EmpiricalLaw) -> bool:
 
 
 def _is_of_time(regressor: Regressor) -> bool:
-    """True for a function of time, or a switch between its spans."""
+    """True for a function of time, or a switch at times."""
     return regressor.covariates[:1] in [(name,) for name in CLOCK_COVARIATES]
 
 
 def product_forms(calculator: EvidenceCalculator, form: Hypothesis, base_model: Model) -> list[Hypothesis]:
-    """Best product of a law of readings with a second factor, refined; empty if none is nearly as good."""
+    """Best product of a law of readings with a second factor, after a local search.
+
+    The list is empty if no product has nearly the evidence of the law. For a switch it also contains other forms of the
+    product.
+    """
     law, sightings = form.effect, calculator.space.sightings
     assert isinstance(law, EmpiricalLaw)
     weights = [
@@ -86,6 +92,6 @@ def product_forms(calculator: EvidenceCalculator, form: Hypothesis, base_model: 
 
 
 def _law_product(law: EmpiricalLaw, weight: Regressor) -> EmpiricalLaw:
-    """Product of a law with a second factor; a region comes first."""
+    """Product of a law with the second factor `weight`. A region is the first factor of the product."""
     factors = (weight, law.regressor) if weight.region is not None else (law.regressor, weight)
     return replace(law, regressor=Regressor("product", factors=factors), scale_index=0)

@@ -1,4 +1,4 @@
-"""Means of repeated readings: sums over repeats, their redundancy and their variance."""
+"""Means of repeated readings, for errors that repeated readings of a target have in common."""
 
 import numpy as np
 import scipy.sparse as sp
@@ -8,13 +8,14 @@ from ltsim.core.arrays import Floats
 from ltsim.physics.laws.variance import REPEATS_PER_FACE
 
 MIN_MEAN_REDUNDANCY = 0.05
-"""Smallest redundancy of a mean of repeats (its diagonal form may be negative)."""
+"""Smallest redundancy of a mean of repeated readings. Its approximation by a sum over the readings may be negative."""
 
 
 def repeat_means(space: ResidualSpace, faces: str = REPEATS_PER_FACE) -> sp.csr_array:
-    """Matrix (g, m) that adds readings of one kind, target, station and optionally face.
+    """Matrix (g, m) from the m rows of the residual space to g scaled means of repeated readings.
 
-    The sums are divided by the square root of their number of terms.
+    Repeated readings have the same observable, target and station. If `faces` is `REPEATS_PER_FACE`, they also have the
+    same face. A scaled mean is a sum of readings divided by the square root of their number.
     """
     s = space.sightings
     pair = 2 * (s.station * len(s.target_names) + s.target) + ((s.face == 2) & (faces == REPEATS_PER_FACE))
@@ -28,12 +29,19 @@ def repeat_means(space: ResidualSpace, faces: str = REPEATS_PER_FACE) -> sp.csr_
 
 
 def redundancy_of_means(means: sp.csr_array, redundancy: Floats) -> Floats:
-    """Redundancy (g,) of means: the adjustment absorbs an error common to repeats by the sum of their leverages."""
+    """Redundancy (g,) of the means of repeated readings, from the redundancy numbers (m,) of the readings.
+
+    The adjustment absorbs a common error of repeated readings in proportion to the sum of their leverages.
+    """
     lost = (means > 0).astype(np.float64) @ (1.0 - redundancy)
     return np.maximum(1.0 - lost, MIN_MEAN_REDUNDANCY)
 
 
 def relative_variance_of_means(means: sp.csr_array, added_variance: Floats) -> Floats:
-    """Relative added variance (g,) of means whose members share that of the first rows: k v."""
+    """Added variance (g,) of scaled means of repeated readings with common errors, relative to the declared variance.
+
+    `added_variance` is that of the first rows of the residual space. The sum over the readings of a mean is its added
+    variance, because the errors of these readings are equal.
+    """
     padded = np.append(added_variance, np.zeros(means.shape[1] - len(added_variance)))
     return np.maximum((means > 0).astype(np.float64) @ padded, 0.0)

@@ -1,4 +1,4 @@
-"""Entries of diagnosis.json, and the tables of a diagnosis."""
+"""Entries of `diagnosis.json`, and tables of a diagnosis."""
 
 from dataclasses import replace
 from typing import Self
@@ -18,7 +18,7 @@ DIAGNOSED_TARGETS_TABLE = Table(
     "targets adjusted with the findings modelled",
     (
         *COORDINATE_COLUMNS,
-        *numbers(".6f", change_x_mm="against the ordinary adjustment", change_y_mm="as x", change_z_mm="as x"),
+        *numbers(".6f", **{f"change_{axis}_mm": f"change of {axis} against the ordinary adjustment" for axis in "xyz"}),
     ),
 )
 RESIDUALS_BEFORE_TABLE = replace(
@@ -27,7 +27,7 @@ RESIDUALS_BEFORE_TABLE = replace(
 
 
 class FindingScope(Entry):
-    """Scope of a finding; empty means everything."""
+    """Scope of a finding: what it changes, and where. An empty list means that there is no limit of this kind."""
 
     observables: tuple[str, ...] = ()
     """Names of the observables: `distance`, `azimuth`, `elevation`."""
@@ -38,26 +38,28 @@ class FindingScope(Entry):
     instruments: tuple[str, ...] = ()
     """Names of the instruments."""
     covariates: tuple[str, ...] = ()
-    """Covariates on which the effect depends: time, angles, or an additional column of the recording."""
+    """Names of the covariates on which the effect depends, such as time, angles, or an additional column of the
+    recording."""
 
 
 class FindingEvidence(Entry):
-    """Strength of the evidence for a finding; `p_value` is corrected for everything that was searched."""
+    """Strength of the evidence for a finding."""
 
     chi2_drop: Finite
-    """Decrease of chi-square with the finding modelled."""
+    """Decrease of chi-square by the finding in the model."""
     parameters: int
     """Number of parameters of the finding."""
     p_value: OptionalFloat = None
-    """p-value in the complete search, from n simulated clean recordings, never below 1 / (n + 1)."""
+    """p-value of the finding, corrected for the complete search. It follows from n simulated recordings without
+    effects, and is never below 1 / (n + 1)."""
     probability: Finite = 1.0
-    """Posterior probability of this name against all other explanations."""
+    """Posterior probability of this effect against all other explanations."""
     p_located: OptionalFloat = None
-    """Probability of any effect on these observables, at this place and with these covariates."""
+    """Posterior probability of any effect on the same observables, at the same place and with the same covariates."""
 
     @property
     def p_real(self) -> float:
-        """Probability of the name, or of any such change."""
+        """Probability that the finding is real: that of the named effect, or of any effect with the same scope."""
         return max(self.probability, self.p_located or 0.0)
 
 
@@ -71,7 +73,7 @@ class Equivalent(Entry):
 
 
 class ParameterEstimate(Entry):
-    """Estimate of a parameter of a finding, or of a constant of an instrument: a correction, truth minus reading."""
+    """Estimate, as a correction (truth minus reading), of a parameter of a finding or a constant of an instrument."""
 
     name: str
     """Name of the parameter."""
@@ -80,7 +82,7 @@ class ParameterEstimate(Entry):
     sigma: Finite = 0.0
     """Standard deviation of the size."""
     unit: str = ""
-    """Unit of display of value and standard deviation."""
+    """Unit of the value and the standard deviation."""
 
     @classmethod
     def from_si(cls, parameter: Parameter | ShapeParameter, value: float, sigma: float) -> Self:
@@ -97,7 +99,7 @@ class ResponseCurve(Entry):
     unit: str = ""
     """Unit of the response and of its standard deviation."""
     at: tuple[Finite, ...]
-    """Values of the covariate: SI, or in the unit of the recording's own column."""
+    """Values of the covariate in SI units, or in the unit of an additional column of the recording."""
     value: tuple[Finite, ...]
     """Response at these values, in `unit`."""
     sigma: tuple[Finite, ...]
@@ -112,11 +114,11 @@ class Finding(Entry):
     is_catalogued: bool = Field(default=True, alias="known")
     """True for an effect of the catalogue."""
     sentence: str = ""
-    """Sentence on the finding."""
+    """Sentences on the finding for people."""
     where: FindingScope = FindingScope()
     """Scope of the finding."""
     parameters: tuple[ParameterEstimate, ...] = ()
-    """Sizes of the effect."""
+    """Estimated sizes of the effect."""
     target_shift_rms_um: OptionalFloat = None
     """Displacement of the targets if the finding is not modelled [um]: rms after the best rigid fit."""
     evidence: FindingEvidence
@@ -126,43 +128,44 @@ class Finding(Entry):
     separate_by: str = ""
     """Measurement that would discriminate the effect from its equivalents."""
     formula: str = ""
-    """Formula of the proposed term of an unknown effect."""
+    """Formula of an effect outside the catalogue, as text."""
     carrier: str = ""
-    """Response on which an effect outside the catalogue acts."""
+    """Response: the reading or constant that an effect outside the catalogue changes."""
     driver: str = ""
-    """Regressor: quantity or function on which an effect outside the catalogue depends."""
+    """Regressor: the quantity or function on which an effect outside the catalogue depends."""
     curve: ResponseCurve | None = None
     """Curve of the response; null if it does not depend on a single covariate."""
 
 
 class GlobalTest(Entry):
-    """Global test of the ordinary model."""
+    """Global test of the ordinary adjustment."""
 
     statistic: OptionalFloat
-    """Chi-square of the ordinary model."""
+    """Chi-square of the ordinary adjustment."""
     dof: int
     """Degrees of freedom."""
     p_value: OptionalFloat
-    """p-value: probability of as large a chi-square or larger; reports display the two-sided one."""
+    """p-value: probability of a chi-square at least this large if the model is correct. Reports display the two-sided
+    one."""
     search_p_value: OptionalFloat = None
-    """p-value of the complete search."""
+    """p-value of the complete search for effects."""
 
 
 class Misfit(Entry):
-    """Chi-square, and normalised error of held-out observations."""
+    """Misfit of an adjustment: chi-square, and the normalised error of held-out readings."""
 
     chi2: Finite
-    """Weighted sum of squares."""
+    """Chi-square, the weighted sum of squared residuals."""
     dof: int
     """Degrees of freedom."""
     held_out_rms: OptionalFloat = None
-    """Error of held-out readings in five folds of the pointings, each predicted by a fit and search without it, divided
-    by the larger of the declared and the estimated noise.
+    """Root mean square error of held-out readings, divided by the larger of the declared and the estimated noise. The
+    readings of each of five folds of pointings are predicted by a search and an adjustment without the fold.
     """
 
 
 class BeforeAfter(Entry):
-    """Fit without and with the findings."""
+    """Misfit of the adjustments without and with the findings in the model."""
 
     before: Misfit
     """Misfit without the findings."""
@@ -176,11 +179,11 @@ class Undetectable(Entry):
     effect: str
     """Identifier of the effect in the catalogue."""
     reason: str = ""
-    """Reason for which it has no detectable influence on these readings."""
+    """Reason why the effect is not detectable in these readings."""
     undetected_target_error_um: OptionalFloat = None
     """Error of the targets caused by a large but plausible size of the effect."""
     detectable_at_factor: OptionalFloat = None
-    """Multiple of a large but plausible size from which the effect is detectable; null if it never is."""
+    """Multiple of a large but plausible size from which the effect is detectable; null if no size is detectable."""
     cure: str = ""
     """Measurement that would make the effect detectable."""
 
@@ -219,29 +222,31 @@ FINDINGS_TABLE = Table(
     "findings.csv",
     "findings, one row per parameter",
     (
-        *texts(effect="id of the catalogue, or `unknown`", stations="place of the effect; empty for all"),
-        *texts(targets="place of the effect; empty for all", observables="on which it acts"),
-        Column("probability", "of this name against all other explanations"),
-        *texts(parameter="of the effect"),
+        *texts(effect="name of the effect in the catalogue, or `unknown`"),
+        *texts(stations="stations at which the effect acts; empty for all"),
+        *texts(targets="targets at which the effect acts; empty for all"),
+        *texts(observables="observables on which the effect acts; empty for all"),
+        Column("probability", "posterior probability of this effect against all other explanations"),
+        *texts(parameter="name of a parameter of the effect"),
         Column("value", "estimated size", sigma="sigma"),
-        Column("sigma", "its standard deviation"),
-        *texts(unit="of value and sigma"),
+        Column("sigma", "standard deviation of the size"),
+        *texts(unit="unit of value and sigma"),
     ),
 )
 FIT_TABLE = Table(
     "fit.csv",
-    "fit before and after",
+    "misfit without and with the findings in the model",
     (
-        *texts(model="without or with the findings"),
-        Column("chi2", "weighted sum of squares"),
+        *texts(model="model without or with the findings"),
+        Column("chi2", "chi-square, the weighted sum of squared residuals"),
         Column("degrees_of_freedom"),
         Column("ratio", "chi-square per degree of freedom", shown=".3f"),
-        Column("held_out_error", "normalised error of held-out observations", digits=3),
+        Column("held_out_error", "normalised error of held-out readings", digits=3),
     ),
 )
 UNDETECTABLE_TABLE = Table(
     "undetectable.csv",
-    "effects that leave no residual",
+    "effects that are not detectable in this network",
     columns_of(Undetectable, undetected_target_error_um={"digits": 2}, detectable_at_factor={"digits": 2}),
 )
 DETECTABLE_TABLE = Table("detectable.csv", "smallest detectable sizes of effects", columns_of(DetectableEntry))

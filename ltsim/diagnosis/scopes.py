@@ -10,7 +10,7 @@ from ltsim.recordings.recording import OBSERVABLES
 
 
 def effect_scope(effect: CandidateEffect, carrying_observables: tuple[str, ...] = ()) -> FindingScope:
-    """Scope of an effect; `carrying_observables` are the observables if the effect itself does not specify them."""
+    """Scope of an effect. `carrying_observables` are its observables if the effect itself does not specify them."""
     observables, stations = tuple(effect.observables), effect.stations
     if isinstance(effect, NoiseEffect | VarianceFunction):
         observables = carrying_observables or observables
@@ -28,5 +28,5 @@ def effect_scope(effect: CandidateEffect, carrying_observables: tuple[str, ...] 
 
 
 def confined_scope(**confined_kinds: tuple[str, ...]) -> FindingScope:
-    """Scope confined to the given kinds, the others empty."""
+    """Scope with the given names by kind, such as `stations`. All other kinds are empty."""
     return FindingScope(**dict.fromkeys(FindingScope.model_fields, ()) | confined_kinds)

@@ -1,9 +1,9 @@
 """Model selection by forward, backward and exchange steps.
 
-All catalogue effects and laws are screened given the model; the best few are evaluated without approximation, their
-shapes integrated on a grid around the optimum, laws compared with short formulas. The best hypothesis is added. Then
-each member is tested again given the others, and is replaced or removed if the evidence of the model increases; pairs
-are exchanged for a single member.
+All effects of the catalogue and all laws are screened given the model. The best few are evaluated without
+approximation: shapes are integrated on a grid around the optimum, and laws are compared with formulas. The best
+hypothesis is added to the model. Then each member is tested again given the others, and is replaced or removed if the
+evidence of the model increases. Pairs of members are also exchanged for a single one.
 """
 
 from __future__ import annotations
@@ -45,50 +45,51 @@ from ltsim.physics.laws.sizes import displayed_sizes
 MAX_MODEL_MEMBERS = 5
 """Largest number of members of a model, and of reported constants of instruments."""
 MAX_RIGID_COEFFICIENTS = 10
-"""Largest number of coefficients of a member that cannot imitate several effects: a curve in one quantity
-(`N_MODES_DEFAULT` and a slope). With more, the search starts again without the member."""
+"""Number of coefficients above which a member may imitate several effects. If the selected model has such a member, a
+second search starts from the best hypothesis with fewer coefficients. A curve in one covariate has this number: a slope
+and `N_MODES_DEFAULT` eigenfunctions."""
 N_REFINED = 7
-"""Number of families, and of laws, evaluated without approximation in a step."""
+"""Number of families of the catalogue, and of laws, that a step of the search evaluates without approximation."""
 N_REFINED_IN_LARGE_NETWORK = 3
-"""Number of families, and of laws, evaluated without approximation in a step of a large network (cost)."""
+"""Number of families, and of laws, that a step evaluates without approximation in a large network."""
 N_SHAPE_GRID_POINTS = 11
-"""Number of grid points over which a shape is integrated, one coarse step to either side."""
+"""Number of grid points over which a shape constant is integrated, from one coarse step below to one above the best."""
 N_ADDED_GRID_POINTS = 9
-"""Number of points added around the best one, since the peak may be much narrower than a step."""
+"""Number of points of each refinement of the grid around its best point. The peak may be much narrower than a step."""
 N_GRID_REFINEMENTS = 2
-"""Number of such refinements of the grid."""
+"""Number of refinements of the grid around its best point."""
 MAX_LOCAL_OPTIMA = 3
-"""Largest number of evaluated local optima of a family."""
+"""Largest number of local optima of a family (an effect at all places and shapes) that are evaluated."""
 MAX_COMPARED_MEMBERS = 40
-"""Number of best members of a family among which local optima are sought."""
+"""Number of members of a family, the best first, among which local optima are sought."""
 MAX_OPTIMUM_DEFICIT = 10.0
-"""Largest deficit of log evidence of a local optimum."""
+"""Largest difference of log evidence between the best member of a family and a local optimum that is evaluated."""
 MAX_CACHED_SIGNATURES = 16
-"""Number of projected signatures in the cache."""
+"""Largest number of projected signatures in the cache."""
 MAX_RANKED_LAWS = 400
-"""Number of screened laws that stay in a ranking."""
+"""Largest number of screened laws in a ranking."""
 MIN_SIGMA_INCREASE = 1.15
-"""Increase of sigma by marginalisation over shape above which the posterior is reported in place of Laplace's
-approximation.
-"""
+"""Ratio of the standard deviation of a parameter with its shape integrated to that of the refit (Laplace's
+approximation). Above it the integrated posterior is reported."""
 
 
 class ScreeningResult(NamedTuple):
-    """Screening result given a model.
-
-    Log evidence of catalogue effects (h,), and of their families with priors; best laws; the log sum over all, and that
-    (trials,) of the null ensemble.
-    """
+    """Result of the screening of all hypotheses given a model."""
 
     effect_log_evidence: Floats
+    """Log evidence (h,) of each of h effects of the catalogue, without prior."""
     family_log_evidence: Floats
-    hits: list[ScreenedLaw]
+    """Log evidence (families,) of each family of the catalogue, averaged over its members, with prior."""
+    laws: list[ScreenedLaw]
+    """Best laws of each place."""
     statistic: float
+    """Log of the summed evidence of all hypotheses."""
     null_statistics: Floats
+    """Values (trials,) of the statistic for the simulated recordings of the null ensemble."""
 
 
 class Searcher:
-    """Search over catalogue effects and laws in one residual space."""
+    """Search over effects of the catalogue and laws in one residual space."""
 
     def __init__(
         self,
@@ -99,10 +100,10 @@ class Searcher:
         catalogue_signatures: CatalogueSignatures | None = None,
         with_constants: bool = True,
     ) -> None:
-        """Search with `n_trials` simulated recordings.
+        """Search whose p-value follows from `n_trials` simulated recordings.
 
-        `catalogue_signatures` are those of another search on the same readings. With `with_constants` the constants
-        of the ordinary calibration are hypotheses.
+        `catalogue_signatures` are those of another search on the same readings, which saves their computation. With
+        `with_constants` the constants of the ordinary calibration are hypotheses.
         """
         self.space = space
         self.null_ensemble = NullEnsemble.from_space(space, seed, n_trials)
@@ -123,10 +124,10 @@ class Searcher:
         self.empty_model_screening = self._screening(self.empty_model)
 
     def without_rows(self, rows: Ints) -> Searcher:
-        """Search without the rows (f,), each of which has a separate error, in the reduced form for large networks.
+        """Search without some `rows` (f,) of the residual space, with fewer evaluations, as in large networks.
 
-        The best law of each kind is not evaluated, which would take most of the time and hardly changes predictions.
-        Screening uses Gram matrices of all rows, evaluation those without the rows; neither depends on the readings.
+        A separate error of each row is equivalent. The best law of each kind is not evaluated, because that would take
+        most of the time and hardly change predictions. The screening still uses the Gram matrices of all rows.
         """
         unit = np.zeros((self.space.n_rows, len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
@@ -141,7 +142,7 @@ class Searcher:
         return rest
 
     def ranking(self, base_model: Model) -> Ranking:
-        """Ranking of all hypotheses given a model: screened, the best evaluated without approximation."""
+        """Ranking of all hypotheses given a model: all are screened, and the best are evaluated exactly."""
         key = frozenset(h.key for h in base_model.members)
         if key not in self._rankings:
             self._rankings[key] = self._compute_ranking(base_model)
@@ -156,21 +157,21 @@ class Searcher:
         )
         values, chance = self.catalogue_signatures.log_evidence_and_trials(probe)
         families = self.catalogue_signatures.family_evidence(values) + self._log_family_prior
-        hits: list[ScreenedLaw] = []
+        laws: list[ScreenedLaw] = []
         statistic, null = log_sum_exp(families), log_sum_exp(chance + self._log_family_prior)
         for hits_here, law_total, law_chance in score_batches(self.law_batches, probe):
-            hits += hits_here
+            laws += hits_here
             statistic, null = np.logaddexp(statistic, law_total), np.logaddexp(null, law_chance)
-        return ScreeningResult(values, families, hits, float(statistic), null)
+        return ScreeningResult(values, families, laws, float(statistic), null)
 
     @property
     def _log_family_prior(self) -> float:
-        """Log prior of each catalogue family."""
+        """Log prior of each family of the catalogue."""
         return log_prior_share("named", len(self.catalogue_signatures.families))
 
     def _compute_ranking(self, base_model: Model) -> Ranking:
-        values, families, hits, _, _ = self._screening(base_model) if base_model.members else self.empty_model_screening
-        entries = self._law_hypotheses(hits, base_model)
+        values, families, laws, _, _ = self._screening(base_model) if base_model.members else self.empty_model_screening
+        entries = self._law_hypotheses(laws, base_model)
         for i, family in enumerate(ranked_indices(families, MAX_SCREENED_EVIDENCE_TIE)):
             entries.append(
                 self._best_of_family(
@@ -184,7 +185,7 @@ class Searcher:
     def _best_of_family(
         self, family: int, effect_log_evidence: Floats, family_log_evidence: float, base_model: Model, *, refine: bool
     ) -> Hypothesis:
-        """Best member of a family with the evidence of the family; evaluated without approximation if `refine`."""
+        """Best member of a family, with the log evidence of the whole family; evaluated exactly only if `refine`."""
         signatures = self.catalogue_signatures
         members = np.flatnonzero(signatures.family_of_effect == family)
         members = members[ranked_indices(effect_log_evidence[members], MAX_SCREENED_EVIDENCE_TIE)]
@@ -201,7 +202,7 @@ class Searcher:
         return best
 
     def _local_optima(self, members: Ints, values: Floats) -> list[int]:
-        """Best member of a family, and others nearly as good at a distinct place or shape."""
+        """Indices of the best member of a family, and of others nearly as good at another place or shape."""
         chosen = [int(members[0])]
         for i in members[1:MAX_COMPARED_MEMBERS]:
             if len(chosen) == MAX_LOCAL_OPTIMA or values[i] < values[chosen[0]] - MAX_OPTIMUM_DEFICIT:
@@ -214,7 +215,7 @@ class Searcher:
         return chosen
 
     def _integrate_over_shapes(self, effect: CandidateEffect, base_model: Model) -> tuple[CandidateEffect, float]:
-        """Effect with its shape at the optimum, and log evidence averaged over a cell of the coarse grid."""
+        """Effect with its shape at the optimum, and its log evidence averaged over a cell of the coarse grid."""
         effect, value = self.evidence_calculator.refine_locally([effect], base_model)[0]
         for shape in type(effect).shape_parameters:
             now = getattr(effect, shape.name)
@@ -225,7 +226,7 @@ class Searcher:
     def _integrate_over_shape(
         self, effect: CandidateEffect, shape: ShapeParameter, base_model: Model, value: float
     ) -> tuple[CandidateEffect, float]:
-        """Best value of a shape constant, and log mean evidence over its cell by the trapezoidal rule."""
+        """Effect with the best value of a shape constant, and log evidence averaged over a cell of the coarse grid."""
         now = float(getattr(effect, shape.name))
         low, high = shape.neighbouring_grid_interval(now)
         if not low < high:
@@ -249,26 +250,23 @@ class Searcher:
         height = np.exp(logs - logs.max())
         return best, float(logs.max() + np.log(max(np.trapezoid(height, u), 1e-300)))
 
-    def _law_hypotheses(self, hits: Sequence[ScreenedLaw], base_model: Model) -> list[Hypothesis]:
-        """Screened laws: the best ones, and usually the best of each response and kind of regressor, in all forms.
+    def _law_hypotheses(self, laws: Sequence[ScreenedLaw], base_model: Model) -> list[Hypothesis]:
+        """Hypotheses of the screened `laws`, of which the best are evaluated in all forms.
 
-        Screening is coarser for some kinds than for others: a refined region can have several times the evidence.
+        In small networks these include the best law of each response and kind of regressor. The screening is coarser
+        for some kinds than for others: a local search for a region can increase the evidence several times.
         """
         entries, evaluated = [], set[tuple[object, ...]]()
         kinds = set[tuple[str, str, bool]]()
-        hits = [
-            hits[i]
-            for i in ranked_indices(np.array([h.log_evidence for h in hits]), MAX_SCREENED_EVIDENCE_TIE)[
-                :MAX_RANKED_LAWS
-            ]
-        ]
-        for hit in hits:
+        order = ranked_indices(np.array([h.log_evidence for h in laws]), MAX_SCREENED_EVIDENCE_TIE)
+        laws = [laws[i] for i in order[:MAX_RANKED_LAWS]]
+        for hit in laws:
             place, driver = hit.place, hit.regressor.centred_on(hit.place.targets)
             law = EmpiricalLaw(place.stations, place.targets, hit.response, driver, place.instruments)
             key = (hit.response.name, driver.kind, driver.covariate_labels, place.stations, place.targets)
             kind = hit.response.name, driver.kind, len(place.targets) == 1
             chosen = len(evaluated) < self._n_refined or (self._refines_every_kind and kind not in kinds)
-            if chosen and key not in evaluated and hit.log_evidence > min_promising_evidence(hits[0].log_evidence):
+            if chosen and key not in evaluated and hit.log_evidence > min_promising_evidence(laws[0].log_evidence):
                 evaluated.add(key)
                 kinds.add(kind)
                 entries += evaluate_forms(
@@ -281,7 +279,7 @@ class Searcher:
     def estimates(
         self, hypothesis: Hypothesis, other_effects: Model, refits: Sequence[ParameterEstimate]
     ) -> tuple[ParameterEstimate, ...]:
-        """Estimates of a refit; posterior means and deviations over all shapes where these are much wider."""
+        """Estimates for a hypothesis: those of the refit, or means over all shapes if their sigmas are much larger."""
         effect = hypothesis.effect
         if isinstance(effect, EmpiricalLaw):
             sizes = displayed_sizes(effect, self.space.sightings, *self.law_coefficients(effect, other_effects))
@@ -297,23 +295,23 @@ class Searcher:
         return (*rows, *centre_estimates(self.evidence_calculator, effect, other_effects))
 
     def law_coefficients(self, law: EmpiricalLaw, other_effects: Model) -> tuple[Floats, Floats]:
-        """Mean (k,) and covariance (k, k) of a law's coefficients given a model."""
+        """Posterior mean (k,) and covariance (k, k) of the k coefficients of a law, given the other effects."""
         gram, score = self.evidence_calculator.gram_and_score([law], other_effects)[0]
         return coefficient_posterior(gram, score, law.size_scales)[:2]
 
     def model_of(self, members: Sequence[Hypothesis]) -> Model:
-        """Model of the given hypotheses."""
+        """Model with the given hypotheses as members."""
         if not members:
             return self.empty_model
         parts = [self._projected_signature(h) for h in members]
         return Model(tuple(members), tuple(p[0] for p in parts), tuple(p[1] for p in parts), self.space.residuals)
 
-    def model_without(self, model: Model, member: int) -> Model:
-        """Model without a member."""
-        return self.model_of(model.members[:member] + model.members[member + 1 :])
+    def model_without(self, model: Model, member_index: int) -> Model:
+        """Model without the member with the index `member_index`."""
+        return self.model_of(model.members[:member_index] + model.members[member_index + 1 :])
 
     def _projected_signature(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
-        """Projection of a signature onto the residual space, and lengths of its columns; the last few are cached."""
+        """Projected signature (m, k), and lengths (k,) of its columns before the projection; the last are cached."""
         key = hypothesis.key
         if key not in self._projected_signatures:
             whole = self.evidence_calculator.whitened_signature(hypothesis.effect)
@@ -326,8 +324,9 @@ class Searcher:
     def select_model(self, threshold: float, *, requires_member: bool) -> Model:
         """Selected model, in which each additional member increases the log evidence by at least `threshold`.
 
-        A curve with many coefficients can imitate several effects: the search starts again with the best hypothesis of
-        few coefficients, and the model with the larger evidence is selected.
+        With `requires_member` it has at least one. If it has a curve with many coefficients, which can imitate several
+        effects, the search starts again with the best hypothesis of few. The model with the larger evidence is
+        selected.
         """
         best = self._forward_selection(self.empty_model, threshold, requires_member=requires_member)
         stiff = [h for h in self.ranking(self.empty_model).entries if len(h.plausible_sizes) <= MAX_RIGID_COEFFICIENTS]
@@ -341,16 +340,17 @@ class Searcher:
         return self._relabelled_model(best, threshold)
 
     def lower_bound_model(self, threshold: float, rival: float) -> Model:
-        """Lower bound of a search: forward steps alone.
+        """Model from forward steps alone, whose log evidence is a lower bound of that of a complete search.
 
-        It ends once it exceeds the evidence of a `rival`, or cannot if all further members gain as much as the last.
+        The steps end when the log evidence exceeds `rival`, the log evidence of an alternative. They also end when it
+        would not exceed it even if all further members increased it as much as the last one did.
         """
         return self._forward_selection(self.empty_model, threshold, requires_member=True, rival=rival)
 
     def _forward_selection(
         self, model: Model, threshold: float, *, requires_member: bool, rival: float | None = None
     ) -> Model:
-        """Forward selection; earlier members are tested again after each step unless there is a `rival`."""
+        """Forward selection from `model`; members are tested again after each step unless there is a `rival`."""
         again = rival is None
         for depth in range(len(model.members), MAX_MODEL_MEMBERS):
             ranking, least = self.ranking(model), threshold + model.discrepancy_penalty
@@ -366,7 +366,7 @@ class Searcher:
         return self.reexamined_model(model) if again and self.is_large_network else model
 
     def _relabelled_model(self, model: Model, threshold: float) -> Model:
-        """Model without members that the others explain, each renamed to the most probable effect given the others."""
+        """Model without members that the others explain, and with the most probable name of each member."""
         for member in model.members[::-1]:
             others = self.model_without(model, model.members.index(member))
             ranking = self.ranking(others)
@@ -378,7 +378,7 @@ class Searcher:
         return model
 
     def reexamined_model(self, model: Model) -> Model:
-        """Backward and exchange steps, members replaced, dropped or merged, while the evidence rises."""
+        """Model after backward and exchange steps, in which members are replaced, removed or merged."""
         for turn in range(2):
             before = model.score
             for size in (1,) if turn or self.is_large_network else (1, 2):
@@ -394,7 +394,7 @@ class Searcher:
         return model
 
 
-def _best_model(sets: Sequence[Model]) -> Model:
-    """Model with the largest score; the first of equal ones."""
-    most = max(model.score for model in sets)
-    return next(model for model in sets if model.score >= most - MAX_EVIDENCE_TIE)
+def _best_model(models: Sequence[Model]) -> Model:
+    """Model with the largest log evidence, the first of several equal ones."""
+    most = max(model.score for model in models)
+    return next(model for model in models if model.score >= most - MAX_EVIDENCE_TIE)

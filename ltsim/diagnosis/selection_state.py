@@ -25,30 +25,35 @@ from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 
 N_VARIANCE_ITERATIONS = 2
-"""Number of adjustments in which the variance components converge."""
+"""Number of adjustments with new weights in which the variance components converge."""
 
 
 @dataclass
 class SelectionState:
-    """State of the model selection on a recording without blunders.
-
-    `baseline` is the ordinary adjustment, the start of all others, `is_used` (n, 3) flags of the used readings,
-    `reading_sigmas` (n, 3) their standard deviations, `level` the false-alarm rate of the search; None for a search
-    that is not judged.
-    """
+    """State of the model selection on a recording without blunders."""
 
     baseline: Adjustment
+    """Ordinary adjustment, from which all others start."""
     is_used: Bools
+    """Flags (n, 3) of the readings that are used, for n pointings."""
     seed: int
+    """Root of the random draws."""
     level: float | None = 0.05
+    """False-alarm rate of the search; None for a search without p-value."""
     tests_ordinary_constants: bool = True
-    """True if constants of the ordinary calibration are hypotheses too."""
+    """True if constants of the ordinary calibration are also hypotheses."""
     reading_sigmas: Floats = field(init=False)
+    """Standard deviations (n, 3) of the readings, with the selected changes of the noise."""
     noise: list[NoiseHypothesis] = field(default_factory=list)
+    """Selected changes of the noise."""
     space: ResidualSpace = field(init=False)
+    """Residual space of the present adjustment."""
     noise_bank: NoiseBank = field(init=False)
+    """Hypotheses of the noise in this residual space."""
     _searcher: Searcher | None = None
-    _ranked_noise: Searcher | None = None
+    """Search in this residual space, if it was used."""
+    _previous_searcher: Searcher | None = None
+    """Search in the residual space before that, whose signatures can be used again."""
 
     def __post_init__(self) -> None:
         self.reading_sigmas = self.recording.sigma()
@@ -56,22 +61,22 @@ class SelectionState:
 
     @property
     def searcher(self) -> Searcher:
-        """Search in the residual space; scores are computed on first use."""
+        """Search in the residual space of the present adjustment, created on first use."""
         if self._searcher is None:
-            before = self._ranked_noise
+            before = self._previous_searcher
             is_reusable = before is not None and before.space.n_rows == self.space.n_rows
-            cards = (
+            catalogue_signatures = (
                 None
                 if before is None or not is_reusable
                 else before.catalogue_signatures.with_weights_of(before.space, self.space)
             )
             trials = n_simulated_recordings(self.space, self.level) if before is None and self.level else 0
-            self._ranked_noise = None
+            self._previous_searcher = None
             self._searcher = Searcher(
                 self.space,
                 self.seed,
                 trials,
-                catalogue_signatures=cards,
+                catalogue_signatures=catalogue_signatures,
                 with_constants=self.tests_ordinary_constants,
             )
         return self._searcher
@@ -83,14 +88,14 @@ class SelectionState:
 
     @property
     def recording(self) -> Recording:
-        """Recording with corrected blunders, which declares the centring errors among the changes of the noise."""
+        """Recording without blunders, in which centring errors that were selected are declared."""
         return with_centring(self.baseline.recording, self.noise)
 
     def refit(self, effects: Sequence[CandidateEffect], sigma: Floats) -> Refit:
-        """Nonlinear refit with effects; without effects the ordinary adjustment.
+        """Nonlinear adjustment with effects in the model, and readings with the standard deviations `sigma` (n, 3).
 
-        Parameters have a prior of `WIDE_PRIOR_SIZES` times their plausible size, since some
-        combinations may leave no residual.
+        Without effects and changes of the noise it is the ordinary adjustment. Parameters have a prior of
+        `WIDE_PRIOR_SIZES` times their plausible size, because the readings may not determine some combinations.
         """
         if not (effects or self.noise):
             return Refit(self.baseline, (), ())
@@ -112,7 +117,7 @@ class SelectionState:
         return refit_with_effects(with_causes if old.effects else adjusted, effects, start_state=old.state)
 
     def release_priors(self, constants: Sequence[ConstantContradiction]) -> None:
-        """Widening of the prior of contradicting constants, with a new adjustment."""
+        """Removal of the prior of constants that contradict their reference, with a new adjustment."""
         old = self.baseline
         freed = np.zeros(old.state.instrument_parameters.shape, dtype=bool)
         for constant in constants:
@@ -131,16 +136,16 @@ class SelectionState:
         self.set_adjustment(self.refit((), self.reading_sigmas).adjustment)
 
     def set_adjustment(self, adjustment: Adjustment) -> None:
-        """Replacement of the adjustment: the residual space is rebuilt and cached scores are removed."""
-        self.space, self._ranked_noise, self._searcher = (
+        """Replacement of the present adjustment, with its residual space and the search in it."""
+        self.space, self._previous_searcher, self._searcher = (
             ResidualSpace.from_adjustment(adjustment),
-            self._searcher or self._ranked_noise,
+            self._searcher or self._previous_searcher,
             None,
         )
         self.noise_bank = self._noise_bank(self.space)
 
     def ranked_noise(self, model: Model) -> list[tuple[float, NoiseHypothesis]]:
-        """Changes of the noise given a model with their evidence: the best of each family, the best family first."""
+        """Pairs of log evidence and a change of the noise, given a model: the best of each family, the best first."""
         redundancy = self.space.redundancy - np.sum(model.basis**2, axis=1)
         ranked = self.noise_bank.ranked_families(model.residual, redundancy, model.basis)
         for gain, hypothesis in centring_hypotheses_of_occupations(self.space.with_effects(model.effects)):
@@ -148,7 +153,7 @@ class SelectionState:
         return sorted(ranked, key=lambda entry: -entry[0])
 
     def add_noise(self, new_hypothesis: NoiseHypothesis) -> None:
-        """Addition of a change of the noise; one of the same kind at the same place is increased."""
+        """Addition of a change of the noise. The sizes of an equal change that was selected before are increased."""
         for i, change in enumerate(self.noise):
             if change.effect == new_hypothesis.effect:
                 values = tuple(a + b for a, b in zip(change.sizes, new_hypothesis.sizes, strict=True))
@@ -159,7 +164,7 @@ class SelectionState:
         self.reading_sigmas = self._weighted_sigmas(self.noise)
 
     def estimate_variance_components(self, effects: Sequence[CandidateEffect]) -> Adjustment:
-        """Adjustment with REML variance components (Foerstner 1979), mean `effects` being in the model."""
+        """Adjustment with variance components estimated by REML (Foerstner 1979), with `effects` in the model."""
         for _ in range(N_VARIANCE_ITERATIONS):
             space = ResidualSpace.from_adjustment(self.refit((), self.reading_sigmas).adjustment).with_effects(effects)
             for i, change in enumerate(self.noise):
@@ -169,9 +174,9 @@ class SelectionState:
         return self.refit((), self.reading_sigmas).adjustment
 
     def expected_variance_factors(self, effects: Sequence[CandidateEffect]) -> Floats:
-        """Posterior mean (n, 3) of the factors on the declared variance, mean `effects` being in the model.
+        """Posterior mean (n, 3) of the factors on the declared variances of the readings, with `effects` in the model.
 
-        Each change of the noise is averaged over its alternatives, given the others.
+        Each selected change of the noise is averaged over its alternatives, given the others.
         """
         factors = np.ones(self.reading_sigmas.shape)
         for change in (n for n in self.noise if not isinstance(n.effect, CentringVariance)):
@@ -181,16 +186,16 @@ class SelectionState:
         return factors
 
     def _noise_bank(self, space: ResidualSpace) -> NoiseBank:
-        """Noise hypotheses on a residual space."""
+        """Hypotheses of the noise in a residual space."""
         quieter = not any(getattr(change.effect, "repetition", "") for change in self.noise)
         return NoiseBank.from_space(
             space, noise_hypotheses(space.sightings, self.recording.instruments), allows_quieter=quieter
         )
 
     def prune_variance_components(self, effects: Sequence[CandidateEffect]) -> None:
-        """Re-estimation of the variance components with effects in the model.
+        """New estimation of the variance components with `effects` in the model.
 
-        Those without positive evidence are removed.
+        Changes of the noise without a positive log evidence are removed.
         """
         space = ResidualSpace.from_adjustment(self.estimate_variance_components(effects)).with_effects(effects)
         estimates = [
@@ -206,7 +211,7 @@ class SelectionState:
         self.set_adjustment(self.estimate_variance_components(effects))
 
     def _weighted_sigmas(self, noise: Sequence[NoiseHypothesis]) -> Floats:
-        """Standard deviations (n, 3) with changes of the noise."""
+        """Standard deviations (n, 3) of the readings with the given changes of the noise."""
         sigma, sightings = self.recording.sigma(), self.baseline.sightings
         for change in noise:
             sigma = np.sqrt(change.effect.variance(sightings, sigma, np.array(change.sizes)))

@@ -1,4 +1,7 @@
-"""Posterior of an effect's parameters and shape constants over all its shapes and neighbouring places."""
+"""Posterior of the parameters and shape constants of an effect, over all its shapes and neighbouring places.
+
+A shape constant is a constant on which the effect does not depend linearly, such as a time constant.
+"""
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations, product
@@ -13,15 +16,20 @@ from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Model
 from ltsim.diagnosis.schema import ParameterEstimate
 from ltsim.physics.effects.signature import CandidateEffect, ShapeParameter
+from ltsim.scene.sightings import Sightings
 
 PLACE_DIFFERENCE_STEP = 0.05
-"""Step [m] of the second differences over a place of the hall."""
+"""Step [m] of the second differences of the log evidence over the position of a region of the hall."""
 UNBOUNDED_STEP_FACTOR = 20.0
-"""Factor on the step that represents no bound."""
+"""Standard deviation of a coordinate that the readings do not determine, as a multiple of `PLACE_DIFFERENCE_STEP`."""
 
 
 def _dense_grid(shape: ShapeParameter, estimate: float, sigma: float, n_nodes: int) -> tuple[Floats, Floats]:
-    """Values of a shape constant within its bounds, denser within four `sigma` of the estimate; cell widths."""
+    """Grid of values (q,) of a shape constant within its bounds, and the widths (q,) of the cells of the grid.
+
+    The grid has `n_nodes` values over the bounds, and is denser within four standard deviations `sigma` of `estimate`.
+    The widths are in the coordinate in which the grid is even: the value, its logarithm, or its reciprocal.
+    """
 
     def evenly_spaced(x: Floats) -> Floats:
         return np.log(x) if shape.has_logarithmic_grid else (1.0 / x if shape.has_reciprocal_grid else x)
@@ -37,7 +45,10 @@ def _dense_grid(shape: ShapeParameter, estimate: float, sigma: float, n_nodes: i
 
 
 def interpolate_shape(shape: ShapeParameter, lower: float, upper: float, position: float) -> float:
-    """Value of a shape constant at u, from -1 at `lower` to 1 at `upper`, uniform in the coordinate of its grid."""
+    """Value of a shape constant at a `position` from -1 at `lower` to 1 at `upper`.
+
+    The value, its logarithm or its reciprocal is a linear function of the position, as on the grid of the constant.
+    """
     s = 0.5 * (position + 1.0)
     if shape.has_logarithmic_grid:
         return float(lower * (upper / lower) ** s)
@@ -47,7 +58,7 @@ def interpolate_shape(shape: ShapeParameter, lower: float, upper: float, positio
 
 
 def are_distinct(effect: CandidateEffect, other_effect: CandidateEffect) -> bool:
-    """True if two effects differ in place, or in a shape constant by more than the integration covers."""
+    """True if two effects differ in place, or in a shape constant by more than the range of the integration over it."""
     if (effect.stations, effect.targets) != (other_effect.stations, other_effect.targets):
         return True
     for shape in type(effect).shape_parameters:
@@ -58,39 +69,54 @@ def are_distinct(effect: CandidateEffect, other_effect: CandidateEffect) -> bool
 
 
 class ShapeNode(NamedTuple):
-    """Grid node: an effect with one set of shape constants [SI], its log weight, and its parameters (q,) there.
-
-    The weight is the evidence times the cell volume; the time of a change may be anywhere between two pointings.
-    """
+    """Node of a grid of shapes: an effect with one set of shape constants, and its k parameters there."""
 
     effect: CandidateEffect
+    """Effect with these shape constants."""
     log_weight: float
+    """Log of the evidence times the volume of the node's cell."""
     constants: dict[str, float]
+    """Shape constants by name [SI], with the time of a change."""
     mean: Floats
+    """Posterior mean (k,) of the parameters [SI]."""
     variance: Floats
+    """Posterior variance (k,) of the parameters [SI]."""
     gap: float
-    """Time [s] between the pointings before and after a change."""
+    """Time [s] between the pointings before and after a change, which may be at any time in between."""
 
 
-def _cell_widths(effects: Sequence[CandidateEffect]) -> dict[float, float]:
-    """Width [s] of the cell of each time of a change, from the midpoints to its neighbours."""
-    times = np.unique([float(vars(effect).get("time", np.nan)) for effect in effects])
-    times = times[np.isfinite(times)]
-    return dict(zip(times.tolist(), np.gradient(times).tolist(), strict=True)) if len(times) > 1 else {}
+def _gap_of_change(effect: CandidateEffect, sightings: Sightings) -> tuple[int, float]:
+    """Number of the gap between pointings in which an effect changes, and its width [s]; -1 and 0 without a change."""
+    ordered = np.unique(sightings.time[effect.row_weights(sightings) > 0])
+    time = vars(effect).get("time")
+    if time is None or not np.isfinite(time) or len(ordered) < 2:
+        return -1, 0.0
+    after = int(np.searchsorted(ordered, time))
+    return after, float(np.diff(ordered)[min(max(after - 1, 0), len(ordered) - 2)])
+
+
+def _distinct_neighbours(effect: CandidateEffect, sightings: Sightings) -> list[CandidateEffect]:
+    """Effect and its neighbours, one for each place and gap, so that no gap has twice the weight."""
+    by_gap = {}
+    for instance in [*effect.neighbours(sightings), effect]:
+        gap, _ = _gap_of_change(instance, sightings)
+        by_gap[instance.stations, instance.targets, instance if gap < 0 else gap] = instance
+    return list(by_gap.values())
 
 
 def shape_nodes(
     calculator: EvidenceCalculator,
     effect: CandidateEffect,
     base_model: Model,
-    spread: Mapping[str, float],
+    shape_sigmas: Mapping[str, float],
     *,
     within_plausible: bool = False,
 ) -> list[ShapeNode]:
-    """Grid nodes of an effect over all its shapes and neighbouring places; empty without either.
+    """Nodes of a grid of an effect over all its shapes and neighbouring places; empty if it has neither.
 
-    Shapes lie on a grid, finer around the estimate (`spread`: standard deviations [SI] there). Weights use a wide prior
-    of the size or, if `within_plausible`, the prior of sizes.
+    The grid is finer around the shape constants of `effect`. `shape_sigmas` are the standard deviations [SI] of these
+    constants by name. The weights of the nodes use a wide prior of the sizes or, if `within_plausible`, the prior that
+    the search uses.
     """
     shapes = [
         s for s in type(effect).shape_parameters if isinstance(vars(effect)[s.name], float) and s.n_grid_values > 1
@@ -99,26 +125,28 @@ def shape_nodes(
     if not (shapes or near) or len(shapes) > 2:
         return []
     count = 33 if len(shapes) == 1 and not near else 15
-    axes = [_dense_grid(s, float(vars(effect)[s.name]), spread.get(s.name, 0.0), count) for s in shapes]
+    axes = [_dense_grid(s, float(vars(effect)[s.name]), shape_sigmas.get(s.name, 0.0), count) for s in shapes]
     sizes = effect.size_scales
-    gaps = _cell_widths([effect, *near])
+    sightings = calculator.space.sightings
     points = [
         (instance, {s.name: float(value) for s, (value, _) in zip(shapes, point, strict=True)}, [w for _, w in point])
-        for instance, *point in product([effect, *near], *(zip(*axis, strict=True) for axis in axes))
+        for instance, *point in product(
+            _distinct_neighbours(effect, sightings), *(zip(*axis, strict=True) for axis in axes)
+        )
     ]
     shaped = [instance.with_constants(**constants) for instance, constants, _ in points]
     posteriors = [wide_prior_posterior(*moments, sizes) for moments in calculator.gram_and_score(shaped, base_model)]
-    weighed = (
+    log_evidences = (
         calculator.log_evidence(shaped, base_model).tolist()
         if within_plausible
         else [evidence for _, _, evidence in posteriors]
     )
     nodes = []
     for (instance, constants, widths), shape, (mean, covariance, _), evidence in zip(
-        points, shaped, posteriors, weighed, strict=True
+        points, shaped, posteriors, log_evidences, strict=True
     ):
         constants |= {"time": float(vars(instance)["time"])} if "time" in vars(effect) else {}
-        gap = gaps.get(constants.get("time", np.nan), 0.0)
+        _, gap = _gap_of_change(instance, sightings)
         weight = evidence + float(np.sum(np.log(widths))) + (np.log(gap) if gap else 0.0)
         nodes.append(ShapeNode(shape, weight, constants, mean, np.diag(covariance), gap))
     return nodes
@@ -127,10 +155,10 @@ def shape_nodes(
 def centre_estimates(
     calculator: EvidenceCalculator, effect: CandidateEffect, base_model: Model
 ) -> tuple[ParameterEstimate, ...]:
-    """Centre of a region of the hall with its standard deviations, network frame; empty for effects without one.
+    """Coordinates in the network frame of the centre of a region of the hall; empty for effects without a region.
 
-    Laplace approximation: the inverse of the negative second differences of the log evidence at the centre; an
-    undetermined coordinate has the standard deviation of the step times `UNBOUNDED_STEP_FACTOR`.
+    The covariance is the inverse of the negative second differences of the log evidence at the centre (Laplace
+    approximation). A coordinate that the readings do not determine has a standard deviation of 1 m.
     """
     centre = np.array(effect.source_position)
     if not len(centre):
@@ -147,8 +175,10 @@ def centre_estimates(
     mixed = -(crossed[0] - crossed[1] - crossed[2] + crossed[3]) / (4.0 * PLACE_DIFFERENCE_STEP**2)
     for (i, j), value in zip(pairs, mixed, strict=True):
         hessian[i, j] = hessian[j, i] = value
-    strength, turn = np.linalg.eigh(hessian)
-    variance = turn**2 @ (1.0 / np.maximum(strength, 1.0 / (UNBOUNDED_STEP_FACTOR * PLACE_DIFFERENCE_STEP) ** 2))
+    eigenvalues, eigenvectors = np.linalg.eigh(hessian)
+    variance = eigenvectors**2 @ (
+        1.0 / np.maximum(eigenvalues, 1.0 / (UNBOUNDED_STEP_FACTOR * PLACE_DIFFERENCE_STEP) ** 2)
+    )
     return tuple(
         ParameterEstimate(name=f"centre-{axis}", value=float(value), sigma=float(np.sqrt(v)), unit="m")
         for axis, value, v in zip(effect.hall_axes, centre, variance, strict=True)
@@ -158,10 +188,11 @@ def centre_estimates(
 def shape_posterior(
     calculator: EvidenceCalculator, effect: CandidateEffect, base_model: Model, estimates: Sequence[ParameterEstimate]
 ) -> dict[str, ParameterEstimate]:
-    """Posterior means and standard deviations, averaged over a grid of shape constants that is densest at `estimates`.
+    """Posterior means and standard deviations of the parameters and shape constants of an effect, by name.
 
-    Unlike the Laplace approximation they are valid for flat, skew, bounded and bimodal likelihoods. The result is empty
-    for effects without shape constants.
+    They are averages over a grid of shape constants that is densest at `estimates`. Unlike the Laplace approximation
+    they are valid for flat, skew, bounded and bimodal likelihoods. The result is empty for effects without shape
+    constants.
     """
     shapes = shape_nodes(calculator, effect, base_model, {e.name: e.sigma * SI_PER_UNIT[e.unit] for e in estimates})
     if not shapes:

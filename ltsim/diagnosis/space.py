@@ -1,8 +1,8 @@
-"""Search space of laws (responses x regressors x places), and the division of the prior among them.
+"""Search space of laws (combinations of responses, regressors and places), and their prior probabilities.
 
-The prior odds of a law are the product of those of its place, of the kind of its response and of its regressor; each is
-divided equally among all of its kind in the recording, and the total is normalised to the prior of laws outside the
-catalogue.
+The prior odds of a law are the product of the odds of its place, of its response and of its regressor. The odds of a
+kind of place, response or regressor are divided equally among all of this kind in the recording. The sum over all laws
+is then normalised to the prior probability of a law outside the catalogue.
 """
 
 from collections.abc import Mapping, Sequence
@@ -39,51 +39,53 @@ from ltsim.physics.laws.regressors import CLOCK_COVARIATES, Regressor
 from ltsim.physics.laws.responses import Response, response_designs
 
 MAX_SEPARATE_PLACES = 400
-"""Largest number of set-ups, or targets, of a network in which each is a separate place (cost)."""
+"""Largest number of set-ups, or of targets, for which each is a separate place of a law. With more, such laws are not
+tried, to limit the computing time."""
 GROUPED_TARGET_COUNTS = range(12, 101)
-"""Numbers of targets of networks in which groups of targets are places: fewer hardly form a group,
-more cost too much.
-"""
+"""Numbers of targets in a network for which groups of targets are places of laws. Fewer targets hardly form a group,
+and more take too much computing time."""
 MIN_POINTINGS_PER_FINE_COEFFICIENT = 4
-"""Smallest number of pointings of a set-up per coefficient for a fine curve; otherwise it is coarse."""
+"""Number of pointings of a set-up per coefficient, above which a curve of one set-up has `N_MODES_DEFAULT`
+eigenfunctions. With fewer pointings it has `N_MODES_FACTOR`."""
 MIN_POINTINGS_PER_COEFFICIENT = 2
-"""Smallest number of pointings on which a law acts per coefficient: the adjustment absorbs about half of their
-information.
+"""Smallest number of pointings per coefficient at the places of a law; otherwise the law is not tried. The adjustment
+absorbs about half of the information of the pointings.
 """
 PER_SETUP_REGRESSOR_KINDS = ("constant", "sign", "curve", "decay", "memory", "lag", "state", "latch")
-"""Kinds of regressors of one instrument, and of one set-up."""
+"""Kinds of regressors that a search tries for a law of one instrument, or of one set-up."""
 REGION_REGRESSOR_KINDS = ("passage", "lever", "passage for a time", "lever for a time", "near")
-"""Kinds of regressors of regions of the hall."""
+"""Kinds of regressors that depend on a region of the hall."""
 RESPONSE_KINDS_BY_REGRESSOR = dict.fromkeys(("product", *REGION_REGRESSOR_KINDS), ("reading",)) | {"room": ("target",)}
-"""Kinds of responses that such regressors are restricted to: with others the space would be large
-and hardly physical.
+"""Kinds of responses with which a kind of regressor is combined; kinds that are not listed are combined with all. Other
+combinations would be many, and hardly physical.
 """
 WAVE_COVARIATES = (*CLOCK_COVARIATES, *ACCUMULATED_ROTATIONS)
-"""Covariates of waves of responses other than readings."""
+"""Covariates of waves for responses that are not readings: times, and accumulated rotations of the axes."""
 JOINT_REGRESSOR_KINDS = ("constant", "sign", "curve", "decay", "wave", "memory", "lag", "shape", "passage", "lever")
-"""Kinds of regressors for several observables together: products of curves would have too many coefficients."""
+"""Kinds of regressors for responses of several observables together. Others would have too many coefficients."""
 MAX_CACHED_COLUMN_ENTRIES = 10_000_000
-"""Largest number of entries of the columns of all regressors that stay in memory, 40 MB; computing them anew takes a
-sixth of the time of a scoring.
-"""
+"""Largest number of entries, 40 MB, of the columns of all regressors for which these remain in memory. Computing them
+again takes a sixth of the time in which all laws are scored."""
 RegressorsByKind = Mapping[str, Sequence[Regressor]]
+"""Regressors by kind, such as `curve` or `wave`."""
 
 
 def law_batches(space: ResidualSpace, *, with_constants: bool = True) -> list[LawBatch]:
-    """Batches of laws of a recording; their priors add up to that of laws outside the catalogue.
+    """Batches of laws of a recording, whose prior probabilities add up to that of a law outside the catalogue.
 
-    Constants of the instruments are included if `with_constants`; a history is compared separately. A constant
-    displacement of a target is not included, because its coordinates are estimated.
+    Constant changes of the instruments' constants are included if `with_constants`. They are left out if the constants
+    are compared with earlier calibrations. A constant displacement of a target is not included, because its coordinates
+    are estimated.
     """
-    made = _LawBatchBuilder(space)
-    for place, where, drivers in _kinds_of_places(space):
-        held = () if with_constants or place not in ("everywhere", "instrument") else ("instrument", "circle")
-        made.register(place, where, drivers, ("target", *held))
-    return made.law_batches()
+    builder = _LawBatchBuilder(space)
+    for place, places, regressors in _kinds_of_places(space):
+        excluded_kinds = () if with_constants or place not in ("everywhere", "instrument") else ("instrument", "circle")
+        builder.register(place, places, regressors, ("target", *excluded_kinds))
+    return builder.law_batches()
 
 
 def _kinds_of_places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ...], RegressorsByKind]]:
-    """Kinds of places, the places, and the regressors that are tried there."""
+    """Kinds of places of laws, each as a tuple of its name, its places, and the regressors by kind tried there."""
     s = space.sightings
     everywhere = (LawPlace((), (), np.arange(len(s))),)
     stations = tuple(
@@ -96,34 +98,46 @@ def _kinds_of_places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ..
     lengths = ((d.from_, d.to) for d in space.adjustment.recording.gauge.distance)
     sets = target_clusters(s) | neighbour_groups(s) | connected_groups(s, lengths) if is_grouped else set()
     groups = tuple(group_places(s, sets))
-    stay = float(np.median([len(place.rows) for place in stations] or [0]))
-    general = candidate_regressors(s)
-    there = (
-        general
-        if stay > MIN_POINTINGS_PER_FINE_COEFFICIENT * N_MODES_DEFAULT
+    median_pointings = float(np.median([len(place.rows) for place in stations] or [0]))
+    general_regressors = candidate_regressors(s)
+    setup_regressors = (
+        general_regressors
+        if median_pointings > MIN_POINTINGS_PER_FINE_COEFFICIENT * N_MODES_DEFAULT
         else candidate_regressors(s, N_MODES_FACTOR)
     )
-    swings = list(wave_regressors(s, ("station-time",), n_parts=len(s.station_names)))
+    setup_waves = list(wave_regressors(s, ("station-time",), n_parts=len(s.station_names)))
     return [
-        ("everywhere", everywhere, {kind: is_grouped for kind, is_grouped in general.items() if kind != "clock"}),
-        ("set-up", stations, {kind: there[kind] for kind in PER_SETUP_REGRESSOR_KINDS} | {"wave": swings}),
+        (
+            "everywhere",
+            everywhere,
+            {kind: is_grouped for kind, is_grouped in general_regressors.items() if kind != "clock"},
+        ),
+        (
+            "set-up",
+            stations,
+            {kind: setup_regressors[kind] for kind in PER_SETUP_REGRESSOR_KINDS} | {"wave": setup_waves},
+        ),
         (
             "instrument",
             instrument_places(s, space.adjustment.recording.instruments),
-            {k: general[k] for k in PER_SETUP_REGRESSOR_KINDS},
+            {k: general_regressors[k] for k in PER_SETUP_REGRESSOR_KINDS},
         ),
-        ("target", targets, {"constant": general["constant"], "clock": general["clock"], "amounts": visits(s, 2)}),
+        (
+            "target",
+            targets,
+            {"constant": general_regressors["constant"], "clock": general_regressors["clock"], "amounts": visits(s, 2)},
+        ),
         ("group", groups, target_group_regressors(s) if groups else {}),
     ]
 
 
 def _separate_names(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Names that are tried separately; empty for a single one, and for too many."""
+    """Names of the stations or targets that are separate places; empty for one name, and for too many names."""
     return names if 1 < len(names) <= MAX_SEPARATE_PLACES else ()
 
 
 class _LawBatchBuilder:
-    """Builder of law batches: laws that differ only in their place are scored together."""
+    """Builder of batches of laws. Laws that differ only in their place are in the same batch."""
 
     def __init__(self, space: ResidualSpace) -> None:
         self._sightings = space.sightings
@@ -132,50 +146,56 @@ class _LawBatchBuilder:
         self._registered: dict[
             tuple[tuple[Response, ...], tuple[Regressor, ...]], list[tuple[tuple[LawPlace, ...], float]]
         ] = {}
-        for carrier, design in response_designs(self._sightings).values():
+        for response, design in response_designs(self._sightings).values():
             weights = np.where(self._is_used[:, :, None], design / self._sigma[:, :, None], 0.0)
-            sized = scaled_to_noise(carrier, weights)
-            self._responses.setdefault((carrier.kind, len(carrier.component_names)), []).append(
+            sized = scaled_to_noise(response, weights)
+            self._responses.setdefault((response.kind, len(response.component_names)), []).append(
                 (sized, sized.plausible_size * weights)
             )
 
     def register(
         self,
-        place: str,
+        place_kind: str,
         places: tuple[LawPlace, ...],
         regressors_by_kind: RegressorsByKind,
         excluded_kinds: tuple[str, ...],
     ) -> None:
-        """Registration of laws at some places, of responses and of their regressors.
+        """Addition of the laws at places of one kind, with all admissible responses and regressors.
 
-        Some kinds are excluded (`excluded_kinds`).
+        Responses of the kinds `excluded_kinds` are not combined with the constant regressor.
         """
-        kinds = RESPONSE_PRIOR_AT_TARGETS if place in ("target", "group") else RESPONSE_PRIOR
-        for (kind, ways), carriers_of_kind in self._responses.items():
-            together = len(carriers_of_kind[0][0].component_units)  # observables of a joint response; 0 for all others
-            carriers = sum(
+        kinds = RESPONSE_PRIOR_AT_TARGETS if place_kind in ("target", "group") else RESPONSE_PRIOR
+        for (kind, ways), kind_responses in self._responses.items():
+            n_joint_observables = len(
+                kind_responses[0][0].component_units
+            )  # observables of a joint response; 0 for all others
+            n_responses = sum(
                 len(same)
                 for (other, n), same in self._responses.items()
-                if other == kind and (n == ways if together else not same[0][0].component_units)
+                if other == kind and (n == ways if n_joint_observables else not same[0][0].component_units)
             )
-            for name, drivers in regressors_by_kind.items():
+            for name, regressors in regressors_by_kind.items():
                 if (
                     kind not in kinds
                     or kind not in RESPONSE_KINDS_BY_REGRESSOR.get(name, (kind,))
                     or (name == "constant" and kind in excluded_kinds)
                 ):
                     continue
-                if together and (name not in JOINT_REGRESSOR_KINDS or place in ("target", "group")):
+                if n_joint_observables and (name not in JOINT_REGRESSOR_KINDS or place_kind in ("target", "group")):
                     continue
-                moved = [
+                admissible_regressors = [
                     d
-                    for d in drivers
+                    for d in regressors
                     if is_admissible(kind, d, self._sightings) and (name != "wave" or _is_wave_candidate(kind, d))
                 ]
-                depth = OPERATOR_COUNTS[name] + max(together - 1, 0)
-                weight = PLACE_PRIOR[place] * kinds[kind] * OPERATOR_ODDS**depth / carriers
+                depth = OPERATOR_COUNTS[name] + max(n_joint_observables - 1, 0)
+                weight = PLACE_PRIOR[place_kind] * kinds[kind] * OPERATOR_ODDS**depth / n_responses
                 self._divide_weight(
-                    tuple(c for c, _ in carriers_of_kind if _changes_with_region(name, c)), moved, places, weight, ways
+                    tuple(c for c, _ in kind_responses if _changes_with_region(name, c)),
+                    admissible_regressors,
+                    places,
+                    weight,
+                    ways,
                 )
 
     def _divide_weight(
@@ -186,10 +206,13 @@ class _LawBatchBuilder:
         weight: float,
         n_components: int,
     ) -> None:
-        """Division of the weight of each response equally among regressors and the places with enough pointings."""
+        """Registration of laws with prior `weight` for each response, divided equally among regressors and places.
+
+        Places with too few pointings for the coefficients of a regressor are left out.
+        """
         by_shape: dict[tuple[int, int], list[Regressor]] = {}
-        for driver in regressors if responses else ():
-            by_shape.setdefault((driver.n_columns, len(driver.coefficient_sigmas)), []).append(driver)
+        for regressor in regressors if responses else ():
+            by_shape.setdefault((regressor.n_columns, len(regressor.coefficient_sigmas)), []).append(regressor)
         fit = {
             k: tuple(p for p in places if len(p.rows) >= MIN_POINTINGS_PER_COEFFICIENT * k[0] * n_components)
             for k in by_shape
@@ -200,57 +223,65 @@ class _LawBatchBuilder:
                 self._registered.setdefault((responses, tuple(same)), []).append((fit[size], weight / count))
 
     def law_batches(self) -> list[LawBatch]:
-        """Batches of the registered laws: equal responses and regressors at all their places in one batch."""
-        weights = {c: w for carriers_of_kind in self._responses.values() for c, w in carriers_of_kind}
+        """Batches of the registered laws. A batch contains the same responses and regressors at all their places."""
+        weights = {c: w for kind_responses in self._responses.values() for c, w in kind_responses}
         whole = sum(
-            prior * len(group) * len(carriers) * sum(len(d.coefficient_sigmas) for d in drivers)
-            for (carriers, drivers), wanted in self._registered.items()
-            for group, prior in wanted
+            prior * len(group) * len(responses) * sum(len(d.coefficient_sigmas) for d in regressors)
+            for (responses, regressors), registrations in self._registered.items()
+            for group, prior in registrations
         )
         cells: dict[tuple[int, ...], RowPartition] = {}
         stacked: dict[tuple[Response, ...], Singles] = {}
         columns: dict[tuple[tuple[Regressor, ...], bool, tuple[int, ...]], RegressorColumns] = {}
         batches = []
-        for (carriers, drivers), wanted in self._registered.items():
-            places = tuple(place for group, _ in wanted for place in group)
+        for (responses, regressors), registrations in self._registered.items():
+            places = tuple(place for group, _ in registrations for place in group)
             same = tuple(id(place) for place in places)
             if same not in cells:
                 cells[same] = RowPartition.from_places(places, len(self._sightings))
-            if carriers not in stacked:
-                stacked[carriers] = np.stack([weights[c] for c in carriers], axis=2, dtype=np.float32)
-            key = drivers, carriers[0].kind == "target", same
+            if responses not in stacked:
+                stacked[responses] = np.stack([weights[c] for c in responses], axis=2, dtype=np.float32)
+            key = regressors, responses[0].kind == "target", same
             if key not in columns:
-                columns[key] = RegressorColumns(drivers, self._sightings, cells[same].order, acts_on_targets=key[1])
-            share = np.concatenate([np.full(len(group), prior / whole) for group, prior in wanted])
+                columns[key] = RegressorColumns(regressors, self._sightings, cells[same].order, acts_on_targets=key[1])
+            share = np.concatenate([np.full(len(group), prior / whole) for group, prior in registrations])
             batches.append(
                 LawBatch(
-                    carriers,
-                    drivers,
+                    responses,
+                    regressors,
                     places,
                     cells[same],
-                    stacked[carriers],
+                    stacked[responses],
                     columns[key],
                     np.log(CAUSE_PRIOR["law"] * share),
                 )
             )
-        entries = sum(shared.n_entries_per_regressor * len(drivers) for (drivers, _, _), shared in columns.items())
+        entries = sum(
+            shared.n_entries_per_regressor * len(regressors) for (regressors, _, _), shared in columns.items()
+        )
         for shared in columns.values():
             shared.is_cached = entries <= MAX_CACHED_COLUMN_ENTRIES
         return batches
 
 
-def _changes_with_region(name: str, response: Response) -> bool:
-    """True unless a region changes the response in another way: ranges by the path in it, angles by its lever."""
-    way = name.removesuffix(" for a time")
+def _changes_with_region(regressor_kind: str, response: Response) -> bool:
+    """True if a response is combined with a kind of regressor of a region, and for all other kinds of regressors.
+
+    A range changes in proportion to the path in the region, and an angle in proportion to its lever.
+    """
+    way = regressor_kind.removesuffix(" for a time")
     return way not in ("passage", "lever") or ("distance" in response.observables) == (way == "passage")
 
 
-def _is_wave_candidate(kind: str, wave: Regressor) -> bool:
-    """True if a wave is a candidate for a kind of response: readings with any covariate, others with the work done."""
-    return kind == "reading" or wave.covariates[0] in WAVE_COVARIATES
+def _is_wave_candidate(response_kind: str, wave: Regressor) -> bool:
+    """True if a wave is tried with a kind of response: all waves with readings, `WAVE_COVARIATES` with others."""
+    return response_kind == "reading" or wave.covariates[0] in WAVE_COVARIATES
 
 
 def scaled_to_noise(response: Response, weights: Floats) -> Response:
-    """Response with a plausible size that at least reaches the noise; `weights` (n, 3, c) belong to its unit."""
+    """Response whose plausible size is raised to the noise level if it is smaller.
+
+    `weights` (n, 3, c) are the whitened changes of the three readings of n pointings per unit of each component.
+    """
     strength = response.plausible_size * np.sqrt(np.mean(np.sum(weights**2, axis=1), axis=1))
     return replace(response, plausible_size=response.plausible_size * noise_level_factor(strength))

@@ -1,8 +1,9 @@
-"""Laws that act for some of the time, or in some bands of a covariate, with a constant amount: a switch.
+"""Laws with a constant effect that acts only at some times, or only in some bands of a covariate: a switch.
 
-On which of the spans between given edges a law acts is found by toggling intervals while the evidence increases. With
-H the Gram matrix of the spans and o their states (0 or 1), the Gram matrix of a toggled state is o'Ho + 2 o'Hd + d'Hd,
-d = 1 - 2 o on the interval: sums over intervals are differences of cumulative sums.
+Given edges divide the covariate into spans. A search toggles intervals, from on to off or from off to on, while the
+evidence increases. Let H be the Gram matrix of the spans, o their states (0 or 1), and d = 1 - 2 o on the toggled
+interval. The Gram matrix after toggling is o'Ho + 2 o'Hd + d'Hd. Its sums over intervals are differences of cumulative
+sums. Shapes below: S spans, w coefficients.
 """
 
 from collections.abc import Sequence
@@ -22,39 +23,37 @@ from ltsim.physics.laws.regressors import Regressor, scalar_regressor
 from ltsim.scene.sightings import Sightings
 
 MIN_SWITCH_EDGES = {True: 1, False: 2}
-"""Smallest number of edges within set-ups (of times) of laws with and without a region of the hall; a single step
-without a region is an effect of the catalogue, or a form with steps.
-"""
+"""Smallest number of times within set-ups at which a law turns on or off: for a law with a region of the hall (True),
+and for other laws (False). A single step without a region is an effect of the catalogue, or a form with steps."""
 MIN_TARGET_SWITCH_EDGES = 3
-"""Smallest number of edges of a law of a single target, whose steps are effects of the catalogue."""
+"""Smallest number of times at which a law of a single target turns on or off. One or two steps of a target are effects
+of the catalogue."""
 MAX_TOGGLED_INTERVALS = 10
-"""Largest number of intervals whose state is toggled."""
+"""Largest number of intervals that a search toggles, one after the other."""
 N_INTERVALS_AFTER_MAXIMUM = 3
-"""Number of further intervals that a search switches on or off after the evidence has last increased."""
+"""Number of intervals that a search still toggles after the evidence has last increased, before it stops."""
 
 MIN_SWITCHED_MEAN_SQUARE = 1e-3
-"""Smallest mean square of a switched regressor, relative to that without the switch: about one pointing in a
-thousand.
-"""
+"""Smallest mean square of a switched regressor, as a fraction of that without the switch. The law then acts on about
+one pointing in a thousand."""
 
 
 class SpanMoments(NamedTuple):
-    """Moments of a law in the spans between edges.
-
-    Attributes
-    ----------
-    gram, score : (S, w, S, w), (S, w) float
-    square : (S,) float
-        Contribution of each span to the mean square of the regressor.
-    """
+    """Gram matrix and score of a law with separate coefficients in each of S spans."""
 
     gram: Floats
+    """Gram matrix (S, w, S, w) of the projected signature."""
     score: Floats
+    """Products (S, w) of the projected signature with the residuals."""
     square: Floats
+    """Contribution (S,) of each span to the mean square of the regressor."""
 
 
 def n_resembling_waves(law: EmpiricalLaw, sightings: Sightings) -> int:
-    """Number of regressors that a switch may resemble, one for every rate of a wave, of which this is the best."""
+    """Number of waves of the same covariate that the search tried, if the law has a wave; 1 for all other laws.
+
+    The law with the best of these waves represents any switch. The prior of the switch is multiplied by their number.
+    """
     swing = law.switched_factor
     if swing is None or swing.kind != "wave":
         return 1
@@ -62,11 +61,11 @@ def n_resembling_waves(law: EmpiricalLaw, sightings: Sightings) -> int:
 
 
 def switched_forms(
-    calculator: EvidenceCalculator, law: EmpiricalLaw, prior: float, base_model: Model, *, refine: bool = True
+    calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, base_model: Model, *, refine: bool = True
 ) -> list[Hypothesis]:
-    """Form of a law that is on in some spans of its covariate; empty if that is not possible.
+    """Forms of a law that act only in some spans of its covariate; empty if the law cannot have such a form.
 
-    The region of a law is refined before its times unless `refine` is false.
+    The region of a law is fitted by a local search before its times, unless `refine` is false.
     """
     sightings = calculator.space.sightings
     edges = law.candidate_switch_times(sightings)
@@ -76,8 +75,8 @@ def switched_forms(
         law = calculator.refine_locally([law], base_model)[0][0]
     first = scalar_regressor(edges[0].covariates[0], "step", -np.inf)
     spans = _span_moments(calculator, law, [first, *edges], base_model)
-    spread = law.with_switch([first]).size_scales
-    on, value, toggled = _best_span_states(spans, spread)
+    plausible_sizes = law.with_switch([first]).size_scales
+    on, value, toggled = _best_span_states(spans, plausible_sizes)
     chosen = [edges[i] for i in np.flatnonzero(np.diff(on.astype(int)))]
     starts_on = bool(on[0]) and law.depends_on_fixed_region  # elsewhere a constant is absorbed: on and off are alike
     if not _acts_temporarily(law, chosen, sightings):
@@ -86,12 +85,12 @@ def switched_forms(
         0
     ]
     price = float(np.log(len(edges) * (len(edges) + 1) / 2)) * toggled
-    form = Hypothesis(refined, prior - price, max(value, mean - price) + prior, catalogue_name(refined))
+    form = Hypothesis(refined, log_prior - price, max(value, mean - price) + log_prior, catalogue_name(refined))
     return [form, *_formulas_of_second_factor(calculator, form, base_model)]
 
 
 def _formulas_of_second_factor(calculator: EvidenceCalculator, form: Hypothesis, base_model: Model) -> list[Hypothesis]:
-    """Switched law with a short formula in place of the curve in its second factor; empty if it has none."""
+    """Law with a switch and a formula in place of the curve in its second factor, in a list; empty without a curve."""
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
     formulas = (
@@ -103,14 +102,14 @@ def _formulas_of_second_factor(calculator: EvidenceCalculator, form: Hypothesis,
         return []
     best = formulas[index_of_best(calculator.log_evidence(formulas, base_model))]
     refined, value = calculator.refine_locally([best], base_model)[0]
-    prior = form.log_prior - float(np.log(len(formulas)))
-    return [Hypothesis(refined, prior, value + prior, catalogue_name(refined))]
+    log_prior = form.log_prior - float(np.log(len(formulas)))
+    return [Hypothesis(refined, log_prior, value + log_prior, catalogue_name(refined))]
 
 
 def _span_moments(
     calculator: EvidenceCalculator, law: EmpiricalLaw, steps: Sequence[Regressor], base_model: Model
 ) -> SpanMoments:
-    """Moments of a law in the spans from each step to the next."""
+    """Gram matrix and score of a law in the spans from each of `steps` to the next."""
     sightings, count = calculator.space.sightings, len(steps)
     x = sightings.quantities[steps[0].covariates[0]]
     after = x[:, None] > [step.constant for step in steps]
@@ -129,12 +128,15 @@ def _span_moments(
 
 
 def _span_differences(values: Floats) -> Floats:
-    """Values (S, ...) of spans from those of steps (S, ...): each step less the next."""
+    """Values (S, ...) of the spans from the values (S, ...) of the steps: each step minus the next."""
     return values - np.concatenate([values[1:], np.zeros_like(values[:1])])
 
 
-def _best_span_states(spans: SpanMoments, spread: Floats) -> tuple[Bools, float, int]:
-    """Best states (S,) of the spans, their log evidence less the price, and the number of toggled intervals."""
+def _best_span_states(spans: SpanMoments, plausible_sizes: Floats) -> tuple[Bools, float, int]:
+    """Best states (S,) of the spans, their log evidence, and the number of toggled intervals.
+
+    Each toggled interval reduces the log evidence by the log of the number of all intervals.
+    """
     count, ways = spans.score.shape
     first, last = np.triu_indices(count + 1, 1)
     price = float(np.log(len(first)))
@@ -157,7 +159,7 @@ def _best_span_states(spans: SpanMoments, spread: Floats) -> tuple[Bools, float,
         size = np.sqrt(np.maximum(square, MIN_SWITCHED_MEAN_SQUARE))
         scored = (state @ spans.score + scores[last] - scores[first]) / size[:, None]
         values = log_evidence_of_coefficients(
-            grams / size[:, None, None] ** 2, scored, np.broadcast_to(spread, scored.shape)
+            grams / size[:, None, None] ** 2, scored, np.broadcast_to(plausible_sizes, scored.shape)
         )
         intervals = (np.arange(count) >= first[:, None]) & (np.arange(count) < last[:, None])
         states = state ^ intervals
@@ -170,12 +172,12 @@ def _best_span_states(spans: SpanMoments, spread: Floats) -> tuple[Bools, float,
 
 
 def _cumulative_sums(values: Floats) -> Floats:
-    """Cumulative sums (S + 1, ...) of values (S, ...), from zero."""
+    """Cumulative sums (S + 1, ...) of values (S, ...), the first of which is zero."""
     return np.concatenate([np.zeros_like(values[:1]), values.cumsum(axis=0)])
 
 
 def _acts_temporarily(law: EmpiricalLaw, edges: Sequence[Regressor], sightings: Sightings) -> bool:
-    """True if a switch with these edges is no single step, and not absorbed by the poses of set-ups."""
+    """True if a switch with these edges has enough of them, and the poses of set-ups do not absorb it."""
     least = MIN_TARGET_SWITCH_EDGES if len(law.targets) == 1 else MIN_SWITCH_EDGES[law.depends_on_fixed_region]
     if edges and edges[0].covariates != ("time",):
         return len(edges) >= least and _switches_targets(law, edges, sightings)
@@ -185,13 +187,13 @@ def _acts_temporarily(law: EmpiricalLaw, edges: Sequence[Regressor], sightings: 
 
 
 def _switches_targets(law: EmpiricalLaw, edges: Sequence[Regressor], sightings: Sightings) -> bool:
-    """True if a law is on for several targets, and off for several: otherwise the cause belongs to a single target."""
+    """True if a law is on for several targets and off for several. Otherwise the cause is an error of one target."""
     on = law.with_switch(edges).columns(sightings)[:, 0] != 0.0
     counts = [len(np.unique(sightings.target[acts])) for acts in (on, ~on)]
     return min(counts) > MIN_EFFECTIVE_TARGETS
 
 
 def _is_within_a_set_up(time: float, sightings: Sightings) -> bool:
-    """True if a set-up has pointings before and after a time; changes between set-ups are absorbed by their poses."""
+    """True if a set-up has pointings before and after a time [s]. The poses absorb changes between set-ups."""
     stays = (sightings.time[sightings.station == station] for station in np.unique(sightings.station))
     return any(stay.min() < time < stay.max() for stay in stays)

@@ -18,7 +18,7 @@ def diagnose(
     history: Calibration | History | str | Path | None = None,
     held_out: bool | None = False,
 ) -> Diagnosis:
-    """Diagnosis of a recording: agreement with the model or else place, cause, probability and next measurement.
+    """Diagnosis of a recording: its agreement with the model, or probable causes with their places and probabilities.
 
     Parameters
     ----------
@@ -26,13 +26,13 @@ def diagnose(
     level : float
         False-alarm rate of the whole search on a clean recording, at least 0.001.
     seed : int
-        Root of the random draws of simulated recordings, from which the p-value of the search follows.
+        Root of the random draws of simulated recordings, from which the p value of the search follows.
     history : Calibration, History, str or Path, optional
         Earlier calibration of the instruments, or the history of an instrument, or the file of either. A constant that
         differs from it by more than its usual spread and both uncertainties is reported.
     held_out : bool, optional
         True for 5-fold cross-validation: the whole search is repeated without each fold of pointings, which is then
-        predicted. This takes five more searches; with None it is done in small networks only.
+        predicted. This takes five more searches. With None it is done in small networks only.
 
     Raises
     ------

@@ -6,22 +6,22 @@ import numpy as np
 
 from ltsim.core.notation import listing, with_sigma
 from ltsim.diagnosis.schema import Finding, FindingScope, InstrumentEntry, Misfit, ParameterEstimate
-from ltsim.physics.effects import catalogue_entry, find_effect, title_of
+from ltsim.physics.effects import catalogue_entry, find_effect, parameter_text, title_of
 
 MAX_LISTED_ESTIMATES = 4
-"""Largest number of estimates in a sentence."""
+"""Largest number of estimates that a sentence lists."""
 MIN_PROBABLE = 0.5
-"""Smallest probability at which a name or an effect is reported as probable: the more probable of two."""
+"""Smallest probability at which a name or an effect is reported as probable. It is then more probable than not."""
 COVARIATE_TEXTS = {
     "approach": "the move before the pointing",
     "place": "the place in the room",
     "incidence": "the direction from which the reflector is seen",
 }
-"""Texts of covariates in sentences."""
+"""Texts for users of covariates whose name in files is not understood in a sentence."""
 
 
 def estimates_phrase(parameters: Sequence[ParameterEstimate]) -> str:
-    """Phrase with the most significant estimates; those within one sigma are left to the tables."""
+    """Phrase with the most significant estimates, without those that are smaller than their standard deviations."""
     significant = [p for p in parameters if abs(p.value) > p.sigma]
     largest = sorted(significant, key=lambda p: -abs(p.value) / max(p.sigma, 1e-300))[:MAX_LISTED_ESTIMATES]
     chosen = [p for p in parameters if p in largest]
@@ -29,18 +29,12 @@ def estimates_phrase(parameters: Sequence[ParameterEstimate]) -> str:
 
 
 def effect_text(name: str) -> str:
-    """Title of the effect of a finding within a sentence."""
-    return "physics outside the catalogue" if name == "unknown" else title_of(name)
-
-
-def parameter_text(name: str) -> str:
-    """Text of a parameter's name in a sentence."""
-    words = name.replace("_", " ").replace("-", " ").split()
-    return " ".join({"cos": "cosine", "sin": "sine"}.get(word, word) for word in words)
+    """Title of an effect within a sentence, from its name in the catalogue or `unknown`."""
+    return "an effect outside the catalogue" if name == "unknown" else title_of(name)
 
 
 def _estimate_text(parameter: ParameterEstimate) -> str:
-    """Text of an estimate; for an added variance the factor on the declared standard deviation."""
+    """Text of an estimate. For an added variance it is the factor on the declared standard deviation."""
     name, value, sigma = parameter.name, parameter.value, parameter.sigma
     if name.startswith("noise-"):
         factor = float(np.sqrt(max(1.0 + value, 0.0)))
@@ -49,7 +43,7 @@ def _estimate_text(parameter: ParameterEstimate) -> str:
 
 
 def place_text(scope: FindingScope) -> str:
-    """Text of a place."""
+    """Text of the place and the observables of a finding, such as ``at station S3 in distance``."""
     kinds = ("at station", scope.stations), ("of instrument", scope.instruments), ("at target", scope.targets)
     parts = [f"{kind}{'s' if len(names) > 1 else ''} {listing(names)}" for kind, names in kinds if names]
     if scope.observables:
@@ -70,58 +64,76 @@ def catalogue_sentence(
     *,
     p_located: float | None = None,
 ) -> str:
-    """Sentence on an effect of the catalogue: its size and place, its usual cause, both probabilities."""
-    card = catalogue_entry(find_effect(effect))
+    """Sentences on an effect of the catalogue: its size, place and usual cause, and two probabilities.
+
+    `probability` is that of the effect, and `p_located` that of any effect at the same place.
+    """
+    entry = catalogue_entry(find_effect(effect))
     at = place_text(scope).removeprefix("at ").removeprefix("in the ")
-    title = card.title if probability >= MIN_PROBABLE else f"Perhaps {card.title[0].lower()}{card.title[1:]}"
+    lower_title = f"{entry.title[0].lower()}{entry.title[1:]}"
     sizes = estimates_phrase(parameters)
     if max(probability, p_located or 0.0) < MIN_PROBABLE:
-        perhaps = f"{title[0].lower()}{title[1:]}{f' ({sizes})' if sizes else ''}, {percent_text(probability)}"
-        return f"An unidentified systematic effect is present ({at}); the best candidate is {perhaps}."
+        size_text = f" ({sizes})" if sizes else ""
+        return (
+            f"An unidentified systematic effect is present ({at}). "
+            f"The best candidate is {lower_title}{size_text}, with a probability of {percent_text(probability)}."
+        )
     here = place_text(scope.model_copy(update={"observables": ()}))
-    located = "" if p_located is None else f"An effect like this {here}: {percent_text(p_located)}. "
-    cause = (
-        f"Its cause is {card.title[0].lower()}{card.title[1:]}: {percent_text(probability)} ({card.cause_description})"
+    located = (
+        "" if p_located is None else f"An effect like this {here} has a probability of {percent_text(p_located)}. "
     )
-    return f"{title} ({at}){f': {sizes}' if sizes else ''}. {located}{cause}."
+    cause = f"This cause ({entry.cause_description}) has a probability of {percent_text(probability)}."
+    title = entry.title if probability >= MIN_PROBABLE else f"Perhaps {lower_title}"
+    return f"{title} ({at}){f': {sizes}' if sizes else ''}. {located}{cause}"
 
 
-def law_sentence(scope: FindingScope, parameters: Sequence[ParameterEstimate], p_located: float, law: str) -> str:
-    """Sentence on a law outside the catalogue: response, regressor, place, size, probability."""
+def law_sentence(scope: FindingScope, parameters: Sequence[ParameterEstimate], p_located: float, law_text: str) -> str:
+    """Sentences on a law outside the catalogue: response, regressor, place, size, probability.
+
+    `law_text` is the text of the law, and `p_located` the probability of any such effect at the same place.
+    """
     sizes = estimates_phrase(parameters)
     size = f" ({sizes})" if sizes else ""
     at = _place_suffix(scope.model_copy(update={"observables": ()}))
-    carrier, verb, driver = law.partition(" follows " if " follows " in law else " differs")
+    response, verb, regressor = law_text.partition(" follows " if " follows " in law_text else " differs")
     if p_located < MIN_PROBABLE:
-        likeliest = f"the {carrier}{at}{verb}{driver}{size}, is one of several ({percent_text(p_located)})"
-        form = f"of a form that the readings do not determine: {likeliest}"
-        return f"Physics outside the catalogue{_place_suffix(scope)}, {form}."
-    sure = f"probability that it follows this {percent_text(p_located)}"
-    return f"The {carrier}{at}{verb}{driver}{size}: physics outside the catalogue ({sure})."
+        return (
+            f"An effect outside the catalogue is present{_place_suffix(scope)}. "
+            "The readings do not determine its form. "
+            f"One of several possible forms is that the {response}{at}{verb}{regressor}{size}, "
+            f"with a probability of {percent_text(p_located)}."
+        )
+    return (
+        f"The {response}{at}{verb}{regressor}{size}. "
+        f"The catalogue has no such effect. An effect like this has a probability of {percent_text(p_located)}."
+    )
 
 
-def unknown_effect_sentence(scope: FindingScope, law: str) -> str:
-    """Sentence on an effect outside the catalogue: place, covariates, law."""
-    on = f", depending on {listing([COVARIATE_TEXTS.get(c, c) for c in scope.covariates])}" if scope.covariates else ""
-    return f"Physics outside the catalogue{_place_suffix(scope)}{on}; best law: {law}."
+def unknown_effect_sentence(scope: FindingScope, law_text: str) -> str:
+    """Sentences on a change of the noise outside the catalogue: place, covariates, description (`law_text`)."""
+    covariates = listing([COVARIATE_TEXTS.get(name, name) for name in scope.covariates])
+    dependence = f" It depends on {covariates}." if covariates else ""
+    present = f"An effect outside the catalogue is present{_place_suffix(scope)}."
+    return f"{present}{dependence} The best description is {law_text}."
 
 
 def _place_suffix(scope: FindingScope) -> str:
-    """Text of the place with a leading blank; empty for the whole recording."""
+    """Text of the place and the observables with a leading blank; empty for the whole recording."""
     confined = scope.stations or scope.targets or scope.observables or scope.instruments
     return f" {place_text(scope)}" if confined else ""
 
 
 MIN_CLEAR_SIGMAS = 5.0
-"""Number of standard deviations from which a constant is listed in the answer."""
+"""Number of standard deviations above which a constant of an instrument is listed in the report."""
 MAX_LISTED_CONSTANTS = 5
-"""Largest number of constants in the answer."""
+"""Largest number of constants of instruments that the report lists."""
 
 
 def clear_constants_texts(instruments: Sequence[InstrumentEntry]) -> list[str]:
-    """Best-determined constants as text, the most significant first.
+    """Texts of the best-determined constants of the instruments, the most significant first.
 
-    A combination is named by its first member: the vertical index, for example, is effective over the elevations used.
+    A combination of constants has the name of its first constant, which is then an effective value over the angles of
+    the recording.
     """
     ranked: list[tuple[float, str]] = []
     for entry in instruments:
@@ -141,11 +153,12 @@ def clear_constants_texts(instruments: Sequence[InstrumentEntry]) -> list[str]:
 
 
 UNITS_WITHOUT_CLOCK = {"s": ("rows", 1.0), "min": ("rows", 60.0), "h": ("rows", 3600.0)}
-"""Units that replace those of time if a recording has no clock and rows represent seconds."""
+"""Units that replace those of time if a recording has no clock, each with its factor. A row then stands for a second.
+"""
 
 
 def estimate_without_clock(parameter: ParameterEstimate) -> ParameterEstimate:
-    """Estimate for a recording without clock, in rows in place of time."""
+    """Estimate for a recording without a clock, with rows in place of times in its unit."""
     per, _, rate = parameter.unit.partition("/")
     if rate in UNITS_WITHOUT_CLOCK:
         factor, unit = 1.0 / UNITS_WITHOUT_CLOCK[rate][1], f"{per}/row"
@@ -166,19 +179,24 @@ def diagnosis_summary(
     *,
     n_withheld: int = 0,
 ) -> str:
-    """Summary of a diagnosis in a few sentences; `n_withheld` is the number of members that are not reported."""
+    """Summary of a diagnosis in a few sentences.
+
+    `misfit_before` and `misfit_after` are those without and with the findings in the model, and `n_withheld` is the
+    number of members of the model that are not reported.
+    """
     if verdict == "consistent" and not misfit_before.dof:
         return "The recording cannot be tested: there is no redundancy. Measure targets repeatedly."
     if verdict == "consistent":
         return (
             f"The recording agrees with the model and the declared noise (chi-square {misfit_before.chi2:.0f} for "
-            f"{misfit_before.dof} degrees of freedom; probability of such a finding in a recording "
-            f"without errors: {100 * p_value:.0f} %)."
+            f"{misfit_before.dof} degrees of freedom). In a recording without errors, a result like this has a "
+            f"probability of {100 * p_value:.0f} %."
         )
     if not findings:
         return (
-            "The recording does not agree with the model and the declared noise, but no cause is probable; "
-            f"chi-square {misfit_before.chi2:.0f} for {misfit_before.dof} degrees of freedom."
+            "The recording does not agree with the model and the declared noise "
+            f"(chi-square {misfit_before.chi2:.0f} for {misfit_before.dof} degrees of freedom), "
+            "but no cause is probable."
         )
     first = findings[0]
     suffix = f" Also: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
@@ -196,11 +214,11 @@ def diagnosis_summary(
 
 
 def _held_out_sentence(error_before: float | None, error_after: float | None) -> str:
-    """Sentence on the change of the prediction error on held-out readings; empty without a change."""
+    """Sentence on the prediction error of held-out readings without and with the findings; empty if both are equal."""
     if error_before is None or error_after is None or error_before == error_after:
         return ""
     was, now = f"{error_before:.2f}", f"{error_after:.2f}"
     course = (
         f"{'falls' if error_after < error_before else 'rises'} from {was} to {now}" if was != now else f"stays at {now}"
     )
-    return f" On held-out readings the prediction error {course} times the noise."
+    return f" The prediction error of held-out readings {course} times the noise."

@@ -16,12 +16,11 @@ import numpy as np
 import scipy.linalg
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.unmodelled import air_covariance, displacement_per_row
+from ltsim.adjustment.coordinate_uncertainty import air_covariance, displacement_per_row
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, option, unknown_name
 from ltsim.core.notation import listing
-from ltsim.geometry.alignment import align_rigidly
-from ltsim.geometry.rigid import rigid_motion_design
+from ltsim.geometry.rigid import align_rigidly, rigid_motion_design
 from ltsim.measurands.comparison import (
     MAX_POINTS_IN_RESULT_TEXT,
     Comparison,

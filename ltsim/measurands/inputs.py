@@ -11,7 +11,7 @@ from typing import Literal, Self
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.unmodelled import (
+from ltsim.adjustment.coordinate_uncertainty import (
     displacement_per_row,
     displacements_by_air,
     displacements_by_shared_air,

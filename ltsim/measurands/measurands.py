@@ -10,7 +10,7 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, unknown_name
 from ltsim.core.units import DEGREE, MILLIMETRE, PPM
 from ltsim.core.values import ValueEquality
-from ltsim.geometry.alignment import align_with_scale
+from ltsim.geometry.rigid import align_with_scale
 from ltsim.measurands.features import FittedFeature, fit_feature
 from ltsim.measurands.spec import Task
 

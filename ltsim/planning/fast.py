@@ -19,8 +19,7 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.problem import DATUM_SIGMA, NetworkProblem
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.geometry.rigid import determines_pose, rigid_motion_design
-from ltsim.geometry.rotations import cross_matrix, rotation_about_z
+from ltsim.geometry.rigid import cross_matrix, determines_pose, rigid_motion_design, rotation_about_z
 from ltsim.physics.effects.air import turbulence_variance
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import Construction, misalignment_construction

@@ -19,13 +19,14 @@ from itertools import combinations
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.coordinate_uncertainty import air_covariance
 from ltsim.adjustment.remedies.undetermined import (
+    DeterminingMeasurement,
     ParameterCombination,
-    determining_sentences,
+    determining_measurements,
     undetermined_combinations,
 )
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.adjustment.unmodelled import air_covariance
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, unknown_name
 from ltsim.geometry.rigid import rigid_motion_design
@@ -96,9 +97,9 @@ class LayoutInformation:
         """
         return undetermined_combinations(self.instrument_covariance, self.prior_sigma)
 
-    def determining_sentences(self) -> list[str]:
-        """Sentence for each undetermined combination on a measurement that would determine it."""
-        return determining_sentences(self.adjustment, self.construction, [self.undetermined_combinations])[0]
+    def determining_measurements(self) -> list[DeterminingMeasurement]:
+        """Measurement for each undetermined combination that would determine it."""
+        return determining_measurements(self.adjustment, self.construction, [self.undetermined_combinations])[0]
 
     @cached_property
     def _inner_datum_adjustment(self) -> Adjustment:

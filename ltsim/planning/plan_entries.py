@@ -10,7 +10,7 @@ from pydantic import Field
 from ltsim.calibration.combinations import UndeterminedEntry
 from ltsim.core.units import MICROMETRE, MILLIMETRE, SI_PER_UNIT
 from ltsim.planning.objective import TARGETS_QUALITY
-from ltsim.planning.plan_change import to_degrees, to_millimetres
+from ltsim.planning.reflector_changes import to_degrees, to_millimetres
 from ltsim.planning.tolerances import ToleranceCheck, is_met, percent_text
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, Positive, Vector
 
@@ -237,9 +237,11 @@ class LayoutEntry(ProcedureEntry):
             rms_sigma_um=information.target_rms / MICROMETRE,
             parameters=PlannedParameterEntry.from_information(information),
             undetermined=tuple(
-                UndeterminedEntry(combination=d.coefficients(names), gain=d.gain, cure=cure)
-                for d, cure in zip(
-                    information.undetermined_combinations, information.determining_sentences(), strict=True
+                UndeterminedEntry(
+                    combination=d.coefficients(names), gain=d.gain, cure=m.sentence, measurement=m.instruction
+                )
+                for d, m in zip(
+                    information.undetermined_combinations, information.determining_measurements(), strict=True
                 )
             ),
             expected_improvement=None

@@ -9,7 +9,7 @@ from ltsim.adjustment.remedies.next_measurement import MeasurementProposal, Rank
 from ltsim.adjustment.remedies.remedy import list_text
 from ltsim.core.results import Column, Table, columns_of, texts
 from ltsim.physics.effects import title_of
-from ltsim.planning.plan_change import to_degrees, to_millimetres
+from ltsim.planning.reflector_changes import to_degrees, to_millimetres
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, SourceEntry, Vector
 
 

@@ -6,7 +6,7 @@ from itertools import groupby
 
 import numpy as np
 
-from ltsim.adjustment.unmodelled import longest_range, relevant_air
+from ltsim.adjustment.coordinate_uncertainty import longest_range, relevant_air
 from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing
 from ltsim.core.units import MICROMETRE, MILLIMETRE
@@ -25,8 +25,6 @@ from ltsim.planning.site import MAX_NAMES_IN_RULE_TEXT, broken_rules_text, is_to
 from ltsim.planning.tolerances import is_met, loss_sentences, text_near_limit
 from ltsim.planning.workshop import layout_objective
 
-BENEFIT_PREFIX = " (gain "
-"""Text before the gain in a sentence about a measurement; a sentence without it proposes no measurement."""
 CRITERION_PHRASES = {
     "D": "in the geometric mean of all combinations (D)",
     "A": "in the root mean square (A)",
@@ -353,9 +351,7 @@ def _undetermined_sentence(plan: PlannedNetwork) -> list[str]:
     if not count:
         return []
     phrase = f"{count} combination{'s' if count > 1 else ''} of instrument parameters {'are' if count > 1 else 'is'}"
-    measured = Counter(
-        cure.partition(BENEFIT_PREFIX)[0] for cure in information.determining_sentences() if BENEFIT_PREFIX in cure
-    )
+    measured = Counter(m.instruction for m in information.determining_measurements() if m.instruction)
     cure = f"; to determine most of them, {measured.most_common(1)[0][0]}" if measured else ""
     return [f"{phrase} not determined by this layout (see the table){cure}."]
 

@@ -11,7 +11,7 @@ import numpy as np
 from ltsim.core.arrays import Bools, Floats, Ints, as_floats
 from ltsim.core.errors import SetupError
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.rotations import rotation_about_z
+from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.model.construction import Construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.air import AirUncertainty

@@ -71,7 +71,9 @@ SETUPS_TABLE = Table(
             for i in (1, 2, 3)
         ),
         Column("towards", "direction of azimuth zero", "text", title="azimuth zero looks"),
-        Column("height_m", "height of the centre of the head above the floor", shown=".2f", title="head over floor"),
+        Column(
+            "height_m", "height of the centre of the head above the floor", shown=".2f", title="head over floor [m]"
+        ),
     ),
 )
 TRADEOFF_TABLE = Table(

@@ -8,8 +8,8 @@ import numpy as np
 
 from ltsim.adjustment.remedies.next_measurement import ProgressCallback, no_progress, rank_next_measurements as ranked
 from ltsim.adjustment.remedies.remedy import SiteSights
-from ltsim.core.arguments import MOVE_SYNTAX, check_bounds, check_mapping
-from ltsim.core.arrays import Floats
+from ltsim.core.arguments import MAX_MAPPING_NUMBER, MOVE_SYNTAX, check_bounds, check_mapping
+from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import SetupError, option, unknown_name
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.physics.effects.signature import Signature
@@ -18,12 +18,12 @@ from ltsim.planning.planner import PlannedNetwork, evaluate_plan
 from ltsim.planning.proposals import NextMeasurement
 from ltsim.planning.result import Plan, load_plan_and_scenario
 from ltsim.planning.site import SearchSpace, broken_rules_text
+from ltsim.planning.site_axes import with_positions_on_site
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.starts import PlanningProblem
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.tolerances import PointTolerances, check_tolerances, checks_after_required_losses, plan_verdict
 from ltsim.planning.workshop import unsearched_plan
-from ltsim.recordings import Recording
 from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.simulation.scenario import Scenario
@@ -108,8 +108,9 @@ def next_measurement(
         Effects that are already in the model in addition to those of `between`; an effect given by name acts where it
         fits the residuals best.
     site : str or Path, optional
-        Plan file, scenario or folder of a plan, in whose floor-plan axes the recording gives positions of stations. New
-        stations are then proposed only where its floor and bodies permit a tripod, for the targets in sight.
+        Plan file, scenario or folder of a plan. New stations are then proposed only where its floor and bodies permit a
+        tripod, for the targets in sight. The adjusted network is placed in its axes by the targets with names of its
+        points, or with fewer than three of them by the positions of stations in the set-up.
     minutes_per_move : float
         Time [min] for moving the tripod.
     progress : callable
@@ -119,6 +120,8 @@ def next_measurement(
     ------
     ModelError
         When an effect does not exist, is a noise effect, or cannot be fitted to this recording.
+    SetupError
+        When the axes of the recording are not those of the site, or are not known.
 
     Examples
     --------
@@ -129,25 +132,29 @@ def next_measurement(
     True
     """
     measured = load_recording(recording)
+    space = None if site is None else unsearched_plan(*load_plan_and_scenario(site))[1]
     made = ranked(
-        measured,
+        measured if space is None else with_positions_on_site(measured, space, str(site)),
         explanations=between,
         with_effects=with_effects,
         minutes_per_move=minutes_per_move,
-        site_sights=None if site is None else _site_sights(site, measured),
+        site_sights=None if space is None else _site_sights(space),
         progress=progress,
     )
     return NextMeasurement.from_ranking(made, SourceEntry.from_recording(measured), site=str(site or ""))
 
 
-def _site_sights(site: str | Path, recording: Recording) -> SiteSights:
-    """Sights at the site of a plan; raises SetupError for a recording without positions on the floor plan."""
-    if all(station.position_mm is None for station in recording.setup.stations.values()):
-        raise SetupError(
-            f"{option('site')} needs positions on the floor plan; set position_mm of the stations in setup.toml"
-        )
-    space = unsearched_plan(*load_plan_and_scenario(site))[1]
-    return lambda places, targets: space.is_visible(places, targets) & space.is_allowed(places)[:, None]
+def _site_sights(site: SearchSpace) -> SiteSights:
+    """Sights at a site from places where a tripod may stand, within the position tolerance of its height."""
+    low, high = np.array([area.heights for area in site.allowed_areas]).T
+
+    def sights(places: Floats, targets: Floats) -> Bools:
+        height = np.clip(places[:, 2], low.min(), high.max())
+        is_near = np.abs(height - places[:, 2]) <= site.position_tolerance
+        standing = np.column_stack([places[:, :2], np.where(is_near, height, places[:, 2])])
+        return np.asarray(site.is_visible(places, targets) & site.is_allowed(standing)[:, None])
+
+    return sights
 
 
 @dataclass(frozen=True)
@@ -255,7 +262,7 @@ def _position_numbers(name: str, position: object) -> Floats:
         place = np.array(words, dtype=np.float64)
     except (TypeError, ValueError):
         place = np.zeros(0)
-    if not 2 <= len(place) <= 4 or not np.all(np.isfinite(place)):
+    if not 2 <= len(place) <= 4 or not np.all(np.abs(place) <= MAX_MAPPING_NUMBER):
         raise SetupError(f"{option('move')} {name}={','.join(map(str, words))}: expected {MOVE_SYNTAX}")
     return place
 

@@ -1,4 +1,4 @@
-"""Recordings of tracker networks: in memory, in the native folder, in formats of instruments and programs."""
+"""Recordings of tracker networks: the object in memory, and its readers and writers for all supported file formats."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -22,13 +22,13 @@ _MODULES = {
     "recording": ("Recording",),
     "setup": ("Setup",),
 }
-_HOME = {name: module for module, names in _MODULES.items() for name in names}
+_MODULE_BY_NAME = {name: module for module, names in _MODULES.items() for name in names}
 
 
 def _load(name: str) -> Any:
-    if name not in _HOME:
+    if name not in _MODULE_BY_NAME:
         raise AttributeError(f"module 'ltsim.recordings' has no attribute '{name}'")
-    return getattr(import_module(f"ltsim.recordings.{_HOME[name]}"), name)
+    return getattr(import_module(f"ltsim.recordings.{_MODULE_BY_NAME[name]}"), name)
 
 
 if not TYPE_CHECKING:

@@ -9,7 +9,9 @@ class About(TomlSection):
     """Header of a report, table `[report]`; it has no influence on results."""
 
     instrument: Line | None = None
-    """Manufacturer, model and serial number, such as "Leica AT960, 751234"; default those of the instruments."""
+    """Manufacturer, model and serial number, such as "Leica AT960, 751234"; by default those that the tables of the
+    instruments declare.
+    """
     date: Date | None = None
     """Day of the measurement, year-month-day."""
     operator: Line | None = None

@@ -5,9 +5,9 @@ from ltsim.recordings.keys import NonNegative, TomlSection
 
 
 class AirUncertainty(TomlSection):
-    """Uncertainty of the air along the beams: standard deviations of the properties that were not measured.
+    """Uncertainty of the air along the beams, as standard deviations of its properties.
 
-    It is 0 for a measured one.
+    The standard deviation of a measured property is 0.
     """
 
     temperature_k: NonNegative = 0.5
@@ -18,12 +18,14 @@ class AirUncertainty(TomlSection):
     2 in heated ones.
     """
     turbulence_um2_per_m3: NonNegative = 0.1
-    """Variance of a pointing perpendicular to the beam divided by the cube of its range, caused by turbulence."""
+    """Variance by which turbulence displaces a line of sight perpendicular to the beam, divided by the cube of its
+    range."""
     beyond_mm: NonNegative = 10_000.0
-    """Length of the longest line of sight above which the uncertainty of the air is taken into account."""
+    """Length of the longest line of sight of a network above which the adjustment takes the uncertainty of the air into
+    account; a shorter network neglects it."""
 
     def is_relevant(self, max_range: float) -> bool:
-        """True if a network with this longest range [m] takes the uncertainty of the air into account."""
+        """True if the uncertainty of the air matters in a network whose longest range is `max_range` [m]."""
         return max_range > self.beyond_mm * MILLIMETRE
 
 

@@ -8,8 +8,8 @@ from typing import Literal
 from ltsim.recordings.keys import Positive, TomlSection
 
 Occupation = Literal["station", "instrument_setup", "target_setup", "day"]
-"""Occupation of a target, during which its reflector stays in place: all its pointings from one station, of one cell of
-a column of occupations, or of one day."""
+"""Pointings of a target between which its reflector is not moved: all from one station, all with one entry in the
+column `instrument_setup` or `target_setup`, or all of one day."""
 
 
 class CentringUncertainty(TomlSection):
@@ -21,16 +21,16 @@ class CentringUncertainty(TomlSection):
     sigma_mm: Positive
     """Standard deviation of the displacement along each axis."""
     occupation: Occupation = "station"
-    """Occupation during which the reflector stays in place: pointings from one `station`, of one entry of the column
-    `instrument_setup` or `target_setup`, or of one `day`.
+    """Pointings of a target between which its reflector is not moved: all from one `station`, all with one entry in the
+    column `instrument_setup` or `target_setup`, or all of one `day`.
     """
     stations: tuple[str, ...] = ()
-    """Stations with such errors; empty for all."""
+    """Names of the stations whose pointings have these errors; empty for all stations."""
     targets: tuple[str, ...] = ()
-    """Targets with such errors; empty for all."""
+    """Names of the targets that have these errors; empty for all targets."""
 
     def restricted_to(self, stations: Sequence[str], targets: Sequence[str]) -> CentringUncertainty | None:
-        """The same errors for a part of the stations and targets; None if they concern none of them."""
+        """Centring errors of only the given stations and targets; None if they have none."""
         names_by_key = {
             key: tuple(name for name in chosen if name in names)
             for key, chosen, names in self._names(stations, targets)
@@ -40,14 +40,17 @@ class CentringUncertainty(TomlSection):
     def unknown_names(
         self, stations: Sequence[str], targets: Sequence[str]
     ) -> Iterator[tuple[str, str, Sequence[str]]]:
-        """Keys and names of stations and targets that a recording does not have, with the names that it has."""
+        """Key (`stations` or `targets`), name, and permitted names, for each name that the recording does not have.
+
+        `stations` and `targets` are the names in the recording.
+        """
         for key, chosen, names in self._names(stations, targets):
             yield from ((key, name, names) for name in chosen if name not in names)
 
     def _names(
         self, stations: Sequence[str], targets: Sequence[str]
     ) -> Iterator[tuple[str, tuple[str, ...], Sequence[str]]]:
-        """Keys with names, these names, and the names of the recording."""
+        """Key (`stations` or `targets`), names declared under it, and names in the recording; only keys with names."""
         yield from (
             (key, chosen, names)
             for key, chosen, names in (("stations", self.stations, stations), ("targets", self.targets, targets))

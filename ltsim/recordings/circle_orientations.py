@@ -11,18 +11,21 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.geometry.polar import wrap_angle
 
-MIN_ZEROED_ROTATION = 0.02
-"""Smallest rotation [rad] that counts as a circle that was set anew; a disturbed tripod turns by less."""
+MIN_CIRCLE_RESET_ROTATION = 0.02
+"""Rotation [rad] of all directions above which the circle counts as set anew. A disturbed tripod rotates by less."""
 MAX_DIRECTION_DIFFERENCE = 1e-3
-"""Largest difference [rad] of directions, and of elevations, to one target in one orientation."""
+"""Difference [rad] of two directions, or two elevations, to one target below which they count as equal."""
 MAX_DISTANCE_DIFFERENCE_M = 0.02
-"""Largest difference [m] of the distances to one target from one occupation."""
+"""Difference [m] of two distances to one target above which the target counts as moved."""
 MIN_AGREEING_TARGETS = 3
-"""Number of repeated targets that must agree about a rotation."""
+"""Number of repeated targets whose directions must change by the same rotation before the circle counts as set anew."""
 MAX_CONTRADICTORY_FRACTION = 0.1
-"""Largest fraction of the repeated pointings of an occupation that may contradict its orientations: gross errors."""
+"""Fraction of the repeated pointings of an occupation that may contradict its orientations, because of gross errors.
+
+Above it the occupation keeps one orientation.
+"""
 MAX_ROWS_AHEAD = 100
-"""Number of rows after a rotation in which these targets must be repeated."""
+"""Number of rows after a rotation in which `MIN_AGREEING_TARGETS` targets must be repeated."""
 
 
 def circle_orientations(occupation: Ints, sight: Ints, readings: Floats) -> Ints | None:
@@ -36,7 +39,7 @@ def circle_orientations(occupation: Ints, sight: Ints, readings: Floats) -> Ints
     rotation = wrap_angle(change[:, 1])
     is_moved = (np.abs(change[:, 0]) > MAX_DISTANCE_DIFFERENCE_M) | (np.abs(change[:, 2]) > MAX_DIRECTION_DIFFERENCE)
     rotation[is_moved | (first_row[code] == np.arange(len(sight)))] = np.nan  # new targets, and those that moved
-    turned_setups = np.unique(occupation[np.abs(rotation) > MIN_ZEROED_ROTATION])
+    turned_setups = np.unique(occupation[np.abs(rotation) > MIN_CIRCLE_RESET_ROTATION])
     orientation = np.zeros(len(occupation), dtype=np.int64)
     for number in turned_setups.tolist():
         rows = np.flatnonzero(occupation == number)
@@ -54,38 +57,47 @@ def zeroed_circle_note(n_orientations: int, n_occupations: int) -> str:
 
 
 def _orientations_of_occupation(first_row: list[int], rotation: list[float]) -> list[int]:
-    """Orientation of each row of one occupation; zeros if too many rows contradict them.
+    """Number of the orientation of each row of one occupation; all 0 if too many rows contradict the orientations.
 
-    `first_row` is the row of the first pointing to the same target, `rotation` the difference [rad] between both
-    directions, NaN for a first pointing.
+    `first_row` holds, for each row, the row of the first pointing to the same target. `rotation` is the direction of
+    the row minus the direction in that first row [rad], NaN for a first pointing.
     """
-    rotations, numbers = [0.0], list[int]()
+    rotations, orientations = [0.0], list[int]()
     n_repeated = n_contradictory = 0
     for row, first in enumerate(first_row):
-        total = math.nan if first == row else rotation[row] + rotations[numbers[first]]
-        if not math.isnan(total):
+        circle_rotation = math.nan if first == row else rotation[row] + rotations[orientations[first]]
+        if not math.isnan(circle_rotation):
             n_repeated += 1
-            if not _is_equal_direction(total, rotations[-1]):
-                if abs(_wrap(total - rotations[-1])) > MIN_ZEROED_ROTATION and _is_confirmed(
-                    row, first_row, rotation, total, rotations, numbers
+            if not _is_equal_direction(circle_rotation, rotations[-1]):
+                if abs(_wrap(circle_rotation - rotations[-1])) > MIN_CIRCLE_RESET_ROTATION and _is_confirmed(
+                    row, first_row, rotation, circle_rotation, rotations, orientations
                 ):
-                    rotations.append(total)
+                    rotations.append(circle_rotation)
                 else:
                     n_contradictory += 1
-        numbers.append(len(rotations) - 1)
-    return numbers if n_contradictory <= MAX_CONTRADICTORY_FRACTION * n_repeated else [0] * len(numbers)
+        orientations.append(len(rotations) - 1)
+    return orientations if n_contradictory <= MAX_CONTRADICTORY_FRACTION * n_repeated else [0] * len(orientations)
 
 
 def _is_confirmed(
-    row: int, first_row: list[int], rotation: list[float], total: float, rotations: list[float], numbers: list[int]
+    row: int,
+    first_row: list[int],
+    rotation: list[float],
+    circle_rotation: float,
+    rotations: list[float],
+    orientations: list[int],
 ) -> bool:
-    """True if the next repeated targets agree about a rotation."""
+    """True if the next repeated targets confirm that the circle rotated by `circle_rotation` [rad].
+
+    `rotations` holds the rotation [rad] of each earlier orientation, `orientations` the number of the orientation of
+    each earlier row.
+    """
     agreeing = {first_row[row]}
     for later in range(row + 1, min(row + MAX_ROWS_AHEAD, len(first_row))):
         first = first_row[later]
         if first >= row or first in agreeing or math.isnan(rotation[later]):
             continue
-        if not _is_equal_direction(rotation[later] + rotations[numbers[first]], total):
+        if not _is_equal_direction(rotation[later] + rotations[orientations[first]], circle_rotation):
             return False
         agreeing.add(first)
         if len(agreeing) == MIN_AGREEING_TARGETS:

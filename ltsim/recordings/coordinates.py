@@ -40,16 +40,19 @@ from ltsim.recordings.xml import XmlNode, band_matrix_entries, parse_xml
 AXIS_NAMES = "xyz"
 TARGETS_FILE = "targets.csv"
 MAX_ASYMMETRY = 1e-6
-"""Largest relative asymmetry of a covariance matrix that rounding explains; a larger one is an error."""
+"""Largest difference of entries ij and ji, relative to the largest variance, at which a covariance is accepted."""
 MIN_ROUNDED_EIGENVALUE = -1e-9
-"""Smallest eigenvalue of a correlation matrix that rounding explains; a smaller one is an error."""
+"""Smallest eigenvalue of a correlation matrix, divided by its size, at which it is accepted, because of rounding."""
 MAX_COORDINATE_IN_METRES = 500.0
-"""Largest coordinate up to which a list without a unit is interpreted as metres."""
+"""Largest coordinate of a list without a unit below which the unit is metres, and from which it is millimetres."""
 MIN_GRID_COORDINATE = 1e6
-"""Coordinate from which numbers are interpreted as a national grid, in metres."""
+"""Largest coordinate of a list without a unit from which the list is taken as one in a national grid, in metres."""
 GEODETIC_TITLES = ("rechtswert", "hochwert", "easting", "northing", "east", "north", "e", "n")
-"""Column titles of surveyors' lists, which are in metres if they state no unit."""
+"""Column titles, in lower case, by which a list without a unit is taken as one in metres."""
 FIELD_COUNTS = (4, 7, 8, 16, 17)
+"""Numbers of fields in lines without header: name, x, y, z; with 3 or 4 sigmas; with these and a covariance."""
+NAME_ROLES = ("target", "station", "", "time", "date")
+"""Roles of the column that names the points; the first that a header has counts."""
 EXPECTED_CONTENT = (
     "expected a header that names the point and its coordinates, such as target,x_mm,y_mm,z_mm or "
     "Name;X [m];Y [m];Z [m], or lines of a name, x, y and z"
@@ -73,7 +76,7 @@ class PointList:
     n_contradictory_rows: int = 0
     """Number of rows that repeat a name with other coordinates and are ignored."""
     max_contradiction_m: float = 0.0
-    """Largest distance [m] of an ignored row from the first one of its name."""
+    """Largest distance [m] between an ignored row and the first row with the same name."""
 
     @property
     def sigma(self) -> Floats:
@@ -83,8 +86,8 @@ class PointList:
     @property
     def by_name(self) -> dict[str, Floats]:
         """Coordinates (3,) [m] of each point that has all three, by name."""
-        whole = np.asarray(np.isfinite(self.points).all(axis=1))
-        return {name: p for name, p, is_whole in zip(self.names, self.points, whole.tolist(), strict=True) if is_whole}
+        is_whole = np.asarray(np.isfinite(self.points).all(axis=1))
+        return {name: p for name, p, whole in zip(self.names, self.points, is_whole.tolist(), strict=True) if whole}
 
 
 def read_points(path: str | Path, *, requires_all: bool = True) -> PointList:
@@ -111,15 +114,15 @@ def read_points(path: str | Path, *, requires_all: bool = True) -> PointList:
     raise RecordError(f"is not a list of coordinates, {EXPECTED_CONTENT}", file=path)
 
 
-def recognises(head: str) -> bool:
-    """True if the first lines of a file are a list of points without a header, or the header of one."""
-    rows = head_rows(head)
+def recognises(beginning: str) -> bool:
+    """True if a file that begins with the text `beginning` is a list of points, with or without a header."""
+    rows = head_rows(beginning)
     header = _header_columns(rows)
-    body = [row for row in rows[0 if header is None else header[0] :] if not row.is_comment]
+    data_rows = [row for row in rows[0 if header is None else header[0] :] if not row.is_comment]
     if header is not None:
-        return not body or body[0].n_values > 1
-    whole = [_drop_trailing_field(row) for row in body[: max(1, min(6, len(body)) - 1)]]
-    return bool(whole) and all(len(r) in FIELD_COUNTS and all(map(cells.is_value, r[1:])) for r in whole)
+        return not data_rows or data_rows[0].n_values > 1
+    sample = [_drop_trailing_field(row) for row in data_rows[: max(1, min(6, len(data_rows)) - 1)]]
+    return bool(sample) and all(len(r) in FIELD_COUNTS and all(map(cells.is_value, r[1:])) for r in sample)
 
 
 def _drop_trailing_field(row: SheetRow) -> Sequence[str]:
@@ -128,7 +131,7 @@ def _drop_trailing_field(row: SheetRow) -> Sequence[str]:
 
 
 def _headerless_columns(sheet: TableSheet) -> tuple[int, list[TableColumn]] | None:
-    """Number of the first row and columns of a list without header (name and numbers); None for other content."""
+    """Number of rows before the first point (0), and columns of a list without header; None for other content."""
     first = next((row for row in sheet.rows if not row.is_comment), None)
     if first is None or not all(map(cells.is_value, _drop_trailing_field(first)[1:])):
         return None
@@ -142,7 +145,7 @@ def _headerless_columns(sheet: TableSheet) -> tuple[int, list[TableColumn]] | No
 
 
 def _header_columns(rows: Sequence[SheetRow]) -> tuple[int, list[TableColumn]] | None:
-    """Number of the row after the header, and the columns that the header names."""
+    """Number of rows before the first point, and columns that the header names; None without the header of a list."""
     for place, row in enumerate(rows):
         if not count_role_titles(row.fields) or row.n_values:
             continue
@@ -153,17 +156,14 @@ def _header_columns(rows: Sequence[SheetRow]) -> tuple[int, list[TableColumn]] |
         others = {*READING_ROLES} - {*COORDINATE_ROLES, "elevation"}
         if not roles & {*COORDINATE_ROLES} or roles & others or {"station", "target"} <= roles:
             continue
-        if "target" in roles:
-            return place + 1, columns
-        other = "station" if "station" in roles else ""
-        first = next((c for c in columns if c.role == other and c.title), None)
+        first = next((c for role in NAME_ROLES for c in columns if c.role == role and c.title), None)
         if first is not None:
             return place + 1, [replace(c, role="target") if c is first else c for c in columns]
     return None
 
 
 class _PointRowReader:
-    """Rows of a sheet from row `first_row` on, with the meaning of its columns."""
+    """Reader of the points in a sheet from row `first_row` on, given the meaning of the columns."""
 
     def __init__(self, sheet: TableSheet, first_row: int, columns: list[TableColumn]) -> None:
         self.sheet, self.rows, self.columns = sheet, sheet.rows[first_row:], columns
@@ -173,40 +173,41 @@ class _PointRowReader:
         self.name = next(c for c in columns if c.role == "target")
 
     def points(self, *, requires_all: bool) -> PointList:
-        """Points in these rows."""
+        """List of the points in these rows, with notes on decisions; raises RecordError."""
         self.sheet.require_complete_end(self.width)
-        listed: dict[str, tuple[SheetRow, list[float]]] = {}
+        named_rows: dict[str, tuple[SheetRow, list[float]]] = {}
         notes = []
         ignored: list[tuple[list[float], list[float]]] = []
         for row in self.rows:
             if row.is_comment or not any(row.fields):
                 continue
             name, values = self._values(row)
-            if name in listed and not np.array_equal(listed[name][1], values, equal_nan=True):
+            if name in named_rows and not np.array_equal(named_rows[name][1], values, equal_nan=True):
                 what = f"the point {quoted_text(name)} was listed before with other coordinates"
                 if requires_all:
                     raise SourceLocation(self.sheet.file, row.line).error(what)
-                notes.append(f"{what} in {self.sheet.file.name}: the first are taken")
-                ignored.append((listed[name][1], values))
-            listed.setdefault(name, (row, values))
-        if not listed:
+                notes.append(f"{what} in {self.sheet.file.name}; the first ones are used")
+                ignored.append((named_rows[name][1], values))
+            named_rows.setdefault(name, (row, values))
+        if not named_rows:
             raise RecordError("holds no points", file=self.sheet.file)
-        table = np.array([values for _, values in listed.values()])
+        table = np.array([values for _, values in named_rows.values()])
         scale, decisions = self._scales(table)
         numbers = dict(zip(self.numbers, (table * scale).T, strict=True))
-        nothing = np.full(len(listed), np.nan)
-        points = np.stack([numbers.get(axis, nothing) for axis in COORDINATE_ROLES], axis=1)
-        further = [c for c in self.columns if c.is_additional and c.role not in self.numbers]
-        texts = {c.title: tuple(row.cell(c.position) for row, _ in listed.values()) for c in further}
-        lines = tuple(row.line for row, _ in listed.values())
-        covariance = _covariance(numbers, len(listed))
+        missing = np.full(len(named_rows), np.nan)
+        points = np.stack([numbers.get(axis, missing) for axis in COORDINATE_ROLES], axis=1)
+        additional = [c for c in self.columns if c.is_additional and c.role not in self.numbers]
+        texts = {c.title: tuple(row.cell(c.position) for row, _ in named_rows.values()) for c in additional}
+        lines = tuple(row.line for row, _ in named_rows.values())
+        covariance = _covariance(numbers, len(named_rows))
         axes = [role in COORDINATE_ROLES for role in self.numbers]
-        gaps = np.array([np.subtract(*pair) for pair in ignored]).reshape(-1, len(axes)) * scale
-        largest = float(np.nanmax(np.linalg.norm(gaps[:, axes], axis=1), initial=0.0))
-        return PointList(tuple(listed), points, covariance, (*notes, *decisions), texts, lines, len(notes), largest)
+        gaps_m = np.array([np.subtract(*pair) for pair in ignored]).reshape(-1, len(axes)) * scale
+        largest_gap_m = float(np.nanmax(np.linalg.norm(gaps_m[:, axes], axis=1), initial=0.0))
+        names, sentences = tuple(named_rows), (*notes, *decisions)
+        return PointList(names, points, covariance, sentences, texts, lines, len(notes), largest_gap_m)
 
     def _values(self, row: SheetRow) -> tuple[str, list[float]]:
-        """Name and numbers of one row; NaN for an empty cell."""
+        """Name of the point in one row, and its numbers; NaN for an empty cell."""
         where = SourceLocation(self.sheet.file, row.line)
         if len(_drop_trailing_field(row)) != self.width:
             row.check_width(self.width, self.sheet.file)
@@ -220,29 +221,29 @@ class _PointRowReader:
         return where.name(unguard_formula(row.cell(self.name.position)), "point"), values
 
     def _scales(self, table: Floats) -> tuple[Floats, list[str]]:
-        """Factors from each number to metres (square metres for covariances), and notes on decisions."""
+        """Factor of each column of numbers to metres (square metres for covariances), and notes on the unit."""
         axes = [c for c in self.numbers.values() if c.role in COORDINATE_ROLES]
         largest = np.nanmax(np.abs(table[:, [role in COORDINATE_ROLES for role in self.numbers]]), initial=0.0)
-        declared = next((c.unit for c in axes if c.unit in SI_PER_UNIT and c.unit), "")
-        surveyed = largest >= MIN_GRID_COORDINATE or any(
+        declared_unit = next((c.unit for c in axes if c.unit in SI_PER_UNIT and c.unit), "")
+        is_grid = largest >= MIN_GRID_COORDINATE or any(
             title_words_and_unit(c.title)[0] in GEODETIC_TITLES for c in axes
         )
-        chosen = declared or ("m" if surveyed or largest < MAX_COORDINATE_IN_METRES else "mm")
-        notes = [] if declared else [f"coordinates are interpreted as {chosen} (the largest is {largest:.6g})"]
-        scales = [SI_PER_UNIT[c.unit if c.unit in SI_PER_UNIT and c.unit else chosen] for c in self.numbers.values()]
+        unit = declared_unit or ("m" if is_grid or largest < MAX_COORDINATE_IN_METRES else "mm")
+        notes = [] if declared_unit else [f"coordinates are interpreted as {unit} (the largest is {largest:.6g})"]
+        scales = [SI_PER_UNIT[c.unit if c.unit in SI_PER_UNIT and c.unit else unit] for c in self.numbers.values()]
         return np.array(scales) ** [1 + role.startswith("covariance") for role in self.numbers], notes
 
 
-def _covariance(numbers: Mapping[str, Floats], n_axes: int) -> Floats:
-    """Covariance (n, 3, 3) [m^2] from a full matrix, standard deviations by axis, or one for all axes."""
+def _covariance(numbers: Mapping[str, Floats], n_points: int) -> Floats:
+    """Covariance (n, 3, 3) [m^2] of n points from columns with a full matrix, or with standard deviations."""
     if "covariance 0" in numbers:
-        full = np.stack([numbers[f"covariance {i}"] for i in range(9)], axis=1).reshape(n_axes, 3, 3)
+        full = np.stack([numbers[f"covariance {i}"] for i in range(9)], axis=1).reshape(n_points, 3, 3)
         return np.asarray((full + full.transpose(0, 2, 1)) / 2)
     sigma = [
-        numbers.get(SIGMA_ROLES[axis], numbers.get(COMMON_SIGMA_ROLE, np.full(n_axes, np.nan)))
+        numbers.get(SIGMA_ROLES[axis], numbers.get(COMMON_SIGMA_ROLE, np.full(n_points, np.nan)))
         for axis in COORDINATE_ROLES
     ]
-    covariance = np.zeros((n_axes, 3, 3))
+    covariance = np.zeros((n_points, 3, 3))
     covariance[:, range(3), range(3)] = np.square(sigma).T
     covariance[~np.isfinite(sigma).any(axis=0)] = np.nan
     return covariance
@@ -250,7 +251,7 @@ def _covariance(numbers: Mapping[str, Floats], n_axes: int) -> Floats:
 
 @dataclass(frozen=True)
 class EpochCoordinates:
-    """Points of one epoch, along the d axes that were measured, with their joint covariance."""
+    """Coordinates of T points of one epoch along the d axes that were measured, with their joint covariance matrix."""
 
     title: str
     names: tuple[str, ...]
@@ -260,7 +261,7 @@ class EpochCoordinates:
     points: Floats
     """Coordinates (T, 3) [m]; 0 along axes that were not measured."""
     covariance: Floats
-    """Joint covariance (T d, T d) [m^2], ordered point by point and axis by axis."""
+    """Joint covariance matrix (T d, T d) [m^2]; its rows are ordered by point, and by axis within a point."""
     notes: tuple[str, ...] = ()
 
     @property
@@ -269,29 +270,26 @@ class EpochCoordinates:
         return np.array([AXIS_NAMES.index(axis) for axis in self.axes])
 
 
-def _list_file(path: Path) -> Path:
-    """List of the targets in a folder of results; any other path as it is."""
+def _targets_path(path: Path) -> Path:
+    """Path of the list of targets in a folder of results; any other path unchanged."""
     return path / TARGETS_FILE if (path / TARGETS_FILE).is_file() and not (path / "observations.csv").exists() else path
 
 
 def is_coordinate_file(path: Path) -> bool:
-    """True if `read_coordinates` reads this file, or the targets in this folder of results."""
-    path = _list_file(path)
+    """True for a list of coordinates, a result of gama-local, or a folder of results with coordinates of targets."""
+    path = _targets_path(path)
     if not path.is_file():
         return False
     with path.open("rb") as stream:
-        head = decode_head(stream.read(4096)).lstrip()
-    return "<gama-local-adjustment" in head if head.startswith("<") else recognises(head)
+        beginning = decode_head(stream.read(4096)).lstrip()
+    return "<gama-local-adjustment" in beginning if beginning.startswith("<") else recognises(beginning)
 
 
 def read_coordinates(path: Path) -> EpochCoordinates:
-    """Coordinates of one epoch with their covariance, from a file or a folder of results.
-
-    Raises RecordError, with the place in the file.
-    """
+    """Coordinates of one epoch with their covariance, from a file or a folder of results; raises RecordError."""
     if not path.exists():
         raise RecordError("there is no such file", file=path)
-    folder, path = path, _list_file(path)
+    folder, path = path, _targets_path(path)
     with path.open("rb") as stream:
         is_xml = decode_head(stream.read(256)).lstrip().startswith("<")
     epoch = _coordinates_from_gama(path) if is_xml else _coordinates_from_list(path)
@@ -300,8 +298,8 @@ def read_coordinates(path: Path) -> EpochCoordinates:
         raise RecordError(f"contains the point '{quoted_text(twice)}' twice", file=path)
     sigma = np.sqrt(np.maximum(np.diag(epoch.covariance), 0.0))
     if not sigma.all():
-        at = divmod(int(np.argmin(sigma)), len(epoch.axes))
-        what = f"{quoted_text(epoch.names[at[0]])}.{epoch.axes[at[1]]}"
+        position = divmod(int(np.argmin(sigma)), len(epoch.axes))
+        what = f"{quoted_text(epoch.names[position[0]])}.{epoch.axes[position[1]]}"
         raise RecordError(f"the variance of {what} is 0; leave out coordinates that are held fixed", file=path)
     if np.linalg.eigvalsh(epoch.covariance / np.outer(sigma, sigma))[0] < MIN_ROUNDED_EIGENVALUE * len(sigma):
         raise RecordError("has a covariance matrix that is not positive definite; correct its entries", file=path)
@@ -309,29 +307,29 @@ def read_coordinates(path: Path) -> EpochCoordinates:
 
 
 def _coordinates_from_gama(path: Path) -> EpochCoordinates:
-    """Adjusted points of gama-local with their covariance, from its upper band [mm^2]."""
-    parts = {node.tag: node for node in parse_xml(path).descendants("adjusted", "cov-mat", "description")}
-    if not {"adjusted", "cov-mat"} <= parts.keys():
+    """Adjusted points in a result of gama-local, with the covariance that its upper band [mm^2] gives."""
+    elements = {node.tag: node for node in parse_xml(path).descendants("adjusted", "cov-mat", "description")}
+    if not {"adjusted", "cov-mat"} <= elements.keys():
         raise RecordError("contains no <adjusted> points with their <cov-mat>", file=path)
-    rows = [{cell.tag.lower(): cell for cell in point} for point in parts["adjusted"]]
-    kinds = {"".join(axis for axis in AXIS_NAMES if axis in row) for row in rows}
-    if len(kinds) != 1 or not (axes := kinds.pop()):
+    rows = [{cell.tag.lower(): cell for cell in point} for point in elements["adjusted"]]
+    axis_sets = {"".join(axis for axis in AXIS_NAMES if axis in row) for row in rows}
+    if len(axis_sets) != 1 or not (axes := axis_sets.pop()):
         raise RecordError("contains points with different coordinate axes; give points of one kind", file=path)
     points = np.zeros((len(rows), 3))
     points[:, [AXIS_NAMES.index(axis) for axis in axes]] = [[_parse_number(row[axis]) for axis in axes] for row in rows]
-    band = {cell.tag: cell for cell in parts["cov-mat"]}
+    band = {cell.tag: cell for cell in elements["cov-mat"]}
     size, width = (_parse_number(band[key]) if key in band else -1 for key in ("dim", "band"))
     row, column, values = band_matrix_entries(
-        parts["cov-mat"], size, width, [_parse_number(c) for c in parts["cov-mat"] if c.tag == "flt"]
+        elements["cov-mat"], size, width, [_parse_number(c) for c in elements["cov-mat"] if c.tag == "flt"]
     )
-    used = len(rows) * len(axes)
-    if size < used:
-        raise RecordError(f"has a <cov-mat> whose size does not match its {used} coordinates", file=path)
+    n_used = len(rows) * len(axes)
+    if size < n_used:
+        raise RecordError(f"has a <cov-mat> whose size does not match its {n_used} coordinates", file=path)
     matrix = np.zeros((int(size), int(size)))
     matrix[row, column] = matrix[column, row] = values
-    title = parts["description"].text if "description" in parts else ""
+    title = elements["description"].text if "description" in elements else ""
     names = tuple(SourceLocation(path).name(row["id"].text if "id" in row else "", "target") for row in rows)
-    return EpochCoordinates(title or path.name, names, axes, points, matrix[:used, :used] * MILLIMETRE**2)
+    return EpochCoordinates(title or path.name, names, axes, points, matrix[:n_used, :n_used] * MILLIMETRE**2)
 
 
 def _parse_number(cell: XmlNode) -> float:
@@ -339,15 +337,15 @@ def _parse_number(cell: XmlNode) -> float:
 
 
 def _coordinates_from_list(path: Path) -> EpochCoordinates:
-    """Coordinates of listed points, for the axes that the list has; covariances from a second file or columns."""
+    """Coordinates of a list along the axes that it gives; covariance from `NAME.covariance.csv` or its columns."""
     listed = read_points(path)
     measured = np.isfinite(listed.points)
     axes = "".join(
         axis for axis, any_ in zip(AXIS_NAMES, np.asarray(measured.any(axis=0)).tolist(), strict=True) if any_
     )
-    at = [AXIS_NAMES.index(axis) for axis in axes]
-    if not measured[:, at].all():
-        row, axis = np.argwhere(~measured[:, at])[0]
+    indices = [AXIS_NAMES.index(axis) for axis in axes]
+    if not measured[:, indices].all():
+        row, axis = np.argwhere(~measured[:, indices])[0]
         raise SourceLocation(path, listed.line_numbers[row], axes[axis]).error("found '', expected a number")
     points = np.where(measured, listed.points, 0.0)
     companion = path.with_suffix(".covariance.csv")
@@ -357,16 +355,16 @@ def _coordinates_from_list(path: Path) -> EpochCoordinates:
             * MILLIMETRE**2
         )
         return EpochCoordinates(path.stem, listed.names, axes, points, covariance, listed.notes)
-    blocks = listed.covariance[:, at][:, :, at]
+    blocks = listed.covariance[:, indices][:, :, indices]
     if not np.isfinite(blocks).all():
-        what = f"no precision is given; add {companion.name} or a column sigma_{axes[0]}_mm"
-        raise RecordError(what, file=path)
+        message = f"no precision is given; add {companion.name} or a column sigma_{axes[0]}_mm"
+        raise RecordError(message, file=path)
     count, axes_ = blocks.shape[:2]
     covariance = np.zeros((count, axes_, count, axes_))
     covariance[range(count), :, range(count)] = blocks
     covariance = covariance.reshape(count * axes_, -1)
-    common = f"{path.name} has no covariance between points ({companion.name})"
-    note = f"{common}: they are treated as independent"
+    missing_file = f"{path.name} has no covariance between points ({companion.name})"
+    note = f"{missing_file}: they are treated as independent"
     return EpochCoordinates(path.stem, listed.names, axes, points, covariance, (*listed.notes, note))
 
 
@@ -382,7 +380,7 @@ def covariance_text(coordinates: Sequence[str], covariance: Floats) -> str:
 
 
 def _read_covariance_matrix(path: Path, coordinate_names: Sequence[str]) -> Floats:
-    """Covariance matrix from a file whose coordinates are named and may be in any order."""
+    """Covariance matrix [mm^2] of `coordinate_names`, from a file that may have them in another order."""
     sheet = read_sheets(path)[0]
     (first, *body) = [row for row in sheet.rows if not row.is_comment]
     names = list(map(unguard_formula, first.fields[1:]))
@@ -393,8 +391,8 @@ def _read_covariance_matrix(path: Path, coordinate_names: Sequence[str]) -> Floa
     if any(len(row.fields) != len(first.fields) for row in body):
         raise RecordError("has rows whose length differs from the header", file=path)
     matrix = np.array([[SourceLocation(path, row.line).number(text) for text in row.fields[1:]] for row in body])
-    size = np.sqrt(np.abs(np.diag(matrix)))
-    if np.abs(matrix - matrix.T).max() > MAX_ASYMMETRY * float(np.outer(size, size).max()):
+    sigma = np.sqrt(np.abs(np.diag(matrix)))
+    if np.abs(matrix - matrix.T).max() > MAX_ASYMMETRY * float(np.outer(sigma, sigma).max()):
         raise RecordError("is not symmetric", file=path)
-    at = [names.index(name) for name in coordinate_names]
-    return 0.5 * (matrix + matrix.T)[np.ix_(at, at)]
+    indices = [names.index(name) for name in coordinate_names]
+    return 0.5 * (matrix + matrix.T)[np.ix_(indices, indices)]

@@ -6,8 +6,8 @@ from ltsim.core.units import EARTH_RADIUS, MILLIMETRE
 from ltsim.recordings.recording import Recording
 
 MIN_CURVATURE_SIGMAS = 0.1
-"""Smallest angle of the earth's curvature over a line of sight, in sigmas of its elevation, at which the curvature is
-modelled."""
+"""Angle of the earth's curvature over the longest line of sight, divided by the standard deviation of its elevation,
+above which the curvature is modelled."""
 
 DEFAULT_REFRACTION = 0.13, 0.1
 """Coefficient of refraction near the ground (radius of the earth divided by that of the ray) and its standard
@@ -18,25 +18,26 @@ deviation: Gauss's mean value; Brunner 1984, Geodetic Refraction.
 def with_earth_curvature(recording: Recording) -> Recording:
     """Recording with position-dependent verticals (`curved`) and refraction, unless its set-up declares them itself.
 
-    Over a sight of length d a level surface leaves the plane by d^2 / 2 R, an angle of d / 2 R, which is modelled from
-    `MIN_CURVATURE_SIGMAS` times the noise of the elevation on. Refraction is the share k of it, with the same limit.
+    Over a sight of length d a level surface leaves the plane by d^2 / 2 R, R the radius of the earth: an angle of
+    d / 2 R. It is modelled if it exceeds `MIN_CURVATURE_SIGMAS` standard deviations of the elevation. Refraction
+    changes this angle by its fraction k (coefficient of refraction) and is modelled above the same limit.
     """
     setup = recording.setup
-    levelled = np.array([recording.station_setup(name).levelled for name in recording.stations])[recording.station]
-    if "curved" in setup.model_fields_set or not levelled.any():
+    is_levelled = np.array([recording.station_setup(name).levelled for name in recording.stations])[recording.station]
+    if "curved" in setup.model_fields_set or not is_levelled.any():
         return recording
-    length = np.where(levelled, recording.readings[:, 0] * np.cos(recording.readings[:, 2]), np.nan)
-    angle = float(np.nanmax(length / (2.0 * EARTH_RADIUS) / recording.sigma()[:, 2], initial=0.0))
-    if not angle > MIN_CURVATURE_SIGMAS:
+    horizontal_length = np.where(is_levelled, recording.readings[:, 0] * np.cos(recording.readings[:, 2]), np.nan)
+    angle_in_sigmas = float(np.nanmax(horizontal_length / (2.0 * EARTH_RADIUS) / recording.sigma()[:, 2], initial=0.0))
+    if not angle_in_sigmas > MIN_CURVATURE_SIGMAS:
         return recording
     changes: dict[str, object] = {"curved": True}
-    longest = float(np.nanmax(length))
+    longest = float(np.nanmax(horizontal_length))
     drop = longest**2 / (2.0 * EARTH_RADIUS) / MILLIMETRE
     note = (
         f"the set-ups are levelled on a curved earth: over the longest sight, {longest:.4g} m, a level surface leaves "
-        f"the plane by {drop:.2g} mm; coordinates are along one plumb line (curved = false in setup.toml: parallel)"
+        f"the plane by {drop:.2g} mm; coordinates refer to one plumb line (curved = false in setup.toml: parallel ones)"
     )
-    if setup.refraction is None and sum(DEFAULT_REFRACTION) * angle > MIN_CURVATURE_SIGMAS:
+    if setup.refraction is None and sum(DEFAULT_REFRACTION) * angle_in_sigmas > MIN_CURVATURE_SIGMAS:
         changes["refraction"] = DEFAULT_REFRACTION
         note += (
             f"; the coefficient of refraction is estimated from {DEFAULT_REFRACTION[0]:g} +- "

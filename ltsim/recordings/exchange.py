@@ -1,4 +1,4 @@
-"""Reader and writer of recordings in any supported format."""
+"""Reading and writing of recordings in any supported file format."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -25,15 +25,18 @@ from ltsim.recordings.setup import Setup
 from ltsim.recordings.tables import reader as tables
 from ltsim.recordings.tables.cells import has_clock, is_value
 from ltsim.recordings.tables.station_names import UnnamedStationsError
+from ltsim.recordings.tables.unnamed_targets import UnnamedTargetsError
 
 RecordingSource = Recording | str | Path
-"""Recording, or the file or folder that contains one."""
+"""Recording, or the path of a file or folder that contains one."""
 HEAD_SIZE = 16_384
-"""Number of bytes at the beginning of a file by which its format is recognised."""
+"""Number of bytes at the beginning of a file that are read to recognise its format."""
 MIN_CONTRADICTORY_ROWS = 2
-"""Number of contradictory rows from which a list of points is interpreted as positions of a moving target."""
+"""Number of rows that repeat a name with other coordinates, from which a list counts as those of a moving target."""
+ASSUMED_STATION = "S1"
+"""Name of a set-up with which a table of positions is tried."""
 MAX_REPEATED_POINT_M = 1e-3
-"""Largest distance [m] between rows of one name that are repeated measurements of one point."""
+"""Distance [m] between rows with one name below which they count as repeated measurements of one point."""
 NATIVE_FORMAT = "folder with observations.csv and setup.toml"
 POLAR_TEXT_FORMAT = "plain text: station, target, azimuth, zenith or elevation, distance"
 POINT_LIST_FORMAT = "names and coordinates, which are not a recording"
@@ -47,7 +50,8 @@ WriteFunction = Callable[[Recording, Path], None]
 class FileFormat:
     """File format: recognition by the first characters, reader, and writer (if there is one).
 
-    A format that `has_signature` begins in a way that no other format does; `suffixes` decide between the others.
+    A file of a format that `has_signature` begins in a way that no other format does. If several other formats fit the
+    beginning of a file, the `suffixes` of file names decide.
     """
 
     name: str
@@ -70,33 +74,36 @@ def _make_format(
     return FileFormat(name, description, suffixes, module.recognises, module.read, write, has_signature)
 
 
-def _is_list_of_points(path: Path, head: str) -> bool:
-    return path.is_file() and not head.startswith(("<", "PK")) and coordinates.recognises(head)
+def _is_list_of_points(path: Path, beginning: str) -> bool:
+    return path.is_file() and not beginning.startswith(("<", "PK")) and coordinates.recognises(beginning)
 
 
 def _point_list_error(path: Path, hints: Hints) -> Recording:
-    listed = coordinates.read_points(path, requires_all=False)
-    count, repeated = len(listed.names), listed.n_contradictory_rows
-    if repeated:
-        try:
-            tables.read(path, replace(hints, station=None))
-        except UnnamedStationsError:
-            raise
-        except RecordError:
-            pass  # it is no table of several set-ups
-    names = "one name" if count == 1 else f"{count} names"
-    if all(has_clock(name) or (is_value(name) and not name.isdigit()) for name in listed.names):
-        message = f"this is a table of {count + repeated} positions without point names: a target that moves (a robot, "
-        message += "a T-MAC), and no list of points"
-    elif repeated and listed.max_contradiction_m < MAX_REPEATED_POINT_M:
-        message = f"this is a list of {count} points, measured {count + repeated} times in all, without readings"
-    elif repeated >= max(count, MIN_CONTRADICTORY_ROWS):
-        rows = f"{count + repeated} positions under {names} ('{listed.names[0]}')"
+    point_list = coordinates.read_points(path, requires_all=False)
+    n_points, n_repeated = len(point_list.names), point_list.n_contradictory_rows
+    if n_repeated:
+        for station in (None, ASSUMED_STATION):
+            try:
+                tables.read(path, replace(hints, station=station))
+            except (UnnamedStationsError, UnnamedTargetsError):
+                raise
+            except RecordError:
+                pass  # it is no table of several set-ups
+    names = "one name" if n_points == 1 else f"{n_points} names"
+    if all(has_clock(name) or (is_value(name) and not name.isdigit()) for name in point_list.names):
+        message = f"this is a table of {n_points + n_repeated} positions without point names: a target that moves "
+        message += "(a robot, a T-MAC), and no list of points"
+    elif n_repeated and point_list.max_contradiction_m < MAX_REPEATED_POINT_M:
+        message = (
+            f"this is a list of {n_points} points, measured {n_points + n_repeated} times in all, without readings"
+        )
+    elif n_repeated >= max(n_points, MIN_CONTRADICTORY_ROWS):
+        rows = f"{n_points + n_repeated} positions under {names} ('{point_list.names[0]}')"
         message = f"this is a table of {rows}: a target that moves (a robot, a T-MAC), and no list of points"
     else:
-        message = f"this is a list of {count} points without readings, for nominal or reference coordinates"
-    phrase = "if one set-up measured them in its own axes, name it: --format table --hint station=NAME"
-    raise RecordError(f"{message} ({phrase})", file=path)
+        message = f"this is a list of {n_points} points without readings, for nominal or reference coordinates"
+    hint = "if one set-up measured them in its own axes, name it: --format table --hint station=NAME"
+    raise RecordError(f"{message} ({hint})", file=path)
 
 
 FORMATS: tuple[FileFormat, ...] = (
@@ -135,9 +142,9 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
     path = Path(path)
     hints = hints or NO_HINTS
     format = "table" if format is None and hints.columns is not None and path.exists() else format  # noqa: A001
-    chosen = recognise_format(path) if format is None else _format_by_name(format, FORMATS)
+    file_format = recognise_format(path) if format is None else _format_by_name(format, FORMATS)
     try:
-        recording = chosen.read(path, hints)
+        recording = file_format.read(path, hints)
     except ValidationError as problem:
         raise RecordError(validation_sentence(problem.errors()[0], Setup), file=path) from None
     notes = (
@@ -159,7 +166,7 @@ def is_recording(path: Path) -> bool:
 
 
 def load_recording(source: RecordingSource) -> Recording:
-    """Recording of a source, read from its path if necessary; raises RecordError for any other object."""
+    """Recording itself, or the recording that is read from a path; raises RecordError for any other object."""
     if not isinstance(source, Recording | str | Path):
         raise RecordError(f"expected a recording or the path of one, found a {type(source).__name__}")
     return source if isinstance(source, Recording) else read(source)
@@ -173,30 +180,33 @@ def recognise_format(path: Path) -> FileFormat:
         inside := sorted(path.glob(f"*/{native.OBSERVATIONS_FILE}"))
     ):
         raise RecordError(f"is not a recording, but contains {len(inside)}; give {inside[0].parent}", file=path)
-    head = ""
+    beginning = ""
     if path.is_file():
         try:
             with path.open("rb") as stream:
-                head = with_unix_line_ends(decode_head(stream.read(HEAD_SIZE)))
+                beginning = with_unix_line_ends(decode_head(stream.read(HEAD_SIZE)))
         except OSError as problem:
             raise RecordError(f"cannot be read ({problem.strerror})", file=path) from None
-    unread = next((f for f in UNREAD_FORMATS if f.pattern.match(head)), None)
-    if unread is not None:
-        raise RecordError(f"is {unread.name}, which ltsim does not read; {unread.alternative}", file=path)
-    fitting = [f for f in FORMATS if f.recognises(path, head)]
-    if not fitting:
+    unread_format = next((f for f in UNREAD_FORMATS if f.pattern.match(beginning)), None)
+    if unread_format is not None:
+        raise RecordError(f"is {unread_format.name}, which ltsim does not read; {unread_format.alternative}", file=path)
+    fitting_formats = [f for f in FORMATS if f.recognises(path, beginning)]
+    if not fitting_formats:
         formats = "; ".join(f"{f.name} ({f.about})" for f in FORMATS)
         raise RecordError(f"has none of the formats that ltsim reads: {formats}", file=path)
-    return next((f for f in fitting if f.has_signature or path.suffix.lower() in f.suffixes), fitting[0])
+    return next(
+        (f for f in fitting_formats if f.has_signature or path.suffix.lower() in f.suffixes), fitting_formats[0]
+    )
 
 
 def write(recording: Recording, path: Path | str, format: str = "native") -> None:  # noqa: A002
     """Export of a recording to one of the formats with a writer.
 
-    Raises RecordError if the format cannot represent it or the path cannot be written; no partial file remains.
+    Raises RecordError if the format cannot represent the recording, or the path cannot be written to. No partial file
+    remains.
     """
-    able = tuple(f for f in FORMATS if f.write is not None)
-    writer = _format_by_name(format, able).write
+    writable_formats = tuple(f for f in FORMATS if f.write is not None)
+    writer = _format_by_name(format, writable_formats).write
     if writer is not None:
         writer(recording, Path(path))
 

@@ -1,4 +1,4 @@
-"""Bounded reading of files, checks of the numbers and names in them, and atomic writing."""
+"""Reading of files up to a size limit, checks of the numbers and names in them, and atomic writing."""
 
 import codecs
 import re
@@ -12,15 +12,17 @@ from ltsim.core.limits import MAX_FILE_BYTES, MAX_LINE_CHARACTERS, MAX_TEXT_LINE
 from ltsim.core.storage import write_files
 
 MAX_RECORDING_NAME_LENGTH = 100
-"""Largest number of characters of a name in a recording."""
+"""Number of characters above which the name of a station, target or instrument is refused."""
 MAX_NUMBER_LENGTH = 40
-"""Largest number of characters of a cell that is read as a number."""
+"""Number of characters above which a cell is not read as a number."""
 MAX_TEXT_LENGTH = 500
-"""Largest number of characters of a name or text that is read."""
+"""Number of characters above which a text is refused."""
 MAX_RECORDING_TITLE_LENGTH = 120
-"""Largest number of characters of a title of a recording."""
+"""Number of characters to which the title of a foreign file is shortened."""
 UTF8_MARK = b"\xef\xbb\xbf"
+"""Byte-order mark of UTF-8."""
 UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
+"""Byte-order marks of UTF-16, little-endian and big-endian."""
 _UNDEFINED_BYTES = frozenset(b"\x81\x8d\x8f\x90\x9d")  # bytes without a meaning in Windows-1252
 NUMBER_PATTERN = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
 _NOT_FINITE_PATTERN = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
@@ -114,21 +116,21 @@ def is_not_finite(text: str) -> bool:
 
 
 def quoted_text(text: str, length: int = 40) -> str:
-    """`text` in a form for a one-line message: printable and short."""
-    clean = "".join(c if c.isprintable() else "?" for c in text[: length + 1])
-    return clean if len(clean) <= length else clean[:length] + "..."
+    """`text` for a one-line message: without unprintable characters, cut after `length` characters."""
+    printable_text = "".join(c if c.isprintable() else "?" for c in text[: length + 1])
+    return printable_text if len(printable_text) <= length else printable_text[:length] + "..."
 
 
 @dataclass(frozen=True, slots=True)
 class SourceLocation:
-    """Location in a file (file, row, column), which the checks of its content name in their errors."""
+    """Location in a file. Its methods check the content there, and their errors name file, row and column."""
 
     file: object = None
     row: int | None = None
     column: str | None = None
 
     def error(self, message: str, column: str | None = None) -> RecordError:
-        """RecordError for the content of this location, to be raised by the caller."""
+        """RecordError that names this location, to be raised by the caller."""
         return RecordError(message, file=self.file, row=self.row, column=self.column if column is None else column)
 
     def number(self, text: str, column: str | None = None, *, limit: float = 1e12, comma: bool = False) -> float:
@@ -169,28 +171,30 @@ class SourceLocation:
 
     def text(self, text: str, column: str | None = None) -> str:
         """The text, checked as a short line without control characters or markup; raises RecordError."""
-        markup = "<" in text or ">" in text or not text.isprintable()
-        if len(text) > MAX_TEXT_LENGTH or markup:
+        has_markup = "<" in text or ">" in text or not text.isprintable()
+        if len(text) > MAX_TEXT_LENGTH or has_markup:
             reason = (
-                "contains control characters or markup" if markup else f"is longer than {MAX_TEXT_LENGTH} characters"
+                "contains control characters or markup"
+                if has_markup
+                else f"is longer than {MAX_TEXT_LENGTH} characters"
             )
             raise self.error(f"the text '{quoted_text(text)}' {reason}", column)
         return text
 
 
 def parse_comma_number(text: str, *, file: object, row: int | None = None, column: str | None = None) -> float:
-    """Number as of `SourceLocation.number`, with a decimal point or comma."""
+    """Finite number from a text with a decimal point or a decimal comma; raises RecordError."""
     return SourceLocation(file, row, column).number(text, comma=True)
 
 
 def as_title(text: str) -> str:
-    """Title from a foreign file as one line of limited length."""
+    """Title of a foreign file as one line of at most `MAX_RECORDING_TITLE_LENGTH` characters."""
     line = textwrap.shorten(text, MAX_RECORDING_TITLE_LENGTH, placeholder=" ...")
     return "".join(c for c in line.replace("<", "(").replace(">", ")") if c.isprintable())
 
 
 def write_texts(folder: Path, texts: Mapping[str, str | bytes]) -> None:
-    """Atomic writing of files into `folder` (names may contain subfolders), as `ltsim.core.storage.write_files`.
+    """Atomic writing of files, given as texts by name, into `folder`; names may contain subfolders.
 
     Raises RecordError if the folder cannot be created or written to, or a link leads out of it.
     """

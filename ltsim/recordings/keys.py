@@ -1,4 +1,4 @@
-"""Types of the keys of user-written files, and the base class of their tables."""
+"""Types of the values in user-written TOML files, and the base class of the tables of these files."""
 
 from __future__ import annotations
 
@@ -58,14 +58,14 @@ def symmetric_matrix(entries: tuple[float, ...]) -> Floats:
 
 
 MIN_CORRELATION_EIGENVALUE = 1e-9
-"""Smallest eigenvalue of a correlation matrix that counts as positive."""
+"""Eigenvalue of a correlation matrix below which a declared covariance is refused as not positive definite."""
 MIN_VECTOR_LENGTH = 1e-6
-"""Length below which a vector has no usable direction."""
+"""Length below which a vector is refused as a direction."""
 Finite = Annotated[float, Field(ge=-1e11, le=1e11, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
 MIN_POSITIVE = 1e-9
-"""Smallest permitted value of a positive number, in the unit of its key: results are divided by the number and by its
-square."""
+"""Smallest permitted value of a positive number, in the unit of its key, because results are divided by the square of
+the number."""
 Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False), AfterValidator(_require_not_tiny)]
 Elevation = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
 Height = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
@@ -73,7 +73,7 @@ Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]
 Line = Annotated[str, Field(max_length=200), AfterValidator(_require_single_line)]
 Date = Annotated[str, AfterValidator(_require_calendar_date)]
 MIN_SIGMA = 1e-6
-"""Smallest permitted standard deviation [mm, arcsec, ppm]: smaller ones give weights that lose their digits."""
+"""Smallest permitted standard deviation [mm, arcsec, ppm]; the weights of smaller ones lose their digits."""
 Sigma = Annotated[float, Field(ge=MIN_SIGMA, le=1e9, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 Covariance = Annotated[
@@ -81,7 +81,7 @@ Covariance = Annotated[
 ]
 Direction = Annotated[Vector, AfterValidator(_require_nonzero)]
 EXACT_LEVEL_ARCSEC = 1e-3
-"""Levelling sigma [arcsec] for formats whose instruments are levelled exactly (gama-local, LGC without ROT3D)."""
+"""Standard deviation [arcsec] of levelling for formats that assume exact levelling (gama-local, LGC without ROT3D)."""
 
 
 class TomlSection(DescribedModel):

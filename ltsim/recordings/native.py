@@ -1,4 +1,4 @@
-"""The native recording, a folder with `observations.csv` and `setup.toml` (format ltsim-recording/1)."""
+"""Native format of recordings: a folder with `observations.csv` and `setup.toml` (ltsim-recording/1)."""
 
 import csv
 import difflib
@@ -49,8 +49,8 @@ SETUP_FILE = "setup.toml"
 REQUIRED_COLUMNS = ("station", "target", "face", "azimuth_deg", "elevation_deg", "distance_mm")
 READING_COLUMNS = ("distance_mm", "azimuth_deg", "elevation_deg")
 BASIC_COLUMNS = (*REQUIRED_COLUMNS, "repeat", "time_s")
-WORD_COLUMNS = {MODE_COLUMN: ("adm", "ifm", ""), KIND_COLUMN: ("slope", "horizontal", "")}
-TEXT_COLUMNS = (*WORD_COLUMNS, REFLECTOR_COLUMN, *OCCUPATION_COLUMNS)
+ENUMERATED_COLUMNS = {MODE_COLUMN: ("adm", "ifm", ""), KIND_COLUMN: ("slope", "horizontal", "")}
+TEXT_COLUMNS = (*ENUMERATED_COLUMNS, REFLECTOR_COLUMN, *OCCUPATION_COLUMNS)
 COLUMN_BOUNDS = {
     "distance_mm": (0.001, 1e9),
     "azimuth_deg": (-720.0, 720.0),
@@ -63,14 +63,14 @@ COLUMN_BOUNDS = {
 }
 """Smallest and largest permitted number of each column, in the unit of its name."""
 FURTHER_UNIT_SUFFIXES = ("k", "f", "pa", "bar", "inch")
-"""Units in headings of further columns, in addition to the units of ltsim."""
+"""Suffixes of column names that are recognised as a wrong unit, in addition to the units of ltsim."""
 
 
 MAX_INTERNED_TEXTS = 10_000
-"""Largest number of distinct texts of cells, such as names, that are stored once and shared."""
+"""Number of distinct texts of cells, such as names, up to which equal cells share one string, which saves memory."""
 
 
-def recognises(path: Path, head: str) -> bool:
+def recognises(path: Path, beginning: str) -> bool:
     """True for a recording folder or its `observations.csv`."""
     return (path.is_dir() and not is_table_folder(path)) or path.name == OBSERVATIONS_FILE
 
@@ -92,7 +92,7 @@ def read_recording(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 
 def _read_table(path: Path, *, incomplete_tail: bool) -> list[list[str]]:
-    """Header and rows of the table, all of equal length."""
+    """Header and rows of a CSV file, all with the same number of cells; raises RecordError."""
     lines = read_lines(path)
     if lines[-1] and incomplete_tail:
         lines = lines[:-1]
@@ -122,14 +122,14 @@ def _read_table(path: Path, *, incomplete_tail: bool) -> list[list[str]]:
 
 
 def _release_lines(lines: list[str]) -> Iterator[str]:
-    """The lines in order; each is removed from the list, so that their memory becomes free."""
+    """The lines in order. Each line is removed from the list, so that its memory is released."""
     lines.reverse()
     while lines:
         yield lines.pop()
 
 
 def parse(rows: list[list[str]], setup: Setup, folder: Path, *, incomplete_tail: bool = False) -> Recording:
-    """Recording from the header and rows of its table; `folder` is named in errors."""
+    """Recording from the header and rows of `observations.csv` and its set-up; `folder` is named in errors."""
     file = folder / OBSERVATIONS_FILE
     header = list(map(unguard_formula, rows[0]))
     _check_header(header, file)
@@ -139,17 +139,17 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, incomplete_tail:
     }
     stations, station = index_names(columns["station"], "station", file)
     targets, target = index_names(columns["target"], "target", file)
-    count = len(rows) - 1
+    n_rows = len(rows) - 1
     face = _integer_column(columns["face"], SourceLocation(file, column="face"), (1, 2))
-    repeat = columns.get("repeat", ["1"] * count)
-    time = columns.get("time_s", list(map(str, range(count))))
+    repeat = columns.get("repeat", ["1"] * n_rows)
+    time = columns.get("time_s", list(map(str, range(n_rows))))
     measured = np.stack(
         [_float_column(columns[name], SourceLocation(file, column=name)) for name in READING_COLUMNS], axis=1
     )
-    nothing = np.flatnonzero(np.all(np.isnan(measured), axis=1))
-    if len(nothing):
+    empty_rows = np.flatnonzero(np.all(np.isnan(measured), axis=1))
+    if len(empty_rows):
         message = "the row has no reading, expected an azimuth, an elevation or a distance"
-        raise SourceLocation(file, int(nothing[0]) + 1).error(message)
+        raise SourceLocation(file, int(empty_rows[0]) + 1).error(message)
     require_degrees_and_millimetres(measured, station, target, face, file)
     covariates, labels = _additional_columns(columns, file)
     recording = Recording(
@@ -175,7 +175,7 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, incomplete_tail:
 
 
 def _check_header(header: Sequence[str], file: Path) -> None:
-    """Check that every required column occurs once and in the right unit."""
+    """Check that every required column occurs once, in the unit of the format; raises RecordError."""
     location = SourceLocation(file, 0)
     if any(";" in name or "\t" in name for name in header):
         raise location.error("the header contains ';' or tabs, expected commas between columns")
@@ -205,8 +205,10 @@ def _integer_column(column: list[str], location: SourceLocation, bounds: tuple[i
     numbers: dict[str, int] = {}
     for text in dict.fromkeys(column):
         if not (text.isascii() and text.isdigit() and len(text) < 8 and low <= int(text) <= high):
-            wanted = f"{low} or {high}" if high == low + 1 else f"a whole number from {low}"
-            raise replace(location, row=column.index(text) + 1).error(f"found '{quoted_text(text)}', expected {wanted}")
+            expected = f"{low} or {high}" if high == low + 1 else f"a whole number from {low}"
+            raise replace(location, row=column.index(text) + 1).error(
+                f"found '{quoted_text(text)}', expected {expected}"
+            )
         numbers[text] = int(text)
     return np.array([numbers[text] for text in column], dtype=np.int64)
 
@@ -215,25 +217,25 @@ def _float_column(column: list[str], location: SourceLocation, *, optional: bool
     """Column of numbers within the bounds of its name; empty cells are NaN if `optional`."""
     low, high = COLUMN_BOUNDS.get(location.column or "", (-1e15, 1e15))
     values = np.full(len(column), np.nan)
-    filled = [i for i, text in enumerate(column) if text or not optional]
-    texts = [column[i] for i in filled]
+    filled_rows = [i for i, text in enumerate(column) if text or not optional]
+    texts = [column[i] for i in filled_rows]
     if max(map(len, texts), default=0) <= MAX_NUMBER_LENGTH and all(map(NUMBER_PATTERN.fullmatch, texts)):
-        values[filled] = list(map(float, texts))
-        if np.all((values[filled] >= low) & (values[filled] <= high)):
+        values[filled_rows] = list(map(float, texts))
+        if np.all((values[filled_rows] >= low) & (values[filled_rows] <= high)):
             return values
-    for i in filled:  # to name the first that is wrong
-        here = replace(location, row=i + 1)
-        values[i] = here.number(column[i], limit=1e15)
+    for i in filled_rows:  # to name the first that is wrong
+        cell = replace(location, row=i + 1)
+        values[i] = cell.number(column[i], limit=1e15)
         if not low <= values[i] <= high:
             hint = " (it looks like gon)" if location.column == "elevation_deg" and 270 < values[i] < 400 else ""
-            raise here.error(f"found {quoted_text(column[i])}, expected a value from {low:g} to {high:g}{hint}")
+            raise cell.error(f"found {quoted_text(column[i])}, expected a value from {low:g} to {high:g}{hint}")
     return values
 
 
 def _additional_columns(
     columns: dict[str, list[str]], file: Path
 ) -> tuple[dict[str, Floats], dict[str, tuple[str, ...]]]:
-    """Additional columns: numeric ones as covariates, the others as labels."""
+    """Covariates (additional columns of numbers) and labels (additional columns of texts), by column name."""
     covariates: dict[str, Floats] = {}
     labels: dict[str, tuple[str, ...]] = {}
     for name, column in columns.items():
@@ -247,17 +249,17 @@ def _additional_columns(
         for i, text in enumerate(column):
             where = SourceLocation(file, i + 1, name)
             where.text(text)
-            if name in WORD_COLUMNS and text not in WORD_COLUMNS[name]:
+            if name in ENUMERATED_COLUMNS and text not in ENUMERATED_COLUMNS[name]:
                 raise where.error(
-                    f"found '{quoted_text(text)}', expected {' or '.join(filter(None, WORD_COLUMNS[name]))}"
+                    f"found '{quoted_text(text)}', expected {' or '.join(filter(None, ENUMERATED_COLUMNS[name]))}"
                 )
         labels[name] = tuple(column)
     return covariates, labels
 
 
 def _require_valid_gauge(recording: Recording, file: Path) -> None:
-    for i, line in enumerate(recording.gauge.distance):
-        for name in (line.from_, line.to):
+    for i, length in enumerate(recording.gauge.distance):
+        for name in (length.from_, length.to):
             if name not in recording.targets:
                 near = difflib.get_close_matches(name, recording.targets, n=3, cutoff=0.3)
                 hint = f"; measured were e.g. {', '.join(near)}" if near else ""
@@ -267,7 +269,10 @@ def _require_valid_gauge(recording: Recording, file: Path) -> None:
 
 
 def _require_declared_smrs(recording: Recording, folder: Path) -> None:
-    """Check of SMRs with radii: every pointing has one of them, and its nest has a normal where one is needed."""
+    """Check of SMRs with declared radii: each pointing names its SMR, and its nest has a normal if one is needed.
+
+    Raises RecordError.
+    """
     excess_radii(recording, folder / SETUP_FILE)
     names = smr_names(recording)
     if recording.setup.reflectors and "" in names:
@@ -278,7 +283,7 @@ def _require_declared_smrs(recording: Recording, folder: Path) -> None:
 
 
 def _unused_settings_notes(recording: Recording) -> tuple[str, ...]:
-    """Notes on settings without effect: stations, marks and points without pointings, unused radii or data sheets."""
+    """Notes on settings without effect, such as tables of stations without pointings, and on changed data sheets."""
     setup, notes = recording.setup, []
     marks = Counter(s.over for name, s in setup.stations.items() if s.over and name in recording.stations)
     for name in recording.stations:
@@ -296,10 +301,11 @@ def _unused_settings_notes(recording: Recording) -> tuple[str, ...]:
     joined = {name for entry in setup.differences for name in (entry.from_, entry.to)}
     for name, target in setup.targets.items():
         if target.known_mm and name not in recording.targets and name not in marks and name not in joined:
-            notes.append(f"targets.{name} is known but was never measured{_similar_names(name, recording.targets)}")
+            similar = _similar_names(name, recording.targets)
+            notes.append(f"targets.{name} has known coordinates, but was never measured{similar}")
         elif target.datum and name not in recording.targets and name not in marks:
             notes.append(
-                f"targets.{name} is of the datum, but left out: it was never "
+                f"targets.{name} is left out of the datum, because it was never "
                 f"measured{_similar_names(name, recording.targets)}"
             )
     for place, entry in {"instrument": setup.instrument, **setup.instruments}.items():
@@ -320,7 +326,7 @@ def _similar_names(name: str, names: Iterable[str]) -> str:
 def write_recording(recording: Recording, path: Path) -> None:
     """Writing of a recording as a folder; both files are written completely or not at all.
 
-    Raises RecordError when it holds what could not be read back, or the folder cannot be written.
+    Raises RecordError for names or values that could not be read back, and if the folder cannot be written to.
     """
     if path.exists() and not path.is_dir():
         raise RecordError("the path is a file, expected a folder to write the recording to", file=path)
@@ -330,7 +336,7 @@ def write_recording(recording: Recording, path: Path) -> None:
 def recording_texts(recording: Recording, path: Path) -> dict[str, str]:
     """Contents of the files of a recording's folder, by name; `path` is named in errors.
 
-    Raises RecordError when it holds names or values that could not be read back.
+    Raises RecordError for names or values that could not be read back.
     """
     rows, toml = observation_table(recording), setup_to_toml(recording.setup)
     validate_setup(recording.setup.model_dump(by_alias=True, mode="json", exclude_none=True), path / SETUP_FILE)
@@ -342,7 +348,7 @@ def recording_texts(recording: Recording, path: Path) -> dict[str, str]:
 
 def observation_table(recording: Recording) -> list[list[str]]:
     """Header and rows of `observations.csv`."""
-    polar = recording.readings
+    readings = recording.readings
     columns: dict[str, Sequence[str]] = {
         "station": [guard_formula(recording.stations[i]) for i in recording.station],
         "target": [guard_formula(recording.targets[i]) for i in recording.target],
@@ -351,9 +357,9 @@ def observation_table(recording: Recording) -> list[list[str]]:
     }
     if recording.has_clock:
         columns["time_s"] = _number_texts(recording.time)
-    columns["azimuth_deg"] = _number_texts(polar[:, 1], DEGREE, 9)
-    columns["elevation_deg"] = _number_texts(polar[:, 2], DEGREE, 9)
-    columns["distance_mm"] = _number_texts(polar[:, 0], MILLIMETRE, 6)
+    columns["azimuth_deg"] = _number_texts(readings[:, 1], DEGREE, 9)
+    columns["elevation_deg"] = _number_texts(readings[:, 2], DEGREE, 9)
+    columns["distance_mm"] = _number_texts(readings[:, 0], MILLIMETRE, 6)
     columns |= {name: _number_texts(values) for name, values in recording.covariates.items()}
     columns |= {name: [guard_formula(text) for text in labels] for name, labels in recording.labels.items()}
     return [list(map(guard_formula, columns)), *(list(row) for row in zip(*columns.values(), strict=True))]
@@ -367,16 +373,16 @@ def _integer_texts(values: Ints) -> list[str]:
 
 
 def _number_texts(values: Floats, unit: float = 1.0, digits: int | None = None) -> list[str]:
-    """Numbers in `unit` as texts: with `digits` decimals if they are exact then, otherwise with all digits.
-
-    It is empty for NaN.
-    """
-    there = np.isfinite(values)
-    numbers = (values[there] / unit).tolist()
+    """Texts of SI values in `unit`: with `digits` decimals if that is exact, otherwise with all digits; '' for NaN."""
+    is_finite = np.isfinite(values)
+    numbers = (values[is_finite] / unit).tolist()
     texts = list(map(repr, numbers))
     if digits is not None:
         short = [f"{number:.{digits}f}" for number in numbers]
-        exact = np.array(list(map(float, short))) * unit == values[there]
-        texts = [few if same else all_ for few, all_, same in zip(short, texts, exact.tolist(), strict=True)]
-    filled = iter(texts)
-    return [next(filled) if finite else "" for finite in there.tolist()]
+        exact = np.array(list(map(float, short))) * unit == values[is_finite]
+        texts = [
+            short_text if is_exact else full_text
+            for short_text, full_text, is_exact in zip(short, texts, exact.tolist(), strict=True)
+        ]
+    remaining_texts = iter(texts)
+    return [next(remaining_texts) if finite else "" for finite in is_finite.tolist()]

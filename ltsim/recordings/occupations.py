@@ -13,15 +13,15 @@ from ltsim.recordings.files import SourceLocation, quoted_text
 from ltsim.recordings.recording import OCCUPATION_COLUMNS, Recording
 
 DAY_COLUMN = "date"
-"""Column of a recording with the day of each pointing."""
+"""Name of the column with the day of each pointing."""
 DAY_LENGTH_S = 86_400.0
 """Length [s] of a day."""
 MAX_LISTED_NAMES = 12
-"""Largest number of names that a message lists where none is similar."""
+"""Largest number of names that a message lists if no name is similar to the unknown one."""
 
 
 def days_of_pointings(recording: Recording) -> tuple[str, ...]:
-    """Day of each pointing as written in the recording, or counted by the clock; empty without days."""
+    """Day of each pointing, from the column `date` or counted from the clock; empty if neither tells several days."""
     if DAY_COLUMN in recording.labels:
         return recording.labels[DAY_COLUMN]
     if not recording.has_clock or np.ptp(recording.time) < DAY_LENGTH_S:
@@ -32,7 +32,7 @@ def days_of_pointings(recording: Recording) -> tuple[str, ...]:
 def check_centring(recording: Recording, file: object) -> None:
     """Check that the recording has the stations, targets and occupations of each table `[[centring]]`.
 
-    Raises RecordError with the nearest names.
+    Raises RecordError, which proposes similar names.
     """
     for i, entry in enumerate(recording.setup.centring):
         location = SourceLocation(file, column=f"centring {i + 1}")
@@ -48,9 +48,9 @@ def check_centring(recording: Recording, file: object) -> None:
 
 
 def target_occupations(recording: Recording, centring: CentringUncertainty) -> Ints:
-    """Index of the occupation of a target by a reflector, (n,); -1 for pointings that `centring` does not concern.
+    """Index (n,) of the occupation of a target by a reflector, for each pointing; -1 without centring errors.
 
-    A recording without the column or the days that distinguish occupations has one for each target.
+    Without the column or the days that distinguish occupations, each target has a single occupation.
     """
     keys: Sequence[object] = ("",) * len(recording)
     if centring.occupation == "station":
@@ -59,15 +59,15 @@ def target_occupations(recording: Recording, centring: CentringUncertainty) -> I
         keys = days_of_pointings(recording) or keys
     else:
         keys = recording.labels.get(centring.occupation, keys)
-    acts = np.ones(len(recording), dtype=bool)
+    is_affected = np.ones(len(recording), dtype=bool)
     for chosen, names, index in (
         (centring.stations, recording.stations, recording.station),
         (centring.targets, recording.targets, recording.target),
     ):
         if chosen:
-            acts &= np.isin(np.array(names)[index], chosen)
-    number_of: dict[object, int] = {}
+            is_affected &= np.isin(np.array(names)[index], chosen)
+    index_by_key: dict[object, int] = {}
     occupation = np.full(len(recording), -1, dtype=np.int64)
-    for row in np.flatnonzero(acts).tolist():
-        occupation[row] = number_of.setdefault((int(recording.target[row]), keys[row]), len(number_of))
+    for row in np.flatnonzero(is_affected).tolist():
+        occupation[row] = index_by_key.setdefault((int(recording.target[row]), keys[row]), len(index_by_key))
     return occupation

@@ -1,4 +1,4 @@
-"""Recordings from lists of pointings or of single observations in foreign files."""
+"""Recordings made from the pointings, or the single observations, that readers of foreign files collect."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -30,7 +30,10 @@ _UNIT_BY_KIND = dict(zip(OBSERVABLES, SIGMA_UNITS, strict=True))
 
 @dataclass(frozen=True, slots=True)
 class Pointing:
-    """Row of a pointing: names, face, range [m], azimuth and elevation [rad] (NaN: not measured), time [s]."""
+    """Pointing: names, face, range [m], azimuth and elevation [rad], time [s]; NaN if not measured.
+
+    `covariates` and `labels` are the numbers and texts of additional columns; `source` is the file and line.
+    """
 
     station: str
     target: str
@@ -46,9 +49,9 @@ class Pointing:
 
 @dataclass(frozen=True)
 class PointingColumns:
-    """Columns of pointings: names, faces (n,), readings (n, 3) [m, rad, rad], times (n,) [s], further columns, sources.
+    """Columns of n pointings: names, faces (n,), readings (n, 3) [m, rad, rad], times (n,) [s], additional columns.
 
-    NaN means not measured or not declared.
+    NaN means not measured or not declared; `sources` are the file and line of each pointing.
     """
 
     station: Sequence[str]
@@ -62,19 +65,19 @@ class PointingColumns:
 
 
 def numbered_name(point: str, n_earlier: int) -> str:
-    """Name of a set-up on a point: the point's name, with a number from the second set-up on."""
+    """Name of a set-up over a point: the point's name, with a number if `n_earlier` set-ups were there before."""
     return f"{point}#{n_earlier + 1}" if n_earlier else point
 
 
 def index_names(names: Iterable[str], kind: str, file: object) -> tuple[tuple[str, ...], Ints]:
     """Distinct names in order of appearance, and the index of each entry; raises RecordError for an invalid name."""
-    place: dict[str, int] = {}
+    index_by_name: dict[str, int] = {}
     index = []
     for row, name in enumerate(names):
-        if name not in place:
-            place[SourceLocation(file, row + 1).name(name, kind, kind)] = len(place)
-        index.append(place[name])
-    return tuple(place), np.array(index, dtype=np.int64)
+        if name not in index_by_name:
+            index_by_name[SourceLocation(file, row + 1).name(name, kind, kind)] = len(index_by_name)
+        index.append(index_by_name[name])
+    return tuple(index_by_name), np.array(index, dtype=np.int64)
 
 
 def declares_noise(recording: Recording) -> bool:
@@ -90,20 +93,20 @@ def recording_of_pointings(
 ) -> Recording:
     """Recording of pointings in the order of the file; repeats are numbered.
 
-    Raises RecordError when there is nothing, a row measures nothing, or a name cannot be used.
+    Raises RecordError without pointings, for a pointing without a reading, and for a name that is not permitted.
     """
     if not pointings:
         raise RecordError("holds no pointings", file=file)
-    numbers = dict.fromkeys(name for p in pointings for name in p.covariates)
-    words = dict.fromkeys(name for p in pointings for name in p.labels)
+    covariate_names = dict.fromkeys(name for p in pointings for name in p.covariates)
+    label_names = dict.fromkeys(name for p in pointings for name in p.labels)
     columns = PointingColumns(
         [p.station for p in pointings],
         [p.target for p in pointings],
         np.array([p.face for p in pointings], dtype=np.int64),
         np.array([[p.distance, p.azimuth, p.elevation] for p in pointings]),
         np.array([p.time for p in pointings]),
-        {name: np.array([p.covariates.get(name, NOT_MEASURED) for p in pointings]) for name in numbers},
-        {word: [p.labels.get(word, "") for p in pointings] for word in words},
+        {name: np.array([p.covariates.get(name, NOT_MEASURED) for p in pointings]) for name in covariate_names},
+        {name: [p.labels.get(name, "") for p in pointings] for name in label_names},
         [p.source for p in pointings],
     )
     return recording_of_columns(columns, setup, notes=notes, file=file)
@@ -112,12 +115,15 @@ def recording_of_pointings(
 def recording_of_columns(
     columns: PointingColumns, setup: Setup, *, notes: Sequence[str] = (), file: object = None
 ) -> Recording:
-    """Recording of columns of pointings; repeats are numbered. Raises RecordError as `recording_of_pointings` does."""
+    """Recording of columns of pointings; repeats are numbered.
+
+    Raises RecordError for a pointing without a reading, and for a name that is not permitted.
+    """
     stations, station = index_names(columns.station, "station", file)
     targets, target = index_names(columns.target, "target", file)
-    empty = np.flatnonzero(np.all(np.isnan(columns.readings), axis=1))
-    if len(empty):
-        raise RecordError("nothing was measured here", file=file, row=int(empty[0]) + 1)
+    empty_rows = np.flatnonzero(np.all(np.isnan(columns.readings), axis=1))
+    if len(empty_rows):
+        raise RecordError("nothing was measured here", file=file, row=int(empty_rows[0]) + 1)
     for texts in columns.labels.values():
         for text in dict.fromkeys(texts):
             SourceLocation(file).text(text)
@@ -142,7 +148,10 @@ def recording_of_columns(
 
 @dataclass(frozen=True)
 class SingleObservation:
-    """Single observation: value [m, rad], standard deviation, heights [m] (NaN: not given), and line (0: unknown)."""
+    """Single observation of a target: value and standard deviation [m, rad], heights [m]; NaN if not given.
+
+    `is_horizontal` marks a distance that is reduced to the horizontal plane; `line` is that of the file, or 0.
+    """
 
     kind: ObservationKind
     station: str
@@ -151,10 +160,10 @@ class SingleObservation:
     sigma: float = NOT_MEASURED
     instrument_height: float = NOT_MEASURED
     target_height: float = NOT_MEASURED
-    horizontal: bool = False
+    is_horizontal: bool = False
     line: int = 0
-    shared: dict[str, float] = field(default_factory=dict)
-    """Change of the value by each error that it shares with other observations, by name."""
+    shared_error_changes: dict[str, float] = field(default_factory=dict)
+    """Change of the value [m, rad] by one standard deviation of each error that it shares with others, by name."""
 
     @property
     def heights(self) -> tuple[float, float]:
@@ -163,17 +172,18 @@ class SingleObservation:
 
 
 def merge_observations(observations: Iterable[SingleObservation], file: str) -> list[Pointing]:
-    """Pointings from single observations of a station to a target.
+    """Pointings that combine the single observations from a station to a target.
 
-    The k-th direction, zenith angle and distance at equal heights form one pointing. Standard deviations and heights
-    are in columns.
+    The k-th azimuth, elevation and distance with equal heights form one pointing. Standard deviations and heights
+    become additional columns.
     """
     rows: list[dict[str, SingleObservation]] = []
     open_rows: dict[tuple[str, str], list[dict[str, SingleObservation]]] = {}
     for observation in observations:
         candidates = open_rows.setdefault((observation.station, observation.target), [])
         row = next(
-            (r for r in candidates if observation.kind not in r and _group_by_heights([*r.values(), observation])), None
+            (r for r in candidates if observation.kind not in r and _have_equal_heights([*r.values(), observation])),
+            None,
         )
         if row is None:
             row = {}
@@ -185,7 +195,7 @@ def merge_observations(observations: Iterable[SingleObservation], file: str) -> 
     return [_pointing(row, file) for row in rows]
 
 
-def _group_by_heights(observations: Sequence[SingleObservation]) -> bool:
+def _have_equal_heights(observations: Sequence[SingleObservation]) -> bool:
     return all(
         len({h for h in heights if h == h}) < 2 for heights in zip(*(o.heights for o in observations), strict=True)
     )
@@ -194,13 +204,13 @@ def _group_by_heights(observations: Sequence[SingleObservation]) -> bool:
 def _pointing(row: dict[str, SingleObservation], file: str) -> Pointing:
     sigmas = {SIGMA_COLUMNS[OBSERVABLES.index(kind)]: row[kind].sigma / _UNIT_BY_KIND[kind] for kind in row}
     heights = zip(HEIGHT_COLUMNS, zip(*(o.heights for o in row.values()), strict=True), strict=True)
-    shared = {
+    shared_columns = {
         f"shared_{name}_{UNIT_SUFFIXES[OBSERVABLES.index(kind)]}": change / _UNIT_BY_KIND[kind]
         for kind, observation in row.items()
-        for name, change in observation.shared.items()
+        for name, change in observation.shared_error_changes.items()
     }
-    over_marks = {name: next((h / MILLIMETRE for h in of if h == h), NOT_MEASURED) for name, of in heights}
-    is_horizontal = "distance" in row and row["distance"].horizontal
+    height_columns = {name: next((h / MILLIMETRE for h in of if h == h), NOT_MEASURED) for name, of in heights}
+    is_horizontal = "distance" in row and row["distance"].is_horizontal
     lines = sorted({observation.line for observation in row.values() if observation.line})
     first = next(iter(row.values()))
     return Pointing(
@@ -208,7 +218,9 @@ def _pointing(row: dict[str, SingleObservation], file: str) -> Pointing:
         first.target,
         1,
         **{kind: observation.value for kind, observation in row.items()},
-        covariates={name: value for name, value in (sigmas | over_marks | shared).items() if value == value},
+        covariates={
+            name: value for name, value in (sigmas | height_columns | shared_columns).items() if value == value
+        },
         labels={KIND_COLUMN: "horizontal"} if is_horizontal else {},
         source=f"{file}, line{'s' * (len(lines) > 1)} {', '.join(map(str, lines))}" if lines else "",
     )
@@ -217,22 +229,24 @@ def _pointing(row: dict[str, SingleObservation], file: str) -> Pointing:
 def separate_constant_heights(
     pointings: Sequence[Pointing],
 ) -> tuple[list[Pointing], dict[str, float], dict[str, float]]:
-    """Pointings without the heights that are constant for a name, and these heights [mm] of stations and of targets.
+    """Pointings without constant heights, height [mm] of the instrument by station, and height [mm] by target.
 
-    If the heights of one name differ, all such heights remain in their column.
+    If the height at one station (or of one target) varies, all heights of that kind stay in the pointings.
     """
-    constant: list[dict[str, float]] = []
+    constant_heights: list[dict[str, float]] = []
     for column, kind in zip(HEIGHT_COLUMNS, ("station", "target"), strict=True):
         values = [(getattr(p, kind), p.covariates[column]) for p in pointings if column in p.covariates]
         height_of = dict(values)
-        settled = all(height_of[name] == height for name, height in values)
-        constant.append({name: height for name, height in height_of.items() if height} if settled else {})
+        is_constant = all(height_of[name] == height for name, height in values)
+        constant_heights.append({name: height for name, height in height_of.items() if height} if is_constant else {})
         pointings = [
-            replace(p, covariates=_without_column(p.covariates, column, uses_column=settled)) for p in pointings
+            replace(p, covariates=_without_constant_height(p.covariates, column, is_constant=is_constant))
+            for p in pointings
         ]
-    return list(pointings), constant[0], constant[1]
+    return list(pointings), constant_heights[0], constant_heights[1]
 
 
-def _without_column(covariates: dict[str, float], column: str, *, uses_column: bool) -> dict[str, float]:
+def _without_constant_height(covariates: dict[str, float], column: str, *, is_constant: bool) -> dict[str, float]:
+    """Covariates without a constant height; a height that varies is kept, 0 if it is missing."""
     others = {name: value for name, value in covariates.items() if name != column}
-    return others if uses_column else {**others, column: covariates.get(column, 0.0)}
+    return others if is_constant else {**others, column: covariates.get(column, 0.0)}

@@ -22,25 +22,26 @@ OBSERVABLES = ("distance", "azimuth", "elevation")
 SIGMA_COLUMNS = ("sigma_distance_mm", "sigma_azimuth_arcsec", "sigma_elevation_arcsec")
 """Covariates with the standard deviation of single readings; an empty cell means the instrument's noise."""
 SIGMA_UNITS = (MILLIMETRE, ARCSECOND, ARCSECOND)
+"""Unit [m, rad, rad] of each of `SIGMA_COLUMNS`."""
 UNIT_SUFFIXES = tuple(name.removeprefix("sigma_") for name in SIGMA_COLUMNS)
-"""Unit suffixes of the columns of each observable."""
+"""Ends of the names of columns for each observable, with the unit, such as `distance_mm`."""
 HEIGHT_COLUMNS = ("instrument_height_mm", "target_height_mm")
 """Covariates with the heights of single pointings; an empty cell means the height in the set-up."""
 SHARED_COLUMN = re.compile(f"shared_(.+)_({'|'.join(UNIT_SUFFIXES)})")
-"""Pattern of covariates with the change of single readings by one standard deviation of an error that they share."""
+"""Name of a covariate with the change of each reading by one standard deviation of an error that readings share."""
 BOOKKEEPING_COLUMNS = (*SIGMA_COLUMNS, *HEIGHT_COLUMNS)
-"""Covariates that describe the measurement and not its conditions; a diagnosis does not use them as regressors."""
+"""Covariates with standard deviations and heights, which a diagnosis does not use as regressors."""
 KIND_COLUMN = "distance_kind"
-"""Label of the kind of a distance: ``slope`` (or empty) or ``horizontal``."""
+"""Text column with the kind of a distance: ``slope`` (or empty) or ``horizontal``."""
 MODE_COLUMN = "distance_mode"
-"""Label of the meter that measured a distance: ``adm``, ``ifm`` or empty."""
+"""Text column with the meter that measured a distance: ``adm``, ``ifm`` or empty."""
 REFLECTOR_COLUMN = "reflector"
-"""Label with the name of the SMR of a pointing; an empty cell means the SMR of the target."""
+"""Text column with the name of the SMR of a pointing; an empty cell means the SMR of the target."""
 _DEFAULT_STATION, _DEFAULT_TARGET = Station(), Target()
 MAX_TIME = 2e18
-"""Largest time of a pointing [s]: also an epoch in nanoseconds that is read as seconds (1.8e18) is smaller."""
+"""Largest permitted time of a pointing [s]. Unix time in nanoseconds that is read as seconds (1.8e18) is smaller."""
 MIN_COS_ELEVATION = 1e-6
-"""Smallest cosine of the elevation by which a length across the beam is divided, to avoid division by zero."""
+"""Smallest cosine of the elevation by which noise across the beam is divided, to avoid a division by zero."""
 MAX_COS_STEEP = 1e-4
 """Cosine of the elevation below which a network does not use the angles of a pointing (21 arcsec from the vertical
 axis).
@@ -49,29 +50,30 @@ There 1 arcsec across the beam is 2.8 deg of azimuth, and the elevation is not d
 is valid.
 """
 OCCUPATION_COLUMNS = ("instrument_setup", "target_setup")
-"""Labels of the occupation of a mark by the instrument, and by the reflector, of each pointing."""
+"""Text columns with the occupation of a mark by the instrument, and by the reflector, for each pointing."""
 
 
 def noise_sigma(noise: Sequence[Noise], instrument: Ints, range_: Floats, elevation: Floats) -> Floats:
-    """Standard deviation (n, 3) [m, rad, rad] of readings by the declared noise of the instrument (n,) of each.
+    """Standard deviation (n, 3) [m, rad, rad] of the range, azimuth and elevation of n pointings by the declared noise.
 
-    Range: constant + ppm * range [m]; azimuth: the noise across the beam, divided by cos(elevation).
+    `instrument` (n,) is the index into `noise` of the instrument of each pointing. A range has constant + ppm * range,
+    an azimuth the noise across the beam divided by the cosine of the elevation.
     """
-    rows = [[m.distance_mm, m.distance_ppm, m.azimuth_arcsec, m.elevation_arcsec] for m in noise]
+    noise_values = [[m.distance_mm, m.distance_ppm, m.azimuth_arcsec, m.elevation_arcsec] for m in noise]
     units = np.array([MILLIMETRE, PPM, ARCSECOND, ARCSECOND])
-    constant, per_metre, azimuth, level = (np.array(rows) * units)[instrument].T
-    across = np.maximum(np.abs(np.cos(elevation)), MIN_COS_ELEVATION)
-    return np.stack([constant + per_metre * range_, azimuth / across, level], axis=1)
+    constant, per_metre, azimuth_sigma, elevation_sigma = (np.array(noise_values) * units)[instrument].T
+    cos_elevation = np.maximum(np.abs(np.cos(elevation)), MIN_COS_ELEVATION)
+    return np.stack([constant + per_metre * range_, azimuth_sigma / cos_elevation, elevation_sigma], axis=1)
 
 
 def repeat_numbers(station: Ints, target: Ints, face: Ints) -> Ints:
-    """1, 2, ... for every further pointing of one station to one target on one face, (n,)."""
+    """Repeat number (n,), 1, 2, ..., of each pointing among those from one station to one target on one face."""
     order = np.lexsort((face, target, station))
     keys = np.stack([station, target, face], axis=1)[order]
-    begins = np.flatnonzero(np.any(np.diff(keys, axis=0, prepend=-1), axis=1))
-    counts = np.diff(begins, append=len(order))
+    first_rows = np.flatnonzero(np.any(np.diff(keys, axis=0, prepend=-1), axis=1))
+    counts = np.diff(first_rows, append=len(order))
     repeat = np.empty(len(order), dtype=np.int64)
-    repeat[order] = np.arange(len(order)) - np.repeat(begins, counts) + 1
+    repeat[order] = np.arange(len(order)) - np.repeat(first_rows, counts) + 1
     return repeat
 
 
@@ -80,36 +82,39 @@ class Recording(Result):
     """Readings of a tracker network, with the prior knowledge about its set-up."""
 
     setup: Setup
+    """Prior knowledge about the set-up."""
     stations: tuple[str, ...]
+    """Names of the stations."""
     targets: tuple[str, ...]
-    """Names of the targets; `target` holds indices into them."""
+    """Names of the targets."""
     station: Ints
+    """Index (n,) into `stations` of each pointing."""
     target: Ints
-    """Indices of station and target of each pointing, (n,) each."""
+    """Index (n,) into `targets` of each pointing."""
     face: Ints
     """Face of each pointing, (n,): 1 or 2."""
     repeat: Ints
-    """Number of the repeat of each pointing, (n,)."""
+    """Repeat number (n,) of each pointing from one station to one target on one face, from 1."""
     time: Floats
-    """Time since the start of the recording, (n,) [s]; the row number in a recording without clock."""
+    """Time (n,) [s] since the start of the recording; the row number if the recording has no clock."""
     readings: Floats
     """Raw range, azimuth and elevation, (n, 3) [m, rad, rad]; NaN if not measured."""
     covariates: Mapping[str, Floats] = field(default_factory=dict)
-    """Additional numeric columns, including the instrument's air readings, (n,) each."""
+    """Additional columns of numbers (n,) by name, including the air readings of the instrument."""
     labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Additional text columns, n entries each."""
+    """Additional columns of texts by name, n entries each."""
     has_clock: bool = True
-    """True if `time` is a clock; False if it is only the row order."""
+    """True if `time` was measured; False if it is only the number of the row."""
     notes: tuple[str, ...] = ()
     """Decisions of a reader on an ambiguous file, and content that it ignored, one sentence each."""
     sources: tuple[str, ...] = ()
     """File and line of each row; empty for a native recording, whose rows are those of its table."""
 
     def __post_init__(self) -> None:
-        """Check that all times are finite and of a possible size; raises ModelError."""
-        wrong = np.flatnonzero(~(np.abs(np.asarray(self.time, dtype=np.float64)) <= MAX_TIME))
-        if len(wrong):
-            row, value = int(wrong[0]) + 1, self.time[wrong[0]]
+        """Check that all times are finite and at most `MAX_TIME` in magnitude; raises ModelError."""
+        invalid_rows = np.flatnonzero(~(np.abs(np.asarray(self.time, dtype=np.float64)) <= MAX_TIME))
+        if len(invalid_rows):
+            row, value = int(invalid_rows[0]) + 1, self.time[invalid_rows[0]]
             raise ModelError(
                 f"the time of row {row} is {value}, expected seconds of at most {MAX_TIME:g}; of a recording without a "
                 "clock give time=np.arange(n) and has_clock=False"
@@ -152,17 +157,17 @@ class Recording(Result):
         }
 
     def where(self, row: int) -> str:
-        """Text for row `row` (from 1), with the file and line that it was read from."""
+        """Text that names row `row` (from 1), with the file and line from which it was read."""
         return f"row {row} ({self.sources[row - 1]})" if self.sources else f"row {row}"
 
     @property
     def is_measured(self) -> Bools:
-        """Flags (n, 3) of the readings that exist."""
+        """Flags (n, 3) of the readings that were measured."""
         return np.isfinite(self.readings)
 
     @property
     def usable(self) -> Bools:
-        """Flags (n, 3) of the readings that a network uses: the measured ones, except the angles of vertical sights."""
+        """Flags (n, 3) of the readings that an adjustment uses: all measured ones except angles of vertical sights."""
         return self.is_measured & ~(self.vertical[:, None] & [False, True, True])
 
     @property
@@ -180,8 +185,8 @@ class Recording(Result):
     def instrument(self) -> Ints:
         """Index (n,) into `instruments` of the instrument of each row."""
         index = {name: i for i, name in enumerate(self.instruments)}
-        of_station = [index[self._instrument_name(s)] for s in self.stations]
-        return np.array(of_station, dtype=np.int64)[self.station]
+        index_by_station = [index[self._instrument_name(s)] for s in self.stations]
+        return np.array(index_by_station, dtype=np.int64)[self.station]
 
     def _instrument_name(self, station: str) -> str:
         name = self.setup.stations.get(station, _DEFAULT_STATION).instrument
@@ -210,14 +215,14 @@ class Recording(Result):
         return self.setup.gauge or Gauge()
 
     def sigma(self) -> Floats:
-        """Standard deviation (n, 3) [m, rad, rad] of each reading by the declared noise.
+        """Declared standard deviation (n, 3) [m, rad, rad] of each range, azimuth and elevation.
 
-        The columns `SIGMA_COLUMNS`, if present, replace it for single readings; for an azimuth they hold the sigma of
-        the reading itself.
+        A value in the columns `SIGMA_COLUMNS` replaces that of the instrument's noise. For an azimuth it is the
+        standard deviation of the reading, not the one across the beam.
         """
         noise = [self.instrument_of(name).noise for name in self.stations]
-        range_, _, level = np.nan_to_num(self.readings).T
-        sigma = noise_sigma(noise, self.station, range_, level)
+        range_, _, elevation = np.nan_to_num(self.readings).T
+        sigma = noise_sigma(noise, self.station, range_, elevation)
         for column, (name, unit) in enumerate(zip(SIGMA_COLUMNS, SIGMA_UNITS, strict=True)):
             if name in self.covariates:
                 column_sigma = self.covariates[name] * unit
@@ -225,38 +230,38 @@ class Recording(Result):
         return sigma
 
     def heights(self) -> tuple[Floats, Floats]:
-        """Heights (n,) [m] of the instrument and of the reflector over their marks, along the vertical."""
+        """Heights (n,) [m] of the instrument, and heights (n,) [m] of the reflector, over their marks."""
         instrument = [self.station_setup(s).instrument_height_mm for s in self.stations]
         target = [self.target_setup(t).height_mm for t in self.targets]
-        constant = np.array(instrument)[self.station], np.array(target)[self.target]
-        by_row = [self.covariates.get(name, np.full(len(self), np.nan)) for name in HEIGHT_COLUMNS]
+        default_heights = np.array(instrument)[self.station], np.array(target)[self.target]
+        row_heights = [self.covariates.get(name, np.full(len(self), np.nan)) for name in HEIGHT_COLUMNS]
         first, second = (
-            np.where(np.isfinite(row_height), row_height, other) * MILLIMETRE
-            for row_height, other in zip(by_row, constant, strict=True)
+            np.where(np.isfinite(row_height), row_height, default_height) * MILLIMETRE
+            for row_height, default_height in zip(row_heights, default_heights, strict=True)
         )
         return first, second
 
     @property
     def regressor_covariates(self) -> Mapping[str, Floats]:
-        """Covariates (n,) that readings may depend on; if both meters were used, also 1 for `ifm`."""
+        """Covariates (n,) by name on which readings may depend; with both meters also `distance_mode`, 1 for `ifm`."""
         columns = {name: column for name, column in self.covariates.items() if name not in BOOKKEEPING_COLUMNS}
-        circumstances = {name: column for name, column in columns.items() if not SHARED_COLUMN.fullmatch(name)}
+        regressors = {name: column for name, column in columns.items() if not SHARED_COLUMN.fullmatch(name)}
         modes = self.labels.get(MODE_COLUMN, ())
         if {"adm", "ifm"} <= set(modes):
-            circumstances[MODE_COLUMN] = np.array([mode == "ifm" for mode in modes], dtype=np.float64)
-        return circumstances
+            regressors[MODE_COLUMN] = np.array([mode == "ifm" for mode in modes], dtype=np.float64)
+        return regressors
 
     @property
     def is_horizontal(self) -> Bools:
-        """Flags (n,) of the distances that are reduced to the horizontal plane of the instrument."""
+        """Flags (n,) of the pointings whose distance is reduced to the horizontal plane of the instrument."""
         kinds = self.labels.get(KIND_COLUMN, ("",) * len(self))
         return np.array([kind == "horizontal" for kind in kinds], dtype=bool)
 
     def select(self, rows: Bools | Ints) -> Recording:
-        """Recording with a selection of rows; stations and targets without rows are dropped."""
-        keep = np.arange(len(self))[rows]
-        station_ids, station = np.unique(self.station[keep], return_inverse=True)
-        target_ids, target = np.unique(self.target[keep], return_inverse=True)
+        """Recording with the rows of a mask or of indices; stations and targets without rows are dropped."""
+        row_indices = np.arange(len(self))[rows]
+        station_ids, station = np.unique(self.station[row_indices], return_inverse=True)
+        target_ids, target = np.unique(self.target[row_indices], return_inverse=True)
         names = tuple(self.targets[k] for k in target_ids)
         gauge = self.setup.gauge
         if gauge is not None:
@@ -271,17 +276,17 @@ class Recording(Result):
             targets=names,
             station=station.astype(np.int64),
             target=target.astype(np.int64),
-            face=self.face[keep],
-            repeat=self.repeat[keep],
-            time=self.time[keep],
-            readings=self.readings[keep],
-            covariates={name: column[keep] for name, column in self.covariates.items()},
-            labels={name: tuple(column[i] for i in keep) for name, column in self.labels.items()},
-            sources=tuple(self.sources[i] for i in keep) if self.sources else (),
+            face=self.face[row_indices],
+            repeat=self.repeat[row_indices],
+            time=self.time[row_indices],
+            readings=self.readings[row_indices],
+            covariates={name: column[row_indices] for name, column in self.covariates.items()},
+            labels={name: tuple(column[i] for i in row_indices) for name, column in self.labels.items()},
+            sources=tuple(self.sources[i] for i in row_indices) if self.sources else (),
         )
 
     def thin(self, row_step: int) -> Recording:
-        """The recording with one of `row_step` pointings of each sight: of a station to a target on a face."""
+        """Recording with each `row_step`-th of the pointings from one station to one target on one face."""
         return self.select((repeat_numbers(self.station, self.target, self.face) - 1) % row_step == 0)
 
     def require_at_most(self, pointings: int, command: str) -> None:
@@ -298,11 +303,11 @@ class Recording(Result):
         if len(self) <= pointings:
             return
         sights = np.unique(np.stack([self.station, self.target, self.face]), axis=1, return_counts=True)[1]
-        least, advice = -(-len(self) // pointings), "divide it by station or by time"
-        for every in (least, 2 * least, int(sights.max())):
-            count = int(np.sum(-(-sights // every)))
+        smallest_step, advice = -(-len(self) // pointings), "divide it by station or by time"
+        for row_step in (smallest_step, 2 * smallest_step, int(sights.max())):
+            count = int(np.sum(-(-sights // row_step)))
             if count <= pointings:
-                advice = f"convert it with {option('every')} {every}, which leaves {count} of them"
+                advice = f"convert it with {option('every')} {row_step}, which leaves {count} of them"
                 break
         raise NetworkError(
             f"the recording holds {len(self)} pointings; {command} takes at most {pointings}: {advice}; "

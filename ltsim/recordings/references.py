@@ -1,4 +1,4 @@
-"""Reference values of a recording: lengths at their temperature of use, and differences between marks."""
+"""Reference values of a recording: reference lengths at their temperature of use, and differences between marks."""
 
 from __future__ import annotations
 
@@ -16,57 +16,64 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import GaugeDistance, ReferenceDifference, Target, symmetric_matrix
 
 EXPANSION_ERROR_PREFIX = "expansion of "
-"""Prefix of the name of the expansion error that lengths of one material share."""
+"""Beginning of the name of the error that lengths of one material share: the error of the expansion coefficient."""
 SCALE_ERROR_NAME = "scale of all lengths"
+"""Name of the error of scale that all lengths share."""
 MIN_UNKNOWN_SCALE_PPM = 1000.0
-"""Standard deviation [ppm] of the common scale of lengths from which the lengths determine ratios only; it corresponds
-to 40 K for aluminium."""
+"""Declared standard deviation [ppm] of the common scale of all lengths above which the lengths determine only ratios.
+
+It corresponds to 40 K for aluminium.
+"""
 
 
 @dataclass(frozen=True)
 class ReferenceLengths:
-    """Reference lengths (g) between targets of a recording, with independent errors and errors that several share."""
+    """The g reference lengths between targets of a recording, with their independent and their shared errors."""
 
     first_targets: Ints
-    """Index of the target at the first end of each length, (g,)."""
+    """Index (g,) of the target at the first end of each length."""
     second_targets: Ints
-    """Index of the target at the second end of each length, (g,)."""
+    """Index (g,) of the target at the second end of each length."""
     growth_factors: Floats
-    """Growth factor from calibration to use, (g,)."""
+    """Ratio (g,) of each length at the temperature of use to the length at its calibration."""
     lengths: Floats
-    """Length at use, (g,) [m]."""
+    """Length (g,) [m] at the temperature of use."""
     certificate_sigmas: Floats
-    """Standard deviation of the independent error of each length, (g,) [m]."""
+    """Standard deviation (g,) [m] of the independent error of each length, from its certificate."""
     shared_error_changes: dict[str, Floats]
-    """Change of the lengths by one standard deviation of each shared error (expansion coefficient, thermometer), (g,)
-    [m] by name.
+    """Change (g,) [m] of the lengths by one standard deviation of each shared error, by name of the error.
+
+    Such errors are those of an expansion coefficient, a thermometer, and the scale.
     """
 
     @classmethod
     def from_recording(cls, recording: Recording, file: object = "setup.toml") -> Self:
-        """Lengths whose targets the recording holds; `file` is named in errors.
+        """Reference lengths between targets of the recording; `file` is named in errors.
 
-        Raises RecordError when a material is not declared, or a column has no temperature of a length.
+        Raises RecordError if a material is not declared, or the column with temperatures has none for a length.
         """
         index = {name: i for i, name in enumerate(recording.targets)}
-        rows = [(i, d) for i, d in enumerate(recording.gauge.distance) if d.from_ in index and d.to in index]
-        grown = [
-            _growth_and_changes(recording, d, {"file": file, "column": f"gauge.distance {i + 1}"}) for i, d in rows
+        indexed_lengths = [(i, d) for i, d in enumerate(recording.gauge.distance) if d.from_ in index and d.to in index]
+        ratios_and_changes = [
+            _growth_and_changes(recording, d, {"file": file, "column": f"gauge.distance {i + 1}"})
+            for i, d in indexed_lengths
         ]
-        certified = np.array([d.length_mm * MILLIMETRE for _, d in rows])
-        factor = np.array([growth for growth, _ in grown])
-        common = {SCALE_ERROR_NAME: recording.gauge.sigma_scale_ppm * PPM} if recording.gauge.sigma_scale_ppm else {}
-        changes = [change | common for _, change in grown]
+        certified = np.array([d.length_mm * MILLIMETRE for _, d in indexed_lengths])
+        growth_factors = np.array([growth for growth, _ in ratios_and_changes])
+        scale_change = (
+            {SCALE_ERROR_NAME: recording.gauge.sigma_scale_ppm * PPM} if recording.gauge.sigma_scale_ppm else {}
+        )
+        changes = [change | scale_change for _, change in ratios_and_changes]
         shared = {
             name: certified * np.array([change.get(name, 0.0) for change in changes])
             for name in dict.fromkeys(name for change in changes for name in change)
         }
         return cls(
-            np.array([index[d.from_] for _, d in rows], dtype=np.int64),
-            np.array([index[d.to] for _, d in rows], dtype=np.int64),
-            factor,
-            certified * factor,
-            np.array([d.sigma_mm * MILLIMETRE for _, d in rows]),
+            np.array([index[d.from_] for _, d in indexed_lengths], dtype=np.int64),
+            np.array([index[d.to] for _, d in indexed_lengths], dtype=np.int64),
+            growth_factors,
+            certified * growth_factors,
+            np.array([d.sigma_mm * MILLIMETRE for _, d in indexed_lengths]),
             shared,
         )
 
@@ -79,75 +86,83 @@ class ReferenceLengths:
 
     @property
     def sigma(self) -> Floats:
-        """Total standard deviation of each length, (g,) [m]."""
+        """Total standard deviation (g,) [m] of each length, with the shared errors."""
         return np.sqrt(self.certificate_sigmas**2 + sum(change**2 for change in self.shared_error_changes.values()))
 
 
 def _growth_and_changes(
-    recording: Recording, line: GaugeDistance, location: dict[str, Any]
+    recording: Recording, length: GaugeDistance, location: dict[str, Any]
 ) -> tuple[float, dict[str, float]]:
-    """Growth factor of a length, and its change by one standard deviation of its coefficient and its thermometer."""
-    if line.measured_in_place:
+    """Ratio of a length at use to that at calibration, and change of the ratio by one sigma of each error, by name."""
+    if length.measured_in_place:
         return 1.0, {}
     gauge = recording.gauge
     materials = gauge.materials or {}
-    if line.material is not None and line.material not in materials:
-        expected = f"one of {', '.join(materials)}" if materials else f"a table [gauge.materials.{line.material}]"
+    if length.material is not None and length.material not in materials:
+        expected = f"one of {', '.join(materials)}" if materials else f"a table [gauge.materials.{length.material}]"
         raise RecordError(
-            f"the material '{quoted_text(line.material)}' is not declared, expected {expected}", **location
+            f"the material '{quoted_text(length.material)}' is not declared, expected {expected}", **location
         )
-    material = gauge if line.material is None else materials[line.material]
-    given = gauge.measured_at_c if line.measured_at_c is None else line.measured_at_c
-    measured = _mean_of_column(recording, given, line, location) if isinstance(given, str) else given
-    sigma = gauge.sigma_temperature_k if line.sigma_temperature_k is None else line.sigma_temperature_k
-    ends = "" if line.measured_at_c is None else f"{line.from_}-{line.to}"
-    thermometer = f"temperature of {given if isinstance(given, str) else ends or 'the gauge'}"
-    grown = ThermalExpansion.from_temperature(
-        material.expansion_per_k, measured - gauge.calibrated_at_c, material.sigma_expansion_per_k, sigma
+    material = gauge if length.material is None else materials[length.material]
+    declared = gauge.measured_at_c if length.measured_at_c is None else length.measured_at_c
+    temperature_c = _mean_of_column(recording, declared, length, location) if isinstance(declared, str) else declared
+    sigma = gauge.sigma_temperature_k if length.sigma_temperature_k is None else length.sigma_temperature_k
+    length_name = "" if length.measured_at_c is None else f"{length.from_}-{length.to}"
+    thermometer = f"temperature of {declared if isinstance(declared, str) else length_name or 'the gauge'}"
+    expansion = ThermalExpansion.from_temperature(
+        material.expansion_per_k, temperature_c - gauge.calibrated_at_c, material.sigma_expansion_per_k, sigma
     )
     changes = {
-        f"{EXPANSION_ERROR_PREFIX}{line.material or 'the gauge'}": grown.change_by_coefficient,
-        thermometer: grown.change_by_temperature,
+        f"{EXPANSION_ERROR_PREFIX}{length.material or 'the gauge'}": expansion.change_by_coefficient,
+        thermometer: expansion.change_by_temperature,
     }
-    return grown.length_ratio, {name: change for name, change in changes.items() if change}
+    return expansion.length_ratio, {name: change for name, change in changes.items() if change}
 
 
-def _mean_of_column(recording: Recording, name: str, line: GaugeDistance, location: dict[str, Any]) -> float:
-    """Mean of a column over the pointings to both ends of a length."""
+def _mean_of_column(recording: Recording, name: str, length: GaugeDistance, location: dict[str, Any]) -> float:
+    """Mean of the column `name` over the pointings to both ends of a length; raises RecordError."""
     if name not in recording.covariates:
         columns = ", ".join(recording.covariates) or "none"
         message = f"measured_at_c names '{quoted_text(name)}', which is not a column of numbers; there are {columns}"
         raise RecordError(message, **location)
-    end_targets = [recording.targets.index(target) for target in (line.from_, line.to)]
+    end_targets = [recording.targets.index(target) for target in (length.from_, length.to)]
     values = recording.covariates[name][np.isin(recording.target, end_targets)]
     if not np.isfinite(values).any():
-        message = f"the column {name} is empty where {line.from_} and {line.to} were measured, expected temperatures"
+        message = (
+            f"the column {name} is empty where {length.from_} and {length.to} were measured, expected temperatures"
+        )
         raise RecordError(message, **location)
     return float(np.nanmean(values))
 
 
 MAX_EXACT_SIGMA_RATIO = 0.1
-"""Largest ratio of the sigma of an unmeasured mark to that of a difference to it at which the mark counts as exact."""
+"""Ratio of the standard deviation of an unmeasured mark to that of a difference, up to which the mark counts as
+exact."""
 
 
 def mark_indices(recording: Recording) -> dict[str, int]:
-    """Index of each mark: its target (0 to T - 1), else T plus the first set-up over it.
+    """Index of each mark by name, in a recording with T targets and S set-ups.
 
-    It is T + S, after T targets and S set-ups, for an unmeasured mark with known coordinates.
+    A measured mark has the index of its target (0 to T - 1), a mark under a set-up T plus the index of the first set-up
+    over it, and an unmeasured mark with known coordinates T + S.
     """
-    count, last = len(recording.targets), len(recording.targets) + len(recording.stations)
-    places = {name: last for name, target in recording.setup.targets.items() if target.known_mm is not None}
-    overs = [recording.station_setup(name).over for name in recording.stations]
-    places |= {mark: count + s for s, mark in reversed([*enumerate(overs)]) if mark}
-    return places | {name: i for i, name in enumerate(recording.targets)}
+    n_targets, unmeasured_index = len(recording.targets), len(recording.targets) + len(recording.stations)
+    index_by_mark = {
+        name: unmeasured_index for name, target in recording.setup.targets.items() if target.known_mm is not None
+    }
+    marks_of_stations = [recording.station_setup(name).over for name in recording.stations]
+    index_by_mark |= {mark: n_targets + s for s, mark in reversed([*enumerate(marks_of_stations)]) if mark}
+    return index_by_mark | {name: i for i, name in enumerate(recording.targets)}
 
 
 def check_differences(recording: Recording, file: object) -> None:
-    """Check that each end of a reference difference is measured or known much better; raises RecordError."""
-    places, last = mark_indices(recording), len(recording.targets) + len(recording.stations)
+    """Check that each end of a reference difference was measured, or is known ten times better; raises RecordError."""
+    index_by_mark, unmeasured_index = mark_indices(recording), len(recording.targets) + len(recording.stations)
     for difference in recording.setup.differences:
         for name in (difference.from_, difference.to):
-            if places.get(name, last) == last and not _is_exact_mark(recording.target_setup(name), difference):
+            if index_by_mark.get(name, unmeasured_index) == unmeasured_index and not _is_exact_mark(
+                recording.target_setup(name), difference
+            ):
                 wanted = f"known along {difference.known_axes}, at least ten times better than this difference"
                 message = f"'{quoted_text(name)}' was never measured, expected a mark that was, or one that is {wanted}"
                 raise SourceLocation(file, column=f"difference {difference.label}").error(message)
@@ -162,7 +177,7 @@ def _is_exact_mark(target: Target, difference: ReferenceDifference) -> bool:
 
 
 def _coordinate_sigmas(reference: Target | ReferenceDifference) -> Floats:
-    """Standard deviations (3,) [mm] of known coordinates."""
+    """Standard deviations (3,) [mm] of the known coordinates of a target, or of a reference difference."""
     if reference.known_covariance_mm2 is None:
         return np.full(3, reference.known_sigma_mm)
     return np.sqrt(np.diag(symmetric_matrix(reference.known_covariance_mm2)))

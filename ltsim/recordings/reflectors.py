@@ -1,4 +1,4 @@
-"""SMRs of several radii: distance of each SMR centre from the seat of its nest, less the reference distance."""
+"""SMRs of several radii: height of each SMR centre above the seat of its nest, minus the reference height."""
 
 from collections.abc import Collection, Mapping, Sequence
 
@@ -13,24 +13,24 @@ from ltsim.recordings.setup import Reflector
 
 
 def smr_names(recording: Recording) -> tuple[str, ...]:
-    """Name of the SMR of each pointing, from its row or its target; '' if none is given."""
-    usual = [recording.target_setup(name).reflector or "" for name in recording.targets]
-    by_row = recording.labels.get(REFLECTOR_COLUMN, ("",) * len(recording))
-    return tuple(name or usual[target] for name, target in zip(by_row, recording.target, strict=True))
+    """Name of the SMR of each pointing, from its row or from its target; '' if neither names one."""
+    default_names = [recording.target_setup(name).reflector or "" for name in recording.targets]
+    row_names = recording.labels.get(REFLECTOR_COLUMN, ("",) * len(recording))
+    return tuple(name or default_names[target] for name, target in zip(row_names, recording.target, strict=True))
 
 
 def excess_radii_of_names(
     names: Sequence[str],
     targets: Sequence[str],
-    names_without_smr: Collection[str],
+    targets_without_normal: Collection[str],
     reflectors: Mapping[str, Reflector],
     reference_mm: float | None,
     file: object = None,
 ) -> Floats:
-    """Distance (n,) [m] of each pointing's SMR centre from the seat of its nest, less that of the reference.
+    """Height (n,) [m] of each pointing's SMR centre above the seat of its nest, minus the reference height.
 
-    A pointing without SMR ('' in `names`), such as a planned one, has the reference: `reference_mm`, else the common
-    radius of all SMRs. Nests of `names_without_smr` targets have no normal. `file` is named in errors.
+    The reference height is `reference_mm`, or the common radius of all SMRs. It also holds for a pointing without SMR
+    ('' in `names`), such as a planned one. `file` is named in errors.
 
     Raises RecordError if an SMR has no table, if radii differ without a declared reference, or if an SMR of another
     radius was in a nest without normal.
@@ -51,36 +51,36 @@ def excess_radii_of_names(
             file=file,
         )
     reference = next(iter(radii), 0.0) if reference_mm is None else reference_mm
-    off = {name: reflectors[name].radius_mm - reference for name in names_used} | {"": 0.0}
+    excess_mm = {name: reflectors[name].radius_mm - reference for name in names_used} | {"": 0.0}
     for name, target in zip(names, targets, strict=True):
-        if off[name] and target in names_without_smr:
+        if excess_mm[name] and target in targets_without_normal:
             raise RecordError(
                 f"targets.{target}.nest_normal is missing: its SMR {quoted_text(name)} has a radius of "
                 f"{reflectors[name].radius_mm:g} mm, the reference {reference:g} mm, and the difference lies along the "
                 "nest's normal",
                 file=file,
             )
-    return np.array([off[name] for name in names]) * MILLIMETRE
+    return np.array([excess_mm[name] for name in names]) * MILLIMETRE
 
 
 def excess_radii(recording: Recording, file: object = "setup.toml") -> Floats | None:
-    """Distance (n,) [m] of each pointing's SMR centre from its seat, less that of the reference; None where all are 0.
+    """Height (n,) [m] of each pointing's SMR centre above its seat, minus the reference height; None if all are 0.
 
-    Raises RecordError as `excess_radii_of_names`.
+    Raises RecordError under the conditions of `excess_radii_of_names`.
     """
     setup = recording.setup
     if not setup.reflectors:
         return None
     targets = [recording.targets[t] for t in recording.target]
-    targets_without_smr = [name for name in recording.targets if recording.target_setup(name).nest_normal is None]
+    targets_without_normal = [name for name in recording.targets if recording.target_setup(name).nest_normal is None]
     excess = excess_radii_of_names(
-        smr_names(recording), targets, targets_without_smr, setup.reflectors, setup.reference_radius_mm, file
+        smr_names(recording), targets, targets_without_normal, setup.reflectors, setup.reference_radius_mm, file
     )
     return excess if np.any(excess) else None
 
 
 def require_equal_radii(recording: Recording, task: str) -> None:
-    """Check that all SMR centres are at their targets; raises NetworkError that names `task` otherwise."""
+    """Check that the centre of every SMR is at its target; otherwise raises NetworkError, which names the `task`."""
     if excess_radii(recording) is not None:
         raise NetworkError(
             f"{task} assumes one centre per target, but SMRs of different radii have different centres; adjust or "

@@ -1,4 +1,4 @@
-"""Results with a file: one pydantic model each, which is the Python object and (without its arrays) the JSON file.
+"""Base class of results that have a JSON file: one pydantic model is the Python object and the content of the file.
 
 The JSON file holds digests of its companion files and of the recording, so that tables of different runs are never
 mixed.
@@ -36,9 +36,9 @@ from ltsim.recordings.files import quoted_text, read_bytes, read_text, write_tex
 from ltsim.recordings.recording import Recording
 
 DIGEST_STEP = 1e-6
-"""Rounding step [m, rad] of readings in a digest, so that writing and reading a recording does not change it."""
+"""Step [m, rad] to which a digest rounds readings, so that writing and reading a recording does not change it."""
 DIGEST_OFFSET = 1.0 / np.pi
-"""Offset of the rounding in steps, so that decimal readings are not on its limits."""
+"""Offset, in steps, that is added before rounding, so that decimal readings are not on the limit between two steps."""
 
 
 def finite_or_none(value: Any) -> Any:
@@ -47,10 +47,7 @@ def finite_or_none(value: Any) -> Any:
 
 
 def _require_not_zero(value: Any) -> Any:
-    """The number or numbers, checked to contain one of at least `MIN_NONZERO_MAGNITUDE` in magnitude.
-
-    Raises ValueError.
-    """
+    """The number, or the vector, itself; raises ValueError if it is smaller than `MIN_NONZERO_MAGNITUDE`."""
     if not np.max(np.abs(value)) >= MIN_NONZERO_MAGNITUDE:
         raise ValueError("Input should not be zero")
     return value
@@ -62,25 +59,25 @@ OptionalFloat = Annotated[FiniteFloat | None, BeforeValidator(finite_or_none)]
 NotNegative = Annotated[Finite, Field(ge=0)]
 Sigma = Annotated[NotNegative | None, BeforeValidator(finite_or_none)]
 MIN_NONZERO_MAGNITUDE = 1.0 / MAX_MAGNITUDE
-"""Smallest magnitude of a number that must not be zero, so that the square of its reciprocal is finite."""
+"""Magnitude below which a number counts as zero and is refused: the square of its reciprocal would not be finite."""
 Positive = Annotated[Finite, Field(gt=0), AfterValidator(_require_not_zero)]
 NonZero = Annotated[Finite, AfterValidator(_require_not_zero)]
 Vector = tuple[Finite, Finite, Finite]
 Quaternion = Annotated[tuple[Finite, Finite, Finite, Finite], AfterValidator(_require_not_zero)]
-"""Rotation x, y, z, w of any length except 0."""
+"""Rotation as quaternion x, y, z, w of any length except 0."""
 
 
-def _fail_fast(schema: Any) -> None:
-    """Change of a schema in place, so that validation of every list stops at its first wrong entry."""
+def _stop_at_first_error(schema: Any) -> None:
+    """Change of a pydantic core schema in place, so that validation of a list stops at its first wrong entry."""
     if isinstance(schema, list | tuple):
         for part in schema:
-            _fail_fast(part)
+            _stop_at_first_error(part)
     elif isinstance(schema, dict):
         if schema.get("type") in ("list", "tuple"):
             schema["fail_fast"] = True
         for key, part in schema.items():
             if key not in ("metadata", "serialization"):
-                _fail_fast(part)
+                _stop_at_first_error(part)
 
 
 class Entry(DescribedModel):
@@ -90,36 +87,35 @@ class Entry(DescribedModel):
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Core schema that stops the validation of a list at its first wrong entry: each error takes 500 bytes."""
+        """Core schema with which validation of a list stops at its first wrong entry: each error takes 500 bytes."""
         schema = handler(source)
-        _fail_fast(schema)
+        _stop_at_first_error(schema)
         return schema
 
     def with_values(self, **values: Any) -> Self:
-        """Copy of the entry with other values of some fields, validated; numbers that are not finite become null."""
+        """Validated copy of the entry with other values of some fields; numbers that are not finite become null."""
         return type(self).model_validate({name: getattr(self, name) for name in self.model_fields_set} | values)
 
 
 class SourceEntry(Entry):
-    """Recording from which a result was computed.
-
-    `digest` is the one of `recording_digest`; the title is for display.
-    """
+    """Description of the recording from which a result was computed."""
 
     title: str = ""
-    """Title of the set-up."""
+    """Title of the set-up, for display."""
     pointings: int
     """Number of pointings of the recording."""
     digest: str
-    """Digest of the sightings and of the readings."""
+    """Digest of the recording, or of the coordinates, from which the result was computed."""
     measured: str | None = None
     """Day, or day and time, of the measurement in ISO format, if the set-up gives it."""
 
     @classmethod
     def from_recording(cls, recording: Recording) -> SourceEntry:
         """Entry for a recording."""
-        when = {"measured": recording.setup.measured_on} if recording.setup.measured_on else {}
-        return cls(title=recording.setup.title, pointings=len(recording), digest=recording_digest(recording), **when)
+        time_keys = {"measured": recording.setup.measured_on} if recording.setup.measured_on else {}
+        return cls(
+            title=recording.setup.title, pointings=len(recording), digest=recording_digest(recording), **time_keys
+        )
 
     @classmethod
     def from_coordinates(cls, coordinates: EpochCoordinates) -> SourceEntry:
@@ -133,10 +129,10 @@ class SourceEntry(Entry):
 
 
 class ResultFile(Entry, Result):
-    """Base model of a result: the object that a verb returns and the content of its file.
+    """Base model of a result: the object that a public function returns, and the content of its JSON file.
 
-    Subclasses set `FILE` and `format`. Arrays that the file does not hold are in private attributes, which do not take
-    part in comparisons.
+    Subclasses set `FILE`, the name of the file, and `format`. Arrays that the file does not hold are in private
+    attributes, which comparisons ignore.
     """
 
     FILE: ClassVar[str]
@@ -145,7 +141,7 @@ class ResultFile(Entry, Result):
     recording: SourceEntry | None = None
     """Recording from which the result was computed."""
     files: dict[str, str] = Field(default_factory=dict)
-    """Digest (SHA-256) of each companion file."""
+    """Digest (SHA-256) of each companion file, by file name."""
 
     __repr__ = __str__ = Result.__repr__
     __hash__ = Result.__hash__
@@ -156,15 +152,15 @@ class ResultFile(Entry, Result):
     def content(self) -> dict[str, Any]:
         """Content of the file as JSON values: its format and the fields that are set."""
         values = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
-        last = {name: value for name in ("recording", "files") if (value := values.pop(name, None))}
-        return {"format": self.format} | values | last
+        trailing_values = {name: value for name in ("recording", "files") if (value := values.pop(name, None))}
+        return {"format": self.format} | values | trailing_values
 
     def text(self) -> str:
         """Text of the JSON file."""
         return json.dumps(self.content(), indent=1, allow_nan=False) + "\n"
 
     def is_ltsim_file(self, folder: Path, name: str) -> bool:
-        """True if a file in the result's folder was written together with the result; raises RecordError."""
+        """True if the file `name` in the result's folder was written together with the result; raises RecordError."""
         return self.files.get(name) == _digest(read_bytes(folder / name))
 
 
@@ -173,10 +169,10 @@ def _digest(content: bytes) -> str:
 
 
 def recording_digest(recording: Recording) -> str:
-    """Digest of stations, targets and faces, and of the readings rounded to a micrometre and a microradian."""
+    """Digest (SHA-256) of stations, targets, faces, and readings rounded to a micrometre and a microradian."""
     readings = recording.readings
-    steps = np.floor(np.nan_to_num(readings) / DIGEST_STEP + DIGEST_OFFSET).astype("<i8")
-    rounded_steps = np.where(np.isfinite(readings), steps, np.iinfo(np.int64).min).astype("<i8")
+    floored_steps = np.floor(np.nan_to_num(readings) / DIGEST_STEP + DIGEST_OFFSET).astype("<i8")
+    rounded_steps = np.where(np.isfinite(readings), floored_steps, np.iinfo(np.int64).min).astype("<i8")
     names = [
         f"{recording.stations[s]}\t{recording.targets[t]}\t{face}"
         for s, t, face in zip(recording.station, recording.target, recording.face, strict=True)
@@ -188,7 +184,7 @@ ResultFileType = TypeVar("ResultFileType", bound=ResultFile)
 
 
 def write_result(folder: Path, result: ResultFileType, companions: Mapping[str, str | bytes]) -> ResultFileType:
-    """Writing of a result and its companion files; returns the result with their digests.
+    """Writing of a result and its companion files, given by name; returns the result with the digests of these files.
 
     Raises RecordError if the folder cannot be written to; no partial files remain.
     """

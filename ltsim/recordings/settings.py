@@ -1,4 +1,4 @@
-"""Reader and writer of setup.toml; errors name key, value and permitted values."""
+"""Reading and writing of `setup.toml`; errors name the key, its value and the permitted values."""
 
 import difflib
 import json
@@ -18,24 +18,24 @@ from ltsim.recordings.files import SourceLocation, quoted_text, read_text, with_
 from ltsim.recordings.setup import Instrument, Setup
 
 SettingsType = TypeVar("SettingsType", bound=BaseModel)
-_TOML_TOKENS = re.compile(
+_TOML_TOKEN_PATTERN = re.compile(
     r'"""(?:[^"\\]++|\\.|"{1,2}(?!"))*+"{3,5}|"(?:[^"\\\n]++|\\.)*+"|#[^\n]*+|[][{}=,.\n]'
     r"|'''(?:[^']++|'{1,2}(?!'))*+'{3,5}|'[^'\n]*+'",
     re.DOTALL,
 )
-"""Pattern of the tokens of TOML that matter for its limits: strings, comments, and the characters of its structure."""
-_COMPLETE_LINE = ("\n", '"', "'", "]", "}", "true", "false")
+"""Pattern of strings, comments and structural characters of TOML, from which keys, values and depth are counted."""
+_COMPLETE_LINE_ENDS = ("\n", '"', "'", "]", "}", "true", "false")
 
 
 def read_setup(path: Path) -> Setup:
-    """Set-up from a `setup.toml`; raises RecordError."""
+    """Set-up from the file `setup.toml`; raises RecordError."""
     return validate_setup(read_toml(path, "set-up"), path)
 
 
 def read_toml(path: Path, kind: str) -> dict[str, Any]:
     """Tables of a TOML file; `kind` is the expected content, for errors. Raises RecordError."""
     text = with_unix_line_ends(read_text(path, max_bytes=MAX_TOML_BYTES))
-    if not text.endswith(_COMPLETE_LINE) and not text.splitlines()[-1].lstrip().startswith("#"):
+    if not text.endswith(_COMPLETE_LINE_ENDS) and not text.splitlines()[-1].lstrip().startswith("#"):
         message = "has no line break after its last value and may be incomplete; add the line break if it is complete"
         raise RecordError(message, file=path)
     check_toml_limits(text, path)
@@ -48,12 +48,13 @@ def read_toml(path: Path, kind: str) -> dict[str, Any]:
 
 
 def check_toml_limits(text: str, file: object) -> None:
-    """Check of the number of keys and the depth of tables in a TOML text, before it is parsed; raises RecordError.
+    """Check of the number of keys and values, and of the depth of tables, in a TOML text before it is parsed.
 
-    Strings and comments are skipped as in the parser; the parts of a key and the brackets around it count as its depth.
+    Strings and comments are skipped. Each part of a dotted key, and each bracket around it, adds one to the depth.
+    Raises RecordError.
     """
     keys = values = brackets = parts = line = 0
-    for token in _TOML_TOKENS.finditer(text):
+    for token in _TOML_TOKEN_PATTERN.finditer(text):
         mark = token[0]
         values += mark in "=[{,"
         keys += mark in "={" or (mark == "[" and token.start() == line)
@@ -76,7 +77,7 @@ def check_toml_limits(text: str, file: object) -> None:
 
 
 def validate_setup(data: Mapping[str, Any], file: object) -> Setup:
-    """Set-up from a table of settings; `file` is named in errors."""
+    """Set-up from the tables of a file; `file` is named in errors. Raises RecordError."""
     tables = with_completed_instruments(data, lambda table, place: _with_data_sheet(table, place, file))
     setup = validate_settings(tables, Setup, "set-up", file)
     _check_names(setup, file)
@@ -84,13 +85,15 @@ def validate_setup(data: Mapping[str, Any], file: object) -> Setup:
 
 
 def with_completed_instruments(data: Mapping[str, Any], complete: Callable[[Any, str], Any]) -> dict[str, Any]:
-    """Tables of a file in which each instrument's table is replaced by `filled(table, place)`."""
-    made, named = dict(data), data.get("instruments")
-    if isinstance(named, dict):
-        made["instruments"] = {name: complete(table, f"instruments.{name}") for name, table in named.items()}
+    """Tables of a file in which `complete(table, key)` replaces each instrument's table, with the key of the table."""
+    completed, named_instruments = dict(data), data.get("instruments")
+    if isinstance(named_instruments, dict):
+        completed["instruments"] = {
+            name: complete(table, f"instruments.{name}") for name, table in named_instruments.items()
+        }
     if "instrument" in data:
-        made["instrument"] = complete(data["instrument"], "instrument")
-    return made
+        completed["instrument"] = complete(data["instrument"], "instrument")
+    return completed
 
 
 def _with_data_sheet(table: Any, place: str, file: object) -> Any:
@@ -102,10 +105,10 @@ def _with_data_sheet(table: Any, place: str, file: object) -> Any:
     )
 
     try:
-        below = noise_and_prior_tables(table["sheet"], table)
+        defaults = noise_and_prior_tables(table["sheet"], table)
     except ModelError as problem:
         raise RecordError(str(problem), file=file, column=f"{place}.sheet") from None
-    return merge_defaults({"model": data_sheet_figures(table["sheet"])["name"], **table}, below)
+    return merge_defaults({"model": data_sheet_figures(table["sheet"])["name"], **table}, defaults)
 
 
 def merge_defaults(table: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
@@ -124,9 +127,9 @@ def validate_settings(data: Mapping[str, Any], model: type[SettingsType], kind: 
     RecordError
         The key, its value and the permitted values. A misspelt key is reported first.
     """
-    expected = model.model_fields["format"].default
+    expected_format = model.model_fields["format"].default
     if "format" not in data:
-        raise RecordError(f'the key format is missing, expected format = "{expected}"', file=file)
+        raise RecordError(f'the key format is missing, expected format = "{expected_format}"', file=file)
     try:
         return model.model_validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as problem:
@@ -148,7 +151,7 @@ def _single_line(problem: Exception) -> str:
 
 
 def _check_names(setup: Setup, file: object) -> None:
-    """Check of names in a set-up: valid names, existing instruments, gauge lengths between two targets.
+    """Check of a set-up: permitted names, declared instruments, lengths and differences between two different ends.
 
     Raises RecordError.
     """
@@ -161,25 +164,27 @@ def _check_names(setup: Setup, file: object) -> None:
         for name in names:
             SourceLocation(file).name(name, kind)
     for name, station in setup.stations.items():
-        wanted = station.instrument
-        if wanted is not None and wanted not in setup.instruments:
-            names_of_tables = ", ".join(_similar_names(wanted, setup.instruments)) or "none is declared"
+        instrument_name = station.instrument
+        if instrument_name is not None and instrument_name not in setup.instruments:
+            names_of_tables = ", ".join(_similar_names(instrument_name, setup.instruments)) or "none is declared"
             where = SourceLocation(file, column=f"stations.{name}.instrument")
-            raise where.error(f"there is no table [instruments.{quoted_text(wanted)}]; instruments: {names_of_tables}")
-    for i, line in enumerate(setup.gauge.distance if setup.gauge else ()):
-        if line.from_ == line.to:
+            raise where.error(
+                f"there is no table [instruments.{quoted_text(instrument_name)}]; instruments: {names_of_tables}"
+            )
+    for i, length in enumerate(setup.gauge.distance if setup.gauge else ()):
+        if length.from_ == length.to:
             where = SourceLocation(file, column=f"gauge.distance {i + 1}")
-            raise where.error(f"a length from '{quoted_text(line.to)}' to itself, expected two different targets")
-    called = [difference.label for difference in setup.differences]
+            raise where.error(f"a length from '{quoted_text(length.to)}' to itself, expected two different targets")
+    labels = [difference.label for difference in setup.differences]
     for i, difference in enumerate(setup.differences):
         where = SourceLocation(file, column=f"differences {i + 1}")
         if difference.from_ == difference.to:
             raise where.error(
                 f"a difference from '{quoted_text(difference.to)}' to itself, expected two different marks"
             )
-        if difference.label in called[:i]:
+        if difference.label in labels[:i]:
             raise where.error(
-                f"'{quoted_text(difference.label)}' is there already, expected a different name (key name)"
+                f"another difference is named '{quoted_text(difference.label)}', too; set a different name (key name)"
             )
 
 
@@ -189,22 +194,26 @@ def _similar_names(name: str, candidates: Any) -> list[str]:
 
 
 def validation_sentence(error: ErrorDetails, root: type[BaseModel]) -> str:
-    """Sentence for a validation error of a file with the tables of `root`: key, value, permitted values."""
+    """Sentence on a validation error in a file described by the model `root`: key, value, permitted values."""
     # pydantic's own parts hold brackets: "[key]", a member of a union; the last of an unknown key is a person's
-    stays = len(error["loc"]) - 1 if error["type"] == "extra_forbidden" else -1
-    place = [part for i, part in enumerate(error["loc"]) if i == stays or "[" not in str(part)]
-    key = ".".join(str(p + 1) if isinstance(p, int) else p for p in place)
+    verbatim_index = len(error["loc"]) - 1 if error["type"] == "extra_forbidden" else -1
+    path_parts = [part for i, part in enumerate(error["loc"]) if i == verbatim_index or "[" not in str(part)]
+    key = ".".join(str(p + 1) if isinstance(p, int) else p for p in path_parts)
     value = quoted_text(json.dumps(error["input"], default=str), 60)
     if error["type"] == "extra_forbidden":
-        keys = _permitted_keys(root, place[:-1])
-        inside = {name: f"{table}.{name}" for table in keys for name in _permitted_keys(root, [*place[:-1], table])}
-        close_to = partial(difflib.get_close_matches, str(place[-1]), cutoff=0.7)
-        near = close_to(keys) or [inside[name] for name in close_to(inside)] or _similar_names(str(place[-1]), keys)
+        keys = _permitted_keys(root, path_parts[:-1])
+        inside = {
+            name: f"{table}.{name}" for table in keys for name in _permitted_keys(root, [*path_parts[:-1], table])
+        }
+        close_to = partial(difflib.get_close_matches, str(path_parts[-1]), cutoff=0.7)
+        near = (
+            close_to(keys) or [inside[name] for name in close_to(inside)] or _similar_names(str(path_parts[-1]), keys)
+        )
         return f"unknown key {quoted_text(key, 100)}; did you mean {', '.join(near)}?"
     if error["type"] == "missing":
         return f"the key {quoted_text(key, 100)} is missing"
-    wanted = error["msg"][0].lower() + error["msg"][1:]
-    expected = quoted_text(_expected_text(wanted), 120)
+    message = error["msg"][0].lower() + error["msg"][1:]
+    expected = quoted_text(_expected_text(message), 120)
     return f"{quoted_text(key, 100)} is {value}, but {expected}" if key else expected
 
 
@@ -230,7 +239,7 @@ def _model_schema(root: type[BaseModel]) -> JsonSchema:
 
 
 def schemas_at(root: type[BaseModel], path: Iterable[object]) -> list[tuple[JsonSchema, list[JsonSchema]]]:
-    """JSON schemas that are valid at a path of keys below a model, each with its alternatives."""
+    """JSON schemas of the value at a path of keys in a model, each with the list of its alternatives."""
 
     def choices(node: JsonSchema) -> list[JsonSchema]:
         if "$ref" in node:
@@ -240,23 +249,23 @@ def schemas_at(root: type[BaseModel], path: Iterable[object]) -> list[tuple[Json
     nodes = [_model_schema(root)]
     for part in map(str, path):
         nodes = [
-            below for node in nodes for choice in choices(node) if (below := _schema_below(choice, part)) is not None
+            schema for node in nodes for choice in choices(node) if (schema := _schema_below(choice, part)) is not None
         ]
     return [(node, choices(node)) for node in nodes]
 
 
 def _schema_below(node: JsonSchema, path_part: str) -> JsonSchema | None:
-    """Schema below one part of a path: a named entry, any entry, or the entry of a list."""
-    below = node.get("properties", {}).get(path_part) or node.get("additionalProperties")
-    below = below or (node.get("items") if path_part.isdecimal() else None)
-    return below if isinstance(below, dict) else None
+    """JSON schema of the value of one key (or list index) of a node; None if the node has no such value."""
+    schema = node.get("properties", {}).get(path_part) or node.get("additionalProperties")
+    schema = schema or (node.get("items") if path_part.isdecimal() else None)
+    return schema if isinstance(schema, dict) else None
 
 
 def setup_to_toml(setup: Setup) -> str:
-    """Text of a `setup.toml` that `read_setup` converts into the same set-up.
+    """Text of a `setup.toml` from which `read_setup` obtains the same set-up.
 
-    Instruments and the gauge are written in full, stations and targets if they differ from the defaults, and the
-    unnamed instrument if others have names.
+    Tables of instruments and of the gauge have all keys, tables of stations and targets those that differ from the
+    defaults. The unnamed instrument is left out if named ones exist and it has only defaults.
     """
     tables = {"instrument", "instruments", "gauge", "stations", "targets", "reflectors"}
     table: dict[str, Any] = {"format": setup.format, "title": setup.title}
@@ -276,6 +285,6 @@ def setup_to_toml(setup: Setup) -> str:
 
 def to_toml(table: Mapping[str, Any]) -> str:
     """Text of a TOML file for nested tables, with arrays on one line."""
-    import tomlkit  # a fiftieth of a second that reading need not wait for
+    import tomlkit  # its import takes 0.02 s, which reading does not need
 
     return tomlkit.dumps(table).strip() + "\n"

@@ -1,6 +1,6 @@
-"""Prior knowledge about a set-up: the contents of `setup.toml` (format ltsim-recording/1).
+"""Prior knowledge about a recording: the content of `setup.toml` (format ltsim-recording/1).
 
-Keys carry their units as in the file; code that needs SI converts them.
+The name of a key ends with its unit; code that needs SI units converts the values.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ from ltsim.recordings.keys import (
 )  # fmt: skip
 
 MIN_ANGLES = 3
-"""Smallest number of angles of a bench test: normal incidence and one on each side."""
+"""Smallest permitted number of angles of a bench test: normal incidence and one angle on each side."""
 
 
 class Noise(TomlSection):
-    """Standard deviation of white noise; sigma of a range = distance_mm + distance_ppm * range."""
+    """Standard deviations of the white noise of readings; that of a range is distance_mm + distance_ppm * range."""
 
     distance_mm: NonNegative = 0.003
     """Part of a range's standard deviation that does not depend on the range."""
     distance_ppm: NonNegative = 0.3
-    """Part proportional to the range: sigma = distance_mm + distance_ppm * range."""
+    """Part of a range's standard deviation that is proportional to the range."""
     azimuth_arcsec: Sigma = 0.37
-    """Standard deviation of azimuths perpendicular to the beam; that of a reading is this divided by the cosine of the
-    elevation.
+    """Standard deviation of azimuths perpendicular to the beam; that of an azimuth reading is this value divided by the
+    cosine of the elevation.
     """
     elevation_arcsec: Sigma = 0.37
     """Standard deviation of elevation readings."""
@@ -61,15 +61,16 @@ class Prior(TomlSection):
     """Prior standard deviations (one sigma) of the instrument's parameters, from the manufacturer's specification."""
 
     range_scale_ppm: Sigma = 2.0
-    """Standard deviation of the scale of ranges (laser frequency and air)."""
+    """Standard deviation of the scale error of ranges (laser frequency and air)."""
     range_offset_mm: Sigma = 0.010
-    """Standard deviation of the zero of ranges."""
+    """Standard deviation of the zero error of ranges."""
     angle_arcsec: Sigma = 3.0
     """Standard deviation of every angular misalignment and every encoder error."""
     offset_mm: Sigma = 0.020
     """Standard deviation of every offset of an axis or of the beam."""
     parameters: dict[str, Positive] = Field(default_factory=dict)
-    """Standard deviations of single parameters by name, in the unit of the parameter; they replace those by kind."""
+    """Standard deviations of single parameters by name, in the unit of the parameter; they replace those of the keys
+    above."""
 
 
 class Limits(TomlSection):
@@ -88,7 +89,7 @@ class Limits(TomlSection):
 
 
 class Instrument(TomlSection):
-    """Instrument: construction, noise, specification, limits."""
+    """Instrument of a recording: construction, noise, prior of its parameters, range of elevations."""
 
     construction: Literal["source-in-head", "steering-mirror"] = "source-in-head"
     """Origin of the beam: a source in the turning head, or a mirror that steers it."""
@@ -97,7 +98,7 @@ class Instrument(TomlSection):
     serial: Line | None = None
     """Serial number, for the header of a report."""
     sheet: Line | None = None
-    """Name of a built-in data sheet; it gives the model, and the noise and prior that the file does not state."""
+    """Name of a built-in data sheet, from which the model, the noise and the prior are taken if the file gives none."""
     corrected: bool = False
     """True if the readings already contain the corrections of the manufacturer or of an earlier calibration."""
     noise: Noise = Noise()
@@ -105,16 +106,16 @@ class Instrument(TomlSection):
     prior: Prior = Prior()
     """Prior standard deviations of the instrument's parameters, from the manufacturer's specification."""
     limits: Limits | None = None
-    """Range of elevations; default that of the data sheet's kind of instrument."""
+    """Range of elevations that the instrument can measure; without this table -55 to 77 degrees."""
 
 
 class Material(TomlSection):
-    """Material of a gauge or a scale bar; lengths of one material share the error of its coefficient."""
+    """Material of a gauge or a scale bar; lengths of one material share the error of its expansion coefficient."""
 
     expansion_per_k: Finite = 0.0
     """Coefficient of thermal expansion."""
     sigma_expansion_per_k: NonNegative | None = None
-    """Standard deviation of the coefficient; by default the coefficient is exact."""
+    """Standard deviation of the coefficient of thermal expansion; by default the coefficient is exact."""
 
 
 class LengthUse(TomlSection):
@@ -122,32 +123,34 @@ class LengthUse(TomlSection):
 
     measured_at_c: Finite | Line | None = None
     """Temperature of this length: a number, or the name of a column of the recording, whose mean over the pointings to
-    both ends is used; default that of the gauge.
+    both ends is used; default the temperature of the gauge.
     """
     sigma_temperature_k: NonNegative | None = None
-    """Standard deviation of that temperature, shared by all lengths with the same column; default that of the gauge."""
+    """Standard deviation of that temperature, an error that all lengths with the same column share; default that of the
+    gauge.
+    """
     material: Line | None = None
-    """Name of a table of materials; default the coefficient of the gauge."""
+    """Name of a table `[gauge.materials.NAME]`; default the expansion coefficient of the gauge."""
     measured_in_place: bool = False
     """True for a length that was measured in the hall, such as by an interferometer: it needs no correction for
     expansion."""
 
 
 class GaugeDistance(LengthUse):
-    """Reference length between two targets, at `calibrated_at_c`."""
+    """Reference length between two targets at the temperature `calibrated_at_c` of the gauge."""
 
     from_: str = Field(alias="from")
     """Target at the first end."""
     to: str
     """Target at the second end."""
     length_mm: Positive
-    """Length at `calibrated_at_c`, or as measured in place."""
+    """Length at the temperature `calibrated_at_c`, or as measured in the hall (`measured_in_place`)."""
     sigma_mm: Sigma
     """Standard deviation of the length."""
 
 
 class Gauge(TomlSection):
-    """Reference lengths, and the temperatures that convert them to the workshop."""
+    """Reference lengths, with the temperatures of their calibration and of the recording."""
 
     calibrated_at_c: Finite = 20.0
     """Temperature to which the lengths refer."""
@@ -156,11 +159,12 @@ class Gauge(TomlSection):
     expansion_per_k: Finite = 0.0
     """Coefficient of thermal expansion."""
     sigma_expansion_per_k: NonNegative | None = None
-    """Standard deviation of the coefficient, shared by all lengths; by default the coefficient is exact."""
+    """Standard deviation of the coefficient, an error that all lengths share; by default the coefficient is exact."""
     sigma_temperature_k: NonNegative | None = None
     """Standard deviation of the temperature; by default the temperature is exact."""
     sigma_scale_ppm: NonNegative | None = None
-    """Standard deviation of a common scale error of all lengths; from 1000 on the lengths determine ratios only."""
+    """Standard deviation of a scale error that all lengths share; from 1000 ppm on the lengths determine only their
+    ratios."""
     materials: dict[str, Material] | None = None
     """Other materials by name, tables `[gauge.materials.NAME]`."""
     distance: tuple[GaugeDistance, ...] = ()
@@ -180,17 +184,17 @@ class Station(TomlSection):
     in the network frame.
     """
     yaw_deg: Finite | None = None
-    """Direction of azimuth zero, counter-clockwise from x: an approximate value, used if fewer than three positions are
-    known.
+    """Direction of azimuth zero, counter-clockwise from x: an approximate value, used if fewer than three positions of
+    stations are known.
     """
     yaw_sigma_arcsec: Sigma | None = None
-    """Standard deviation of `yaw_deg`, such as of a gyroscope; with it `yaw_deg` is a weighted constraint at a levelled
-    station.
+    """Standard deviation of `yaw_deg`, for example of a gyroscope. With this key `yaw_deg` of a levelled station is a
+    weighted constraint.
     """
     levelled: bool = False
-    """True for a levelled standing axis, which is a weighted constraint."""
+    """True if the standing axis was levelled, which is a weighted constraint."""
     levelling_sigma_arcsec: Sigma = 1.0
-    """Standard deviation of the levelling."""
+    """Standard deviation of the tilt of a levelled standing axis."""
     instrument: str | None = None
     """Name of the instrument at this station, a table `[instruments.NAME]`."""
     instrument_height_mm: Height = 0.0
@@ -210,15 +214,15 @@ class Station(TomlSection):
 class Target(TomlSection):
     """Prior knowledge about one target.
 
-    `known_mm` has the uncertainty `known_sigma_mm` or `known_covariance_mm2` along `known_axes`. `approximate_mm` is a
-    start value without weight. All targets with `datum` together define the frame by inner constraints, each along its
-    `datum_axes` (three targets with "xyz", "yz" and "z" span axes by the 3-2-1 rule).
+    Along `known_axes`, the coordinates `known_mm` have the uncertainty `known_sigma_mm` or `known_covariance_mm2`.
+    `approximate_mm` is a start value without weight. All targets with `datum` together define the frame by inner
+    constraints, each along its `datum_axes` (three targets with "xyz", "yz" and "z" span axes by the 3-2-1 rule).
     """
 
     nest_normal: Direction | None = None
     """Normal of the open face of a fixed reflector, on the floor plan."""
     reflector: str | None = None
-    """Name of the SMR for pointings that name none; targets with one SMR share its errors."""
+    """Name of the SMR in this target, for pointings that name none; targets with the same SMR share its errors."""
     reaimed: bool = True
     """True for a reflector that is turned towards the station before each pointing."""
     known_mm: Vector | None = None
@@ -230,7 +234,7 @@ class Target(TomlSection):
     known_axes: Axes = "xyz"
     """Axes along which the coordinates are known."""
     in_plan: bool = False
-    """True for a target that is adjusted in plan only: its height has no meaning and is not written."""
+    """True for a target that is adjusted in plan only; its height has no meaning and is not reported."""
     approximate_mm: Vector | None = None
     """Start value of the coordinates, without weight."""
     datum: bool = False
@@ -242,13 +246,14 @@ class Target(TomlSection):
 
 
 class ReferenceDifference(TomlSection):
-    """Known vector between two marks, such as by levelling (along z) or by satellites: a weighted constraint.
+    """Known vector between two marks, for example from levelling (along z) or satellites: a weighted constraint.
 
-    Marks are targets, or points under set-ups; an unmeasured one must be known ten times better than the difference.
+    Marks are targets, or points under set-ups. A mark that was not measured must be known ten times better than the
+    difference.
     """
 
     name: Line | None = None
-    """Name of the difference, needed if several join the same marks; default `A-B` from the names of the marks."""
+    """Name of the difference, needed if several differences join the same marks; default `A-B` for marks A and B."""
     from_: str = Field(alias="from")
     """Mark at the start."""
     to: str
@@ -264,7 +269,7 @@ class ReferenceDifference(TomlSection):
 
     @property
     def label(self) -> str:
-        """Name of the difference, given or from its marks."""
+        """Name of the difference, or `A-B` from the names of its marks if it has none."""
         return self.name or f"{self.from_}-{self.to}"
 
 
@@ -272,17 +277,19 @@ class Reflector(TomlSection):
     """SMR, table `[reflectors.NAME]`; pointings name it in the column `reflector`, or their target does."""
 
     radius_mm: Positive
-    """Height of the SMR centre above the surface or nest seat on which it rests; on a plane, its radius."""
+    """Height of the SMR centre above the surface or nest seat on which the SMR rests; on a plane, the radius of the
+    SMR."""
     sigma_radius_mm: NonNegative | None = None
-    """Standard deviation of the radius, an error that all pointings of the SMR share: a source for `ltsim uncertainty`;
-    the adjustment treats the radius as exact.
+    """Standard deviation of the radius, an error that all pointings of the SMR share. `ltsim uncertainty` uses it; the
+    adjustment treats the radius as exact.
     """
 
 
 class BenchTest(TomlSection):
-    """Range error of a reflector over incidence from a bench test, a table `[[bench]]` that `ltsim bench` prints.
+    """Range error of a reflector over the angle of incidence, from a bench test: a table `[[bench]]`.
 
-    It applies to fixed nests, whose incidence error is estimated with the network.
+    `ltsim bench` prints this table. It applies to reflectors that are not turned towards the station, whose error over
+    incidence is estimated with the network.
     """
 
     reflector: str = ""
@@ -290,7 +297,7 @@ class BenchTest(TomlSection):
     angle_deg: tuple[Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)], ...]
     """Angles of incidence."""
     error_um: tuple[Finite, ...]
-    """Range error (reading minus truth) at each angle, relative to any zero."""
+    """Range error (reading minus truth) at each angle, up to a constant that all angles share."""
     sigma_um: tuple[NonNegative, ...]
     """Standard deviation of each error relative to the error at normal incidence."""
     direction_deg: Finite = 0.0
@@ -318,20 +325,20 @@ class Setup(TomlSection):
     started: str = ""
     """Start of the recording (time 0): date and time in ISO format, or the time alone."""
     axes: Line | None = None
-    """Source of the coordinates of the datum's targets; if given, each target is tested against the others, and a
-    contradicting one is removed from the datum and reported.
+    """Source of the coordinates of the datum's targets. With this key each target is tested against the others; one
+    that contradicts them is removed from the datum and reported.
     """
     heads_sigma_mm: Sigma | None = None
-    """Standard deviation of the height of a head above its mark; if given, the network corrects the height of each
-    occupation, which the columns `instrument_setup` and `target_setup` name.
+    """Standard deviation of the height of a tracker head, or a reflector, above its mark. With this key the adjustment
+    estimates a correction of the height in each occupation, named by `instrument_setup` and `target_setup`.
     """
     curved: bool = False
-    """True if plumb lines differ by position, as on a sphere of the size of the earth; a station's `vertical` has
-    priority.
+    """True if plumb lines differ between stations, as on a sphere of the size of the earth; the key `vertical` of a
+    station has priority.
     """
     refraction: tuple[Finite, Sigma] | None = None
     """Coefficient of refraction near the ground (radius of the earth divided by that of the ray) and its standard
-    deviation, such as [0.13, 0.1]; if given, the network estimates the coefficient.
+    deviation, such as [0.13, 0.1]. With this key the adjustment estimates the coefficient.
     """
     centring: tuple[CentringUncertainty, ...] = ()
     """Centring errors of the targets, one table `[[centring]]` each."""
@@ -350,10 +357,10 @@ class Setup(TomlSection):
     targets: dict[str, Target] = Field(default_factory=dict)
     """Prior knowledge about targets, tables `[targets.NAME]`."""
     differences: tuple[ReferenceDifference, ...] = ()
-    """Known differences of marks, one table `[[differences]]` each."""
+    """Known vectors between marks, one table `[[differences]]` each."""
     reflectors: dict[str, Reflector] = Field(default_factory=dict)
-    """SMRs with individual radii, tables `[reflectors.NAME]`; the difference to the reference radius is along the
-    nest's normal. Without tables all SMRs are equal.
+    """SMRs with individual radii, tables `[reflectors.NAME]`. The centre of an SMR is displaced along the nest normal
+    by its radius minus the reference radius. Without tables all SMRs are equal.
     """
     bench: tuple[BenchTest, ...] = ()
     """Bench tests of reflectors, one table `[[bench]]` each."""
@@ -367,7 +374,7 @@ class Setup(TomlSection):
         return self.instrument_named(self.stations.get(station, Station()).instrument or "")
 
     def instrument_named(self, name: str) -> Instrument:
-        """Instrument of this name; the only one if no table has the name."""
+        """Instrument of this name; the unnamed instrument of the recording if no table has the name."""
         return self.instruments.get(name, self.instrument)
 
     @property
@@ -384,7 +391,7 @@ class Setup(TomlSection):
     def instruments_in_words(self) -> str:
         """Model and serial number of each instrument that has them, with its name if there are several."""
         tables = self.instruments or {"": self.instrument}
-        words_of = {name: [word for word in (i.model, i.serial) if word] for name, i in tables.items()}
+        words_by_name = {name: [word for word in (i.model, i.serial) if word] for name, i in tables.items()}
         return "; ".join(
-            ", ".join([*([name] if len(tables) > 1 else []), *words]) for name, words in words_of.items() if words
+            ", ".join([*([name] if len(tables) > 1 else []), *words]) for name, words in words_by_name.items() if words
         )

@@ -1,4 +1,4 @@
-"""Noise of instruments: by kind if a file declares none, or from maximum permissible errors (MPE) of data sheets."""
+"""Noise of instruments: from maximum permissible errors (MPE) of data sheets, or a default by kind of instrument."""
 
 import csv
 import functools
@@ -16,33 +16,33 @@ from ltsim.geometry.polar import to_polar
 from ltsim.recordings.setup import Instrument, Noise, NonNegative, Prior, TomlSection
 
 MPE_COVERAGE_FACTOR = 2.0
-"""Number of standard deviations in a maximum permissible error: manufacturers state a typical error of half the
-maximum."""
+"""Number of standard deviations that a maximum permissible error counts as: manufacturers state a typical error of half
+the maximum."""
 TWO_FACE_LIMIT_RATIO = 2.0
-"""Ratio of the limit of a two-face difference to that of a point perpendicular to the beam (ISO 10360-10:2021, 6.3 and
-annex D).
+"""Limit of a two-face difference divided by the limit of the error of a point perpendicular to the beam (ISO
+10360-10:2021, 6.3 and annex D).
 """
 REQUIRED_LIMITS = ("transverse_um", "transverse_um_per_m", "range_um", "range_um_per_m")
 """Keys of a specification that must be given, because tests have no limit without them."""
 RANGE_PREFIXES = ("distance_", "range_")
-"""Prefixes of the keys of noise and prior that follow from the limit of range errors."""
+"""Beginnings of the keys of noise and prior that follow from the limits of range errors."""
 
 TOTAL_STATION_NOISE = Noise(distance_mm=1.0, distance_ppm=1.5, azimuth_arcsec=1.0, elevation_arcsec=1.0)
 """Standard deviations of a first-class total station by ISO 17123, as in manufacturers' data sheets."""
 TOTAL_STATION = Instrument(noise=TOTAL_STATION_NOISE, corrected=True)
-"""Default total station; its readings contain its corrections."""
+"""Instrument that is assumed for files of total stations; its readings are already corrected."""
 NO_NOISE_NOTE = (
     "the file declares no noise: that of the default laser tracker is used (3 um + 0.3 ppm, 0.37 arcsec); set it in "
     "setup.toml, or estimate it from the readings (--noise-from-data)"
 )
 TOTAL_STATION_NOTE = (
-    "the file declares no noise: that of a total station is used (1 mm + 1.5 ppm, 1 arcsec), because {reason}; set it "
-    "in setup.toml, or estimate it from the readings (--noise-from-data)"
+    "the file declares no noise: that of a total station is used ({distance:g} mm + {ppm:g} ppm, {angle:g} arcsec), "
+    "because {reason}; set it in setup.toml, or estimate it from the readings (--noise-from-data)"
 )
 
 
 class Specification(TomlSection):
-    """Maximum permissible errors of the subsystems, as in data sheets and in ISO 10360-10:2021, annex D."""
+    """Maximum permissible errors of an instrument, as in data sheets and in ISO 10360-10:2021, annex D."""
 
     name: str = ""
     """Name of the instrument."""
@@ -79,12 +79,12 @@ class Specification(TomlSection):
     def length_limits(self, first: Floats, second: Floats) -> Floats:
         """Limit (k,) [m] of the errors of lengths between points (k, 3) [m] in the instrument's frame.
 
-        It is the root sum of squares of the limits at both ends in the direction of the length. The range zero error is
-        common to both ends and cancels along one line of sight.
+        It is the root sum of squares of the limits at both ends, in the direction of the length. The range zero error
+        is the same at both ends and cancels if both are on one line of sight.
         """
-        way = second - first
-        direction = way / np.linalg.norm(way, axis=1, keepdims=True)
-        squares, offset = np.zeros(len(way)), np.zeros(len(way))
+        difference = second - first
+        direction = difference / np.linalg.norm(difference, axis=1, keepdims=True)
+        squares, offset = np.zeros(len(difference)), np.zeros(len(difference))
         for points, sign in ((first, -1.0), (second, 1.0)):
             range_ = to_polar(points)[:, 0]
             cosine = np.einsum("ki,ki->k", direction, points) / range_
@@ -105,22 +105,22 @@ class Specification(TomlSection):
         belongs to offsets alone. The constant part of the range is all noise if the range zero has a separate limit.
         """
         sigma = 1.0 / MPE_COVERAGE_FACTOR
-        noise, rest = np.sqrt(self.noise_share), np.sqrt(1 - self.noise_share)
+        noise_factor, constants_factor = np.sqrt(self.noise_share), np.sqrt(1 - self.noise_share)
         angle = sigma * self.transverse_um_per_m * MICROMETRE / ARCSECOND
         has_offset = self.range_offset_um > 0
-        offset = self.range_offset_um if has_offset else rest * self.range_um
+        offset = self.range_offset_um if has_offset else constants_factor * self.range_um
         return Instrument(
             construction=construction,  # type: ignore[arg-type]
             noise=Noise(
-                distance_mm=sigma * self.range_um * (1.0 if has_offset else noise) * MICROMETRE / MILLIMETRE,
-                distance_ppm=sigma * self.range_um_per_m * noise,
-                azimuth_arcsec=_clip_to_min_sigma(angle * noise),
-                elevation_arcsec=_clip_to_min_sigma(angle * noise),
+                distance_mm=sigma * self.range_um * (1.0 if has_offset else noise_factor) * MICROMETRE / MILLIMETRE,
+                distance_ppm=sigma * self.range_um_per_m * noise_factor,
+                azimuth_arcsec=_clip_to_min_sigma(angle * noise_factor),
+                elevation_arcsec=_clip_to_min_sigma(angle * noise_factor),
             ),
             prior=Prior(
-                range_scale_ppm=_clip_to_min_sigma(sigma * self.range_um_per_m * rest),
+                range_scale_ppm=_clip_to_min_sigma(sigma * self.range_um_per_m * constants_factor),
                 range_offset_mm=_clip_to_min_sigma(sigma * offset * MICROMETRE / MILLIMETRE),
-                angle_arcsec=_clip_to_min_sigma(angle * rest / np.sqrt(2.0)),
+                angle_arcsec=_clip_to_min_sigma(angle * constants_factor / np.sqrt(2.0)),
                 offset_mm=_clip_to_min_sigma(sigma * self.transverse_um * MICROMETRE / MILLIMETRE),
             ),
         )
@@ -145,9 +145,9 @@ def data_sheet_names() -> tuple[str, ...]:
 
 
 def data_sheet_figures(name: str) -> dict[str, Any]:
-    """Numbers of a built-in data sheet, as keys of a `Specification`; keys that it does not give are missing.
+    """Values of a built-in data sheet by key of a `Specification`; keys that the sheet does not give are missing.
 
-    Raises ModelError when there is no such sheet.
+    Raises ModelError if there is no such sheet.
     """
     if name not in _data_sheets():
         raise unknown_name("data sheet", name, _data_sheets())
@@ -155,73 +155,82 @@ def data_sheet_figures(name: str) -> dict[str, Any]:
 
 
 def complete_figures(name: str, declared_values: Mapping[str, Any]) -> dict[str, Any]:
-    """Keys of a specification: a built-in data sheet, with the values declared by the user in place of its own.
+    """Values of a specification by key: those that the user declares, otherwise those of a built-in data sheet.
 
-    Raises ModelError when there is no such sheet, or a limit is in neither.
+    Raises ModelError if there is no such sheet, or neither gives a required limit.
     """
     keys = data_sheet_figures(name)
     missing = [key for key in REQUIRED_LIMITS if key not in keys and key not in declared_values]
     if missing:
-        raise ModelError(
-            f"the data sheet {name} does not give {' and '.join(missing)}; set it in the table [specification]"
-        )
+        message = f"the data sheet {name} does not give {' and '.join(missing)}"
+        raise ModelError(f"{message}; set {'it' if len(missing) == 1 else 'them'} in the table [specification]")
     if declared_values:
         keys["source"] += f"; not from there: {', '.join(declared_values)}"
     return {**keys, **declared_values}
 
 
 def data_sheet(name: str) -> Specification:
-    """Complete limits of a built-in data sheet; raises ModelError if it does not give all of them."""
+    """Specification from a built-in data sheet; raises ModelError if the sheet does not give all required limits."""
     return Specification.model_validate(complete_figures(name, {}))
 
 
 def noise_and_prior_tables(
     name: str, declared_tables: Mapping[str, Any], limits: Iterable[str] = ()
 ) -> dict[str, dict[str, float]]:
-    """Tables ``noise`` and ``prior`` from a built-in data sheet, for an instrument whose tables are `declared_tables`.
+    """Tables ``noise`` and ``prior`` from a built-in data sheet.
 
-    No available data sheet states the range of elevations of an instrument: `limits` are the keys of that table that
-    `declared_tables` must contain.
+    `declared_tables` are the tables of the instrument that the user declares. They must contain the values that the
+    sheet does not give, and the keys `limits` of the table ``limits``, because no available sheet gives the range of
+    elevations.
 
-    Raises ModelError when there is no such sheet, or a value is neither in it nor in `declared_tables`.
+    Raises ModelError if there is no such sheet, or such a value is missing.
     """
-    published = data_sheet_figures(name)
-    specification = Specification.model_validate({**dict.fromkeys(REQUIRED_LIMITS, 1.0), **published}).to_instrument()
-    exact = {"noise": specification.noise.model_dump(), "prior": specification.prior.model_dump(exclude={"parameters"})}
-    tables = {table: {key: float(f"{x:.6g}") for key, x in values.items()} for table, values in exact.items()}
-    if any(key not in published for key in REQUIRED_LIMITS):
+    figures = data_sheet_figures(name)
+    specification = Specification.model_validate({**dict.fromkeys(REQUIRED_LIMITS, 1.0), **figures}).to_instrument()
+    unrounded_tables = {
+        "noise": specification.noise.model_dump(),
+        "prior": specification.prior.model_dump(exclude={"parameters"}),
+    }
+    tables = {
+        table: {key: float(f"{x:.6g}") for key, x in values.items()} for table, values in unrounded_tables.items()
+    }
+    if any(key not in figures for key in REQUIRED_LIMITS):
         declared = {
             f"{table}.{key}"
             for table in tables
             if isinstance(declared_tables.get(table), Mapping)
             for key in declared_tables[table]
         }
-        ranges = [
+        range_keys = [
             f"{table}.{key}" for table, values in tables.items() for key in values if key.startswith(RANGE_PREFIXES)
         ]
-        missing = [key for key in ranges if key not in declared]
+        missing = [key for key in range_keys if key not in declared]
         if missing:
             raise ModelError(f"the data sheet {name} does not give the error of ranges; set {', '.join(missing)}")
-    travel = declared_tables.get("limits")
-    open_ = [f"limits.{key}" for key in limits if not isinstance(travel, Mapping) or key not in travel]
-    if open_:
+    declared_limits = declared_tables.get("limits")
+    missing_limits = [
+        f"limits.{key}" for key in limits if not isinstance(declared_limits, Mapping) or key not in declared_limits
+    ]
+    if missing_limits:
         raise ModelError(
-            f"the data sheet {name} does not give the travel of the elevation axis; set {', '.join(open_)}"
+            f"the data sheet {name} does not give the travel of the elevation axis; set {', '.join(missing_limits)}"
         )
     return tables
 
 
 def deviating_keys(instrument: Instrument) -> list[str]:
-    """Keys of noise and prior in which an instrument deviates from its data sheet."""
+    """Keys of noise and prior whose values differ from those of the instrument's data sheet."""
     if instrument.sheet is None:
         return []
-    specified: dict[str, dict[str, float]] = instrument.model_dump(include={"noise", "prior"})
-    skipped = () if all(key in data_sheet_figures(instrument.sheet) for key in REQUIRED_LIMITS) else RANGE_PREFIXES
+    declared_tables: dict[str, dict[str, float]] = instrument.model_dump(include={"noise", "prior"})
+    skipped_prefixes = (
+        () if all(key in data_sheet_figures(instrument.sheet) for key in REQUIRED_LIMITS) else RANGE_PREFIXES
+    )
     return [
         f"{table}.{key}"
-        for table, values in noise_and_prior_tables(instrument.sheet, specified).items()
+        for table, values in noise_and_prior_tables(instrument.sheet, declared_tables).items()
         for key, value in values.items()
-        if not np.isclose(specified[table][key], value, rtol=1e-5) and not key.startswith(skipped)
+        if not np.isclose(declared_tables[table][key], value, rtol=1e-5) and not key.startswith(skipped_prefixes)
     ]
 
 

@@ -1,4 +1,4 @@
-"""Summary of a recording, for a check against the field book before any computation."""
+"""Summary of the content of a recording, to compare with the field book before any computation."""
 
 from collections.abc import Sequence
 
@@ -11,11 +11,11 @@ from ltsim.recordings.recording import HEIGHT_COLUMNS, SIGMA_COLUMNS, Recording
 from ltsim.recordings.setup import Noise
 
 MAX_NAMES_IN_SUMMARY = 6
-"""Largest number of names that a topic of the summary lists."""
+"""Largest number of names, or of noise descriptions, in a line of the summary."""
 
 
 def recording_summary(recording: Recording) -> dict[str, str]:
-    """Set-ups, rounds, faces, readings, heights, time, noise and reference values of a recording, as text by topic."""
+    """Text by topic: set-ups, pointings, faces, readings, heights, time, noise and reference values of a recording."""
     topics = {
         "set-ups": _setups_text(recording),
         "pointings": _pointings_text(recording),
@@ -31,30 +31,33 @@ def recording_summary(recording: Recording) -> dict[str, str]:
 
 def _setups_text(recording: Recording) -> str:
     setups = {name: recording.station_setup(name) for name in recording.stations}
-    marks = {s.over for s in setups.values() if s.over is not None}
-    over = f" over {len(marks)} marks" if marks else ""
-    level = sum(s.levelled for s in setups.values())
-    levelled = f"; {'all' if level == len(setups) else level or 'none'} levelled"
-    return f"{len(setups)}{over} ({listing(list(setups), MAX_NAMES_IN_SUMMARY)}){levelled}"
+    marks_of_setups = [s.over for s in setups.values() if s.over is not None]
+    some = "" if len(marks_of_setups) == len(setups) else f", {len(marks_of_setups)} of them"
+    over_marks = f"{some} over {len({*marks_of_setups})} marks" if marks_of_setups else ""
+    n_levelled = sum(s.levelled for s in setups.values())
+    levelled_text = f"; {'all' if n_levelled == len(setups) else n_levelled or 'none'} levelled"
+    return f"{len(setups)}{over_marks} ({listing(list(setups), MAX_NAMES_IN_SUMMARY)}){levelled_text}"
 
 
 def _pointings_text(recording: Recording) -> str:
     per_station = np.bincount(recording.station, minlength=len(recording.stations))
-    each = _range_text(per_station.astype(np.float64), "d")
+    per_station_text = _range_text(per_station.astype(np.float64), "d")
     rounds = int(recording.repeat.max(initial=1))
-    repeated = f", up to {rounds} of a target in one face" if rounds > 1 else ""
-    return f"{len(recording)} to {len(recording.targets)} targets, {each} per set-up{repeated}"
+    repeats_text = f", up to {rounds} of a target in one face" if rounds > 1 else ""
+    return f"{len(recording)} to {len(recording.targets)} targets, {per_station_text} per set-up{repeats_text}"
 
 
 def _faces_text(recording: Recording) -> str:
-    sights = {face: {*_n_sighted(recording, face)} for face in (1, 2)}
-    every, both = len(sights[1] | sights[2]), len(sights[1] & sights[2])
-    if not both:
+    sights = {face: {*_sights_on_face(recording, face)} for face in (1, 2)}
+    n_sights, n_two_face_sights = len(sights[1] | sights[2]), len(sights[1] & sights[2])
+    if not n_two_face_sights:
         return f"face {1 if sights[1] else 2} only"
-    return "every target in both" if both == every else f"{both} of {every} sights in both"
+    return (
+        "every target in both" if n_two_face_sights == n_sights else f"{n_two_face_sights} of {n_sights} sights in both"
+    )
 
 
-def _n_sighted(recording: Recording, face: int) -> list[tuple[int, int]]:
+def _sights_on_face(recording: Recording, face: int) -> list[tuple[int, int]]:
     rows = recording.face == face
     return list(zip(recording.station[rows].tolist(), recording.target[rows].tolist(), strict=True))
 
@@ -88,9 +91,9 @@ def _time_text(recording: Recording) -> str:
     if not recording.has_clock or not np.isfinite(recording.time).any():
         return "no clock: the order of the rows replaces the time"
     seconds = float(np.nanmax(recording.time) - np.nanmin(recording.time))
-    hours, rest = divmod(round(seconds), 3600)
-    began = f"from {recording.setup.started} on, " if recording.setup.started else ""
-    return f"{began}{hours} h {rest // 60:02d} min {rest % 60:02d} s"
+    hours, rest_s = divmod(round(seconds), 3600)
+    start_text = f"from {recording.setup.started} on, " if recording.setup.started else ""
+    return f"{start_text}{hours} h {rest_s // 60:02d} min {rest_s % 60:02d} s"
 
 
 def _noise_text(recording: Recording) -> str:
@@ -98,13 +101,15 @@ def _noise_text(recording: Recording) -> str:
     words = [noise_text(noise) for noise in by_name]
     if len(words) > 1:
         words = [f"{text} ({by_name[noise]})" for noise, text in zip(by_name, words, strict=True)]
-    shares = [np.isfinite(recording.covariates[name]).mean() for name in SIGMA_COLUMNS if name in recording.covariates]
-    by_row = ["declared per row"] if shares else []
-    return "; ".join([*by_row, *words][:MAX_NAMES_IN_SUMMARY])
+    row_fractions = [
+        np.isfinite(recording.covariates[name]).mean() for name in SIGMA_COLUMNS if name in recording.covariates
+    ]
+    row_texts = ["declared per row"] if row_fractions else []
+    return "; ".join([*row_texts, *words][:MAX_NAMES_IN_SUMMARY])
 
 
 def noise_text(noise: Noise) -> str:
-    """Noise of an instrument as text, in the form of a data sheet."""
+    """Standard deviations of an instrument's readings as text, in the form of a data sheet."""
     constant = f"{1e3 * noise.distance_mm:.3g} um" if noise.distance_mm < 0.1 else f"{noise.distance_mm:.3g} mm"
     return (
         f"{constant} + {noise.distance_ppm:.3g} ppm, {noise.azimuth_arcsec:.3g} arcsec across, "
@@ -123,9 +128,9 @@ def _reference_values_text(recording: Recording) -> str:
     return ", ".join(f"{count} {what}" for what, count in counts.items() if count) or "nothing"
 
 
-def _range_text(values: Floats | Sequence[float], form: str) -> str:
-    """Smallest and largest of some numbers, as text."""
+def _range_text(values: Floats | Sequence[float], number_format: str) -> str:
+    """Text with the smallest and the largest of the finite values, in the number format `number_format`."""
     finite = np.asarray(values, dtype=np.float64)
     finite = finite[np.isfinite(finite)]
-    low, high = (format(int(v) if form == "d" else v, form) for v in (finite.min(), finite.max()))
+    low, high = (format(int(v) if number_format == "d" else v, number_format) for v in (finite.min(), finite.max()))
     return low if low == high else f"{low} to {high}"

@@ -1,8 +1,8 @@
 """Transcription errors: readings in another unit, in another sense, or of the other face.
 
-One table serves the readers that refuse a file, the effect that simulates such an error, and the diagnosis that
-corrects a station or a single pointing. A column that is wrong in all rows (radians as degrees, metres as millimetres,
-gon, zenith angles) is a wrong file, which `require_degrees_and_millimetres` refuses; a wrong unit in one row is a gross
+Readers use the list of these errors to refuse a file, an effect to simulate such an error, and the diagnosis to correct
+a station or a single pointing. A file with a column that is wrong in all rows (radians as degrees, metres as
+millimetres, gon, zenith angles) is refused by `require_degrees_and_millimetres`. A wrong unit in one row is a gross
 error, which the diagnosis locates.
 """
 
@@ -20,15 +20,15 @@ from ltsim.recordings.files import SourceLocation
 
 @dataclass(frozen=True)
 class TranscriptionError:
-    """Transcription error: the columns contain factor * reading + offset."""
+    """Transcription error of a recording, whose columns contain factor * reading + offset in place of the reading."""
 
     name: str
     wrong_content: str
-    """Text of the wrong content of a column."""
+    """Text for what the columns contain, such as "metres"."""
     right_content: str
-    """Text of the right content of a column."""
+    """Text for what the columns should contain, such as "millimetres"."""
     changes: tuple[tuple[int, float, float], ...]
-    """Changes by the error: column (0 range, 1 azimuth, 2 elevation), factor, and offset [rad]."""
+    """Column (0 range, 1 azimuth, 2 elevation), factor, and offset [rad] of each changed reading."""
 
     @property
     def columns(self) -> tuple[int, ...]:
@@ -37,22 +37,22 @@ class TranscriptionError:
 
     @property
     def cause(self) -> str:
-        """Text of the error, such as "metres for millimetres"."""
+        """Text for the error, such as "metres for millimetres"."""
         return f"{self.wrong_content} for {self.right_content}"
 
     def with_error(self, readings: Floats) -> Floats:
-        """Readings (n, 3) with the error, from raw readings (n, 3)."""
-        other = readings.copy()
+        """Readings (n, 3) [m, rad, rad] with the error, from readings without it."""
+        changed = readings.copy()
         for column, factor, offset in self.changes:
-            other[:, column] = factor * readings[:, column] + offset
-        return other
+            changed[:, column] = factor * readings[:, column] + offset
+        return changed
 
     def without_error(self, readings: Floats) -> Floats:
-        """Raw readings (n, 3) from readings (n, 3) with the error."""
-        other = readings.copy()
+        """Readings (n, 3) [m, rad, rad] without the error, from readings with it."""
+        corrected = readings.copy()
         for column, factor, offset in self.changes:
-            other[:, column] = (readings[:, column] - offset) / factor
-        return other
+            corrected[:, column] = (readings[:, column] - offset) / factor
+        return corrected
 
 
 def _length_error(name: str, unit: str, millimetres: float) -> TranscriptionError:
@@ -80,28 +80,34 @@ UNIT_ERRORS = (
     ),
     TranscriptionError("clockwise", "clockwise azimuths", "counter-clockwise ones", ((1, -1.0, 0.0),)),
 )
-"""Errors of unit or sense: the reading is in the wrong unit but interpreted in the right one."""
+"""Transcription errors of a unit, the kind of vertical angle, or the sense of the azimuth."""
 
 FACE_ERRORS = (
     TranscriptionError("face-azimuth", "the azimuth of the other face", "its own value", ((1, 1.0, np.pi),)),
     TranscriptionError("face-elevation", "the elevation of the other face", "its own value", ((2, -1.0, np.pi),)),
 )
-"""Errors of one angle, which is the one of the other face."""
+"""Transcription errors of one angle that was read on the other face."""
 
 MAX_CIRCLE_RADIANS = 2 * np.pi + 0.01
-"""Largest angle [rad] of a column that is in radians: a full circle, with a margin for rounding."""
+"""Largest angle [rad] up to which a column may be in radians: a full circle, with a margin for rounding."""
 MIN_DISTANCE_MM = 200.0
-"""Smallest longest distance [mm] of a recording; a smaller one is in metres."""
+"""Longest distance of a recording, as a number, below which its distances are in metres, not millimetres."""
 MAX_COMPARED_CHORDS = 400
-"""Largest number of lengths between targets that are compared between stations."""
+"""Largest number of pairs of stations, and of lengths between targets, that are compared."""
 MIN_WRONG_DISAGREEMENT = 2e-3
-"""Relative disagreement of lengths above which a file is wrong."""
+"""Median relative difference of the lengths between targets from two stations, above which an error is searched."""
 MAX_RIGHT_DISAGREEMENT = 2e-4
-"""Relative disagreement of lengths below which a file is right."""
+"""Median relative difference of the lengths between targets, below which a correction explains the file."""
+
+MIN_MIRRORED_TARGETS = 5
+"""Smallest number of common targets of two stations that are compared with mirror images: four may lie in a plane."""
 
 
 def station_clouds(points: Floats, station: Ints, target: Ints) -> dict[int, dict[int, Floats]]:
-    """Mean position of each target in each station's frame, by their indices; rows (n, 3) with NaN are ignored."""
+    """Mean position (3,) of each target in each station's frame, by index of the station and then of the target.
+
+    `points` (n, 3) are the positions of single pointings; rows with NaN are ignored.
+    """
     is_valid = np.all(np.isfinite(points), axis=1)
     count = int(target.max(initial=0)) + 1
     keys, place = np.unique(station[is_valid] * count + target[is_valid], return_inverse=True)
@@ -123,30 +129,38 @@ def shared_target_counts(station: Ints, target: Ints, n_stations: int) -> Ints:
     return counts
 
 
+def neighbour_pairs(station: Ints, target: Ints, n_stations: int) -> list[tuple[int, int]]:
+    """Pairs of a station and a later one: the earlier one with which the later one shares most targets, at least five.
+
+    Four may lie in a plane, which is its own mirror image.
+    """
+    n_shared = np.triu(shared_target_counts(station, target, n_stations), 1)
+    earlier = n_shared.argmax(axis=0).tolist()
+    return [(first, s) for s, first in enumerate(earlier) if n_shared[first, s] >= MIN_MIRRORED_TARGETS]
+
+
 def length_disagreement(points: Floats, station: Ints, target: Ints) -> float:
-    """Median relative disagreement of the lengths between common targets of two stations.
+    """Median relative difference of the lengths between targets from two stations; NaN without two common targets.
 
-    Lengths do not depend on poses: they test units and the kind of the vertical angle, but not the sense of the
-    azimuth.
-
-    `points` (n, 3) are in each station's frame. NaN if no two stations have two common targets.
+    Lengths do not depend on poses: they test units and the kind of vertical angle, but not the sense of the azimuth.
+    `points` (n, 3) are the positions in each station's frame.
     """
     clouds = station_clouds(points, station, target).values()
-    gaps: list[float] = []
+    disagreements: list[float] = []
     for first, other in itertools.islice(itertools.combinations(clouds, 2), MAX_COMPARED_CHORDS):
         common = sorted(first.keys() & other.keys())[:60]
-        if len(common) < 2 or len(gaps) >= MAX_COMPARED_CHORDS:
+        if len(common) < 2 or len(disagreements) >= MAX_COMPARED_CHORDS:
             continue
-        here = np.array([first[k] for k in common])
-        there = np.array([other[k] for k in common])
-        lengths = [np.linalg.norm(np.diff(p, axis=0, append=p[:1]), axis=1) for p in (here, there)]
+        first_points = np.array([first[k] for k in common])
+        other_points = np.array([other[k] for k in common])
+        lengths = [np.linalg.norm(np.diff(p, axis=0, append=p[:1]), axis=1) for p in (first_points, other_points)]
         scale = np.maximum(lengths[0] + lengths[1], 1e-9) / 2
-        gaps += np.abs((lengths[0] - lengths[1]) / scale).tolist()
-    return float(np.median(gaps)) if gaps else float("nan")
+        disagreements += np.abs((lengths[0] - lengths[1]) / scale).tolist()
+    return float(np.median(disagreements)) if disagreements else float("nan")
 
 
 def _two_face_sums(angle: Floats, station: Ints, target: Ints, face: Ints) -> Floats:
-    """Sums of the vertical angles on both faces, one per station and target measured on both."""
+    """Sum of the mean vertical angles on both faces, for each station and target that was measured on both."""
     keys, place = np.unique(station * (int(target.max(initial=0)) + 1) + target, return_inverse=True)
     means = []
     for side in (1, 2):
@@ -161,10 +175,9 @@ def _two_face_sums(angle: Floats, station: Ints, target: Ints, face: Ints) -> Fl
 def require_degrees_and_millimetres(
     measured_columns: Floats, station: Ints, target: Ints, face: Ints, file: object
 ) -> None:
-    """Check that the columns are in degrees and millimetres; raises RecordError for another unit or another angle.
+    """Check that columns (n, 3) contain distances [mm], azimuths and elevations [deg].
 
-    `measured_columns` (n, 3) are distances [mm], azimuths and elevations [deg]. The message names the unit or angle
-    that the column appears to have.
+    Raises RecordError that names the unit, or the kind of angle, that a column appears to contain.
     """
     elevation = measured_columns[:, 2]
     longest = float(np.nanmax(measured_columns[:, 0], initial=-np.inf))
@@ -173,11 +186,11 @@ def require_degrees_and_millimetres(
         raise SourceLocation(file, column="distance_mm").error(message)
     sums = _two_face_sums(elevation, station, target, face)
     median = float(np.median(sums)) if len(sums) else float("nan")
-    for slip in UNIT_ERRORS:
-        expected = _face_sum_with_error(slip)
+    for unit_error in UNIT_ERRORS:
+        expected = _face_sum_with_error(unit_error)
         if expected is not None and abs(median - expected) < 0.005 * expected:
             message = (
-                f"the two faces add up to {median:.4g}, which looks like {slip.wrong_content}; "
+                f"the two faces add up to {median:.4g}, which looks like {unit_error.wrong_content}; "
                 "expected elevations in degrees, where they add up to 180"
             )
             raise SourceLocation(file, column="elevation_deg").error(message)
@@ -193,7 +206,10 @@ def require_degrees_and_millimetres(
 
 
 def _face_sum_with_error(error: TranscriptionError) -> float | None:
-    """Sum [deg] of the vertical angles of a target on both faces under a transcription error; None if it is 180 too."""
+    """Sum [deg] of the vertical angles of a target on both faces with a transcription error.
+
+    None if the error leaves vertical angles unchanged.
+    """
     for column, factor, offset in error.changes:
         if column == 2:
             total = factor * 180.0 + 2.0 * offset / DEGREE
@@ -202,39 +218,41 @@ def _face_sum_with_error(error: TranscriptionError) -> float | None:
 
 
 def error_by_lengths(readings: Floats, station: Ints, target: Ints) -> TranscriptionError | None:
-    """Error of all angles whose correction makes the lengths between targets agree between stations.
+    """Transcription error of all angles whose correction makes lengths between targets equal from all stations.
 
-    `readings` (n, 3) are raw [m, rad, rad]. None if there is no such error, or the lengths agree already. Lengths do
-    not reveal a mirrored network.
+    `readings` (n, 3) [m, rad, rad] are raw. None if there is no such error, or the lengths are already equal. Lengths
+    do not reveal a mirrored network.
     """
     if not length_disagreement(from_polar(readings), station, target) > MIN_WRONG_DISAGREEMENT:
         return None
-    angular = [slip for slip in UNIT_ERRORS if 0 not in slip.columns]
-    gaps = [length_disagreement(from_polar(slip.without_error(readings)), station, target) for slip in angular]
-    best_index = int(np.argmin(gaps))
-    return angular[best_index] if gaps[best_index] < MAX_RIGHT_DISAGREEMENT else None
+    angle_errors = [error for error in UNIT_ERRORS if 0 not in error.columns]
+    disagreements = [
+        length_disagreement(from_polar(error.without_error(readings)), station, target) for error in angle_errors
+    ]
+    best_index = int(np.argmin(disagreements))
+    return angle_errors[best_index] if disagreements[best_index] < MAX_RIGHT_DISAGREEMENT else None
 
 
 def _require_not_radians(measured_columns: Floats, station: Ints, target: Ints, file: object) -> None:
     angles = [a[np.isfinite(a)] for a in measured_columns.T[1:]]
     if max((float(np.abs(a).max()) for a in angles if len(a)), default=np.inf) > MAX_CIRCLE_RADIANS:
         return
-    exceeds = [len(a) > 2 and np.ptp(a) > limit for a, limit in zip(angles, (1.0, 0.3), strict=True)]
+    has_wide_range = [len(a) > 2 and np.ptp(a) > limit for a, limit in zip(angles, (1.0, 0.3), strict=True)]
     readings = measured_columns * [MILLIMETRE, 1.0, 1.0]
     as_radians = length_disagreement(from_polar(readings), station, target)
     as_degrees = length_disagreement(from_polar(readings * [1.0, DEGREE, DEGREE]), station, target)
-    if any(exceeds) and not as_degrees <= as_radians:
-        values = angles[exceeds.index(True)]
-        looks = f"all angles lie between {values.min():.4g} and {values.max():.4g}, which looks like radians"
-        column = "azimuth_deg" if exceeds[0] else "elevation_deg"
-        raise SourceLocation(file, column=column).error(f"{looks}; expected degrees")
+    if any(has_wide_range) and not as_degrees <= as_radians:
+        values = angles[has_wide_range.index(True)]
+        sentence = f"all angles lie between {values.min():.4g} and {values.max():.4g}, which looks like radians"
+        column = "azimuth_deg" if has_wide_range[0] else "elevation_deg"
+        raise SourceLocation(file, column=column).error(f"{sentence}; expected degrees")
 
 
 def _require_consistent_faces(elevation: Floats, face: Ints, file: object) -> None:
-    back: Bools = (face == 2) & np.isfinite(elevation)
-    reduced = back & (np.abs(elevation) < 90)
-    if np.count_nonzero(reduced) > 2 and np.all(reduced == back):
-        row = int(np.flatnonzero(reduced)[0])
+    is_face_2: Bools = (face == 2) & np.isfinite(elevation)
+    is_reduced = is_face_2 & (np.abs(elevation) < 90)
+    if np.count_nonzero(is_reduced) > 2 and np.all(is_reduced == is_face_2):
+        row = int(np.flatnonzero(is_reduced)[0])
         message = (
             f"face 2 contains {elevation[row]:.6g}: its elevations are reduced to face 1; "
             f"expected raw encoder readings, here near {180 - elevation[row]:.6g}"

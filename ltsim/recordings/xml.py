@@ -19,13 +19,13 @@ from ltsim.core.limits import MAX_TAG_ATTRIBUTES, MAX_XML_ATTRIBUTES, MAX_XML_DE
 from ltsim.recordings.files import SourceLocation, quoted_text, read_bytes
 
 _LONG_TAG_PATTERN = re.compile(rb"<[^<]{4096,}+")
-"""Pattern of a tag longer than 4096 characters, which may contain too many attributes."""
+"""Pattern of a tag with more than 4096 characters; a shorter one cannot contain too many attributes."""
 LINE_ATTRIBUTE = "{ltsim}line"
-"""Attribute with the line number of an element; a file cannot set it, because it is overwritten."""
+"""Attribute that the parser adds to each element: the number of its line. A value in the file is overwritten."""
 
 
 class _NumberedBuilder(TreeBuilder):
-    """Tree builder whose elements have the line where they begin; it raises RecordError beyond the permitted depth."""
+    """Tree builder that adds to each element the line where it begins and raises RecordError beyond a depth limit."""
 
     def __init__(self, file: Path) -> None:
         super().__init__()
@@ -42,7 +42,7 @@ class _NumberedBuilder(TreeBuilder):
 
 
 class _DepthCheck:
-    """Parser target that builds no tree; it raises RecordError for elements beyond the permitted depth."""
+    """Parser target that builds no tree and raises RecordError for elements beyond the permitted depth."""
 
     def __init__(self, file: Path) -> None:
         self._file, self._depth = file, 0
@@ -71,9 +71,9 @@ def check_tag_attributes(content: bytes, file: Path) -> None:
 
 
 def check_xml_part(content: bytes, file: Path) -> None:
-    """Check of XML for a library: entities, depth, attributes of a tag, encoding; raises RecordError.
+    """Check of an XML text, before another library parses it: entities, depth, attributes of a tag, encoding.
 
-    Raises ParseError if it is not well formed.
+    Raises RecordError, or ParseError if the text is not well formed.
     """
     if b"\x00" in content:
         raise RecordError("contains a part that is not UTF-8", file=file)
@@ -86,7 +86,7 @@ def check_xml_part(content: bytes, file: Path) -> None:
 def parse_xml(path: Path) -> XmlNode:
     """Root element of an XML file.
 
-    Raises RecordError when it is not well formed (cut, badly encoded), or declares entities.
+    Raises RecordError if the file is not well formed (incomplete, badly encoded), or declares entities.
     """
     content = read_bytes(path)
     if content.count(b"<") > MAX_XML_TAGS or content.count(b"=") > MAX_XML_ATTRIBUTES:
@@ -121,7 +121,7 @@ class XmlNode:
         return (XmlNode(inner, self.file) for inner in self.element)
 
     def descendants(self, *tags: str) -> Iterator[XmlNode]:
-        """Elements with one of these names, including this one and all below it, in the order of the file."""
+        """Elements with one of these names, among this element and all elements below it, in the order of the file."""
         nodes = (XmlNode(inner, self.file) for inner in self.element.iter())
         return (node for node in nodes if node.tag in tags)
 
@@ -146,33 +146,33 @@ class XmlNode:
         return " ".join((self.element.text or "").split())
 
     def get(self, name: str, default: str = "") -> str:
-        """Attribute without surrounding blanks, or the default."""
+        """Value of an attribute without surrounding blanks; the default if the attribute is missing."""
         return self.element.get(name, default).strip()
 
     def __contains__(self, name: str) -> bool:
         return name in self.element.attrib
 
     def required_attribute(self, name: str) -> str:
-        """Required attribute; raises RecordError if it is missing."""
+        """Value of a required attribute; raises RecordError if the attribute is missing."""
         if name not in self:
             raise self.location.error(f"<{quoted_text(self.tag)}> lacks the attribute {name}")
         return self.get(name)
 
     def number(self, name: str, default: float | None = None, limit: float = 1e12) -> float:
-        """Numeric attribute; `default` if it is missing, or RecordError without a default."""
+        """Number of an attribute; if the attribute is missing, the default, or RecordError without a default."""
         if default is not None and name not in self:
             return default
         return self.location.number(self.required_attribute(name), f"<{quoted_text(self.tag)}> {name}", limit=limit)
 
     def name(self, name: str, kind: str) -> str:
-        """Attribute that names a station or target; raises RecordError."""
+        """Value of a required attribute as the name of a station, target or point (`kind`); raises RecordError."""
         return self.location.name(self.required_attribute(name), kind)
 
 
 def band_matrix_entries(node: XmlNode, size: float, band: float, values: Sequence[float]) -> tuple[Ints, Ints, Floats]:
-    """Row, column and value (k,) of the upper triangle of a matrix in Gama's band form; raises RecordError.
+    """Row index (k,), column index (k,) and value (k,) of the upper triangle of a matrix in Gama's band form.
 
-    The error names `node` if the number of values does not match the size and the band width.
+    Raises RecordError, which names `node`, if the number of values does not match the size and the band width.
     """
     rows = np.arange(min(int(size), len(values)))
     last_columns = np.minimum(rows + max(int(band), 0), int(size) - 1)

@@ -181,6 +181,7 @@ class Section:
 
     title: str
     kind: str
+    """Kind of the result, such as `Calibration`."""
     summary: str
     assessment: Assessment = "plain"
     key_figures: Sequence[KeyFigure] = ()
@@ -196,6 +197,8 @@ class Section:
     n_lead_blocks: int = 0
     n_terminal_blocks: int | None = None
     simulation_notice: str = ""
+    method: str = ""
+    """Method of the result, which the heading shows after its kind; empty for none."""
 
     def terminal_text(self) -> str:
         """Text for a terminal: summary, key figures, sentences, tables and next actions."""

@@ -1,4 +1,4 @@
-"""Report page: one HTML file that works offline, with verdict, next actions and evidence."""
+"""Pages as one HTML file that works offline: results with verdict, next actions and evidence; work order of a plan."""
 
 import importlib.metadata
 import platform
@@ -13,15 +13,30 @@ from markupsafe import Markup, escape
 
 from ltsim.campaigns import require_packages
 from ltsim.core.errors import LtsimError, RecordError
+from ltsim.core.units import MILLIMETRE
+from ltsim.planning.result import Plan
+from ltsim.planning.tables import SETUPS_TABLE
+from ltsim.planning.work_order import check_sentences, station_instructions
 from ltsim.recordings import read
 from ltsim.recordings.native import OBSERVATIONS_FILE, SETUP_FILE
 from ltsim.recordings.result_file import read_json, recording_digest
 from ltsim.recordings.settings import read_setup
 from ltsim.recordings.setup import About
-from ltsim.reports.document import CONTENT_SECURITY_POLICY, Document, ReportContext, Section, WorkshopDetail
+from ltsim.reports.document import (
+    CONTENT_SECURITY_POLICY,
+    Block,
+    BulletListBlock,
+    Document,
+    NoteBlock,
+    PictureBlock,
+    ReportContext,
+    Section,
+    WorkshopDetail,
+    table_block,
+)
 from ltsim.reports.sections import SECTION_WRITERS, read_content, result_section
 from ltsim.reports.sections.network import TRUTH_FILE, recording_section
-from ltsim.reports.words import natural_sort_key, typographic_text
+from ltsim.reports.words import duration_text, natural_sort_key, typographic_text
 
 MAX_PAGE_ACTIONS = 3
 """Largest number of next actions at the head of a page."""
@@ -33,10 +48,10 @@ HEADLINES = {
     ("Calibration", "good"): "The calibration can be used.",
     ("Calibration", "caution"): "The calibration can be used: its model corrects an error of the recording.",
     ("Calibration", "bad"): "The calibration should not be used yet.",
-    ("Network", "good"): "The network is consistent.",
-    ("Network", "caution"): "The network is consistent after the correction of an error.",
-    ("Network", "bad"): "The network does not agree with the declared noise and references.",
-    ("Network", "plain"): "The instrument's errors are still in the coordinates.",
+    ("Network adjustment", "good"): "The network is consistent.",
+    ("Network adjustment", "caution"): "The network is consistent after the correction of an error.",
+    ("Network adjustment", "bad"): "The network does not agree with the declared noise and references.",
+    ("Network adjustment", "plain"): "The instrument's errors are still in the coordinates.",
     ("Diagnosis", "good"): "No error was found.",
     ("Diagnosis", "bad"): "The recording contains an error.",
     ("History", "good"): "No change of the instrument was detected.",
@@ -123,7 +138,7 @@ def document_of_folder(
         sections=sections,
         versions=package_versions(),
         header_lines=_header_lines(parts, sections, header or About()),
-        headline=HEADLINES.get((first.kind.split(" ", maxsplit=1)[0], first.assessment), ""),
+        headline=HEADLINES.get((first.kind, first.assessment), ""),
         next_actions=_page_actions(sections),
         simulation_notice=first.simulation_notice,
     )
@@ -254,3 +269,76 @@ def _recording_folder(result_folder: Path, page_folder: Path) -> Path | None:
         if (candidate / OBSERVATIONS_FILE).is_file():
             return candidate.resolve()
     return None
+
+
+def work_order_page(plan: Plan) -> str:
+    """HTML page of the work order of a plan."""
+    survey = plan.network.layout.survey
+    title = f"Work order: {plan.title or 'the plan'}"
+    is_rejected = plan.reached is False or bool(plan.broken_rules)
+    section = Section(
+        title=title,
+        kind="Work order",
+        summary=f"Do not measure this layout: {plan.summary}" if is_rejected else f"{survey.extent_text}.",
+        assessment="bad" if is_rejected else "plain",
+        blocks=_work_order_blocks(plan),
+    )
+    return page_html(Document(title, section.summary, section.assessment, [section], package_versions()))
+
+
+def _work_order_blocks(plan: Plan) -> list[Block]:
+    network = plan.network
+    stations, survey = station_instructions(network), network.layout.survey
+    places = SETUPS_TABLE.with_rows(
+        [
+            s.name,
+            *(tape.text for tape in s.tape_distances),
+            *[""] * (3 - len(s.tape_distances)),
+            s.zero_direction_text,
+            s.head_height,
+        ]
+        for s in stations
+    )
+    note = (
+        "Distances are on the floor, from the mark under the tracker head to the floor under the point; straight ones "
+        "are from the centre of the head to the reflector. Two distances define the place, the third checks it."
+    )
+    note = " ".join([note, *(f"{s.name}: {s.deficiency_sentence}" for s in stations if s.deficiency_sentence)])
+    blocks: list[Block] = [
+        *table_block("Places of the tripods", places, note=note),
+        PictureBlock(
+            "Floor plan",
+            plan.plot,
+            "Seen from above; x and y in metres. The elevation limit hides the floor inside the circles.",
+        ),
+        BulletListBlock("Checks", check_sentences(network)),
+    ]
+    faces = "in both faces" if len(survey.faces) == 2 else f"in face {survey.faces[0]}"
+    rounds = "once" if survey.repeats == 1 else f"{survey.repeats} rounds"
+    for s in stations:
+        repetition_text = ", ".join(
+            f"{name} within {limit / MILLIMETRE:.3f} mm" for name, limit in s.repeated_targets.items()
+        )
+        work_text = f"{len(s.target_order)} points {faces}, {rounds}, {duration_text(60 * s.minutes)}"
+        text = f"{work_text}: {', '.join(s.target_order)}. Again: {repetition_text}."
+        blocks.append(NoteBlock(f"{s.name}: order of work", text))
+    blocks += _reflector_proposals_block(plan)
+    text = (
+        "nominals.csv has the points for the tracker's software, work-order.csv every pointing with its expected "
+        "readings, scenario.toml the same work for a simulation. "
+    )
+    blocks.append(
+        NoteBlock("Files", f"{text}A move of the tripod is assumed to take {duration_text(survey.seconds_per_move)}.")
+    )
+    return blocks
+
+
+def _reflector_proposals_block(plan: Plan) -> list[Block]:
+    """List with a block of proposals to move or add a reflector before the work; empty without proposals."""
+    changes = [change for change in plan.reflector_changes if change.do != "remove"]
+    if not changes:
+        return []
+    lines = [
+        f"{c.action_text}: the other points improve by {c.gain_um:.2f} µm, most of all {c.serves}" for c in changes
+    ]
+    return [BulletListBlock("Possible improvements: one of these (z from the floor), then plan again", lines)]

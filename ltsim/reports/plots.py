@@ -14,17 +14,16 @@ from ltsim.adjustment.fieldcheck.result import Check
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.history import History
 from ltsim.campaigns.calibration_comparison import NewPointErrors
-from ltsim.campaigns.paired import PairedDifferences
 from ltsim.campaigns.recovery import Recovery
+from ltsim.campaigns.results import PairedDifferences
 from ltsim.core.errors import ModelError
 from ltsim.core.results import Result
 from ltsim.core.units import MICROMETRE
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.measurands.comparison import Comparison
 from ltsim.measurands.uncertainty import Uncertainty
-from ltsim.planning.layout_scenario import scenario_of_plan
 from ltsim.planning.proposals import NextMeasurement
-from ltsim.planning.result import Plan
+from ltsim.planning.result import Plan, scenario_of_plan
 from ltsim.recordings import Recording
 from ltsim.reports.figures.floor_plan import floor_plan
 from ltsim.reports.figures.parameters import (

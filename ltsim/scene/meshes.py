@@ -16,7 +16,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.randomness import stream
-from ltsim.geometry.rotations import perpendicular_vectors, rotation_about_z
+from ltsim.geometry.rigid import perpendicular_vectors, rotation_about_z
 
 RAY_BUNDLE_RADIUS = 1e-4
 """Half-width [m] of a bundle of rays around a line of sight. If the results of its rays differ, the line passes close

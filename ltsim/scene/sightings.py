@@ -8,8 +8,7 @@ from typing import Any, Self
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.geometry.kinematics.chain import point_and_derivatives
-from ltsim.geometry.kinematics.misalignment import MISALIGNMENT_CHAIN
+from ltsim.geometry.kinematics import MISALIGNMENT_CHAIN, point_and_derivatives
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, unit_vectors, wrap_angle
 
 MIN_AXIS_ROTATION = 1e-4

@@ -11,7 +11,7 @@ from ltsim.core.errors import SetupError, as_setup_error
 from ltsim.core.randomness import stream
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE
 from ltsim.geometry.polar import to_polar
-from ltsim.geometry.rotations import from_rotation_vector, rotation_about_z
+from ltsim.geometry.rigid import from_rotation_vector, rotation_about_z
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.reflectors import excess_radii_of_names

@@ -26,7 +26,6 @@ from ltsim.recordings.setup import (
 )
 from ltsim.simulation.draws import StandardNormalSource, TrialDistributions, effect_distributions
 from ltsim.simulation.fieldwork import MeasurementGeometry, make_geometry, smr_names_of_pointings
-from ltsim.simulation.gauge import length_sigmas, measure_nominal_points
 from ltsim.simulation.physics import (
     instrument_error_distribution,
     instrument_resolutions,
@@ -36,6 +35,7 @@ from ltsim.simulation.physics import (
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import ScenarioInstrument
 from ltsim.simulation.truth import AppliedEffect, TrackerTruth, Truth, TruthArrays
+from ltsim.simulation.workshop import length_sigmas, measure_nominal_points
 
 GeometrySharing = Literal["shared", "per-trial"]
 """Choice between one layout of stations and targets for all trials, and a separate layout for each trial."""

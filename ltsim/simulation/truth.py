@@ -15,7 +15,7 @@ from ltsim.core.errors import LtsimError, ModelError
 from ltsim.core.results import Table, numbers, texts
 from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
 from ltsim.core.values import ValueEquality
-from ltsim.geometry.rotations import quaternion_from_matrix
+from ltsim.geometry.rigid import quaternion_from_matrix
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.verbs import display_constants, make_effect
 from ltsim.recordings.files import quoted_text, write_text

@@ -10,12 +10,15 @@ import numpy as np
 import pytest
 
 import ltsim as lt
+from ltsim.acceptance.network import evaluate_network
 from ltsim.acceptance.spec import AcceptanceSettings
-from ltsim.acceptance.verbs import network_test_entries
 from ltsim.adjustment import adjust
 from ltsim.cli.main import run
 from ltsim.core.errors import NetworkError
+from ltsim.physics.effects.target_moved import TargetMoved
 from ltsim.physics.model.construction import declared_construction
+from ltsim.recordings.centring_errors import CentringUncertainty
+from ltsim.recordings.setup import Station
 from ltsim.recordings.specification import Specification
 
 SHEET = {"standard": "asme-b89.4.19-2006", "instrument": "leica-at500"}
@@ -217,7 +220,7 @@ def test_uncertainty_of_a_network_length_holds_over_many_networks():
     short, long = [], []
     for seed in range(12):
         recording, truth = lt.simulate("paper-workshop", seed=seed)
-        own = network_test_entries(recording, sheet)
+        own = evaluate_network(recording, sheet).entries
         ends = {target: truth.target_points[recording.targets.index(target)] for target in recording.targets}
         adjusted = adjust(recording, declared_construction(recording))
         placed = dict(zip(recording.targets, adjusted.state.target_points, strict=True))
@@ -233,16 +236,87 @@ def test_uncertainty_of_a_network_length_holds_over_many_networks():
 
 
 def test_uncertainty_of_a_network_length_is_that_of_the_whole_normal_matrix():
-    recording, _ = lt.simulate("paper-workshop", seed=3)
+    recording, _ = lt.simulate("paper-workshop", seed=7)
+    nests = {n: t.model_copy(update={"nest_normal": None}) for n, t in recording.setup.targets.items()}
+    recording = recording.replace(setup=recording.setup.model_copy(update={"targets": nests}))  # no incidence errors
     found = adjust(recording, declared_construction(recording))
     design = np.asarray(found.solution.system.design)
     covariance = np.linalg.inv(design.T @ design)
     points, at = found.state.target_points, found.problem.unknowns.target_columns
     sheet = Specification(transverse_um=15, transverse_um_per_m=6, range_um=20, range_um_per_m=1)
-    stated = {e.name: 1e-6 * e.expanded_um for e in network_test_entries(recording, sheet)}
+    stated = {
+        e.name: 1e-6 * e.expanded_um for e in evaluate_network(recording, sheet).entries if e.expanded_um is not None
+    }
     for a, b in ((0, 1), (0, 12), (5, 20)):
         along = (points[b] - points[a]) / np.linalg.norm(points[b] - points[a])
         form = np.zeros(len(covariance))
         form[at[a]], form[at[b]] = -along, along
         u = np.sqrt(form @ covariance @ form)
         assert stated[f"S1: {recording.targets[a]} to {recording.targets[b]}"] == pytest.approx(2 * u, rel=1e-3)
+
+
+GOOD_TRACKER = {"instrument.errors": {"draw": False, "beam-tilt": 0.5}}
+LIMITS = Specification(transverse_um=15, transverse_um_per_m=6, range_um=20, range_um_per_m=1)
+
+
+@pytest.mark.parametrize("cause", ["The distances from S3 are 0.2", "Target T06 moved"])
+def test_errors_of_the_recording_are_no_errors_of_the_tracker(cause: str):
+    """A wrong SMR constant at one set-up and a moved target reject no test of a good tracker."""
+    recording, _ = lt.simulate(lt.scenario("paper-workshop-two-face", GOOD_TRACKER), seed=4)
+    if cause.startswith("Target"):
+        network = adjust(recording)
+        effect = TargetMoved((), ("T06",), time=float(recording.time[recording.station == 2].min()))
+        change = effect.reading_change(network.sightings, np.array([0.3e-3, -0.2e-3, 0.3e-3]))
+    else:
+        change = np.where((recording.station == 2)[:, None], [-0.25e-3, 0.0, 0.0], 0.0)
+    clean, faulty = (
+        evaluate_network(r, LIMITS) for r in (recording, recording.with_readings(recording.readings + change))
+    )
+    assert clean.corrected_causes == clean.uncorrected_causes == ()
+    assert len(faulty.corrected_causes) == 1 and faulty.sentences[0].startswith(cause)
+    assert faulty.sentences[0].endswith("This is no error of the tracker, and it is removed before the tests.")
+    assert not [t.name for t in faulty.entries if t.judgement == "rejected"]
+    lengths = [(a, b) for a, b in zip(clean.entries, faulty.entries, strict=True) if b.expanded_um is not None]
+    assert max(abs(b.error_um - a.error_um) / (b.expanded_um or np.nan) for a, b in lengths) < 1.0
+    assert faulty.further_actions[0].startswith(("Check the SMR", "Inspect the nest"))
+
+
+def test_possible_error_of_the_tracker_remains_in_the_tests():
+    """A vertical index that differs at one set-up may be the tracker's: the tests of this set-up contain it."""
+    recording, _ = lt.simulate(lt.scenario("paper-workshop-two-face", GOOD_TRACKER), seed=4)
+    readings = recording.readings + np.where((recording.station == 1)[:, None], [0.0, 0.0, 60e-6], 0.0)
+    tests = evaluate_network(recording.with_readings(readings), LIMITS)
+    assert tests.corrected_causes == () and tests.tracker_causes[0].where.stations == ("S2",)
+    assert "possibly an error of the tracker, and it remains in the tests" in tests.sentences[0]
+    assert {t.name.partition(":")[0] for t in tests.entries if t.judgement == "rejected"} == {"S2"}
+
+
+def test_centring_is_in_the_uncertainty_of_a_network_length():
+    """A declared displacement of each reflector at each set-up is no error of the tracker: U holds it at both ends."""
+    recording, _ = lt.simulate("paper-workshop-two-face", seed=4)
+    setup = recording.setup.model_copy(update={"centring": (CentringUncertainty(sigma_mm=0.1),)})
+    entries = evaluate_network(recording.replace(setup=setup), LIMITS).entries
+    expanded = np.array([t.expanded_um for t in entries if t.expanded_um is not None])
+    assert np.all(expanded >= 2 * np.sqrt(2) * 100) and np.all(expanded < 2 * np.sqrt(2) * 100 * 1.5)
+
+
+def test_outlying_readings_are_neither_adjusted_nor_tested():
+    """A pointing that is 1 mm off, in both faces, rejects no test of a good tracker and is named."""
+    recording, _ = lt.simulate(lt.scenario("paper-workshop-two-face", GOOD_TRACKER), seed=4)
+    readings = recording.readings.copy()
+    readings[(recording.station == 3) & (recording.target == 9), 0] += 1e-3
+    tests = evaluate_network(recording.with_readings(readings), LIMITS)
+    assert not [t.name for t in tests.entries if t.judgement == "rejected"]
+    assert not [t.name for t in tests.entries if t.name == "S4: T10" or "S4: T10 to" in t.name]
+    assert "Pointings with outlying readings are not tested: S4 to T10 (row" in " ".join(tests.sentences)
+
+
+def test_several_instruments_are_refused():
+    """A judgement is that of one tracker, and an error at its only set-up may be its own."""
+    recording, _ = lt.simulate("paper-workshop", seed=1)
+    stations = {name: Station(instrument=f"T{i % 2}") for i, name in enumerate(recording.stations)}
+    setup = recording.setup.model_copy(
+        update={"stations": stations, "instruments": dict.fromkeys(("T0", "T1"), recording.setup.instrument)}
+    )
+    with pytest.raises(NetworkError, match="has 2 instruments; an acceptance test needs one"):
+        evaluate_network(recording.replace(setup=setup), LIMITS)

@@ -11,7 +11,7 @@ import pytest
 
 from ltsim import calibrate, diagnose
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.unmodelled import displacement_per_row
+from ltsim.adjustment.coordinate_uncertainty import displacement_per_row
 from ltsim.adjustment.verdict import verdict_on
 from ltsim.core.errors import NetworkError, RecordError
 from ltsim.diagnosis import instruments
@@ -330,7 +330,7 @@ def test_differences_are_a_source_of_uncertainty(tmp_path: Path) -> None:
         ('<point id="BM" z="8.5" fix="z"/>', "", "difference BM-A: 'BM' was never measured, expected a mark that was"),
         ('id="BM" z="8.5" fix="z"', 'id="BM" z="8.5" adj="z"', "difference BM-A: 'BM' was never measured"),
         ("</obs>", '<cov-mat dim="6" band="1">9 9 9 0 9 0 9 0 9 0 9</cov-mat></obs>', "not positive definite"),
-        ("</obs>", '<cov-mat dim="6" band="0">9 0 9 9 9 9</cov-mat></obs>', "whose variances are not all above 0"),
+        ("</obs>", '<cov-mat dim="6" band="0">9 0 9 9 9 9</cov-mat></obs>', "has a variance that is not above 0"),
         (
             '<obs from="A">',
             f'<obs from="A">{502 * ANOTHER}<cov-mat dim="502" band="1">{501 * "9 1 "}9</cov-mat></obs><obs from="A">',
@@ -342,7 +342,11 @@ def test_differences_are_a_source_of_uncertainty(tmp_path: Path) -> None:
             "no standard deviation is given for <dh>, expected one (stdev, dist",
         ),
         ('val="1.5001" dist="0.35"', 'val="1.5001" stdev="0"', "expected values below 1e8 m, and variances"),
-        ('val="1.5001"', 'from_dh="1.5" val="1.5001"', "expected one between the marks, without from_dh and to_dh"),
+        (
+            'val="1.5001"',
+            'from_dh="1.5" val="1.5001"',
+            "expected a difference between the marks, without from_dh and to_dh",
+        ),
         ('from="BM" to="A"', 'from="A" to="A"', "<dh> goes from a point to itself"),
         (
             "<height-differences>",
@@ -369,7 +373,7 @@ def test_a_set_up_states_differences_once_and_between_two_marks(tmp_path: Path) 
     file = tmp_path / "native" / "setup.toml"
     text = file.read_text()
     for old, new, says in (
-        ('name = "A-B#2"\n', "", "'A-B' is there already, expected a different name"),
+        ('name = "A-B#2"\n', "", "another difference is named 'A-B', too; set a different name"),
         ('from = "C"\n', 'from = "E"\n', "a difference from 'E' to itself"),
         ('from = "BM"\n', 'from = "BN"\n', "'BN' was never measured"),
     ):

@@ -10,9 +10,8 @@ from ltsim.adjustment.fitting import multilaterate
 from ltsim.adjustment.start import initial_network
 from ltsim.core.errors import NetworkError
 from ltsim.core.randomness import stream
-from ltsim.geometry.alignment import align_rigidly
 from ltsim.geometry.polar import to_polar
-from ltsim.geometry.rotations import from_rotation_vector, rotation_about_z
+from ltsim.geometry.rigid import align_rigidly, from_rotation_vector, rotation_about_z
 from ltsim.physics.model.construction import ideal_construction, misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel
 from ltsim.recordings.recording import HEIGHT_COLUMNS, KIND_COLUMN, Recording

@@ -16,11 +16,12 @@ from ltsim.core.errors import LtsimError, RecordError
 from ltsim.geometry.expansion import ThermalExpansion
 from ltsim.measurands.evaluation import evaluate_tasks
 from ltsim.measurands.spec import TASKS_FORMAT, validate_tasks
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.setup import Gauge, GaugeDistance
 from ltsim.solve.design import to_dense
-from tests.networks import network
+from tests.networks import mesh, network
 
 STEEL = {"expansion_per_k": 11.5e-6, "sigma_expansion_per_k": 1e-6}
 INVAR = {"expansion_per_k": 1.2e-6, "sigma_expansion_per_k": 0.3e-6}
@@ -190,3 +191,31 @@ def test_expansion_by_hand() -> None:
     grown = ThermalExpansion.from_temperature(11.5e-6, -5.0, 1e-6, 0.1)
     assert grown.length_ratio == pytest.approx(1 - 57.5e-6)
     assert (grown.change_by_coefficient, grown.change_by_temperature) == pytest.approx((-5e-6, 1.15e-6))
+
+
+@pytest.mark.parametrize(("scale", "is_accepted"), [(0.0, True), (12e-6, False)])
+def test_what_a_check_accepts_is_rejected_by_no_verb(scale: float, is_accepted: bool) -> None:
+    """The uncertainty of a scale error includes the specification of the instrument in all verbs."""
+    recording = network(seed=31, faces=2)[0]
+    scaled = recording.with_readings(recording.readings * [1.0 + scale, 1.0, 1.0])
+    found = lt.check(scaled)
+    assert found.passed == is_accepted
+    assert is_accepted or "known lengths" in found.sentence
+    plain, full = adjust(scaled), adjust(scaled, misalignment_construction())
+    assert not is_accepted or not plain.rejected_references
+    errors = [{t.name: t.sigma_error for t in a.reference_tests if t.kind == "length"} for a in (plain, full)]
+    assert errors[0].keys() == errors[1].keys()
+    for name, sigma in errors[0].items():
+        np.testing.assert_allclose(sigma, errors[1][name], rtol=0.01)
+
+
+@pytest.mark.parametrize(("scale", "kinds"), [(5e-6, []), (15e-6, ["scale"])])
+def test_a_scale_error_within_the_specification_is_no_wrong_length(scale: float, kinds: list[str]) -> None:
+    """The specification of the scale is 2 ppm; the lengths determine it to 0.5 ppm."""
+    recording, points = network(seed=32, faces=2)[0], mesh()
+    lines = [
+        line(f"T{a:02d}", f"T{b:02d}", 1e3 * float(np.linalg.norm(points[a - 1] - points[b - 1])))
+        for a, b in ((1, 24), (4, 21), (2, 12))
+    ]
+    scaled = with_gauge(recording.with_readings(recording.readings * [1.0 + scale, 1.0, 1.0]), *lines)
+    assert [test.kind for test in adjust(scaled).rejected_references] == kinds

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.stochastic_model import _extrapolated_limit
+from ltsim.adjustment.stochastic_model import _secant_step
 from ltsim.adjustment.verdict import VerdictCase, noise_declaration_advice, verdict_on
 from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from tests.networks import network
@@ -50,7 +50,8 @@ def test_sigmas_of_rows_are_multiplied() -> None:
 def test_variance_components_end_at_their_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     """A converged sequence of steps that shrink by a constant ratio is not ended far from its limit."""
     steps = np.array([0.4, -0.02, 0.3, 0.0])
-    assert _extrapolated_limit(steps * [0.8, 0.5, 2.0, 0.0], steps) == pytest.approx([1.6, -0.02, 6.0, 0.0])
+    assert _secant_step(steps * [0.8, 0.5, 2.0, 0.0], steps, steps) == pytest.approx([1.6, -0.02, 6.0, 0.0])
+    assert _secant_step(steps, 0.0 * steps, 0.0 * steps) == pytest.approx(steps)
     recording = loud(4.0)
     found = adjust(recording, variance_components="instrument").variance_components
     monkeypatch.setattr("ltsim.adjustment.stochastic_model.VARIANCE_FACTOR_TOLERANCE", 1e-9)

@@ -10,7 +10,7 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.frame import StationTargetPairs
 from ltsim.core.randomness import stream
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rotations import rotation_about_z
+from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.model.construction import ideal_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording

@@ -7,6 +7,7 @@ import importlib
 import inspect
 import pkgutil
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -62,6 +63,37 @@ def test_only_the_command_line_prints(path: Path) -> None:
     calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
     prints = [c.lineno for c in calls if isinstance(c.func, ast.Name) and c.func.id == "print"]
     assert not prints, f"{named(path)} prints in lines {prints}"
+
+
+def test_the_map_of_the_contributors_is_true(root: Path) -> None:
+    """Files that contributing.md names exist, and define what it says; each module in its lists is one."""
+    text = (root / "docs" / "contributing.md").read_text()
+    paths = re.findall(r"`((?:ltsim|tests|docs)/[\w./-]+)`", text)
+    assert len(paths) > 25 and not [path for path in paths if not (root / path).exists()]
+    defined = re.findall(r"`(\w+)` in `(ltsim/[\w./]+\.py)`", text)
+    assert {"evaluate_plan", "MeasurementModel"} <= {name for name, _ in defined}
+    assert not [
+        name
+        for name, path in defined
+        if not re.search(rf"^(?:(?:def|class) )?{name}\b", (root / path).read_text(), re.M)
+    ]
+    homes = [PACKAGE, *(PACKAGE / name for name in ("adjustment", "diagnosis", "physics"))]
+    lists = re.findall(r"^```text\n(.*?)^```", text, re.MULTILINE | re.DOTALL)[1:]
+    heads = [re.split(r"\s{2,}", line.strip())[0] for block in lists for line in block.splitlines()]
+    for head in heads:
+        folder = f"{head.rpartition('/')[0]}/" if "/" in head else ""
+        for name in (folder + word.rpartition("/")[2] for word in head.rstrip(",").split(", ")):
+            modules = [home / f"{name}.py" for home in homes] + [home / "laws" / f"{name}.py" for home in homes]
+            assert any(module.exists() for module in modules), name
+
+
+def test_there_are_at_most_twelve_floors(root: Path) -> None:
+    contracts = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    layers = next(c["layers"] for c in contracts if c["containers"] == ["ltsim"])
+    floors = [layer for layer in layers if layer != "(__main__)"]
+    packages = {path.name for path in PACKAGE.iterdir() if (path / "__init__.py").exists()}
+    assert len(floors) <= 12 and len(packages) <= 16
+    assert {re.sub(r"\W", "", name) for floor in floors for name in floor.split("|")} == {*packages, "api"}
 
 
 def test_every_room_is_a_package() -> None:

@@ -131,7 +131,7 @@ def test_the_search_finds_what_it_is_for(text: str) -> None:
 def test_readers_take_no_attribute_whose_name_a_file_gives(path: Path) -> None:
     """An attribute of a reader is a word in the code, or a variable that runs over words in the code."""
     allowed = {
-        "ltsim/recordings/__init__.py": {"_HOME[name]", "name"},  # public names of the package
+        "ltsim/recordings/__init__.py": {"_MODULE_BY_NAME[name]", "name"},  # public names of the package
         "ltsim/recordings/pointings.py": {"kind"},  # ("station", "target")
         "ltsim/recordings/settings.py": {"kind"},  # ("stations", "targets", "reflectors")
         "ltsim/recordings/formats/polar_text.py": {"name"},  # names of hints, keys of a table in the same file

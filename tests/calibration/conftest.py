@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ltsim.core.randomness import stream
-from ltsim.geometry.rotations import rotation_about_z
+from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.model.construction import Construction, misalignment_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Gauge, GaugeDistance, Setup

@@ -1,7 +1,7 @@
 """Every combination of D-H coefficients that a network determines is found, however far off its prior, and it is said.
 
-Of the 78 coefficients a network with a known length determines 47 combinations (`ltsim.geometry.kinematics.dh`). Each
-is injected with 20 standard deviations of its prior.
+Of the 78 coefficients a network with a known length determines 47 combinations (`DH_CHAIN` of
+`ltsim.geometry.kinematics`). Each is injected with 20 standard deviations of its prior.
 """
 
 from __future__ import annotations

@@ -115,7 +115,7 @@ def test_what_the_recording_cannot_tell_is_left_out_and_said(drifting: Recording
         ("beam ~ time", "responses are distance, azimuth"),
         ("beam tilt ~ time:S9", "'S9' is not a station"),
         ("beam tilt ~ time:pace=3", "no further constants"),
-        ("beam tilt ~ pressure^2", "expected words such as .* station-time"),
+        ("beam tilt ~ pressure^2", "expected a text such as .* station-time"),
     ],
 )
 def test_what_cannot_be_fitted_is_said_in_a_sentence(drifting: Recording, wanted: str, said: str) -> None:

@@ -59,3 +59,13 @@ def test_what_is_told_is_as_certain_as_its_own_weights_make_it() -> None:
         factor = next(p.si_per_display_unit for p in found.construction.parameters if p.name in told.combination)
         np.testing.assert_allclose(told.sigma, np.sqrt(weights @ found.covariance @ weights) / factor, rtol=1e-9)
         np.testing.assert_allclose(told.value, weights @ found.estimates[0] / factor, rtol=1e-9)
+
+
+def test_a_combination_has_the_name_of_the_vertical_index_and_not_of_a_harmonic() -> None:
+    """The index precedes the harmonics in the model, and its coefficient is nearly the largest."""
+    parameters = [p for p in misalignment_construction().parameters if p.name.startswith(("vertical", "elevation-s"))]
+    along = np.array([0.86, 1.0, 0.0]) / np.hypot(0.86, 1.0)
+    spread = np.eye(3) * 1e-12 - (1e-12 - 1e-16) * np.outer(along, along)
+    (known,) = determined_combinations(parameters, np.array([11e-6, 0.0, 0.0]), spread)
+    assert list(known.combination) == ["vertical-index", "elevation-second-order-cos"]
+    assert known.value == pytest.approx(11.0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.adjustment.joint import COVARIANCE_FILE
+from ltsim.adjustment.coordinate_uncertainty import COVARIANCE_FILE
 from ltsim.core.errors import RecordError
 from ltsim.core.randomness import stream
 from ltsim.recordings.coordinates import read_coordinates
@@ -132,3 +132,13 @@ def test_a_rejected_calibration_corrects_nothing_unless_it_is_asked_to(plain: lt
         with pytest.raises(RecordError, match=r"contradict its model \(sigma0 = .*give allow_rejected=True to use it"):
             lt.correct(plain, source)
         assert lt.correct(plain, source, allow_rejected=True).is_corrected
+
+
+def test_constants_are_compared_without_the_rejected_readings() -> None:
+    """Outliers that a robust adjustment rejects do not hide that the constants of the instrument are the reason."""
+    recording, _ = lt.simulate("paper-workshop-two-face", seed=4)
+    readings = recording.readings.copy()
+    readings[[20, 77, 150], 0] += [2e-3, -1.5e-3, 1e-3]
+    adjusted = lt.adjust(recording.with_readings(readings), robust=True)
+    assert len(adjusted.outliers) == 3
+    assert adjusted.with_constants is not None and (adjusted.with_constants.p_value or 0.0) > 0.01

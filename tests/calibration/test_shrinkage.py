@@ -13,6 +13,7 @@ from ltsim.calibration.shrinkage import ScaledPrior, held_out_targets, point_err
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import number_text
 from ltsim.core.randomness import stream
+from ltsim.physics.effects import parameter_text
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import Recording
 from ltsim.recordings.setup import Instrument, Noise, Prior
@@ -161,7 +162,7 @@ def test_a_term_that_only_local_errors_feign_is_not_applied() -> None:
     found = lt.calibrate(recording.with_readings(readings), advise=False)
     assert found.correction is not None
     assert found.correction.not_applied
-    words = found.correction.not_applied[0].replace("-", " ")
+    words = parameter_text(found.correction.not_applied[0])
     assert any("predicted better without the term" in s and words in s for s in found.correction.sentences)
     at = [found.instrument_parameter_names.index(name) for name in found.correction.not_applied]
     assert np.all(found.applied_values[0, at] == 0.0)

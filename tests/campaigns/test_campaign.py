@@ -169,7 +169,7 @@ def test_killed_at_random_moments_of_resumed_runs_the_next_completes_with_the_sa
 
 def test_finished_campaign_is_not_begun_again_by_mistake(file: Path, tmp_path: Path) -> None:
     run_campaign(file, tmp_path / "out")
-    with pytest.raises(SetupError, match=r"holds a campaign.*--resume"):
+    with pytest.raises(SetupError, match=r"holds a campaign.*resume=True"):
         run_campaign(file, tmp_path / "out")
     assert run_campaign(file, tmp_path / "out", resume=True).n_computed_shards == 0
 

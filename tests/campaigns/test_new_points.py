@@ -12,7 +12,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment.evaluation.clouds import share
-from ltsim.campaigns.paired import _level_of
+from ltsim.campaigns.results import _level_of
 from ltsim.campaigns.rows import ShardTask, make_shard_rows
 from ltsim.campaigns.schema import RESULT_COLUMNS, find_column
 from ltsim.campaigns.spec import CampaignFile, make_validation_scenario

@@ -29,7 +29,7 @@ def test_no_flipped_bit_reaches_a_figure(file: Path, tmp_path: Path) -> None:
         flipped = bytearray(whole)
         flipped[place // 8] ^= 1 << (place % 8)
         shard.write_bytes(flipped)
-        with pytest.raises(SetupError, match=r"a shard cannot be read.*--resume"):
+        with pytest.raises(SetupError, match=r"a shard cannot be read.*resume=True"):
             CampaignResults(tmp_path / "out")
     shard.write_bytes(whole)
     (tmp_path / "out" / "rows.sha256").unlink()
@@ -112,7 +112,7 @@ def test_beginning_anew_takes_a_word(file: Path, tmp_path: Path) -> None:
     assert CampaignResults(out).manifest.seed == 6
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "campaign.toml").write_text("mine")
-    with pytest.raises(SetupError, match=r"contains campaign\.toml but no campaign.*--force"):
+    with pytest.raises(SetupError, match=r"contains campaign\.toml but no campaign.*force=True"):
         run_campaign(file, tmp_path / "mine")
     assert [p.name for p in (tmp_path / "mine").iterdir()] == ["campaign.toml"]
 

@@ -12,7 +12,7 @@ from ltsim.campaigns.campaign import WorkerSettings, run_campaign
 from ltsim.campaigns.results import CampaignResults
 from ltsim.campaigns.spec import CampaignFile, StoppingRule
 from ltsim.campaigns.stopping import evaluation_schedule, interval_error_rate, iterate_rounds, student_quantile
-from ltsim.core.errors import ModelError
+from ltsim.core.errors import SetupError
 from ltsim.core.randomness import stream
 
 FILE = """
@@ -100,7 +100,7 @@ def halves(means: list[float], shards: int, *, looks: int, seed: int) -> dict[tu
 
 def spent(means: list[float], *, within: float, seed: int = 1) -> list[int]:
     """Shards that each cell gets."""
-    stop = StoppingRule(statistic="x", within=within)
+    stop = StoppingRule(statistic="chi2", within=within)
     campaign = CampaignFile(format="ltsim-campaign/1", trials=40 * SHARD, shard=SHARD, stop=stop)
     asked = iterate_rounds(campaign, len(means), lambda _, shards: halves(means, shards, looks=40, seed=seed))
     done = [shard for now in asked for shard in now]
@@ -148,6 +148,8 @@ def test_looks_are_half_as_many_trials_again() -> None:
 
 
 def test_a_statistic_that_rows_do_not_hold_is_named(tmp_path: Path) -> None:
-    (tmp_path / "c.toml").write_text(FILE.replace("[grid]", STOP + 'statistic = "y"\n\n[grid]').replace("2048", "64"))
-    with pytest.raises(ModelError, match="target_error_um"):
+    text = FILE.replace("[grid]", STOP + 'statistic = "target_error"\n\n[grid]').replace("2048", "64")
+    (tmp_path / "c.toml").write_text(text)
+    with pytest.raises(SetupError, match=r"no column of the rows called 'target_error'; did you mean target_error_um"):
         run_campaign(tmp_path / "c.toml", tmp_path / "c")
+    assert not (tmp_path / "c").exists()

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 
 from ltsim.geometry.polar import to_face, to_polar
-from ltsim.geometry.rotations import rotation_about_z
+from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Gauge, GaugeDistance, Instrument, Setup

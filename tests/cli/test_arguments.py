@@ -64,6 +64,20 @@ WRONG: list[tuple[Callable[..., Any], dict[str, Any], list[str], str]] = [
     (lt.view, {"source": "paper-workshop", "colour": None}, [], "colour is None, expected incidence or residual"),
     (lt.view, {"source": "paper-workshop", "cad": "no.stl"}, ["view", "paper-workshop", "--cad=no.stl", "--png=a.png"],
      "no.stl: "),
+    (lt.plan, {"move": {"S1": [1e300, 1]}}, ["plan", "paper-workshop", "--move", "S1=1e300,1"], "1: expected STATION="),
+    (lt.plan, {"move": {"": [1, 2]}}, ["plan", "paper-workshop", "--move", "=1,2"], ": expected STATION=X,Y or"),
+    (lt.simulate, {"changes": {"": 1}}, [], "changes =1: expected KEY=VALUE"),
+    (lt.campaign, {"source": SMALL, "out": "x", "changes": {"": 1}}, ["campaign", "a.toml", "--set", "=1"],
+     "=1: expected KEY=VALUE"),
+    (lt.campaign, {"source": SMALL, "out": "x", "backend": "dask"}, ["campaign", "a.toml", "--backend=dask"],
+     ", an address such as tcp://127.0.0.1:8786 or a cluster file"),
+    (lt.campaign, {"source": SMALL | {"stop": {"statistic": "speed", "within": 1.0}}, "out": "x"}, [],
+     "stop.statistic: there is no column of the rows called 'speed'"),
+    (lt.campaign, {"source": ""}, ["campaign", ""], "the source is '', expected the name"),
+    (lt.campaign, {"source": "a\0b"}, ["campaign", "a\0b"], "the source is 'a\\x00b', expected the name"),
+    (lt.campaign, {"source": "..", "out": "x"}, ["campaign", "..", "--out=x"], "..: the path is a folder, expected a"),
+    (lt.recover, {"source": "paper-workshop", "tolerance": 3}, [], "tolerance is 3, expected a mapping"),
+    (lt.calibrate, {"recording": "ghost", "hold": 3}, [], "hold is 3, expected a mapping"),
 ]  # fmt: skip
 
 

@@ -86,9 +86,9 @@ def test_names_that_a_terminal_cannot_print_are_escaped(encoding: str, verbs: li
 
 def test_warnings_do_not_reach_the_user(inputs: Path) -> None:
     code = (
-        "import warnings; from ltsim.cli import effects, streams; from ltsim.cli.main import run\n"
+        "import warnings; from ltsim.cli import effects, terminal; from ltsim.cli.main import run\n"
         "import numpy as np\n"
-        "streams.prepare_streams()\n"
+        "terminal.prepare_streams()\n"
         "warning = lambda effect: np.float64(1.0) / np.zeros(1) and warnings.warn('for developers')\n"
         "effects.catalogue_entry_json = warning\n"
         "run(['effects'])"

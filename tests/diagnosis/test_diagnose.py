@@ -13,7 +13,7 @@ from ltsim.core.errors import RecordError
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.files import write_diagnosis
-from ltsim.geometry.alignment import align_rigidly
+from ltsim.geometry.rigid import align_rigidly
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import design_from_displacements, design_from_front_face_corrections
 from ltsim.physics.model.construction import misalignment_construction

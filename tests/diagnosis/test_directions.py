@@ -25,22 +25,22 @@ def recording() -> Recording:
     return network(faces=2, values=drawn(misalignment_construction(), 1), seed=1)[0]
 
 
-def planted(components: int, coefficients: int, size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def planted(n_components: int, coefficients: int, size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Gram matrix, score, and the true ratio of a signature with one set of coefficients and unit noise."""
-    rng = stream(7, "ratio", components)
-    signature = rng.standard_normal((200, components * coefficients))
-    ratio = rng.standard_normal(components)
+    rng = stream(7, "ratio", n_components)
+    signature = rng.standard_normal((200, n_components * coefficients))
+    ratio = rng.standard_normal(n_components)
     ratio *= np.sign(ratio[np.argmax(np.abs(ratio))]) / np.linalg.norm(ratio)
     true = size * np.kron(ratio, rng.standard_normal(coefficients))
     residual = signature @ true + rng.standard_normal(200)
     return signature.T @ signature, signature.T @ residual, ratio
 
 
-@pytest.mark.parametrize("components", [2, 3, 6])
-def test_one_ratio_is_found_and_has_more_evidence_than_separate_coefficients(components: int) -> None:
-    gram, score, ratio = planted(components, 5, 1.0)
+@pytest.mark.parametrize("n_components", [2, 3, 6])
+def test_one_ratio_is_found_and_has_more_evidence_than_separate_coefficients(n_components: int) -> None:
+    gram, score, ratio = planted(n_components, 5, 1.0)
     spread = np.full(len(score), 0.5)
-    best, *evidence = best_ratio(gram, score, spread, components)
+    best, *evidence = best_ratio(gram, score, spread, n_components)
     np.testing.assert_allclose(best, ratio, atol=0.25)
     assert sum(evidence) > float(log_evidence_of_coefficients(gram, score, spread)) + 1.0
 
@@ -68,13 +68,13 @@ def test_a_law_along_a_ratio_changes_readings_as_separate_coefficients_in_that_r
         free = EmpiricalLaw(
             stations, (), RESPONSES_BY_NAME["place of the stand"][0], smooth_regressor("time"), is_per_setup=each
         )
-        ratio = (*ratio, *(0.1,) * (free.components - len(ratio)))
+        ratio = (*ratio, *(0.1,) * (free.n_components - len(ratio)))
         fixed = EmpiricalLaw(stations, (), free.response, free.regressor, is_per_setup=each, direction=ratio)
         values = stream(3, "values").standard_normal(free.regressor.n_columns)
         np.testing.assert_allclose(
             fixed.design(sightings) @ values, free.design(sightings) @ np.kron(ratio, values), atol=1e-12
         )
-        assert len(fixed.parameters) * free.components == len(free.parameters)
+        assert len(fixed.parameters) * free.n_components == len(free.parameters)
 
 
 def test_a_ratio_is_read_as_it_is_written(recording: Recording) -> None:
@@ -82,7 +82,7 @@ def test_a_ratio_is_read_as_it_is_written(recording: Recording) -> None:
     for each in (False, True):
         stations = recording.stations if each else ()
         bare = EmpiricalLaw(stations, (), stand, scalar_regressor("time", "power"), is_per_setup=each)
-        ratio = tuple(np.round(np.linspace(-0.4, 0.3, bare.components), 4).tolist())
+        ratio = tuple(np.round(np.linspace(-0.4, 0.3, bare.n_components), 4).tolist())
         law = EmpiricalLaw(stations, (), stand, bare.regressor, is_per_setup=each, direction=ratio)
         assert parse_law("place of the stand", regressor_text(law.regressor) + law_suffix(law), recording) == law
     with pytest.raises(ModelError, match="a ratio of 3 components, not of 2"):

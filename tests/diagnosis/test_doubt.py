@@ -203,7 +203,7 @@ def test_noise_that_differs_from_set_up_to_set_up_is_one_finding():
     found = diagnose(recording.with_readings(recording.readings + more)).findings
     (first,) = found
     assert (first.carrier, first.driver) == ("noise", "station")
-    assert "from set-up to set-up, in each observable by itself" in first.sentence
+    assert "from set-up to set-up, separately for each observable" in first.sentence
     names = {recording.stations[i] for i in (1, 2, 4)}
     assert {e.name.partition(" at ")[2] for e in first.parameters[:3]} == names
 

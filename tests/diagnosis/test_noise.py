@@ -42,7 +42,7 @@ def scattered(space, pair, *, shared):
 
 def evidence_of(bank, residual, redundancy):
     """Log evidence of each family."""
-    names = (*bank.families, *(f"{one.name} {i}" if i else one.name for i, one in enumerate(bank.amounts)))
+    names = (*bank.families, *(f"{one.name} {i}" if i else one.name for i, one in enumerate(bank.group_noises)))
     return dict(zip(names, bank.family_evidence(residual[:, None], redundancy)[:, 0], strict=True))
 
 
@@ -106,7 +106,7 @@ def test_evidence_is_the_restricted_likelihood_of_correlated_residuals(repeated)
     nothing = np.zeros((space.n_rows, 0))
     sums = bank.means.toarray()
     for i in (0, 20, len(bank.hypotheses) // 2, bank.families.index("unknown:noise:repeating")):
-        i = int(np.flatnonzero(bank.family == i)[-1]) if i < len(bank.families) else i
+        i = int(np.flatnonzero(bank.family_index == i)[-1]) if i < len(bank.families) else i
         grown = np.ones(space.n_rows + len(sums))
         places, logs = bank.factors.log_variance_factors(i)
         grown[places] = np.exp(logs)

@@ -63,3 +63,43 @@ def test_a_diagnosis_reports_centring_errors_and_nothing_else() -> None:
     assert finding.parameters[0].value == pytest.approx(0.15, rel=0.25)
     assert diagnosis.final_adjustment.sigma0 == pytest.approx(1.0, abs=0.1)
     assert np.isfinite(diagnosis.final_adjustment.target_covariance).all()
+
+
+def repeated(seed: int, sigma: float) -> Recording:
+    """Three stations, two rounds in one face; at each set-up each reflector is displaced by `sigma` [m]."""
+    recording, _ = network(seed=seed, stations=3, repeats=2)
+    displacement = sigma * stream(seed, "centring").standard_normal((3, len(recording.targets), 3))
+    change = exact_target_change(adjust(recording).sightings, displacement[recording.station, recording.target])
+    return recording.with_readings(recording.readings + change)
+
+
+@pytest.mark.long
+def test_a_diagnosis_reports_errors_that_repeats_share_in_place_of_curves_at_each_set_up() -> None:
+    recording = repeated(14, 0.02 * MILLIMETRE)
+    diagnosis = diagnose(recording)
+    (finding,) = diagnosis.findings
+    assert finding.formula == CentringVariance(occupation="station").text
+    assert finding.sentence.startswith("Repeated pointings of a target from one set-up share errors of 0.0")
+    assert finding.parameters[0].value == pytest.approx(0.02, rel=0.2)
+    assert diagnosis.final_adjustment.sigma0 == pytest.approx(1.0, abs=0.1)
+
+
+def test_displacements_at_each_set_up_need_repeats_in_one_face() -> None:
+    recording, _ = network(seed=15, stations=4, faces=2)
+    assert centring_hypotheses_of_occupations(space_of(recording)) == []
+    ((gain, _),) = centring_hypotheses_of_occupations(space_of(repeated(15, 0.0)))
+    assert gain < 0.0
+    ((gain, hypothesis),) = centring_hypotheses_of_occupations(space_of(repeated(15, 0.02 * MILLIMETRE)))
+    assert gain > 50.0
+    assert hypothesis.sizes[0] == pytest.approx(0.02 * MILLIMETRE, rel=0.2)
+
+
+@pytest.mark.long
+def test_a_law_in_repeated_rounds_is_no_centring_error() -> None:
+    recording, _ = network(seed=16, stations=3, repeats=2)
+    wave = np.sin(3.0 * recording.readings[:, 1])
+    changed = recording.readings.copy()
+    changed[:, 0] += 0.02 * MILLIMETRE * wave
+    diagnosis = diagnose(recording.with_readings(changed))
+    assert [f.formula for f in diagnosis.findings] and "azimuth" in diagnosis.findings[0].sentence
+    assert not any("share errors" in f.sentence for f in diagnosis.findings)

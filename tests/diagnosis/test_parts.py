@@ -14,7 +14,7 @@ from ltsim.adjustment.remedies.next_measurement import MIN_DECISIVE_CHI2
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.detect import Detection
 from ltsim.diagnosis.detectability import separating_measurement
-from ltsim.diagnosis.diagnose import log_support
+from ltsim.diagnosis.diagnose import log_bayes_factor_of_refits
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.evidence import active_observables
 from ltsim.diagnosis.findings import ExplainedRecording
@@ -134,8 +134,9 @@ def test_a_member_with_many_coefficients_is_not_kept_by_its_chi_square_alone() -
     drop = float(reduced.residual @ reduced.residual - model.residual @ model.residual)
     assert drop == pytest.approx(16.0)
     assert 0.5 * drop + members[1].log_prior > 0.0
-    assert log_support(model, reduced, drop) < 0.0
-    assert log_support(model, reduced, drop + 10.0) == pytest.approx(log_support(model, reduced, drop) + 5.0)
+    log_factor = log_bayes_factor_of_refits(model, reduced, drop)
+    assert log_factor < 0.0
+    assert log_bayes_factor_of_refits(model, reduced, drop + 10.0) == pytest.approx(log_factor + 5.0)
 
 
 @pytest.mark.parametrize("after", [1.0, 1.2])

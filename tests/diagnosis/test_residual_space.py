@@ -77,6 +77,14 @@ def test_folds_are_whole_pointings_and_all_of_them(space):
     assert all(set(rows // 3) == set(rows[::3] // 3) and len(rows) % 3 == 0 for rows in groups)
 
 
+def test_all_pointings_of_a_target_from_a_set_up_are_in_one_fold():
+    recording, _ = network(seed=3, stations=3, repeats=2)
+    groups = fold_rows(ResidualSpace.from_adjustment(adjust(recording, misalignment_construction())), 3)
+    pair = recording.station * len(recording.targets) + recording.target
+    folds = [set(pair[rows // 3]) for rows in groups]
+    assert len(set().union(*folds)) == sum(map(len, folds))
+
+
 @pytest.mark.long
 def test_a_spurious_finding_does_not_predict_what_its_search_has_not_seen():
     """On clean recordings the search is made to find something: the error on held-out readings rises in most."""

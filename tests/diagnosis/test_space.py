@@ -76,7 +76,7 @@ def test_priors_sum_to_one_over_everything(space, made):
     noise = NoiseBank.from_space(space, noise_hypotheses(space.sightings))
     nothing = np.append(
         noise._log_evidence_by_family(np.zeros((len(noise.hypotheses), 1))),
-        [noise.log_prior_of_family(one.name) for one in noise.amounts],
+        [noise.log_prior_of_family(one.name) for one in noise.group_noises],
     )
     assert laws == pytest.approx(CAUSE_PRIOR["law"])
     assert np.exp(families).sum() == pytest.approx(CAUSE_PRIOR["named"])

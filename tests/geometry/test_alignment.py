@@ -6,8 +6,7 @@ from hypothesis import given, strategies as st
 
 from ltsim.core.errors import NetworkError
 from ltsim.core.randomness import stream
-from ltsim.geometry.alignment import align_rigidly
-from ltsim.geometry.rotations import from_rotation_vector
+from ltsim.geometry.rigid import align_rigidly, from_rotation_vector
 
 seeds = st.integers(0, 10_000)
 

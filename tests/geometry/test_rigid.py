@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from ltsim.core.randomness import stream
-from ltsim.geometry.rigid import determines_pose, rigid_motion_design
-from ltsim.geometry.rotations import from_rotation_vector
+from ltsim.geometry.rigid import determines_pose, from_rotation_vector, rigid_motion_design
 
 
 def test_rigid_motion_is_the_first_order_of_a_turn_and_a_shift() -> None:

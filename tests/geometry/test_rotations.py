@@ -5,7 +5,7 @@ from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ltsim.core.arrays import Floats
-from ltsim.geometry.rotations import cross_matrix, from_rotation_vector, quaternion_from_matrix, rotation_about_z
+from ltsim.geometry.rigid import cross_matrix, from_rotation_vector, quaternion_from_matrix, rotation_about_z
 
 IDENTITY = np.broadcast_to(np.eye(3), (4, 3, 3))
 vectors = arrays(np.float64, (4, 3), elements=st.floats(-3, 3))

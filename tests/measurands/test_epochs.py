@@ -11,7 +11,7 @@ import ltsim as lt
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.cli.main import run
 from ltsim.core.errors import LtsimError
-from ltsim.geometry.rotations import from_rotation_vector
+from ltsim.geometry.rigid import from_rotation_vector
 from ltsim.measurands.comparison import Comparison
 from ltsim.measurands.epochs import compare_adjustments
 from ltsim.physics.model.construction import misalignment_construction

@@ -24,6 +24,7 @@ from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import write
 from ltsim.recordings.recording import UNIT_SUFFIXES
 from ltsim.recordings.result_file import read_result
+from ltsim.reports.sections import result_section
 from ltsim.simulation.verbs import simulate
 from tests.families import family
 from tests.networks import drawn, network
@@ -299,6 +300,12 @@ digits = 1
     content = read_result(tmp_path / "out", Uncertainty)
     assert content.results[0].conformity is not None
     assert run(["report", str(tmp_path / "out"), "--quiet"]) == 0
+    length = content.results[0].value
+    undecided = text.replace("upper = 1.0", f"upper = {length:.6f}")
+    (tmp_path / "tasks.toml").write_text(undecided)
+    assert run(["uncertainty", str(tmp_path / "tasks.toml"), "--out", str(tmp_path / "out"), "--force"]) == 1
+    assert "undecided" in capsys.readouterr().out
+    assert result_section(read_result(tmp_path / "out", Uncertainty)).assessment == "caution"
     (tmp_path / "tasks.toml").write_text(text.replace('"recording"', '"nowhere"'))
     assert run(["uncertainty", str(tmp_path / "tasks.toml")]) == 2
     assert "neither a recording nor a scenario" in capsys.readouterr().err

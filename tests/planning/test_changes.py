@@ -13,9 +13,8 @@ from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan
 from ltsim.planning.objective import INSTRUMENT_QUALITY, TARGETS_QUALITY, LayoutObjective
-from ltsim.planning.plan_change import PlanChange
 from ltsim.planning.planner import objective_and_qualities
-from ltsim.planning.reflector_changes import evaluate_reflector_changes
+from ltsim.planning.reflector_changes import PlanChange, evaluate_reflector_changes
 from ltsim.planning.reflectors import choose_reflectors
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.workshop import is_fixed_target, is_immovable_target, make_search_space

@@ -14,14 +14,14 @@ import ltsim as lt
 from ltsim.cli.main import run
 from ltsim.core.errors import SetupError
 from ltsim.planning import reasons, work_order
-from ltsim.planning.layout_scenario import scenario_of_plan
 from ltsim.planning.loading import load_plan, read_points
 from ltsim.planning.planner import StationCountResult
+from ltsim.planning.result import scenario_of_plan
 from ltsim.planning.site import SearchSpace, StationPlacement
 from ltsim.planning.tolerances import PointTolerances, ToleranceCheck, error_radius, plan_verdict
 from ltsim.planning.work_order import TapeDistance, station_instructions, tape_deficiency_sentence
 from ltsim.recordings.air import AirUncertainty
-from ltsim.reports.work_order import work_order_page
+from ltsim.reports.page import work_order_page
 from ltsim.scene.floor import Floor, areas_and_keep_outs, is_allowed_position, is_inside_outline, outline_error
 from ltsim.scene.meshes import cylinder_triangles, join_obstacles
 from ltsim.scene.visibility import compute_visibility

@@ -17,12 +17,11 @@ from ltsim.cli.main import run
 from ltsim.core.errors import ModelError, SetupError
 from ltsim.planning import starts
 from ltsim.planning.information import LayoutInformation
-from ltsim.planning.layout_scenario import scenario_of_plan
 from ltsim.planning.loading import load_plan, plan_names, plan_text
 from ltsim.planning.making import SearchCallbacks, make_plan
 from ltsim.planning.planner import PlannedNetwork
 from ltsim.planning.reasons import cheapest_equal_option
-from ltsim.planning.result import Plan, write_plan
+from ltsim.planning.result import Plan, scenario_of_plan, write_plan
 from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.spec import PlanFile, SearchSettings
 from ltsim.planning.workshop import planned_survey

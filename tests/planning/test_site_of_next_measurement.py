@@ -104,7 +104,45 @@ def test_the_command_says_what_it_knows_of_the_hall(
     assert "--site needs --after REC" in capsys.readouterr().err
 
 
-def test_a_recording_without_positions_on_the_floor_plan_is_refused(hall: Path, measured: Recording) -> None:
-    setup = measured.setup.model_copy(update={"stations": {}})
-    with pytest.raises(SetupError, match="position_mm of the stations"):
-        lt.next_measurement(measured.replace(setup=setup), site=hall)
+def test_a_recording_without_positions_and_common_points_is_refused(hall: Path, measured: Recording) -> None:
+    setup = measured.setup.model_copy(update={"stations": {}, "targets": {}})
+    renamed = tuple(f"T{i}" for i in range(len(measured.targets)))
+    with pytest.raises(SetupError, match=r"position_mm of the stations in setup.toml, or name targets as in the plan"):
+        lt.next_measurement(measured.replace(setup=setup, targets=renamed), site=hall)
+
+
+def with_stated_places(recording: Recording, shift_mm: float, yaw_deg: float) -> Recording:
+    """Recording whose set-up states other positions of the stations."""
+    stations = {
+        name: station.model_copy(
+            update={
+                "position_mm": tuple(np.array(station.position_mm) + [shift_mm, -shift_mm, 0.0]),
+                "yaw_deg": station.yaw_deg + yaw_deg,
+            }
+        )
+        for name, station in recording.setup.stations.items()
+    }
+    return recording.replace(setup=recording.setup.model_copy(update={"stations": stations}))
+
+
+def test_rounded_positions_of_stations_do_not_move_the_network_on_the_site(hall: Path, measured: Recording) -> None:
+    """The adjusted targets place the network: rounded or missing positions of stations change no sight."""
+    exact = {p.do for p in stations_of(lt.next_measurement(measured, site=hall))}
+    bare = measured.replace(setup=measured.setup.model_copy(update={"stations": {}}))
+    for other in (with_stated_places(measured, 70.0, 1.0), bare):
+        assert {p.do for p in stations_of(lt.next_measurement(other, site=hall))} == exact
+
+
+def test_a_site_in_other_axes_is_refused(hall: Path, measured: Recording, tmp_path: Path) -> None:
+    with pytest.raises(SetupError, match=r"places station S1 at \(.*\) m, but .* place it at .*: the axes differ"):
+        lt.next_measurement(with_stated_places(measured, 3000.0, 0.0), site=hall)
+    other = tmp_path / "other.toml"
+    mirrored = "\n".join(
+        f"x_mm = {9000 - int(line[7:])}" if line.startswith("x_mm") else line for line in HALL.splitlines()
+    )
+    other.write_text(mirrored + "\n")
+    with pytest.raises(SetupError, match=r"do not fit them: .* m off; name the plan of this hall, or rename"):
+        lt.next_measurement(measured, site=other)
+    renamed = measured.replace(targets=tuple(f"T{i}" for i in range(len(measured.targets))))
+    with pytest.raises(SetupError, match=r"no station of the recording stands on the permitted floor of .*: S1 is at"):
+        lt.next_measurement(with_stated_places(renamed, 30000.0, 0.0), site=hall)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ltsim.core.errors import RecordError
 from ltsim.geometry.polar import to_face, to_polar
-from ltsim.geometry.rotations import rotation_about_z
+from ltsim.geometry.rigid import rotation_about_z
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Gauge, GaugeDistance, Setup
 

@@ -9,8 +9,8 @@ import pytest
 
 from ltsim.core.errors import RecordError
 from ltsim.core.units import GON
-from ltsim.geometry.alignment import align_rigidly
 from ltsim.geometry.polar import from_polar
+from ltsim.geometry.rigid import align_rigidly
 from ltsim.recordings import Recording, read
 from tests.recordings.samples import outcome, shared
 
@@ -111,8 +111,8 @@ def test_setups_points_and_notes(tmp_path: Path) -> None:
     notes = " ".join(recording.notes)
     for said in (
         "2 lines are switched off",
-        "*DVER is not understood here and skipped (1",
-        "*OBSXYZ observes 1 points in a separate frame (F); all of them are fixed",
+        "*DVER is not supported: 1 lines are skipped",
+        "*OBSXYZ observes 1 points in a separate frame (F): they are not used, because all of them are fixed",
         "*RS2K",
     ):
         assert said in notes, said
@@ -126,8 +126,8 @@ def test_setups_points_and_notes(tmp_path: Path) -> None:
         ("*TSTN HALL.S1.", "*TSTN HALL.S9.", "no block of points declares"),
         ("HALL.P1. 100.5", "HALL.PX. 100.5", "in no block of points"),
         ("HALL.P1. 100.5", "HALL.P1. abc", "expected a number"),
-        ("HALL.P1. 100.5 OBSE 2", "HALL.P1. 100.5 OBSE", "OBSE without a value"),
-        ("HALL.P1. 100.5 OBSE 2", "HALL.P1. 100.5 OBSE 0", "standard deviation of 0"),
+        ("HALL.P1. 100.5 OBSE 2", "HALL.P1. 100.5 OBSE", "the option OBSE has no value"),
+        ("HALL.P1. 100.5 OBSE 2", "HALL.P1. 100.5 OBSE 0", "standard deviation is 0"),
         ("HALL.P1. 101.0", "HALL.P1. 301.0", "zenith angle of 301"),
         ("HALL.P1. 5.5", "HALL.P1. -5.5", "distance of -5.5"),
         ("HALL.P1. 5.5", "HALL.P1. 1e300", "at most"),
@@ -215,7 +215,7 @@ def test_observed_coordinates_are_known_with_their_covariance(tmp_path: Path) ->
     recording = read(file)
     targets = recording.setup.targets
     assert (targets["FIXED"].known_mm, targets["FIXED"].known_covariance_mm2) == ((0, 0, 0), None)
-    assert "*OBSXYZ of FIXED: the point is fixed" in " ".join(recording.notes)
+    assert "the coordinates of FIXED in *OBSXYZ are not used" in " ".join(recording.notes)
     np.testing.assert_allclose(targets["SEEN"].known_mm, [10002, 2, 1003])
     np.testing.assert_allclose(targets["SEEN"].known_covariance_mm2, [0.5, 0, 0, 2, 0, 4.5], atol=1e-9)
     half = targets["HALF"]
@@ -231,11 +231,11 @@ def test_observed_coordinates_are_known_with_their_covariance(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("SX 0 SZ 2", "BEAR 10 SX 1", "BEAR: standard deviations in rotated axes are not read"),
+        ("SX 0 SZ 2", "BEAR 10 SX 1", "standard deviations in axes rotated by BEAR are not read"),
         ("MAT(4e-6,1e-6,0,1e-6,9e-6,0,0,0,1e-6)", "DIAG(1,2)", "expected DIAG"),
         ("MAT(4e-6,1e-6,0", "MAT(4e-6,2e-6,0", "expected DIAG"),
         ("SEEN 10.001 0.002 1.003 1 2 3", "SEEN 10.001 0.002 1.003 1 2", "three standard deviations"),
-        ("SEEN 10.001 0.002 1.003 1 2 3", "SEEN 10.001 0.002 1.003 1 0 3", "a standard deviation of 0"),
+        ("SEEN 10.001 0.002 1.003 1 2 3", "SEEN 10.001 0.002 1.003 1 0 3", "has a standard deviation of 0"),
         ("SEEN 10.001", "NOBODY 10.001", "observes NOBODY, which is in no block of points"),
     ],
 )

@@ -162,7 +162,7 @@ def test_blocks_with_broken_cells_keep_what_they_hold(tmp_path: Path) -> None:
     text = f"Station: S1\n{head}\nP1;1;10;80;3000;#REF!\nStation: S2\n{head};Op\nP1;1;15;81;3000;#REF!;x\n"
     found = read(file_of(tmp_path, text))
     assert found.labels == {"T [C]": ("#REF!", "#REF!"), "Op": ("", "x")}
-    with pytest.raises(RecordError, match="row 5: its columns differ from those of the headers before"):
+    with pytest.raises(RecordError, match="row 5: the columns differ from those of earlier headers"):
         read(file_of(tmp_path, text.replace(f"{head};Op", f"{head};Op".replace("[deg]", "[gon]"))))
 
 
@@ -199,7 +199,7 @@ def test_lists_of_coordinates(
 def test_a_point_in_another_row_is_grouped_as_its_list_groups(tmp_path: Path) -> None:
     found = read_points(file_of(tmp_path, "Name;X [mm];Y [mm];Z [mm]\nA;7.000,5;1;2\nB;8.000;2;3\n"))
     assert found.by_name["B"][0] == 8.0
-    with pytest.raises(RecordError, match="writes numbers both as"):
+    with pytest.raises(RecordError, match="contains numbers written as"):
         read_points(file_of(tmp_path, "Name;X [mm];Y [mm];Z [mm]\nA;7.000,5;1;2\nB;8,000.5;2;3\n"))
 
 

@@ -67,11 +67,11 @@ def test_readings(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ('<station ref="5"/>', '<station ref="99"/>', "refers to station 99"),
+        ('<station ref="5"/>', '<station ref="99"/>', "refers to the station 99"),
         ('value="3.5"', 'value="nan"', "expected a finite number"),
         ('value="3.5"', 'value="-3.5"', "distance of -3.5"),
         ('value="3.5"', 'value="9e99"', "at most"),
-        ('type="zenith"', 'type="zen"', "lacks its zenith"),
+        ('type="zenith"', 'type="zen"', "the polar reading has no zenith"),
         ('name="ST1"', 'name="../ST1"', "holds '/'"),
         ('name="P1"', 'name="&lt;i&gt;"', "holds '<'"),
         ("</oiProjectData>", "", "not well-formed"),

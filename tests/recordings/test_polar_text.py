@@ -10,8 +10,7 @@ from hypothesis import HealthCheck, assume, given, settings, strategies as st
 
 from ltsim.adjustment import adjust
 from ltsim.core.errors import RecordError
-from ltsim.geometry.alignment import align_rigidly
-from ltsim.geometry.rotations import from_rotation_vector
+from ltsim.geometry.rigid import align_rigidly, from_rotation_vector
 from ltsim.recordings import Hints, Recording, read, write
 from ltsim.recordings.coordinates import read_points
 from tests.recordings.samples import POINTS, outcome, shared, workshop

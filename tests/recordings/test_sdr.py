@@ -73,9 +73,12 @@ def test_angles_from_the_horizon_and_feet(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (lambda lines: [lines[0][:40] + "3" + lines[0][41:], *lines[1:]], "row 1: unit '3' of angles, expected one of"),
-        (lambda lines: [*lines[:2], *lines[4:]], "row 3: a measurement before any station is named"),
-        (lambda lines: [*lines[:4], lines[-1]], "is measured from '2', expected the station of the last record 02"),
+        (
+            lambda lines: [lines[0][:40] + "3" + lines[0][41:], *lines[1:]],
+            "row 1: found the unit '3' of angles, expected one of",
+        ),
+        (lambda lines: [*lines[:2], *lines[4:]], "row 3: this measurement precedes the first named station"),
+        (lambda lines: [*lines[:4], lines[-1]], "names the station '2', expected that of the last record 02"),
         (lambda lines: [*lines[:4], lines[4].replace("30.25", "30,2x")], "row 5: found '30,2x"),
         (lambda lines: lines[:4], "holds no measurements"),
     ],
@@ -110,3 +113,15 @@ def test_a_last_observation_that_is_cut_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", ["txt", "csv", "dat"])
 def test_the_header_decides_and_not_the_suffix(tmp_path: Path, suffix: str) -> None:
     assert read(written(tmp_path / f"a.{suffix}", book("33"))).stations == ("1", "2")
+
+
+def test_a_set_up_and_a_target_of_another_spelling_are_one_mark(tmp_path: Path) -> None:
+    stations = slice(4, 20)
+    lines = book("33")
+    for i, line in enumerate(lines):
+        if line[:2] in ("02", "09"):
+            lines[i] = line[:4] + line[stations].strip().zfill(4).rjust(16) + line[20:]
+    recording = read(written(tmp_path / "a.sdr", lines))
+    assert recording.stations == ("0001", "0002") and recording.targets == ("2", "7", "1")
+    assert [recording.station_setup(name).over for name in recording.stations] == ["1", "2"]
+    assert any("are one mark: '0001' and '1', '0002' and '2'" in note for note in recording.notes)

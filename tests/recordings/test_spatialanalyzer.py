@@ -69,9 +69,11 @@ def test_a_report_is_understood(tmp_path: Path, clockwise: bool) -> None:
         np.testing.assert_allclose(np.mod(got[:, 1] - want[:, 1] + 1, 2 * np.pi), 1, atol=1e-9)
     sense = "clockwise" if clockwise else "counter-clockwise"
     notes = " ".join(recording.notes)
-    assert f"azimuths are interpreted as {sense}: read so, all stations agree" in notes
+    assert (
+        f"azimuths are interpreted as {sense}, because all stations at their approximate positions then agree" in notes
+    )
     assert "is interpreted as zenith angles" in notes
-    assert "2 observations are switched off" in notes
+    assert "2 observations are not active" in notes
     assert recording.has_clock
     assert recording.time.max() == 15 * 60
     assert set(recording.covariates["offset1_mm"]) == {19.05}
@@ -99,7 +101,7 @@ def test_one_name_in_two_places(tmp_path: Path) -> None:
     file.write_text("\n".join(lines), encoding="utf-8")
     recording = read(file)
     assert set(recording.targets) == {"T1", "T2", "T3", "T4", "T5", "T6", "Line:T1"}
-    assert any("1 names stand for points in different places" in note for note in recording.notes)
+    assert any("1 names stand for points at different places" in note for note in recording.notes)
 
 
 @pytest.mark.parametrize(
@@ -113,7 +115,7 @@ def test_one_name_in_two_places(tmp_path: Path) -> None:
         (";T3;", ";T<3;", "holds '<'"),
         (";T3;", ";T3;x", "expected a number"),
         ("(mm);2200", "(mm);abc", "expected a number"),
-        ("(mm);2200", "(miles);2200", "unit 'miles' of a pose"),
+        ("(mm);2200", "(miles);2200", "the unit 'miles' of the pose"),
         ('"Observations', '"Observ"ations', "not a table"),
     ],
 )
@@ -143,7 +145,7 @@ def test_the_real_reports() -> None:
         pytest.skip("the recordings of the girder are not beside this checkout")
     recording = read(file)
     assert len(recording) == 500
-    assert any("azimuths are interpreted as clockwise: read so" in note for note in recording.notes)
+    assert any("azimuths are interpreted as clockwise, because all stations" in note for note in recording.notes)
     polar = read(file.with_name("Polar_measurements_20Sep21.txt"), hints=Hints(azimuth="clockwise"))
     rows = {tuple(np.round(r, 9)) for r in recording.readings}
     assert all(tuple(np.round(r, 9)) in rows for r in polar.readings)

@@ -30,7 +30,7 @@ def test_a_surveyor_sees_what_was_read() -> None:
         recording.replace(setup=setup, time=np.linspace(0.0, 3725.0, len(recording)), has_clock=True)
     )
     count = len(recording.stations)
-    assert topics["set-ups"] == f"{count} over 1 marks ({', '.join(recording.stations)}); 1 levelled"
+    assert topics["set-ups"] == f"{count}, 1 of them over 1 marks ({', '.join(recording.stations)}); 1 levelled"
     assert topics["pointings"].startswith(f"{len(recording)} to {len(recording.targets)} targets")
     assert topics["time"] == "from 2026-03-04T08:00:00 on, 1 h 02 min 05 s"
     assert topics["heights"] == "instruments 0 to 1.6 m, targets 0 to 0.1 m over their marks"

@@ -115,7 +115,9 @@ def test_coordinates_of_several_set_ups_under_an_unknown_title(tmp_path: Path) -
         for j, s in enumerate("QRST")
         for k in range(1, 5)
     ]
-    with pytest.raises(RecordError, match=r"column 'Appareil' has 4 values: give --columns \"station=Appareil\""):
+    with pytest.raises(
+        RecordError, match=r"column 'Appareil' may name 4 stations: give --columns \"station=Appareil\""
+    ):
         read_text(tmp_path / "a.csv", "\n".join(["Appareil;Name;X [mm];Y [mm];Z [mm]", *rows]) + "\n")
 
 

@@ -227,7 +227,7 @@ def test_rough_places_decide_the_sense_against_the_words(tmp_path: Path) -> None
     )
     found = read(file)
     np.testing.assert_allclose(found.readings, truth().readings, rtol=1e-15)
-    assert any("agree at their approximate positions" in note for note in found.notes)
+    assert any("at their approximate positions then agree" in note for note in found.notes)
 
 
 def test_readings_reduced_to_face_1_are_turned_back(tmp_path: Path) -> None:
@@ -263,7 +263,7 @@ def test_wrong_tables_get_one_sentence(tmp_path: Path, text: str, says: str) -> 
 @pytest.mark.parametrize(
     ("wanted", "says"),
     [
-        ("azimuth=D[furlong]", "a unit of azimuth can be deg, gon, rad, dms"),
+        ("azimuth=D[furlong]", "expected one of the units deg, gon, rad, dms for azimuth"),
         ("colour=D", "expected ROLE=HEADER[UNIT] with a role among station, target"),
         ("azimuth=Z[deg],elevation=E[deg]", "does not define its columns"),
     ],
@@ -367,7 +367,7 @@ def test_heights_beside_readings_between_the_heads_are_not_applied_and_it_is_sai
     said = [note for note in recording.notes if "are not applied" in note]
     assert bool(said) == axis_to_axis
     if said:
-        assert "15 lines seen to and fro close within" in said[0]
+        assert "15 lines measured in both directions close within" in said[0]
     assert bool(np.any(recording.heights()[1])) != axis_to_axis
     assert lt.adjust(recording).fit.sigma0 < 20.0
 

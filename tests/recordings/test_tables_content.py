@@ -63,7 +63,7 @@ def test_further_spellings_of_a_clock(tmp_path: Path, form: str) -> None:
 def test_numbered_days_are_no_seconds(tmp_path: Path) -> None:
     found = read(table(tmp_path / "a.csv", "Tag", ["1", "1", "1", "2", "2", "2"]))
     assert not found.has_clock and found.stations == ("A", "A#2")
-    assert any("numbers days without a time" in note for note in found.notes)
+    assert any("contains numbers of days without a time" in note for note in found.notes)
 
 
 def test_a_clock_beside_the_time_is_kept_as_text(tmp_path: Path) -> None:
@@ -220,12 +220,12 @@ def test_degrees_minutes_seconds_in_columns_in_marks_and_in_decimals_are_one_ang
         # a column of marked angles is no distance
         (
             "Loc;Reper;a deg;a min;a sec;Unghi zenital\nA;P;79;32;20,8;83°29'57,8\"\nA;Q;189;8;16,9;94°01'53,5\"\n",
-            "no three of them can be two angles and a distance",
+            "no three columns look like two angles and a distance",
         ),
         # point numbers are names, one station's number no face
         ("1,101,23.12345,99.23456,3.1234\n1,102,223.12345,98.23456,3.2\n", '"station=a,target=b,azimuth=c[deg],vert'),
         # two temperatures are no reading
-        ("x,20.5,30.5\ny,20.6,30.4\n", "no three of them can be two angles and a distance, or coordinates"),
+        ("x,20.5,30.5\ny,20.6,30.4\n", "no three columns look like two angles and a distance, or like coordinates"),
         ("x,700.5,-3190.1,300.5\ny,740.1,-3165.1,291.5\n", '"target=a,x=b[mm],y=c[mm],z=d[mm]"'),
         # titles that are not unique are given by their numbers
         (
@@ -258,7 +258,9 @@ def test_positions_of_a_moving_target_are_no_list_of_points(tmp_path: Path) -> N
     ("header", "first", "says"),
     [
         ("Time;X;Y;Z;Rx;Ry;Rz", "08:0{i}:00;{x};-3190.5;300.5;1.5;2.5;3.5", "8 positions without point names"),
+        ("Time;X [mm];Y [mm];Z [mm]", "08:0{i}:00;{x};-3190.5;300.5", "8 positions without point names"),
         ("q1;q2;X;Y;Z", "{i}.25;-{i}.75;{x};-3190.5;300.5", "8 positions without point names"),
+        ("Station;X;Y;Z", "S{n};{x};-3190.5;300.5", "names no points, so common targets of its set-ups are unknown"),
         ("Name;X;Y;Z", "P{n};{n}00.50{i};-3190.5;300.5", "list of 2 points, measured 8 times in all"),
     ],
 )
@@ -278,6 +280,67 @@ def test_positions_of_one_set_up_are_targets_by_place(tmp_path: Path, named: boo
     assert found.stations == ("L",) and found.targets == ("pose-1", "pose-2", "pose-3", "pose-4")
     assert found.repeat.max() == 2 and found.has_clock
     assert any("its 8 rows are 4 positions of a target that moves" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("first", ["Time Stamp", "q1 [deg]", "Pose"])
+def test_positions_without_names_are_read_with_the_name_of_their_set_up(tmp_path: Path, first: str) -> None:
+    """As the message says that refuses them without that name."""
+    rows = [f"{i}.5,{700 + 40 * (i % 4)}.0{i % 3},{-3190 + 25 * (i % 4)},{300 - 9 * (i % 4)}" for i in range(8)]
+    (tmp_path / "a.csv").write_text("\n".join([f"{first},X [mm],Y [mm],Z [mm]", *rows]) + "\n")
+    with pytest.raises(RecordError, match="--format table --hint station=NAME"):
+        read(tmp_path / "a.csv")
+    recording = read(tmp_path / "a.csv", format="table", hints=Hints(station="L"))
+    assert recording.targets == ("pose-1", "pose-2", "pose-3", "pose-4") and recording.repeat.max() == 2
+
+
+@pytest.mark.parametrize("faces", [1, 2])
+def test_unnamed_polar_readings_of_one_position_are_one_target(tmp_path: Path, faces: int) -> None:
+    """Also across the zero of the circle, with elevations of a few degrees, and on both faces."""
+    rows = []
+    for azimuth, zenith in ((359.99995, 87.5), (12.5, 89.25), (77.25, 91.0)):
+        for shot in range(3):
+            turned = (azimuth + shot * 5e-5) % 360, zenith + shot * 1e-3
+            rows.append((*turned, 2600.0 + 0.01 * shot))
+            rows += [((turned[0] + 180) % 360, 360 - turned[1], 2600.0)] * (faces - 1)
+    text = "".join(f"{hz:.6f};{v:.6f};{d:.4f}\n" for hz, v, d in rows)
+    (tmp_path / "a.csv").write_text(f"Hz [deg];Zenith [deg];D [mm]\n{text}")
+    recording = read(tmp_path / "a.csv")
+    assert recording.targets == ("pose-1", "pose-2", "pose-3")
+    assert len(recording) == 9 * faces and recording.face.max() == faces
+
+
+def test_numbered_shots_of_one_point_are_reported(tmp_path: Path) -> None:
+    def table(gap_mm: float) -> str:
+        rows = [
+            f"S1;P{i}-{shot};{2500 + 300 * i + gap_mm * shot:.3f};{800 - 90 * i};{40 * i}\n"
+            for i in range(4)
+            for shot in range(3)
+        ]
+        return "Station;Point;X [mm];Y [mm];Z [mm]\n" + "".join(rows)
+
+    (tmp_path / "a.csv").write_text(table(0.01))
+    notes = [note for note in read(tmp_path / "a.csv").notes if "have one position" in note]
+    assert len(notes) == 1 and "4 times, such as 'P0-0', 'P0-1', 'P0-2': if these are shots of one point" in notes[0]
+    (tmp_path / "a.csv").write_text(table(20.0))
+    assert not any("have one position" in note for note in read(tmp_path / "a.csv").notes)
+
+
+@pytest.mark.parametrize("n_names", [1, 2])
+def test_names_of_reflectors_in_place_of_points_are_reported(tmp_path: Path, n_names: int) -> None:
+    places = [(3.1, 10.5, 95.5), (4.2, 77.5, 99.0), (5.3, 130.0, 104.5), (6.4, 220.5, 88.0)]
+
+    def note(names: list[str]) -> list[str]:
+        rows = [
+            f"{station};{name};{hz};{zenith};{distance + shift}"
+            for station, shift in (("A", 0.0), ("B", 1.7))
+            for name, (distance, hz, zenith) in zip(names, places, strict=True)
+        ]
+        (tmp_path / "a.csv").write_text("\n".join(["Station;Point;Hz [gon];Zenith [gon];D [m]", *rows]) + "\n")
+        return [text for text in read(tmp_path / "a.csv").notes if "several positions" in text]
+
+    (text,) = note([f"SMR{i % n_names}" for i in range(4)])
+    assert f"' differ by {(3.3, 2.2)[n_names - 1]} m; if it names a reflector that moved, name each point" in text
+    assert not note([f"P{i}" for i in range(4)])
 
 
 def test_set_ups_without_point_names_are_refused(tmp_path: Path) -> None:

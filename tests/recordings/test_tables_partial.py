@@ -37,15 +37,15 @@ def test_merged_cells_hold_for_the_rows_below(tmp_path: Path) -> None:
     assert recording.stations == ("A", "B")
     np.testing.assert_allclose(recording.covariates["instrument_height_mm"], [1683, 1683, 1548, 1548])
     assert "2 rows without a station belong to the station of the row above" in said(recording)
-    assert "2 empty heights of instruments are those of the same set-up" in said(recording)
+    assert "2 empty heights of instruments are taken from other rows of the same set-up" in said(recording)
 
 
 def test_empty_heights_that_no_row_gives_are_said(tmp_path: Path) -> None:
     rows = [list(row) for row in ROWS]
     rows[2][6] = rows[3][6] = rows[1][7] = ""
     recording = read_rows(tmp_path / "a.csv", rows)
-    assert "heights of instruments are empty in 2 rows (B): 0 is assumed there" in said(recording)
-    assert "heights of targets are empty in 1 rows (P2): 0 is assumed there" in said(recording)
+    assert "heights of instruments are empty in 2 rows (B); they are taken as 0" in said(recording)
+    assert "heights of targets are empty in 1 rows (P2); they are taken as 0" in said(recording)
 
 
 @pytest.mark.parametrize("mark", ["", "-", "---", "N/A", "\u2013"])
@@ -87,7 +87,7 @@ def test_a_sheet_of_coordinates_beside_readings(tmp_path: Path) -> None:
     book.save(tmp_path / "a.xlsx")
     recording = read(tmp_path / "a.xlsx")
     assert recording.stations == ("A", "B")
-    assert "the coordinates of 'Stations' are not used" in said(recording)
+    assert "the coordinates in 'Stations' are not used" in said(recording)
 
 
 @pytest.mark.parametrize("title", ["Z [gon]", "Z"])

@@ -78,7 +78,7 @@ def test_rounds_zeroed_anew_are_orientations_of_their_own(tmp_path: Path) -> Non
     visits = [("A" if i % 4 < 2 else "B", "", "", i // 4 * 2 + i % 2, zero) for i, zero in enumerate(zeros.tolist())]
     recording = read(survey(tmp_path / "a.csv", visits, heights=False, sigmas=True))
     assert len(recording.stations) == 8
-    assert "the circle was turned between rounds: 8 rounds are separate set-ups" in said(recording)
+    assert "the circle was rotated between rounds: 8 rounds are separate set-ups" in said(recording)
     adjusted = lt.adjust(recording)
     assert 0.6 < adjusted.fit.sigma0 < 1.5
     still = read(survey(tmp_path / "b.csv", [(*visit[:4], 0.0) for visit in visits], heights=False, sigmas=True))
@@ -211,3 +211,21 @@ def test_a_reading_with_an_unknown_unit_is_not_left_out(tmp_path: Path) -> None:
     file.write_text("Station;Point;Hz [gon];V [%];SD [m]\nA;P;1.5;2.5;12.3\n")
     with pytest.raises(RecordError, match=r"the unit '%' of column 'V \[%\]' is unknown; convert it to one of deg"):
         read(file)
+
+
+@pytest.mark.parametrize(("station", "target"), [("00", ""), ("", "00")])
+def test_a_set_up_and_a_target_of_another_spelling_are_one_mark(tmp_path: Path, station: str, target: str) -> None:
+    """As a workbook drops leading zeros in one of two columns."""
+    lines = survey(tmp_path / "a.csv", [(*visit, 30.0) for visit in DAYS], heights=True).read_text().splitlines()
+    numbers = {"A": "1", "B": "2"}
+    rows = [lines[0]]
+    for line in lines[1:]:
+        mark, name, *rest = line.split(",")
+        rows.append(",".join([station + numbers[mark], target + numbers[name] if name in numbers else name, *rest]))
+    (tmp_path / "a.csv").write_text("\n".join(rows) + "\n")
+    recording = read(tmp_path / "a.csv")
+    assert {recording.station_setup(name).over for name in recording.stations} == {f"{target}1", f"{target}2"}
+    assert f"are one mark: '{station}1' and '{target}1'" in said(recording)
+    rows = [line.replace(f",{target}2,", f",{target}1,") for line in rows]  # the set-up sees this target
+    (tmp_path / "a.csv").write_text("\n".join(rows) + "\n")
+    assert "are one mark" not in said(read(tmp_path / "a.csv"))

@@ -28,6 +28,7 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Station
 from ltsim.simulation.builtin import builtin_text
 from ltsim.simulation.scenario import load_scenario
+from ltsim.simulation.verbs import scenario
 from tests.networks import STATIONS, YAWS, drawn, network
 
 
@@ -110,7 +111,10 @@ def campaign_folder(folder: Path, trials: int = 60) -> Path:
         "methods": ["network", "distance"],
         "factors": [{"name": "noise_factor", "keys": ["instrument.noise_factor"], "unit": "", "kind": "integer"}],
         "cells": [{"cell": c, "label": "", "levels": {"noise_factor": c + 1}} for c in range(2)],
-        "versions": {"numpy": "2.0"}, "commit": None, "settings": {"scenario": "paper-workshop"}, "scenarios": [],
+        "versions": {"numpy": "2.0"}, "commit": None, "settings": {"scenario": "paper-workshop"},
+        "scenarios": [
+            scenario("paper-workshop", {"instrument.noise_factor": c + 1}).model_dump(mode="json") for c in range(2)
+        ],
     }  # fmt: skip
     folder.mkdir(parents=True)
     (folder / "manifest.json").write_text(json.dumps(manifest))

@@ -27,8 +27,8 @@ from ltsim.core.notation import fixed_point_text, number_text, with_sigma
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.schema import FindingScope, ResponseCurve
 from ltsim.measurands.comparison import Comparison
-from ltsim.planning.plan_change import PlanChange
 from ltsim.planning.plan_entries import PlannedParameterEntry as PlannedEntry
+from ltsim.planning.reflector_changes import PlanChange
 from ltsim.planning.result import Plan
 from ltsim.recordings.specification import data_sheet
 from ltsim.reports import style
@@ -41,7 +41,7 @@ from ltsim.reports.figures import (
     residuals as misfits,
 )
 from ltsim.reports.residuals import Residuals
-from ltsim.reports.sections.campaign import coverage_sentence
+from ltsim.reports.sections.campaign_coverage import coverage_sentence
 from ltsim.reports.words import distinct_labels, typographic_text
 from ltsim.reports.workshop import workshop_from_adjustment, workshop_from_scenario
 from ltsim.simulation.scenario import load_scenario

@@ -106,7 +106,7 @@ def test_calibration_says_what_changed(contents: dict[str, Document]) -> None:
 
 def test_demo_tells_everything_once(contents: dict[str, Document]) -> None:
     content = contents["."]
-    assert [section.kind for section in content.sections] == ["Diagnosis", "Calibration (network)", "Recording"]
+    assert [section.kind for section in content.sections] == ["Diagnosis", "Calibration", "Recording"]
     scenes = [block for section in content.sections for block in section.blocks if block.kind == "scene"]
     assert len(scenes) == 1  # one recording, one view
     assert content.summary == "Station S3 leans by 12 +- 2 urad with a time constant of 9 +- 2 min after set-up."

@@ -9,12 +9,15 @@ from pathlib import Path
 
 import pytest
 
+from ltsim.campaigns.results import PairedDifference
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import Equivalent, Finding, FindingEvidence, FindingScope, Misfit, ParameterEstimate
 from ltsim.diagnosis.words import catalogue_sentence, diagnosis_summary
 from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
 from ltsim.reports.document import ReportContext, Section
+from ltsim.reports.sections.campaign import campaign_section
 from ltsim.reports.sections.diagnosis import diagnosis_section
+from ltsim.reports.sections.method_comparison import MethodComparison
 from tests.reports import samples
 
 KINDS = list(CATALOGUE)
@@ -67,3 +70,35 @@ def test_the_page_of_a_diagnosis_names_causes_by_their_titles(tmp_path: Path) ->
     texts = " ".join(prose(section))
     assert "bumped" in texts and "drift of the vertical index" in texts
     assert not KEYS.search(texts), KEYS.findall(texts)
+
+
+def difference(size: float) -> PairedDifference:
+    return PairedDifference({}, "plain", "network", "target_error_um", "um", 200, size, size - 2.0, size + 2.0)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "text"),
+    [
+        ((5.0,), "smaller than with plain by 5.00 um"),
+        ((1.0,), "not significantly different from that with plain"),
+        ((5.0, 9.0), "smaller than with plain in all 2 settings (by 5.00 to 9.00 um)"),
+        (
+            (5.0, 9.0, -3.0, 1.0),
+            "smaller than with plain in 2 of 4 settings (by 5.00 to 9.00 um), larger than with plain in 1 of 4 "
+            "settings (by 3.00 um), not significantly different from that with plain in 1 of 4",
+        ),
+    ],
+)
+def test_the_comparison_of_methods_counts_and_sizes_each_sign(sizes: tuple[float, ...], text: str) -> None:
+    """No setting with a larger error is counted as a smaller one, and no difference is negative."""
+    entries = [difference(size) for size in sizes]
+    comparison = MethodComparison("target_error_um", "network", ("",) * len(sizes), {"plain": entries})
+    assert comparison.sentence().startswith(
+        f"On the same draws, the error of the targets with network is {text} (paired"
+    )
+
+
+def test_coverage_is_separate_where_the_noise_is_not_the_declared_one(tmp_path: Path) -> None:
+    section = campaign_section(samples.campaign_folder(tmp_path / "campaign"))
+    tiles = [fact.name for fact in section.key_figures if fact.name.startswith("coverage")]
+    assert tiles == ["coverage of 95 % intervals", "coverage of 95 % intervals with noise factor 2, not declared"]

@@ -6,7 +6,7 @@ from hypothesis import given, strategies as st
 
 from ltsim.core.errors import ModelError
 from ltsim.core.units import DEGREE
-from ltsim.geometry.rotations import from_rotation_vector
+from ltsim.geometry.rigid import from_rotation_vector
 from ltsim.scene.visibility import (
     InvisibilityReason,
     SightLimits,

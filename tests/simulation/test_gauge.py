@@ -9,7 +9,10 @@ from hypothesis import given, strategies as st
 from ltsim.core.errors import SetupError
 from ltsim.simulation.draws import StandardNormalSource
 from ltsim.simulation.fieldwork import make_geometry
-from ltsim.simulation.gauge import (
+from ltsim.simulation.scenario import load_scenario
+from ltsim.simulation.sections import Cmm, ScenarioGauge
+from ltsim.simulation.simulator import error_free_recording, trial_distributions
+from ltsim.simulation.workshop import (
     PAPER_TABLE_2_LENGTHS,
     expansion_factor,
     gauge_points_in_workshop,
@@ -19,9 +22,6 @@ from ltsim.simulation.gauge import (
     measure_nominal_points,
     points_from_distances,
 )
-from ltsim.simulation.scenario import load_scenario
-from ltsim.simulation.sections import Cmm, ScenarioGauge
-from ltsim.simulation.simulator import error_free_recording, trial_distributions
 
 PLACE = (750.0, 750.0, 260.0)
 

@@ -11,7 +11,7 @@ import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.campaigns.truth import make_cell_truth
 from ltsim.core.errors import SetupError
-from ltsim.geometry.alignment import align_with_scale
+from ltsim.geometry.rigid import align_with_scale
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.workshop import planned_survey
 from ltsim.recordings.setup import Target

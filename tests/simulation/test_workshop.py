@@ -9,10 +9,15 @@ from ltsim.core.units import DEGREE
 from ltsim.geometry.polar import to_polar
 from ltsim.scene.visibility import InvisibilityReason, aim_nest_normals, shadow_radii
 from ltsim.simulation.fieldwork import make_geometry
-from ltsim.simulation.gauge import gauge_rotation, make_gauge_frame
 from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.simulation.simulator import simulate
-from ltsim.simulation.workshop import make_sight_limits, make_visibility, planned_layout
+from ltsim.simulation.workshop import (
+    gauge_rotation,
+    make_gauge_frame,
+    make_sight_limits,
+    make_visibility,
+    planned_layout,
+)
 
 PAPER = load_scenario("paper-workshop")
 LAYOUT = planned_layout(PAPER)

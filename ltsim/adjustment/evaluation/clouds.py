@@ -12,8 +12,8 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError
-from ltsim.geometry.alignment import align_rigidly
 from ltsim.geometry.polar import from_polar
+from ltsim.geometry.rigid import align_rigidly
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import Recording
 

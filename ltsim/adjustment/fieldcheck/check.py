@@ -15,7 +15,7 @@ from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.blunders import apply_corrections, detect_blunders
-from ltsim.adjustment.fieldcheck.network import N_NETWORK_TESTS, adjust_for_check, network_items, scale_target_noise
+from ltsim.adjustment.fieldcheck.network import adjust_for_check, n_network_tests, network_items, scale_target_noise
 from ltsim.adjustment.fieldcheck.occupation import ColumnsFit, StationOccupation, TwoFaceDifferences
 from ltsim.adjustment.fieldcheck.result import (
     TWO_FACE_TABLE,
@@ -119,7 +119,7 @@ def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple
             recording_to_test = apply_corrections(noise_scaled_recording, detect_blunders(adjustment_or_error))
         if recording_to_test is not corrected:  # a set-up is not blamed for what has a name
             setups = tuple(_test_setup(recording_to_test, recording_to_test, s, family, mpe) for s in all_indices)
-        shared = HypothesisFamily(level, 2 * N_NETWORK_TESTS)
+        shared = HypothesisFamily(level, 2 * n_network_tests(full_recording))
         network_tests = network_items(
             noise_scaled_recording,
             adjustment_or_error,

@@ -27,11 +27,18 @@ from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from ltsim.solve.design import robust_sigma
 
 N_NETWORK_TESTS = 2
-"""Number of tests of all stations together: one of common targets, one of levels."""
+"""Number of tests of all stations together: one of common targets, one of levels; known lengths have a third."""
 EXCLUDABLE_REFERENCE_KINDS: tuple[ReferenceKind, ...] = ("point", "difference", "length", "mark", "scale")
 """Kinds of reference values that the adjustment may exclude. Levels are tested separately, station by station."""
+MIN_LENGTH_RESIDUAL = 1e-12
+"""Whitened residual from which lengths and their common scale are tested: any but exactly zero."""
 MIN_LEVEL_REDUNDANCY = 0.05
 """Redundancy up to which a level or a reading counts as unchecked by the other observations."""
+
+
+def n_network_tests(recording: Recording) -> int:
+    """Number of tests of all stations together."""
+    return N_NETWORK_TESTS + bool(recording.gauge.distance)
 
 
 def adjust_for_check(recording: Recording, motions: Sequence[StationMotion]) -> Adjustment | LtsimError:
@@ -166,6 +173,7 @@ def network_items(
                 [motion.row for motion in adjustment_or_error.flagged_readings(uses_estimated_noise=True)],
             )
         items += [*_target_agreement_items(adjustment, is_explained, family), *_level_items(fitted, family)]
+        items += _length_items(fitted, family)
     return tuple(items)
 
 
@@ -225,4 +233,23 @@ def _level_items(fitted: Adjustment, family: HypothesisFamily) -> list[CheckItem
             verb = "agrees with" if p >= family.false_alarm_rate else "deviates from"
             sentence = f"{test.name}: its level {verb} the vertical of the other stations ({test.error_text})"
             items.append(CheckItem.from_test(test.name, "level", p >= family.false_alarm_rate, sentence, p))
+    return items
+
+
+def _length_items(fitted: Adjustment, family: HypothesisFamily) -> list[CheckItem]:
+    """Result of the test of the scale of the known lengths, or of a single length, against the distances.
+
+    The uncertainty includes the specification of the instrument. A rejected length or scale has an item already.
+    """
+    if any(test.kind in ("length", "scale") for test in fitted.rejected_references):
+        return []
+    tests = reference_tests(fitted.problem, fitted.solution, MIN_LENGTH_RESIDUAL)
+    lengths = [test for test in tests if test.kind == "length" and test.rank]
+    scales = [test for test in tests if test.kind == "scale" and test.rank] or lengths[:1]
+    items = []
+    for test in scales:
+        p = family.corrected_p_value(float(special.chdtrc(test.rank, test.chi2_drop)))
+        passed = p >= family.false_alarm_rate
+        agreement = f"{test.name}: agreement with the distances within noise and specification ({test.error_text})"
+        items.append(CheckItem.from_test("", "network", passed, agreement if passed else test.sentence, p))
     return items

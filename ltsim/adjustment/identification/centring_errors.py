@@ -1,8 +1,8 @@
 """Hypotheses of centring errors: random displacements of reflectors at one set-up, at all set-ups, or on one target.
 
-The displacements of the occupations have the prior N(0, s^2). The projection of the signature of unit displacements
-onto the residual space is Z, with the eigenvalues d_j and eigenvectors V of Z'Z. With the whitened residuals r and the
-scores z = V'Z'r, the log restricted likelihood ratio of the variance component s^2 is
+Each component of the displacement at an occupation has the prior N(0, s^2). The projection of the signature of unit
+displacements onto the residual space is Z, with the eigenvalues d_j and eigenvectors V of Z'Z. With the whitened
+residuals r and the scores z = V'Z'r, the log restricted likelihood ratio of the variance component s^2 is
 
     log L = sum_j [ z_j^2 s^2 / (1 + s^2 d_j) - log(1 + s^2 d_j) ] / 2.
 
@@ -33,7 +33,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.rotations import cross_matrix
+from ltsim.geometry.rigid import cross_matrix
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.physics.model.nuisances import CentringErrors
 from ltsim.recordings.centring_errors import CentringUncertainty
@@ -41,37 +41,38 @@ from ltsim.recordings.occupations import target_occupations
 from ltsim.recordings.recording import Recording
 
 MIN_OCCUPATIONS = 4
-"""Smallest number of occupations of a place for a test of centring errors; fewer single displacements explain as much.
+"""Smallest number of occupations of a place for a test of centring errors. Fewer occupations are explained as well by a
+separate displacement of each.
 """
 MIN_POINTINGS_PER_OCCUPATION = 1.5
-"""Smallest mean number of pointings per occupation for a test: displacements without repeats look like noise."""
+"""Smallest mean number of pointings per occupation for a test. Without repeated pointings, displacements look like
+noise."""
 MIN_OUTLIER_FRACTION = 0.25
-"""Fraction of pointings with an outlier at a place, above which displacements are also fitted with the rest of the
-network unchanged.
-"""
+"""Fraction of the pointings at a place that contain an outlier. Above this fraction, displacements of the place are
+also fitted to its readings with the rest of the network unchanged."""
 N_LOCAL_ITERATIONS = 4
-"""Number of Gauss-Newton iterations of the fit of displacements in an unchanged network; each multiplies the error by
-the ratio of displacement and range.
+"""Number of Gauss-Newton iterations of the fit of displacements in an unchanged network. Each iteration multiplies the
+error by about the displacement divided by the range.
 """
 MAX_CENTRING_ENTRIES = 3_000_000
-"""Largest number of matrix entries of all tested signatures (computing time); places with smaller residuals are not
-tested beyond this limit.
+"""Largest number of matrix entries of all tested signatures, which limits the computing time. Places are tested in the
+order of their residuals, the largest first, until this number is reached.
 """
 CENTRING_SIGMAS = np.geomspace(1e-6, 1.0, 241)
-"""Standard deviations [m] of centring errors whose likelihood is computed, in steps of 6 %: an estimate from a hundred
-components has a standard deviation of 7 %.
-"""
+"""Standard deviations [m] of centring errors whose likelihood is computed, in steps of 6 %. This is fine enough,
+because an estimate from a hundred components has a relative standard deviation of 7 %."""
 MAX_RELATIVE_LENGTH_SCATTER = 0.1
 """Scatter of the lengths of displacements, relative to their rms, up to which the lengths count as equal."""
 MAX_LENGTH_RATIO = 3.0
-"""Ratio of an estimated common length to the rms of the displacements, from which the length is rejected: any small
-displacements lie nearly on the surface of a much larger sphere.
+"""Ratio of an estimated common length to the rms length of the displacements, from which the estimate is rejected. Any
+small displacements lie nearly on the surface of a much larger sphere.
 """
 MIN_TARGETS_FOR_LENGTH = 10
-"""Number of targets from which a common length is estimated; the pose of the set-up and the length are seven unknowns.
+"""Smallest number of targets for the estimate of a common length. The pose of the set-up and the length are seven
+unknowns.
 """
 N_LENGTH_ITERATIONS = 30
-"""Number of Gauss-Newton iterations of the estimation of a common length."""
+"""Number of Gauss-Newton iterations of the estimate of a common length."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ class _CentringPlace:
 
 
 def centring_hypotheses(fit: NetworkFit, space: ResidualSpace) -> list[tuple[float, Hypothesis]]:
-    """Gains of log evidence and hypotheses of centring errors, in the linear approximation at a fit."""
+    """Pairs of a gain of log evidence and a hypothesis of centring errors, in the linear approximation at a fit."""
     places = _centring_places(fit.recording, space.used_readings)
     squares = np.zeros(space.used_readings.shape)
     squares[space.used_readings] = space.residuals[: int(space.used_readings.sum())] ** 2
@@ -102,8 +103,8 @@ def centring_hypotheses(fit: NetworkFit, space: ResidualSpace) -> list[tuple[flo
 def _gain_and_hypothesis(place: _CentringPlace, gain: float, sigma: float, n_places: int) -> tuple[float, Hypothesis]:
     """Gain of log evidence including the prior, and the hypothesis of centring errors at a place.
 
-    `gain` is without the prior, `sigma` [m] the standard deviation of the displacements, `n_places` the number of
-    places that share the prior probability.
+    `gain` is the gain without the prior, `sigma` [m] the standard deviation of the displacements, and `n_places` the
+    number of places that share the prior probability.
     """
     centring, prior = place.centring, log_prior_of("centring", n_places) + LOG_ODDS_OF_CENTRING
     change = CentringChange(centring.model_copy(update={"sigma_mm": sigma / MILLIMETRE}))
@@ -112,10 +113,10 @@ def _gain_and_hypothesis(place: _CentringPlace, gain: float, sigma: float, n_pla
 
 
 def local_centring_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
-    """Gains of log evidence and hypotheses of large centring errors, fitted with the rest of the network unchanged.
+    """Pairs of a gain of log evidence and a hypothesis of large centring errors.
 
-    The readings of large displacements were rejected as outliers, and large displacements are not linear. Only places
-    with many outliers are tested.
+    Large displacements are not linear, and their readings were rejected as outliers. They are therefore fitted to all
+    readings of a place with the rest of the network unchanged. Only places with many outliers are tested.
     """
     places = _centring_places(fit.recording, fit.problem_with_all_readings.used_readings)
     offers = []
@@ -127,14 +128,14 @@ def local_centring_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]
 
 
 def _local_gain(fit: NetworkFit, place: _CentringPlace, rows: Ints) -> tuple[float, float]:
-    """Gain of log evidence by the displacements of the reflectors at a place, and their standard deviation [m].
+    """Gain of log evidence by displacements of the reflectors at a place, and the standard deviation [m] of these.
 
-    The displacements are fitted by Gauss-Newton to the readings (`rows`) of each occupation. A rigid motion of all
-    displacements at a set-up is removed, because the pose of the set-up absorbs it.
+    `rows` are the pointings at the place. A displacement for each occupation is fitted to them by Gauss-Newton. At a
+    set-up a rigid motion of all displacements is removed, because the pose of the set-up absorbs it.
     """
     used, sigma = fit.problem_with_all_readings.used_readings[rows], fit.problem.sigma[rows]
-    sightings, of = fit.adjustment.sightings, place.occupation[rows]
-    first = np.unique(of, return_index=True)[1]
+    sightings = fit.adjustment.sightings
+    _, first, of = np.unique(place.occupation[rows], return_index=True, return_inverse=True)
     displacement = np.zeros((len(first), 3))
     residual = np.where(used, fit.residuals[rows], 0.0)
     for _ in range(N_LOCAL_ITERATIONS):
@@ -163,7 +164,7 @@ def _local_gain(fit: NetworkFit, place: _CentringPlace, rows: Ints) -> tuple[flo
 
 
 def _misfit_cost(fit: NetworkFit, whitened: Floats) -> float:
-    """Negative log evidence of whitened residuals (r,), each of which is normal noise or an outlier."""
+    """Negative log evidence of whitened residuals (r,), each taken as noise or as an outlier, whichever is smaller."""
     prior = log_prior_of("outlier", int(fit.problem_with_all_readings.used_readings.sum()))
     outlier = -log_occam_factor_of_shift(np.abs(whitened), 1) - prior
     return float(np.minimum(0.5 * whitened**2, outlier).sum())
@@ -196,7 +197,7 @@ class CentringEstimate(NamedTuple):
     """Most likely standard deviation of centring errors."""
 
     gain: float
-    """Gain of log evidence, without a prior of the hypothesis."""
+    """Gain of log evidence by the centring errors, without the prior probability of the hypothesis."""
     sigma: float
     """Standard deviation [m] of each component of a displacement."""
     n_determined: float
@@ -227,7 +228,7 @@ class CommonDisplacement(NamedTuple):
     """Common length of the displacements of all reflectors at a set-up, along the unknown normals of their nests."""
 
     length: float
-    """Length [m], positive away from the nests. A nest is assumed behind its target as seen from the set-up."""
+    """Length [m], positive away from the nests. As seen from the set-up, a nest is assumed to be behind its target."""
     sigma: float
     """Standard deviation of the length [m]."""
 
@@ -235,9 +236,9 @@ class CommonDisplacement(NamedTuple):
 def common_displacement(fit: NetworkFit, hypothesis: Hypothesis) -> CommonDisplacement | None:
     """Common length of the displacements of the reflectors at a set-up; None if the lengths differ.
 
-    The readings determine the displacements except for a rigid motion of the set-up, which its pose absorbs. This
-    motion is estimated together with the length. The start value neglects the rotation: displacements of equal length
-    then lie on a sphere.
+    The readings determine the displacements except for a rigid motion, which the pose of the set-up absorbs. This
+    motion is estimated together with the length. The start value neglects its rotation. Displacements of equal length
+    then lie on a sphere, which is fitted.
     """
     displacement = fit.estimate(hypothesis)[0].reshape(-1, 3)
     if len(displacement) < MIN_TARGETS_FOR_LENGTH or len(hypothesis.stations) != 1:

@@ -13,10 +13,12 @@ References
 Kass and Raftery, Bayes factors, J. Am. Stat. Assoc. 90 (1995) 773; Jeffreys, Theory of probability (1961), 3.1.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy import special
 
-from ltsim.core.arrays import Floats
+from ltsim.core.arrays import Bools, Floats
 
 SHIFT_SIZE_DECADES = 6.0
 """Width of the prior of the size of a shift, in decades: from 10 um to 10 m."""
@@ -57,6 +59,35 @@ def estimate_variance_factor(sum_of_squares: Floats, redundancy: Floats) -> tupl
     ratio = np.maximum(ratio, 10.0 ** (-2.0 * FACTOR_DECADES))  # exact readings have no noise to be estimated
     gain = 0.5 * (sum_of_squares - redundancy) - 0.5 * redundancy * np.log(ratio)
     return np.sqrt(ratio), np.where(is_sufficient, gain, 0.0)
+
+
+MAX_NOISE_SWEEPS = 10
+"""Largest number of sweeps over noise factors that act on common readings; each costs sums over the readings only."""
+NOISE_SWEEP_TOLERANCE = 0.01
+"""Relative change of a noise factor up to which the sweeps end; its standard deviation is larger with less than 5,000
+readings.
+"""
+
+
+def estimate_noise_factors(squares: Floats, redundancy: Floats, masks: Sequence[Bools]) -> Floats:
+    """Factors (n, 3) on the standard deviations of readings, products of one factor for each of several masks (n, 3).
+
+    Factors that act on common readings are estimated in turn, each given the others, until they no longer change.
+    `squares` (n, 3) are the squared residuals in units of the declared variance, `redundancy` (n, 3) the redundancy
+    numbers; both are 0 for readings not in use.
+    """
+    log_factors, factors = np.zeros(len(masks)), np.ones(squares.shape)
+    for _ in range(MAX_NOISE_SWEEPS):
+        before = log_factors.copy()
+        for i, mask in enumerate(masks):
+            others = np.where(mask, factors * np.exp(-log_factors[i]), factors)
+            sums = np.array([np.sum((squares / others**2)[mask]), np.sum(redundancy[mask])])
+            (factor,), _ = estimate_variance_factor(sums[:1], sums[1:])
+            log_factors[i] = np.log(factor)
+            factors = np.where(mask, others * factor, others)
+        if not np.abs(log_factors - before).max() > NOISE_SWEEP_TOLERANCE:
+            break
+    return factors
 
 
 def log_occam_factor_of_centring(covariance: Floats, sigma: float) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.identification.evidence import (
-    estimate_variance_factor,
+    estimate_noise_factors,
     log_occam_factor_of_centring,
     log_occam_factor_of_shift,
     log_occam_factor_of_variance,
@@ -33,8 +33,13 @@ from ltsim.adjustment.identification.resection import resect_contradicted_setups
 from ltsim.adjustment.identification.signatures import displacement_per_reading
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.adjustment.reference_tests import relax_exact_references
-from ltsim.adjustment.reference_values import ReferenceValue, ReferenceValueRows, common_scale, reference_values
+from ltsim.adjustment.reference_values import (
+    ReferenceValue,
+    ReferenceValueRows,
+    common_scale,
+    reference_values,
+    relax_exact_references,
+)
 from ltsim.adjustment.significance import MIN_FAR_RESIDUAL
 from ltsim.adjustment.snooping import MAX_TRACKER_ERROR, drop_undetermined, prediction_sigmas, snoop_readings
 from ltsim.adjustment.start import initial_network
@@ -102,8 +107,8 @@ class NetworkFit:
     @classmethod
     def far_references(
         cls, network: FitInput, hypotheses: Sequence[Hypothesis]
-    ) -> tuple[list[ReferenceValueRows], int]:
-        """Reference values with large residuals in a robust fit, and the number of all reference values.
+    ) -> tuple[list[ReferenceValueRows], int, NetworkState]:
+        """Reference values with large residuals in a robust fit, the number of all reference values, and the fit.
 
         Large means more than `MIN_FAR_RESIDUAL` robust standard deviations. An adjustment with such a value would
         distort the whole network.
@@ -113,7 +118,7 @@ class NetworkFit:
         state, residual = fit_robust_state(relaxed_problem, resect_contradicted_setups(relaxed_problem, start))
         limit = MIN_FAR_RESIDUAL * max(robust_sigma(residual[: int(problem.used_readings.sum())]), 1.0)
         values = [v for v in reference_values(problem, state) if v.kind != "mark"]
-        return [v for v in values if float(np.abs(residual[v.rows]).max()) > limit], len(values)
+        return [v for v in values if float(np.abs(residual[v.rows]).max()) > limit], len(values), state
 
     @classmethod
     def from_start(
@@ -122,13 +127,14 @@ class NetworkFit:
         hypotheses: Sequence[Hypothesis] = (),
         start_state: NetworkState | None = None,
         approximate_sightings: Sightings | None = None,
+        robust_state: NetworkState | None = None,
     ) -> NetworkFit | None:
         """Network fit with hypotheses; None if the fit does not converge or does not determine a shift.
 
-        The fit starts at `start_state`, by default at approximate coordinates from the recording. If
+        The fit starts at `start_state`, by default at the robust fit `robust_state` or at a new one. If
         `approximate_sightings` are given, the start values of the shifts are first subtracted from the readings.
         """
-        fit = cls._with_hypotheses(network, tuple(hypotheses), start_state, approximate_sightings)
+        fit = cls._with_hypotheses(network, tuple(hypotheses), start_state, approximate_sightings, robust_state)
         for _ in range(MAX_NOISE_ESTIMATES):
             revised = tuple(with_centring_sigma(h, fit.estimate) for h in fit.hypotheses)
             if revised == fit.hypotheses or not fit.solution.has_converged:
@@ -143,14 +149,14 @@ class NetworkFit:
         hypotheses: tuple[Hypothesis, ...],
         start_state: NetworkState | None,
         approximate_sightings: Sightings | None = None,
+        robust_state: NetworkState | None = None,
     ) -> NetworkFit:
         """Fit as in `from_start`, with the standard deviations of centring errors that the hypotheses contain."""
         is_first = start_state is None
         problem, start_state = cls._make_problem(network, hypotheses, start_state, approximate_sightings)
         if is_first:
-            start_state = resect_contradicted_setups(
-                problem, fit_robust_state(problem, resect_contradicted_setups(problem, start_state))[0]
-            )
+            resected = resect_contradicted_setups(problem, start_state)
+            start_state = resect_contradicted_setups(problem, robust_state or fit_robust_state(problem, resected)[0])
         full_problem = drop_undetermined(problem, start_state)
         fit = cls(network, hypotheses, full_problem, *snoop_readings(full_problem, start_state, MAX_OUTLIER_PASSES))
         if any(isinstance(h.model_change, NoiseFactor) for h in hypotheses):
@@ -242,16 +248,10 @@ class NetworkFit:
 
     def _estimated_sigmas(self) -> Floats:
         """Declared standard deviations (n, 3) [m, rad, rad] times the noise factors that the residuals imply."""
-        sigma = self.network.recording.sigma()
-        for h in self.hypotheses:
-            if isinstance(h.model_change, NoiseFactor):
-                chosen = h.model_change.reading_mask & self.problem.used_readings
-                squares = float(np.sum((self.residuals / sigma)[chosen] ** 2))
-                factor, _ = estimate_variance_factor(
-                    np.array(squares), np.array(float(np.nansum(self.redundancy[chosen])))
-                )
-                sigma = np.where(h.model_change.reading_mask, sigma * factor, sigma)
-        return sigma
+        declared, is_used = self.network.recording.sigma(), self.problem.used_readings
+        squares = np.where(is_used, self.residuals / declared, 0.0) ** 2
+        masks = [h.model_change.reading_mask for h in self.hypotheses if isinstance(h.model_change, NoiseFactor)]
+        return declared * estimate_noise_factors(squares, np.where(is_used, np.nan_to_num(self.redundancy), 0.0), masks)
 
     def without_distances(self, rows: Ints) -> NetworkFit | None:
         """New fit without the distances of some rows; None if the network needs these distances."""

@@ -32,7 +32,7 @@ from ltsim.adjustment.station_motions import UniformMotion
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.alignment import largest_residual
+from ltsim.geometry.rigid import largest_residual
 from ltsim.physics.effects.motions import station_design
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.smr_offset import SmrOffset
@@ -304,14 +304,15 @@ def _swapped_order(n_points: int, first_index: int, second_index: int) -> list[i
 
 
 def noise_hypotheses(fit: NetworkFit) -> Iterator[tuple[Hypothesis, Bools]]:
-    """Hypotheses that the noise of all readings, an observable, a target or a station differs from the declared noise.
+    """Hypotheses that the noise of all readings, an observable, the angles, a target or a station is not as declared.
 
     The second element of each pair is the mask (n, 3) of the affected readings.
     """
     recording = fit.recording
     full_mask = np.ones((len(recording), 3), dtype=bool)
     is_multiple = len(recording.stations) > 1
-    places = len(OBSERVABLES) + len(recording.targets) + is_multiple * len(recording.stations)
+    columns = {name: np.arange(3) == k for k, name in enumerate(OBSERVABLES)} | {"angles": np.arange(3) > 0}
+    places = len(columns) + len(recording.targets) + is_multiple * len(recording.stations)
 
     def noise(
         acts_on: str, stations: tuple[str, ...], targets: tuple[str, ...], n_rivals: int, rows: Bools
@@ -320,9 +321,9 @@ def noise_hypotheses(fit: NetworkFit) -> Iterator[tuple[Hypothesis, Bools]]:
         return Hypothesis("noise-level", acts_on, stations, targets, prior, NoiseFactor(rows))
 
     yield noise("noise", (), (), 1, full_mask), full_mask
-    for k, observable in enumerate(OBSERVABLES):
-        column = full_mask & (np.arange(3) == k)
-        yield noise(observable, (), (), places, column), column
+    for acts_on, is_column in columns.items():
+        readings = full_mask & is_column
+        yield noise(acts_on, (), (), places, readings), readings
     for t, name in enumerate(recording.targets):
         rows = full_mask & (recording.target == t)[:, None]
         if rows[:, 0].sum() >= MIN_POINTINGS_FOR_TARGET_NOISE:

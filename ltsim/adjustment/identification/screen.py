@@ -32,7 +32,8 @@ from ltsim.adjustment.identification.library import (
     shift_candidates,
 )
 from ltsim.adjustment.identification.local_shifts import LocalShift, fit_local_shifts
-from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests, relax_exact_references
+from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests
+from ltsim.adjustment.reference_values import relax_exact_references
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.sight import FitReadings
 from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY

@@ -205,16 +205,16 @@ def _initial_fit(network: FitInput) -> NetworkFit:
     These would distort the network too much for any other test.
     """
     corrections = convention_corrections(network.recording)
-    far, count = NetworkFit.far_references(network, corrections)
+    far, count, state = NetworkFit.far_references(network, corrections)
     if any(value.kind == "point" for value in far) and (names := coordinate_exchanges(network.recording)):
         corrections = [*corrections, *names]
-        far, count = NetworkFit.far_references(network, corrections)
+        far, count, state = NetworkFit.far_references(network, corrections)
     omitted = (
         omissions_of_values(network.recording, far)
         if MIN_REFERENCE_MAJORITY * len(far) <= max(count, MIN_REFERENCE_MAJORITY)
         else []
     )
-    fit = NetworkFit.from_start(network, (*corrections, *omitted))
+    fit = NetworkFit.from_start(network, (*corrections, *omitted), robust_state=None if omitted else state)
     if fit is None and (corrections or omitted):
         fit = NetworkFit.from_start(network)
     if fit is None:

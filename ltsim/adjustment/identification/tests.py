@@ -21,6 +21,7 @@ from ltsim.adjustment.identification.hypothesis import (
     ReferenceOmission,
     RowCorrection,
 )
+from ltsim.adjustment.identification.noise_words import estimated_noise_factor, noise_sentence
 from ltsim.adjustment.identification.nominal_offsets import usual_offset_text, usual_smr_text
 from ltsim.adjustment.identification.signatures import ReadingShift
 from ltsim.adjustment.significance import MIN_REPORTED_PROBABILITY
@@ -28,6 +29,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import ARCSECOND, MICRORADIAN, MILLIMETRE, PPM
 from ltsim.physics.effects.target_moved import TargetMoved
+from ltsim.physics.laws.centring import shared_errors_sentence
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
 
@@ -154,13 +156,6 @@ def reported_kind(fit: NetworkFit, hypothesis: Hypothesis) -> CauseKind:
     return hypothesis.kind
 
 
-def estimated_noise_factor(fit: NetworkFit, hypothesis: Hypothesis) -> float:
-    """Estimated factor on the declared standard deviations, of an accepted hypothesis about the noise."""
-    assert isinstance(hypothesis.model_change, NoiseFactor)
-    mask = hypothesis.model_change.reading_mask & fit.problem.used_readings
-    return float(np.median(fit.problem.sigma[mask] / fit.network.recording.sigma()[mask]))
-
-
 def _estimated_size(hypothesis: Hypothesis, values: Floats, covariance: Floats) -> dict[str, Any]:
     """Dictionary with the keys `estimate`, `sigma` and `unit` of a shift; the size of a vector is its length."""
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
@@ -216,11 +211,7 @@ def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     if isinstance(hypothesis.model_change, RowCorrection | CoordinateExchange):
         return hypothesis.name
     if isinstance(hypothesis.model_change, NoiseFactor):
-        factor = estimated_noise_factor(fit, hypothesis)
-        what = "the readings" if hypothesis.acts_on == "noise" else f"the readings of the {hypothesis.acts_on}"
-        of = f" {'from' if hypothesis.stations else 'to'} {at}" if at else ""
-        cure = "declare this noise in the set-up" if not at else "measure again, or correct the set-up"
-        return f"The standard deviation of {what}{of} is {factor:.2g} times the declared one: {cure}."
+        return noise_sentence(fit, hypothesis)
     if isinstance(hypothesis.model_change, ReferenceOmission):
         miss, unit, factor = _misclosure_and_unit(fit, hypothesis)
         plural = hypothesis.model_change.reference_value.kind == "point"
@@ -291,16 +282,13 @@ def _observable_sentence(fit: NetworkFit, hypothesis: Hypothesis, estimate: dict
 def _centring_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     """Sentence on centring errors at a set-up, on a target, or at all set-ups, with the size of the displacements."""
     assert isinstance(hypothesis.model_change, CentringChange)
-    size = f"{_number_text(float(f'{hypothesis.model_change.centring.sigma_mm:.2g}'))} mm (standard deviation)"
+    sigma = f"{_number_text(float(f'{hypothesis.model_change.centring.sigma_mm:.2g}'))} mm"
+    size = f"{sigma} (standard deviation)"
     if hypothesis.targets:
         what = f"The reflector on target {hypothesis.targets[0]} was displaced at random at each set-up"
         return f"{what}, by {size} along each axis: check its centring."
     if not hypothesis.stations:
-        return (
-            f"Repeated pointings of a target from one set-up share errors of {size} along each axis: "
-            "the reflectors were placed anew at each set-up (centring), or errors repeat in all rounds. "
-            "The repeats are not independent."
-        )
+        return shared_errors_sentence(sigma)
     at = hypothesis.stations[0]
     common = common_displacement(fit, hypothesis)
     if common is None:

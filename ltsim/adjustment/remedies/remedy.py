@@ -18,7 +18,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rotations import rotation_about_z
+from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Limits, Setup
@@ -93,7 +93,8 @@ ADVICE_SENTENCES = {
     "an independent measurement of the cause would",
     "cause": "an independent measurement of its cause",
     "determined": "{do} (gain {now:.2f} to {then:.2f})",
-    "determined already": "use the network method: it determines this from the same recording (gain {then:.2f})",
+    "network method": "use the network method: it determines this from the same recording",
+    "determined already": "{do} (gain {then:.2f})",
     "not determined": "no tested measurement determines it; reference points or a tighter specification may",
 }
 """Sentences of advice by the kind of measurement: what to do, and what it gives."""

@@ -8,6 +8,7 @@ with a gain below one half is undetermined: its prior is more precise than the r
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain, combinations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -133,10 +134,19 @@ def _basis_of_span(vectors: Floats) -> Floats:
     return basis
 
 
-def determining_sentences(
+class DeterminingMeasurement(NamedTuple):
+    """Measurement that determines an undetermined combination of parameters."""
+
+    instruction: str = ""
+    """Instruction to the user; empty if no measurement determines the combination."""
+    sentence: str = ""
+    """Sentence with the instruction and its benefit, or on its lack; empty if no measurement was sought."""
+
+
+def determining_measurements(
     adjustment: Adjustment, construction: Construction, directions: Sequence[Sequence[ParameterCombination]]
-) -> list[list[str]]:
-    """Sentences for each instrument on the measurements that determine its undetermined combinations.
+) -> list[list[DeterminingMeasurement]]:
+    """Measurements that determine the undetermined combinations of each instrument.
 
     The measurement is the first that increases the gain above one half, or else the one with the largest increase.
     `construction` has the parameters of the combinations; `directions` has the combinations of each instrument.
@@ -149,10 +159,17 @@ def determining_sentences(
     candidates = chain(
         cheap, return_remedies(network, 0.0, [0]), near_reflector_remedies(network)
     )  # the cheapest first
-    evaluated = [(r.instruction, _gains_of_combinations(r.network, directions)) for r in candidates]
+    evaluated = list[tuple[str, list[list[float]]]]()
+    open_combinations = {(i, k) for i, combinations in enumerate(directions) for k in range(len(combinations))}
+    for remedy in candidates:
+        gains = _gains_of_combinations(remedy.network, directions)
+        evaluated.append((remedy.instruction, gains))
+        open_combinations = {(i, k) for i, k in open_combinations if gains[i][k] < MIN_DETERMINED_GAIN}
+        if not open_combinations:
+            break
     return [
         [
-            _determining_sentence(d, present_gains[i][k], [(words, gain[i][k]) for words, gain in evaluated])
+            _determining_measurement(d, present_gains[i][k], [(words, gain[i][k]) for words, gain in evaluated])
             for k, d in enumerate(combinations)
         ]
         for i, combinations in enumerate(directions)
@@ -173,16 +190,18 @@ def _gains_of_combinations(
     ]
 
 
-def _determining_sentence(
+def _determining_measurement(
     direction: ParameterCombination, present_gain: float, remedies_with_gains: Sequence[tuple[str, float]]
-) -> str:
-    """Sentence on the measurement that determines one combination of parameters.
+) -> DeterminingMeasurement:
+    """Measurement that determines one combination of parameters.
 
     `remedies_with_gains` are instructions of possible measurements, each with the gain that it would give;
     `present_gain` is the present gain.
     """
     if present_gain >= MIN_DETERMINED_GAIN > direction.gain:
-        return advice_sentence("determined already", then=present_gain)
+        instruction = advice_sentence("network method")
+        sentence = advice_sentence("determined already", do=instruction, then=present_gain)
+        return DeterminingMeasurement(instruction, sentence)
     is_sufficient = [pair for pair in remedies_with_gains if pair[1] >= MIN_DETERMINED_GAIN]
     words, then = (
         is_sufficient[0]
@@ -190,5 +209,5 @@ def _determining_sentence(
         else max(remedies_with_gains, key=lambda pair: pair[1], default=("", present_gain))
     )
     if then - present_gain < MIN_WORTHWHILE_GAIN_INCREASE:
-        return advice_sentence("not determined")
-    return advice_sentence("determined", do=words, now=direction.gain, then=then)
+        return DeterminingMeasurement(sentence=advice_sentence("not determined"))
+    return DeterminingMeasurement(words, advice_sentence("determined", do=words, now=direction.gain, then=then))

@@ -75,3 +75,28 @@ BASELINE_EFFECTS = tuple(
 """Effects of the ordinary calibration: the 16 parameters of the geometric-misalignment model, including range zero and
 scale.
 """
+
+
+def _instrument_parameter_texts() -> dict[str, str]:
+    """Texts of the parameters of an ordinary calibration: titles of their effects, with the component if it has two."""
+    texts = {}
+    for effect in BASELINE_EFFECTS:
+        title = title_of(effect.name) if len(effect.parameters) > 1 else title_of(effect.name).removesuffix(" error")
+        for parameter in effect.parameters:
+            component = COMPONENT_TEXTS.get(parameter.name.removeprefix(effect.name).strip("-"), "")
+            texts[parameter.name] = f"{title} ({component})" if component else title
+    return texts
+
+
+COMPONENT_TEXTS = {"cos": "cosine", "sin": "sine", "lateral": "lateral", "vertical": "vertical"}
+"""Texts of the components of effects with two parameters, by the end of the parameter's name."""
+INSTRUMENT_PARAMETER_TEXTS = _instrument_parameter_texts()
+"""Texts of the names of an instrument's parameters."""
+
+
+def parameter_text(name: str) -> str:
+    """Text of the name of an effect's parameter, or ``NAME@INSTRUMENT``, for use within a sentence."""
+    name, _, instrument = name.partition("@")
+    words = [name] if "." in name else name.replace("_", " ").replace("-", " ").split()  # J1.eX_c is a symbol
+    text = INSTRUMENT_PARAMETER_TEXTS.get(name) or " ".join(COMPONENT_TEXTS.get(word, word) for word in words)
+    return f"{text} of {instrument}" if instrument else text

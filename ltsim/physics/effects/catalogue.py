@@ -78,6 +78,13 @@ class CatalogueEntry:
                 raise ModelError(f"the section {name} of the docstring is empty")
         return cls(title, cause, law, tuple(" ".join(part.split()) for part in sections))
 
+    @property
+    def confirming_measurement(self) -> str:
+        """First measurement of the section `Separate by`; empty if none is needed (`nothing`)."""
+        separating_text = dict(self.sections())["Separate by"]
+        measurement = re.split("[;:]", separating_text, maxsplit=1)[0].rstrip(".")
+        return "" if measurement.startswith("nothing") else measurement
+
     def sections(self) -> tuple[tuple[str, str], ...]:
         """Pairs (name, text) of the sections after the equation."""
         return tuple(zip(DOCSTRING_SECTIONS, self.section_texts, strict=True))

@@ -21,7 +21,8 @@ face 2. D_r, D_t, D_v are lengths along the beam, to its left and upward: Delta_
 d Delta_elevation.
 """
 
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from itertools import product
@@ -103,6 +104,20 @@ class Effect(CandidateEffect):
         grids = [[(s.name, float(v)) for v in s.grid()] for s in cls.shape_parameters]
         shapes: list[dict[str, Any]] = [dict(shape) for shape in product(*grids)]
         return [cls(**place, **shape) for place in places for shape in shapes]
+
+
+def effect_parameter_names(effects: Iterable[tuple[str, str, Sequence[str]]]) -> list[str]:
+    """Unique names of the parameters of effects, each given by its name, its place and the names of its parameters.
+
+    They are ``head-sag:sag``, ``head-sag:sag S2`` with a place, and ``head-sag:sag S2 #2`` for a second equal effect.
+    """
+    names, counts = list[str](), Counter[str]()
+    for effect_name, place_text, parameter_names in effects:
+        for parameter_name in parameter_names:
+            name = f"{effect_name}:{parameter_name} {place_text}".rstrip()
+            counts[name] += 1
+            names.append(f"{name} #{counts[name]}" if counts[name] > 1 else name)
+    return names
 
 
 @dataclass(frozen=True)

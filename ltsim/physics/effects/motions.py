@@ -6,8 +6,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.geometry.polar import to_face, to_polar, wrap_angle
-from ltsim.geometry.rigid import pose_design
-from ltsim.geometry.rotations import from_rotation_vector
+from ltsim.geometry.rigid import from_rotation_vector, pose_design
 from ltsim.physics.effects.effect import Effect, design_from_displacements
 from ltsim.physics.effects.signature import Linearisation, Signature
 from ltsim.scene.sightings import Sightings

@@ -1,4 +1,4 @@
-"""Centring errors as a change of the noise: one displacement of the reflector at each occupation of a target."""
+"""Centring errors as a form of noise: a random displacement of the reflector at each occupation of a target."""
 
 from __future__ import annotations
 
@@ -17,37 +17,53 @@ OCCUPATION_TEXTS: dict[Occupation, str] = {
     "target_setup": "at each occupation",
     "day": "each day",
 }
-"""Texts of the occupations of a target."""
+"""Phrases for users: when a reflector is placed on its target again, by the kind of occupation."""
+
+
+def shared_errors_sentence(size: str) -> str:
+    """Sentence on centring errors at all set-ups, with the text of the standard deviation of a displacement."""
+    return (
+        f"Repeated pointings of a target from one set-up share errors of {size} (standard deviation) along each axis: "
+        "the reflectors were placed anew at each set-up (centring), or errors repeat in all rounds. "
+        "The repeats are not independent."
+    )
 
 
 @dataclass(frozen=True)
 class CentringVariance(VarianceFunction):
     """Random displacement of the reflector at each occupation of a target, common to all pointings of the occupation.
 
-    It is no variance of single readings: the network estimates the displacements, with the standard deviation as prior.
+    The variance of single readings does not change. The adjustment estimates the displacements, and the standard
+    deviation of this hypothesis is their prior.
     """
 
     occupation: Occupation = "station"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Standard deviation of the displacements along each axis."""
+        """Only parameter: the standard deviation of the displacements along each axis."""
         return (Parameter("centring", "mm", "standard deviation of a displacement along each axis", MILLIMETRE),)
 
     @property
     def regressor_text(self) -> str:
-        """Regressor on which the displacement depends, as text."""
+        """Text of the regressor in reports: the displacement differs by occupation of the target."""
         return "occupation of the target"
 
     @property
     def text(self) -> str:
-        """Text of the change of the noise."""
+        """Description of the centring errors, for users."""
         return f"reflectors that are centred anew {OCCUPATION_TEXTS[self.occupation]}"
 
+    def sentence(self, size: str) -> str:
+        """Sentence on centring errors with the text of the standard deviation of a displacement."""
+        if self.occupation == "station":
+            return shared_errors_sentence(size)
+        return f"Centring errors: {self.text}, with a standard deviation of {size} along each axis."
+
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
-        """Variance (n, 3) of the readings without the displacements."""
+        """Variance (n, 3) of the three readings of n pointings: the declared one, without the displacements."""
         return sigma**2
 
     def uncertainty(self, sigma: float) -> CentringUncertainty:
-        """Declaration for the set-up of a recording, for a standard deviation [m]."""
+        """Declaration of the centring errors for `setup.toml`, with a standard deviation `sigma` [m]."""
         return CentringUncertainty(sigma_mm=sigma / MILLIMETRE, occupation=self.occupation)

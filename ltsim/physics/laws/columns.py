@@ -1,4 +1,4 @@
-"""Columns of regressors, with a row for each pointing and an rms of about one, and priors of their coefficients.
+"""Columns of regressors, with a row for each of n pointings and an rms of about one, and priors of their coefficients.
 
 A smooth curve is a Gaussian process of reduced rank in one covariate. Its columns are a linear function and the first
 eigenfunctions of the Laplacian on the covariate's range. The prior variances of the coefficients are the spectral
@@ -19,18 +19,22 @@ from ltsim.scene.sightings import Sightings
 
 CIRCULAR_COVARIATES = ("azimuth", "circle", "bearing", "nest-direction")
 """Names of the covariates that are angles on a full circle."""
-N_MODES_DEFAULT, N_MODES_FACTOR, N_MODES_FINE = 9, 4, 32
-"""Number of eigenfunctions of a smooth regressor in the refinement. At the shortest of its length scales the last
-eigenfunction has a tenth to a third of the prior deviation of the first."""
+N_MODES_DEFAULT = 9
+"""Number of eigenfunctions of a smooth curve in a search. At the shortest of its length scales the prior deviation of
+the last eigenfunction is a tenth to a third of that of the first."""
+N_MODES_FACTOR = 4
+"""Number of eigenfunctions of a smooth curve that is a factor of a product, or that a law of a single target has."""
+N_MODES_FINE = 32
+"""Number of eigenfunctions of the finer curve that is tried in place of a smooth curve of the selected law."""
 BASIS_HALF_WIDTH = 1.25
 """Width of the interval at whose ends all eigenfunctions are zero, divided by the width of the covariate's range. It is
-larger than 1 so that a curve need not be zero at the ends of the range.
+larger than 1 because a curve is not necessarily zero at the ends of the range.
 """
 LENGTH_SCALES = {N_MODES_DEFAULT: (0.9, 0.4, 0.18), N_MODES_FACTOR: (0.6,), N_MODES_FINE: (0.07,)}
-"""Length scales of the kernel by number of eigenfunctions, divided by half the covariate's range; in radians on a
-circle."""
+"""Length scales of the kernel by number of eigenfunctions, as fractions of half the covariate's range. For an angle on
+a full circle they are in radians."""
 MEMORY_PREFIXES = ("approach-", "move-", "last-", "work-", "wound-", "lapse")
-"""Prefixes of the names of covariates that depend on preceding pointings."""
+"""Prefixes of the names of covariates that depend on preceding pointings, such as `move-azimuth`."""
 SHORT_LAW_FUNCTIONS: dict[str, Callable[[Floats, float], Floats]] = {
     "power": lambda x, k: x**k,
     "abs": lambda x, k: np.abs(x),
@@ -48,26 +52,25 @@ SHORT_LAW_FUNCTIONS: dict[str, Callable[[Floats, float], Floats]] = {
     "within": lambda x, k: np.where(np.abs(x) < k, x, 0.0),
     "stuck": lambda x, k: np.where(np.abs(x) < k, np.sign(x), 0.0),
 }
-"""Functions of a covariate x and a constant k that a law may have, by name."""
+"""Functions of a covariate x with a constant k that the formula of a law may contain, by name."""
 PLAY_FUNCTION = "hysteresis"
-"""Name of the function with hysteresis. It depends on the values of a covariate in the order of measurement; its
-constant is half the width of the loop.
-"""
+"""Name of the function with hysteresis. It depends on the values of a covariate in the order of measurement. Its
+constant is half the width of the loop, in the unit of the covariate."""
 ZERO_FRACTION = 0.02
-"""Smallest absolute value of a covariate divided by its largest. Below it the covariate counts as a quantity that has
-reached its natural zero, such as a load."""
+"""Limit for the smallest absolute value of a covariate divided by the largest. Below it the covariate counts as a
+quantity, such as a load, that was zero during the measurement. Zero is then its reference value."""
 
 
 def has_natural_zero(covariate: Floats) -> bool:
-    """True for a covariate that comes close to zero, such as a load, whose zero is therefore taken as reference.
+    """True for a covariate (n,), such as a load, that comes close to zero. Its reference value is then zero.
 
-    Other covariates, such as a temperature, are centred on their mean.
+    The reference value of other covariates, such as a temperature, is their mean.
     """
     return bool(np.nanmin(np.abs(covariate)) < ZERO_FRACTION * np.nanmax(np.abs(covariate)))
 
 
 def scaled_to_unit_rms(column: Floats) -> Floats:
-    """Column (n, 1) divided by its rms; zeros are unchanged."""
+    """Column (n, 1) divided by its rms. A column of zeros is unchanged."""
     size = float(np.sqrt(np.mean(column**2)))
     return column / size if size > 0 else column
 
@@ -88,9 +91,10 @@ def _unit_phasors(phase: Floats, n_harmonics: int) -> NDArray[np.complex128]:
 
 
 def smooth_curve_columns(name: str, covariate: Floats, n_modes: int) -> Floats:
-    """Columns (n, k) of a smooth curve as a function of a covariate (n,).
+    """Columns (n, k) of a smooth curve as a function of the `covariate` (n,) with this `name`.
 
-    A linear function and `n_modes` eigenfunctions; Fourier waves for a covariate of `CIRCULAR_COVARIATES`.
+    The columns are a linear function and `n_modes` eigenfunctions. For one of `CIRCULAR_COVARIATES` they are the cosine
+    and sine of (n_modes + 1) // 2 multiples of the angle.
     """
     if name in CIRCULAR_COVARIATES:
         return fourier_columns(covariate, (n_modes + 1) // 2)
@@ -105,9 +109,10 @@ def smooth_curve_columns(name: str, covariate: Floats, n_modes: int) -> Floats:
 
 @cache
 def smooth_curve_sigmas(is_circular: bool, n_modes: int) -> tuple[Floats, ...]:
-    """Prior standard deviations (k,) of the coefficients of a smooth curve, one array per length scale.
+    """Prior standard deviations (k,) of the k coefficients of a smooth curve, one array per length scale.
 
-    For curves that are not on a circle the last array is that of a random walk, unless `n_modes` is `N_MODES_FACTOR`.
+    Unless the covariate is an angle on a circle or `n_modes` is `N_MODES_FACTOR`, a last array is the prior of a random
+    walk.
     """
     spreads = []
     if is_circular:
@@ -121,7 +126,7 @@ def smooth_curve_sigmas(is_circular: bool, n_modes: int) -> tuple[Floats, ...]:
 
 
 def function_column(sightings: Sightings, covariate: str, function_name: str, constant: float) -> Floats:
-    """Column (n, 1) of a named function of a covariate with a constant, with an rms of one."""
+    """Column (n, 1) of a function of `SHORT_LAW_FUNCTIONS`, or with hysteresis, of a covariate, with an rms of one."""
     x = sightings.quantities[covariate]
     if function_name == PLAY_FUNCTION:
         slack = play_operator(x[sightings.measurement_order], constant)
@@ -142,20 +147,20 @@ def play_operator(values: Floats, slack: float) -> Floats:
     operator of mechanical hysteresis (Krasnosel'skii and Pokrovskii, Systems with hysteresis, 1989).
     """
     output = np.empty_like(values)
-    now = float(values[0]) if len(values) else 0.0
+    present_value = float(values[0]) if len(values) else 0.0
     for i, value in enumerate(values.tolist()):
-        now = min(max(now, value - slack), value + slack)
-        output[i] = now
+        present_value = min(max(present_value, value - slack), value + slack)
+        output[i] = present_value
     return output
 
 
 def linear_field_columns(
     sightings: Sightings, names: Sequence[str], centre_targets: Sequence[str], *, is_quadratic: bool
 ) -> Floats:
-    """Columns of a field that varies across the hall: a constant and three scaled coordinates, (n, 4).
+    """Columns (n, 4) of a quantity that varies across the hall: a constant and three scaled coordinates.
 
-    If `is_quadratic`, also the products of the coordinates, (n, 10). The coordinates are the covariates `names`,
-    relative to the mean over pointings to `centre_targets`, by default to all targets.
+    If `is_quadratic`, six products of two coordinates are added, and the shape is (n, 10). The coordinates are the
+    covariates `names` minus their mean over the pointings to `centre_targets`, by default to all targets.
     """
     place = np.stack([sightings.quantities[name] for name in names], axis=1)
     ids = [i for name in centre_targets for i in sightings.target_indices[name]]
@@ -169,35 +174,41 @@ def linear_field_columns(
 
 
 def first_order_lag(sightings: Sightings, covariate: str, time_constant: float) -> Floats:
-    """Columns (n, 2): a covariate after a first-order lag with a time constant [s], and the covariate minus this."""
+    """Columns (n, 2) of a covariate with a lag: the covariate after a first-order lag, and its difference from that.
+
+    `time_constant` is in seconds.
+    """
     x = sightings.quantities[covariate]
     x = np.abs(x) if covariate.startswith(MEMORY_PREFIXES) else x - x.mean()
-    slow = lagged_values(x, sightings, time_constant)
-    return np.hstack([scaled_to_unit_rms(slow[:, None]), scaled_to_unit_rms((x - slow)[:, None])])
+    lagged = lagged_values(x, sightings, time_constant)
+    return np.hstack([scaled_to_unit_rms(lagged[:, None]), scaled_to_unit_rms((x - lagged)[:, None])])
 
 
-def lagged_values(x: Floats, sightings: Sightings, memory: float) -> Floats:
-    """Values (n,) of a quantity (n,) after a first-order lag with time constant `memory` [s].
+def lagged_values(values: Floats, sightings: Sightings, time_constant: float) -> Floats:
+    """Values (n,) of a quantity after a first-order lag with `time_constant` [s], from its values (n,) without lag.
 
     Before the first pointing the quantity counts as constant.
     """
     rows = sightings.measurement_order
-    share = -np.expm1(-np.diff(sightings.time[rows], prepend=sightings.time[rows[0]]) / memory)
-    slow = np.empty_like(x)
-    now = float(x[rows[0]])
-    for row, value, gain in zip(rows.tolist(), x[rows].tolist(), share.tolist(), strict=True):
-        now += gain * (value - now)
-        slow[row] = now
-    return slow
+    share = -np.expm1(-np.diff(sightings.time[rows], prepend=sightings.time[rows[0]]) / time_constant)
+    lagged = np.empty_like(values)
+    present_value = float(values[rows[0]])
+    for row, value, gain in zip(rows.tolist(), values[rows].tolist(), share.tolist(), strict=True):
+        present_value += gain * (value - present_value)
+        lagged[row] = present_value
+    return lagged
 
 
 def group_means(columns: Floats, groups: Ints) -> Floats:
-    """Mean (n, k) of columns (n, k) over all pointings of the same group; `groups` (n,) are their indices."""
+    """Mean (n, k) of `columns` (n, k) over all pointings of the same group. `groups` (n,) are the indices of groups."""
     is_member = indicator_columns(groups, np.unique(groups)) > 0
     means: Floats = is_member @ ((is_member.T @ columns) / is_member.sum(axis=0)[:, None])
     return means
 
 
-def indicator_columns(group_indices: Ints, ids: Ints | Sequence[int]) -> Floats:
-    """Indicator columns (n, k): 1 for pointings whose group index (n,) equals the index of the column (k,), else 0."""
-    return (group_indices[:, None] == np.asarray(ids)).astype(np.float64)
+def indicator_columns(group_indices: Ints, column_groups: Ints | Sequence[int]) -> Floats:
+    """Indicator columns (n, k) of k groups: 1 for the pointings of the group of the column, and 0 for all others.
+
+    `group_indices` (n,) are the groups of the pointings, `column_groups` (k,) those of the columns.
+    """
+    return (group_indices[:, None] == np.asarray(column_groups)).astype(np.float64)

@@ -1,4 +1,4 @@
-"""Empirical law: an observable or constant that depends on a regressor at some stations or targets.
+"""Empirical law: a reading or a constant of the instrument that is a function of a regressor, at some places.
 
 Laws have the same interface as the physical effects of the catalogue.
 """
@@ -38,7 +38,7 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 MAX_INDEPENDENT_TARGETS = 12
-"""Largest number of targets in a group for which a law with separate motions of the targets is tried."""
+"""Largest number of targets in a group for which a search also tries a law with a separate motion of each target."""
 FACE_SIGN_REGRESSOR = scalar_regressor("face", "power")
 """Regressor with the sign of the face, +1 or -1. An elevation error proportional to it is an error of the vertical
 index.
@@ -46,26 +46,26 @@ index.
 MAX_PIECE_POSITIONS = 41
 """Largest number of values of a covariate at which a search tries steps and ramps."""
 PER_SETUP_RESPONSE_KINDS = ("reading", "instrument", "circle", "stand")
-"""Kinds of responses whose errors may have different sizes in different set-ups."""
+"""Kinds of responses for which a law may have separate coefficients in each set-up."""
 MAX_SWITCH_EDGES = 60
 """Largest number of values of a covariate at which a search lets a switch turn on or off."""
 MAX_REFINED_PIECES = 4
-"""Largest number of steps and ramps of a law up to which a local search moves them."""
+"""Largest number of steps and ramps in a law that a local search moves. It leaves a law with more of them unchanged."""
 PIECE_MOVE_GAPS = 6
 """Largest number of gaps between values of the covariate by which a local search moves a step or ramp. It is also the
-smallest number of gaps between two steps, because a few pointings do not determine a law."""
+smallest number of gaps between two steps, because a few pointings do not determine the size of a step."""
 MAGNITUDE_SEARCH_FUNCTIONS = (
     *("decay", "fading", "relaxing", "saturated", "lagging", "hysteresis", "saw", "slack", "within", "stuck"),
     *(TIME_DECAY_FUNCTION, POINTING_DECAY_FUNCTION),
 )
-"""Functions, and kinds of regressors, whose constant a local search multiplies by fixed factors."""
+"""Names of functions, and of kinds of regressors, whose positive constant a local search multiplies by 0.6 to 1.7."""
 LATCH_THRESHOLD_STEPS = np.array([-0.06, -0.02, 0.02, 0.06])
 """Changes of the thresholds of a latch that a local search tries, as fractions of the covariate's span."""
 
 
 @dataclass(frozen=True)
 class EmpiricalLaw(CandidateEffect):
-    """Empirical law: an observable or constant (response) that depends on a regressor, at some places or everywhere."""
+    """Empirical law: a response (a reading or a constant) that is a function of a regressor, at some places or all."""
 
     stations: tuple[str, ...] = ()
     """Names of the stations at which the law acts; empty for all."""
@@ -78,29 +78,31 @@ class EmpiricalLaw(CandidateEffect):
     instruments: tuple[str, ...] = ()
     """Names of the instruments at which the law acts; empty for all."""
     scale_index: int = 0
-    """Index of the length scale of a smooth regressor, or of the size scale of the response."""
+    """Index of the prior of the coefficients in `Regressor.coefficient_sigmas`: one for each length scale of a curve.
+    """
     is_per_setup: bool = False
     """True if each set-up has separate coefficients."""
     direction: tuple[float, ...] = ()
-    """Fixed ratio of the c components of the response: unit vector (c,), or (c S,) for S separate set-ups.
+    """Fixed ratio of the c components of the response, as a unit vector (c,).
 
-    All components then share one set of coefficients. If it is empty, each component has separate coefficients.
+    All components then share one set of coefficients. If S set-ups are separate, the ratio has c S elements. An empty
+    ratio means that each component has separate coefficients.
     """
 
     name = "unknown"
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Coefficients with priors, one per component of the response, separate set-up and column of the regressor."""
+        """Coefficients with their priors, one per component of the response and regressor column (and set-up)."""
         spread = self.regressor.coefficient_sigmas[self.scale_index] * self.response.plausible_size
-        spreads = spread * np.sqrt(self.components) if self.direction else np.tile(spread, self.components)
+        spreads = spread * np.sqrt(self.n_components) if self.direction else np.tile(spread, self.n_components)
         return tuple(
             Parameter(f"coefficient {i + 1}", self.response.display_unit, "coefficient", float(s))
             for i, s in enumerate(spreads)
         )
 
     @property
-    def components(self) -> int:
+    def n_components(self) -> int:
         """Number of components of the response, times the number of set-ups if they have separate coefficients."""
         return len(self.response.component_names) * (len(self.stations) if self.is_per_setup else 1)
 
@@ -115,7 +117,7 @@ class EmpiricalLaw(CandidateEffect):
         return self.regressor.covariate_labels
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, k) of the raw readings per unit of each coefficient."""
+        """Change (n, 3, k) of the three raw readings of n pointings per unit of each of k coefficients."""
         derivatives = self.change_along_direction(RESPONSES_BY_NAME[self.response.name][1](sightings), sightings)
         design: Floats = derivatives[:, :, :, None] * self.columns(sightings)[:, None, None, :]
         return design.reshape(len(sightings), 3, -1)
@@ -123,17 +125,18 @@ class EmpiricalLaw(CandidateEffect):
     def change_along_direction(
         self, component_changes: Floats, sightings: Sightings, rows: Ints | None = None
     ) -> Floats:
-        """Change (r, ..., 1) of readings per unit along `direction`, from the changes (r, ..., c) by each component.
+        """Change (r, ..., 1) of the readings of r pointings per unit of the common coefficient of all components.
 
-        Without a direction these are returned. `rows` (r,) are the indices of the pointings, by default all in order.
+        `component_changes` (r, ..., c) are the changes per unit of each of c components, which `direction` combines.
+        A law without a direction returns them unchanged. `rows` (r,) are the indices of the pointings, by default all.
         """
         if not self.direction:
             return component_changes
         ratios = np.reshape(self.direction, (len(self.response.component_names), -1)).T
         if self.is_per_setup:
-            at = np.full(len(sightings.station_names), -1)
-            at[[sightings.station_names.index(name) for name in self.stations]] = np.arange(len(self.stations))
-            which = at[sightings.station if rows is None else sightings.station[rows]]
+            position = np.full(len(sightings.station_names), -1)
+            position[[sightings.station_names.index(name) for name in self.stations]] = np.arange(len(self.stations))
+            which = position[sightings.station if rows is None else sightings.station[rows]]
             ratios = np.where(which[:, None] >= 0, ratios[which], 0.0)
         along: Floats = np.einsum(
             "r...c,rc->r...", component_changes, np.broadcast_to(ratios, (len(component_changes), ratios.shape[1]))
@@ -141,17 +144,16 @@ class EmpiricalLaw(CandidateEffect):
         return along[..., None]
 
     def columns(self, sightings: Sightings) -> Floats:
-        """Columns (n, k) of the regressor at each pointing, zero at places where the law does not act.
+        """Columns (n, k) of the regressor at n pointings, zero at places where the law does not act.
 
-        If S set-ups have separate coefficients and no `direction`, there are k columns for each, (n, S k).
+        If S set-ups have separate coefficients and no `direction`, each has k columns, and the shape is (n, S k).
         """
         columns = self.regressor.columns(sightings, acts_on_targets=self.response.kind == "target")
         columns = columns * self.row_weights(sightings)[:, None]
         if not self.is_per_setup or self.direction:
             return columns
-        is_at_setup = indicator_columns(
-            sightings.station, [sightings.station_names.index(name) for name in self.stations]
-        )
+        setup_indices = [sightings.station_names.index(name) for name in self.stations]
+        is_at_setup = indicator_columns(sightings.station, setup_indices)
         return (is_at_setup[:, :, None] * columns[:, None, :]).reshape(len(sightings), -1)
 
     @property
@@ -160,7 +162,7 @@ class EmpiricalLaw(CandidateEffect):
         return self.regressor.region is not None
 
     def without_switch(self) -> EmpiricalLaw:
-        """Law without the switch that limits a region to a part of the time; the law itself if it has none."""
+        """Law whose region of the hall acts all the time, not only between two times; the law itself if it does so."""
         first, *others = self.regressor.factors or (self.regressor,)
         gated = first.region is not None and [f.kind for f in others] == ["switch"]
         return replace(self, regressor=first) if gated else self
@@ -172,7 +174,7 @@ class EmpiricalLaw(CandidateEffect):
 
     @property
     def hall_axes(self) -> str:
-        """Axes of the coordinates of `source_position`."""
+        """Axes of the coordinates of `source_position`, such as `xy`."""
         return self.regressor.hall_region.bounded_axes if self.regressor.hall_region else ""
 
     def centred_at(self, centre: tuple[float, ...]) -> EmpiricalLaw:
@@ -192,11 +194,11 @@ class EmpiricalLaw(CandidateEffect):
         if self._movable_steps is not None:
             return self._with_moved_pieces(sightings, self._movable_steps)
         if regressor.hall_region is not None:
-            near = any(f.kind == "near" for f in (regressor, *regressor.factors))
-            moved = [
-                r for r in regressor.hall_region.neighbours() if not near or contains_several_targets(r, sightings)
+            is_near = any(f.kind == "near" for f in (regressor, *regressor.factors))
+            neighbours = [
+                r for r in regressor.hall_region.neighbours() if not is_near or contains_several_targets(r, sightings)
             ]
-            return [replace(self, regressor=regressor.with_region(region)) for region in moved]
+            return [replace(self, regressor=regressor.with_region(region)) for region in neighbours]
         if regressor.function in MAGNITUDE_SEARCH_FUNCTIONS or regressor.kind in MAGNITUDE_SEARCH_FUNCTIONS:
             sizes = [regressor.constant * scale for scale in (0.6, 0.8, 1.25, 1.7)]
             return [replace(self, regressor=replace(regressor, constant=size)) for size in sizes]
@@ -217,9 +219,9 @@ class EmpiricalLaw(CandidateEffect):
     @property
     def _movable_steps(self) -> Regressor | None:
         """Steps, ramps or switch that a local search moves; None if there are none, or if it moves a region instead."""
-        several = [f for f in (self.regressor, *self.regressor.factors) if f.kind in ("pieces", "switch")]
-        few = [f for f in several if f.kind == "switch" or len(f.factors) <= MAX_REFINED_PIECES]
-        return few[0] if few and self.regressor.hall_region is None else None
+        step_factors = [f for f in (self.regressor, *self.regressor.factors) if f.kind in ("pieces", "switch")]
+        movable_factors = [f for f in step_factors if f.kind == "switch" or len(f.factors) <= MAX_REFINED_PIECES]
+        return movable_factors[0] if movable_factors and self.regressor.hall_region is None else None
 
     def _with_moved_pieces(self, sightings: Sightings, steps: Regressor) -> list[EmpiricalLaw]:
         """Laws with one step or ramp moved to another gap between values of the covariate, or with another lag."""
@@ -233,8 +235,8 @@ class EmpiricalLaw(CandidateEffect):
                     and np.abs(np.delete(gaps, i) - k).min(initial=PIECE_MOVE_GAPS) >= PIECE_MOVE_GAPS
                 ):
                     moved = replace(piece, constant=float(0.5 * (x[k - 1] + x[k])))
-                    made = replace(steps, factors=(*steps.factors[:i], moved, *steps.factors[i + 1 :]))
-                    laws.append(self._with_factor(steps, made))
+                    regressor = replace(steps, factors=(*steps.factors[:i], moved, *steps.factors[i + 1 :]))
+                    laws.append(self._with_factor(steps, regressor))
         return laws + [self._with_factor(steps, replace(steps, constant=time)) for time in _other_lags(steps)]
 
     def _with_factor(self, old_factor: Regressor, new_factor: Regressor) -> EmpiricalLaw:
@@ -261,7 +263,7 @@ class EmpiricalLaw(CandidateEffect):
         return [replace(self, regressor=regressor, scale_index=0) for regressor in products]
 
     def candidate_forms(self, sightings: Sightings) -> dict[str, list[list[EmpiricalLaw]]]:
-        """Alternative forms of the law by kind, each a list of laws that differ in the length scale only."""
+        """Alternative forms of the law by kind (`curve`, `formula`): lists of laws that differ in the length scale."""
         regressor, forms = self.regressor, {"curve": [self], "formula": self.candidate_formulas(sightings)}
         if regressor.kind == "smooth":
             n_modes = N_MODES_FINE if regressor.constant > N_MODES_FACTOR else N_MODES_DEFAULT
@@ -277,7 +279,7 @@ class EmpiricalLaw(CandidateEffect):
         }
 
     def candidate_pieces(self, sightings: Sightings) -> list[Regressor]:
-        """Single steps and ramps, from which a sum may replace the smooth regressor of this law."""
+        """Single steps and ramps at gaps between values of the covariate. Sums of them may replace a curve."""
         curved = [f for f in (self.regressor, *self.regressor.factors) if f.kind == "smooth"]
         if len(curved) != 1:
             return []
@@ -289,25 +291,25 @@ class EmpiricalLaw(CandidateEffect):
 
     def with_pieces(self, steps: Sequence[Regressor]) -> EmpiricalLaw:
         """Copy of the law with a sum of steps and ramps in place of its smooth regressor."""
-        made, regressor = piecewise_regressor(steps), self.regressor
+        pieces, regressor = piecewise_regressor(steps), self.regressor
         if regressor.kind == "product":
-            made = replace(regressor, factors=tuple(made if f.kind == "smooth" else f for f in regressor.factors))
-        return replace(self, regressor=made, scale_index=0)
+            pieces = replace(regressor, factors=tuple(pieces if f.kind == "smooth" else f for f in regressor.factors))
+        return replace(self, regressor=pieces, scale_index=0)
 
     @property
     def switched_factor(self) -> Regressor | None:
-        """Regressor, or factor depending on time, that a switch of its covariate may replace; None if there is none."""
+        """Curve or wave that a switch of its covariate may replace: the regressor or a factor of time. None without."""
         if self.regressor.kind in ("smooth", "wave"):
             return self.regressor
-        replaced = (f for f in self.regressor.factors if f.kind in ("smooth", "wave") and f.covariates == ("time",))
-        return next(replaced, None) if self.regressor.kind == "product" else None
+        curves = (f for f in self.regressor.factors if f.kind in ("smooth", "wave") and f.covariates == ("time",))
+        return next(curves, None) if self.regressor.kind == "product" else None
 
     def candidate_switch_times(self, sightings: Sightings) -> list[Regressor]:
-        """Steps at the values of the covariate where a switch may turn on or off; times for a law of a region."""
-        replaced = self.switched_factor
-        if replaced is None and not self.depends_on_fixed_region:
+        """Single steps of a covariate at which a switch may turn on or off; of time for a law of a region."""
+        curve = self.switched_factor
+        if curve is None and not self.depends_on_fixed_region:
             return []
-        name = replaced.covariates[0] if replaced else "time"
+        name = curve.covariates[0] if curve else "time"
         x = np.unique(sightings.quantities[name][self.row_weights(sightings) > 0])
         x = x[np.unique(np.linspace(0, len(x) - 1, MAX_SWITCH_EDGES).round().astype(int))]
         return [scalar_regressor(name, "step", float(edge)) for edge in 0.5 * (x[1:] + x[:-1])]
@@ -321,7 +323,7 @@ class EmpiricalLaw(CandidateEffect):
         return replace(self, regressor=self._regressor_with_gate(switch_regressor(edges)), scale_index=0)
 
     def _regressor_with_gate(self, gate: Regressor) -> Regressor:
-        """Regressor with `gate` (steps or a switch) in place of `switched_factor`; a region's is multiplied by it."""
+        """Regressor with `gate` (steps or a switch) in place of its switched factor, or times `gate` for a region."""
         if self.depends_on_fixed_region:
             return Regressor("product", factors=(self.regressor, gate))
         others = [f for f in self.regressor.factors if f != self.switched_factor]
@@ -330,8 +332,8 @@ class EmpiricalLaw(CandidateEffect):
     def equivalent_index_law(self, sightings: Sightings) -> EmpiricalLaw:
         """Law of the vertical index that is equivalent to this law of the elevation; the law itself if there is none.
 
-        A law is equivalent if its error changes sign with the face. With readings on one face only, it is equivalent if
-        it depends on time or on columns of the recording alone.
+        Both are equivalent if the error of the elevation changes sign with the face. If all readings are on one face,
+        they are equivalent if the law depends only on time or on additional columns of the recording.
         """
         if self.response.name != "elevation":
             return self
@@ -346,7 +348,7 @@ class EmpiricalLaw(CandidateEffect):
         return replace(self, response=index, regressor=rest[0]) if is_index else self
 
     def per_setup(self, sightings: Sightings) -> EmpiricalLaw | None:
-        """Law with separate coefficients for each set-up; None for laws for which this is not defined."""
+        """Law with separate coefficients for each set-up; None if the law is limited to places, or is a product."""
         stations = tuple(sightings.station_names)
         is_restricted = len(self.stations) > 1 or self.targets or self.instruments
         is_unsuitable = (
@@ -361,9 +363,10 @@ class EmpiricalLaw(CandidateEffect):
     ) -> tuple[EmpiricalLaw, Floats, Floats, Floats]:
         """Law restricted to the set-up where its effect is largest, with its main direction and coefficients there.
 
-        Returns the law, the unit vector (c,) of the direction with the largest effect, the coefficients (c, k) of its c
-        components and k columns, and their covariance (c, k, c, k). For components with different units the direction
-        is one of the components. `mean` and `covariance` are those of all coefficients of this law [SI].
+        The tuple contains the law, the main direction, the coefficients and their covariance. The main direction is the
+        unit vector (c,) of the c components along which the effect is largest, or one component if their units differ.
+        The coefficients have the shape (c, k) for k columns, and their covariance the shape (c, k, c, k). `mean` and
+        `covariance` are those of all coefficients of this law [SI].
         """
         n_components, k = len(self.response.component_names), self.regressor.n_columns
         if self.direction:
@@ -383,17 +386,14 @@ class EmpiricalLaw(CandidateEffect):
         moved = columns[law.row_weights(sightings) > 0] @ means[:, largest].T
         moved = moved - moved.mean(axis=0) if self.regressor.kind != "constant" else moved
         main_direction = np.linalg.svd(moved, full_matrices=False)[2][0]
-        main_direction = (
-            np.eye(n_components)[np.argmax(np.sum(moved**2, axis=0))]
-            if self.response.component_units
-            else main_direction
-        )
+        if self.response.component_units:
+            main_direction = np.eye(n_components)[np.argmax(np.sum(moved**2, axis=0))]
         main_direction = main_direction * np.sign(main_direction[np.argmax(np.abs(main_direction))])
         return law, main_direction, means[:, largest], spread[:, largest, :, :, largest, :]
 
 
 def _other_lags(steps: Regressor) -> list[float]:
-    """Time constants [s] that a local search tries for the lag of a switch in time; empty for other regressors."""
+    """Lags [s] that a local search tries for a switch in time, in place of its lag; empty for other regressors."""
     if steps.kind != "switch" or steps.covariates != ("time",):
         return []
     return [0.0, *(steps.constant * s for s in (0.6, 1.7))] if steps.constant else list(LAG_TIME_CONSTANTS)

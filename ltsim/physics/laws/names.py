@@ -11,16 +11,21 @@ CATALOGUE_NAMES = {
     ("distance", "incidence"): "smr-incidence",
 }
 """Catalogue effect by response and covariate, for laws with an equivalent in the catalogue."""
+NAMED_FUNCTIONS = ("decay", "power", "sin", "cos", "tan")
+"""Functions of a covariate that have the name of the catalogue effect: the sine, cosine or tangent of an angle differ
+from its powers by less than an effect of the catalogue does from one instrument to the next.
+"""
 TIME_FUNCTIONS_OF_MOVED_TARGET = ("step", "power", "decay")
 """Functions of time that describe a target's position in the effect `target-moved`: a step, steady or decaying
 motion."""
 CIRCLE_RESPONSES = {"azimuth": ("azimuth",), "elevation": ("elevation", "vertical index")}
-"""Names of the responses that an error of the graduation changes, by circle."""
+"""Names of the responses that an error of a circle's graduation changes, by circle."""
 MIN_HARMONIC_PERIODS_PER_TURN = 2.5
-"""Periods per turn above which a wave in the angle of a circle is called a harmonic. The ordinary calibration contains
-waves with one and two periods per turn."""
+"""Number of periods per turn above which a wave in the angle of a circle is called a harmonic. The ordinary calibration
+already contains waves with one and two periods per turn."""
 MIN_GRADUATION_PERIODS_PER_TURN = 20.0
-"""Periods per turn above which a wave in the angle of a circle is called an interpolation error of the encoder."""
+"""Number of periods per turn above which a wave in the angle of a circle is called an interpolation error of the
+encoder. Below it the wave is a harmonic."""
 
 
 def catalogue_name(law: EmpiricalLaw) -> str:
@@ -50,7 +55,7 @@ def catalogue_name(law: EmpiricalLaw) -> str:
     name = CATALOGUE_NAMES.get((response_name, "".join(regressor.covariates)), law.name)
     if law.instruments and name == "refractivity-drift":  # all instruments share the air
         return law.name
-    return name if regressor.function in ("decay", "power") else law.name
+    return name if regressor.function in NAMED_FUNCTIONS else law.name
 
 
 def _is_step_or_creep(regressor: Regressor) -> bool:

@@ -14,10 +14,11 @@ from ltsim.scene.sightings import Sightings
 NEIGHBOUR_GROUP_SIZES = (3, 6)
 """Numbers of nearest neighbours with which a target forms a candidate group."""
 HEIGHT_WEIGHT = 5.0
-"""Weight of heights in the clustering of targets by height and surface. A difference of a fifth of the hall's extent
-then counts as much as normals that differ by 60 deg."""
+"""Factor on heights in the clustering of targets by height and surface. With it, a height difference of a fifth of the
+hall's extent is as large a distance as an angle of 60 deg between the normals of two nests."""
 MIN_GROUP_TARGETS = 3
-"""Smallest number of targets in a group, and smallest number of targets that are not in it."""
+"""Smallest number of targets in a group, and smallest number of targets outside the group. Other groups are not tried.
+"""
 
 
 @dataclass(frozen=True)
@@ -31,12 +32,12 @@ class LawPlace:
     instruments: tuple[str, ...] = ()
 
 
-def rows_by_name(names: Sequence[str], members: Ints) -> Iterator[tuple[str, Ints]]:
+def rows_by_name(names: Sequence[str], group_indices: Ints) -> Iterator[tuple[str, Ints]]:
     """Pairs of a name and the row indices of its pointings, for each name with pointings.
 
-    `members` (n,) is the index in `names` of each pointing.
+    `group_indices` (n,) is the index in `names` of each pointing.
     """
-    rows = ((name, np.flatnonzero(members == i)) for i, name in enumerate(names))
+    rows = ((name, np.flatnonzero(group_indices == i)) for i, name in enumerate(names))
     return (pair for pair in rows if len(pair[1]))
 
 
@@ -46,7 +47,7 @@ def station_names_of_rows(sightings: Sightings, rows: Ints) -> tuple[str, ...]:
 
 
 def instrument_places(sightings: Sightings, names: Sequence[str]) -> tuple[LawPlace, ...]:
-    """Places of laws of single instruments, each with all set-ups of one; empty if there is only one instrument."""
+    """Places of laws of one instrument each, with all its set-ups; empty if the recording has only one instrument."""
     places = tuple(
         LawPlace(station_names_of_rows(sightings, rows), (), rows, (name,))
         for name, rows in rows_by_name(names, sightings.instrument)
@@ -55,10 +56,10 @@ def instrument_places(sightings: Sightings, names: Sequence[str]) -> tuple[LawPl
 
 
 def target_clusters(sightings: Sightings) -> set[tuple[int, ...]]:
-    """Groups of related targets, as sorted indices: by position, by surface, and by height and surface.
+    """Groups of related targets, each as the sorted indices of its targets.
 
-    The groups are the branches of three cluster trees (average linkage). Nests with similar normals count as mounted on
-    the same surface.
+    The groups are the branches of three trees of hierarchical clustering (average linkage): by position, by position
+    and surface, and by height and surface. Nests with similar normals count as mounted on the same surface.
     """
     if len(sightings.target_points) < 2 * MIN_GROUP_TARGETS:
         return set()
@@ -77,7 +78,7 @@ def target_clusters(sightings: Sightings) -> set[tuple[int, ...]]:
 
 
 def neighbour_groups(sightings: Sightings) -> set[tuple[int, ...]]:
-    """Groups of each target and its nearest neighbours, as sorted indices."""
+    """Groups of a target and its nearest neighbours, for each target, each as the sorted indices of its targets."""
     near = [
         np.argsort(np.linalg.norm(sightings.target_points - point, axis=1), kind="stable")
         for point in sightings.target_points
@@ -86,7 +87,10 @@ def neighbour_groups(sightings: Sightings) -> set[tuple[int, ...]]:
 
 
 def connected_groups(sightings: Sightings, lengths: Iterable[tuple[str, str]]) -> set[tuple[int, ...]]:
-    """Groups of targets, as indices, that are connected by reference lengths, such as the targets of a gauge."""
+    """Groups of targets that are connected by reference lengths, such as the targets of a gauge, each as indices.
+
+    `lengths` are the pairs of names at the ends of the reference lengths.
+    """
     index = {name: i for i, name in enumerate(sightings.target_names)}
     pairs = [(index[a], index[b]) for a, b in lengths if a in index and b in index]
     if not pairs:
@@ -98,7 +102,7 @@ def connected_groups(sightings: Sightings, lengths: Iterable[tuple[str, str]]) -
 
 
 def group_places(sightings: Sightings, target_groups: set[tuple[int, ...]]) -> Iterator[LawPlace]:
-    """Places of laws of groups of targets, each with the pointings to the group."""
+    """Places of laws of one group of targets each, with the pointings to the group."""
     for members in sorted(target_groups):
         rows = np.flatnonzero(np.isin(sightings.target, members))
         if len(rows):

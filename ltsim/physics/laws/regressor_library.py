@@ -1,9 +1,9 @@
-"""Library of regressors: base quantities, and operators that use the order of measurement.
+"""Library of the regressors that a search tries: functions of base quantities and of the order of measurement.
 
-Base quantities are the readings and places of a pointing, the time, and the additional columns of the recording. The
-operators are: value at the previous pointing, change since then, accumulated changes, first-order lag, and a separate
-amount per station or per previous target. Each operator, and each product, multiplies the prior odds by
-`OPERATOR_ODDS`.
+Base quantities are the readings and the position of a pointing, the time, and the additional columns of the recording.
+Operators make further regressors: the value at the previous pointing, the change since then, accumulated changes, a
+first-order lag, and a separate value per station or per previous target. Each operator, and each product, multiplies
+the prior odds by `OPERATOR_ODDS`.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -39,13 +39,16 @@ RAW_READING_NAMES = ("azimuth", "elevation", "distance")
 BASE_COVARIATES = (*RAW_READING_NAMES, "time", "station-time", "height", "bearing", "x", "y")
 """Covariates that do not depend on earlier pointings."""
 _CIRCLE_COVARIATES = ("circle", "vertical-circle")
+"""Covariates that are readings of a circle, which differ between the faces."""
 _NEST_COVARIATES = ("incidence", "nest-direction")
+"""Covariates that need the normals of the nests."""
 _SIGN_COVARIATES = ("face", "approach-azimuth", "approach-elevation", "parity", "seating-parity", "repeat")
 """Covariates with few values, such as the face, which a law uses as they are."""
 ACCUMULATED_ROTATIONS = ("work-azimuth", "work-elevation")
 """Accumulated rotations of the axes since the set-up began."""
 OPERATORS = ("last", "move", "work")
-"""Operators: previous value, change since then, accumulated magnitude of the changes."""
+"""Prefixes of covariates by operator: the previous value, the change since then, the sum of the sizes of all changes.
+"""
 MEMORY_COVARIATES = (
     "wound-azimuth",
     "lapse",
@@ -60,35 +63,19 @@ READING_COVARIATES = tuple(
 )
 """Covariates of readings, in addition to columns of the recording."""
 _HEAD_COVARIATES = (
-    "azimuth",
-    "elevation",
-    *_CIRCLE_COVARIATES,
-    *_SIGN_COVARIATES,
+    *("azimuth", "elevation", *_CIRCLE_COVARIATES, *_SIGN_COVARIATES),
     *(n for n in MEMORY_COVARIATES if not n.endswith("distance")),
 )
+"""Covariates that are angles or motions of the tracker head."""
 COVARIATES_BY_KIND: dict[str, tuple[str, ...]] = {
     "instrument": (
-        *CLOCK_COVARIATES,
-        *_HEAD_COVARIATES,
-        "distance",
-        "height",
-        "move-distance",
-        "last-distance",
-        "work-distance",
+        *(*CLOCK_COVARIATES, *_HEAD_COVARIATES, "distance", "height"),
+        *("move-distance", "last-distance", "work-distance"),
     ),
     "circle": (*CLOCK_COVARIATES, "lapse", *_SIGN_COVARIATES[3:]),
     "stand": (
-        *CLOCK_COVARIATES,
-        "azimuth",
-        "elevation",
-        *_CIRCLE_COVARIATES,
-        "distance",
-        "wound-azimuth",
-        "work-azimuth",
-        "work-elevation",
-        "lapse",
-        "count",
-        "last-target",
+        *(*CLOCK_COVARIATES, "azimuth", "elevation", *_CIRCLE_COVARIATES, "distance"),
+        *("wound-azimuth", "work-azimuth", "work-elevation", "lapse", "count", "last-target"),
     ),
     "target": ("time", "station", "distance", "height", *_SIGN_COVARIATES[3:], *_NEST_COVARIATES),
     "reflector": ("time", "lapse", "last-target", *_SIGN_COVARIATES[3:], *_NEST_COVARIATES),
@@ -99,38 +86,46 @@ cannot depend on where a tracker points. That of a stand can, because a head is 
 yields under the operator.
 """
 MIN_EFFECTIVE_TARGETS = 2.5
-"""Smallest effective number of targets in a region for a law of the targets near it. With fewer, the error is that of a
-single target."""
+"""Effective number of targets in a region, above which a law of the targets near it is tried. With fewer, the error is
+that of a single target."""
 NEARNESS_REGION_SHAPES = ("xyz", "xy")
 """Shapes of the regions for laws that depend on the distance of targets from a position."""
 TEMPORARY_REGION_SHAPES = ("xy", "x", "y", "z")
 """Shapes of the regions that may act during a part of the measurement."""
-TIME_PART_COUNTS, MIN_DISTINCT_TIMES = (2, 4), 12
+TIME_PART_COUNTS = (2, 4)
+"""Numbers of parts of equal size in time, in one of which a region of the hall may act."""
+MIN_DISTINCT_TIMES = 12
 """Smallest number of distinct times for which a search divides a recording into parts in time."""
 DECAY_TIME_FRACTIONS = np.array([0.03, 0.1, 0.3, 1.0])
-"""Time constants of decays that a search tries, as fractions of the span of the time. Each time constant in between
-differs by less than a factor of two from one of them.
+"""Time constants of decays that a search tries, as fractions of the duration. Each time constant in between differs by
+less than a factor of two from one of them.
 """
 HYSTERESIS_HALF_WIDTHS = np.array([0.05, 0.15, 0.3])
 """Half-widths of hysteresis loops that a search tries, as fractions of the covariate's span."""
 DEAD_BAND_QUANTILES = (0.15, 0.3, 0.5)
-"""Limits of dead bands that a search tries, as quantiles of the sizes of an axis' motions."""
+"""Limits of dead bands that a search tries, as quantiles of the sizes of the motions of an axis."""
 LAG_TIME_CONSTANTS = (60.0, 300.0, 1000.0, 3000.0)
-"""Time constants [s] of lags that a search tries: of detectors, instrument parts, stands, walls and floors."""
-MIN_SEPARATE_SETUPS, MAX_SEPARATE_SETUPS, MAX_SEPARATE_TARGETS = 3, 12, 60
-"""Largest number of targets up to which each may have a separate amount."""
+"""Time constants [s] of lags that a search tries, typical of detectors, instrument parts, stands, walls and floors."""
+MIN_SEPARATE_SETUPS = 3
+"""Number of set-ups above which a search tries a law with a separate value for each."""
+MAX_SEPARATE_SETUPS = 12
+"""Largest number of set-ups for which a search tries a law with a separate value or curve for each."""
+MAX_SEPARATE_TARGETS = 60
+"""Largest number of targets for which a search tries a law with a separate value for each."""
 MAX_GROUP_STEP_TIMES = 12
-"""Number of times at which a search tries a step of a group of targets. The best step is refined afterwards."""
+"""Number of times at which a search tries a step of a group of targets. A local search then moves the best step."""
 WAVE_RATE_STEP = 0.6
-"""Distance between the frequencies of waves that a search tries, in cycles over the covariate's span. Each frequency is
-then close enough to one of them.
+"""Distance between the frequencies of waves that a search tries, in cycles over the covariate's span. A wave with a
+frequency in between still correlates with one of them.
 """
-MAX_WAVE_CYCLES, MIN_POINTINGS_PER_CYCLE = 60, 8
+MAX_WAVE_CYCLES = 60
+"""Largest number of cycles over the covariate's span of a wave that a search tries."""
+MIN_POINTINGS_PER_CYCLE = 8
 """Smallest number of pointings per cycle of a wave that a search tries."""
 MIN_COVARIATE_SPREAD = 1e-12
-"""Span [rad, m, s] of a covariate up to which it counts as constant, because equal elevations differ by rounding."""
+"""Span [rad, m, s] up to which a covariate counts as constant. Rounding makes equal elevations differ by less."""
 OPERATOR_ODDS = 1.0 / 3.0
-"""Factor on the prior odds of a regressor for each operator and each further factor."""
+"""Factor on the prior odds of a regressor for each operator, and for each factor of a product after the first."""
 OPERATOR_COUNTS = {
     "constant": 0,
     "sign": 0,
@@ -153,7 +148,7 @@ OPERATOR_COUNTS = {
     "room": 1,
     "product": 2,
 }
-"""Number of operators and further factors of each kind of regressor, the exponent of `OPERATOR_ODDS`."""
+"""Exponent of `OPERATOR_ODDS` by kind of regressor: the number of its operators and factors after the first."""
 
 
 def additional_columns(sightings: Sightings) -> list[str]:
@@ -162,7 +157,7 @@ def additional_columns(sightings: Sightings) -> list[str]:
 
 
 def _varying_covariates(sightings: Sightings, covariates: Iterable[str]) -> list[str]:
-    """Names of the given covariates that vary in these sightings and are known."""
+    """Names of those of the given covariates that have values in these sightings, and vary."""
     has_nests, faces = np.isfinite(sightings.incidence).any(), np.ptp(sightings.face) > 0
     asked = [
         n for n in covariates if (has_nests or n not in _NEST_COVARIATES) and (faces or n not in _CIRCLE_COVARIATES)
@@ -172,7 +167,7 @@ def _varying_covariates(sightings: Sightings, covariates: Iterable[str]) -> list
 
 
 def is_admissible(response_kind: str, regressor: Regressor, sightings: Sightings) -> bool:
-    """True if a response of a given kind can depend on a regressor. A reading can depend on every regressor."""
+    """True if a response of a given kind (`Response.kind`) can depend on a regressor. A reading can depend on all."""
     names = [*regressor.covariates, *(n for f in regressor.factors if f.kind != "field" for n in f.covariates)]
     return response_kind == "reading" or all(
         n in COVARIATES_BY_KIND[response_kind] or operator_input(n) in sightings.covariates for n in names
@@ -180,7 +175,7 @@ def is_admissible(response_kind: str, regressor: Regressor, sightings: Sightings
 
 
 def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -> dict[str, list[Regressor]]:
-    """Regressors that a search tries, by kind; smooth regressors have `n_modes` eigenfunctions."""
+    """Regressors that a search tries, by kind. Curves have `n_modes` eigenfunctions."""
     s, columns = sightings, additional_columns(sightings)
     base = _varying_covariates(s, (*BASE_COVARIATES, *columns, *_CIRCLE_COVARIATES, *_NEST_COVARIATES))
     before = _varying_covariates(s, (*MEMORY_COVARIATES, *(f"{how}-{name}" for how in OPERATORS for name in columns)))
@@ -235,7 +230,7 @@ def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -
 
 
 def dead_band_regressors(sightings: Sightings) -> list[Regressor]:
-    """Regressors that are zero for long motions of an axis: a drive or contact that does not follow short motions."""
+    """Regressors that are zero for long motions of an axis, for causes that act only in short motions."""
     return [
         scalar_regressor(name, how, float(k))
         for name in _varying_covariates(sightings, ("move-azimuth", "move-elevation"))
@@ -278,7 +273,7 @@ def single_target_regressors(sightings: Sightings) -> list[Regressor]:
 
 
 def target_group_regressors(sightings: Sightings) -> dict[str, list[Regressor]]:
-    """Regressors for motions of a group of targets, by kind: sudden, gradual, different at each set-up, or a tilt."""
+    """Regressors for motions of a group of targets, by kind, such as `step`, `curve`, or `amounts` for each set-up."""
     local, each, steps = single_target_regressors(sightings), visits(sightings, 2), _step_regressors(sightings)
     return {
         "constant": [CONSTANT_REGRESSOR],
@@ -295,7 +290,7 @@ def target_group_regressors(sightings: Sightings) -> dict[str, list[Regressor]]:
 
 
 def _step_regressors(sightings: Sightings) -> list[Regressor]:
-    """Regressors of steps in time, at `MAX_GROUP_STEP_TIMES` times spread evenly over the pointings."""
+    """Regressors that are a step in time, at `MAX_GROUP_STEP_TIMES` times spread evenly over the pointings."""
     clock = np.unique(sightings.time)
     if len(clock) < MAX_GROUP_STEP_TIMES:
         return []
@@ -304,25 +299,28 @@ def _step_regressors(sightings: Sightings) -> list[Regressor]:
 
 
 def _seating_parity_differs(sightings: Sightings) -> bool:
-    """True if the parity of the seatings differs from the parity of the pointings, up to its sign."""
+    """True if the alternation from target to target differs from that from pointing to pointing, except in its sign."""
     parity, seating = (sightings.quantities[name] for name in ("parity", "seating-parity"))
     return abs(float(parity @ seating)) < len(parity)
 
 
 def visits(sightings: Sightings, min_setups: int) -> list[Regressor]:
-    """Regressor with an amount per set-up; an empty list for too few (`min_setups`) or too many set-ups."""
+    """Regressor with a separate value for each set-up, in a list.
+
+    The list is empty for fewer set-ups than `min_setups`, or more than `MAX_SEPARATE_SETUPS`.
+    """
     count = len(np.unique(sightings.station))
     return [group_amounts_regressor("station", count)] if min_setups <= count <= MAX_SEPARATE_SETUPS else []
 
 
 def _per_previous_target_regressors(sightings: Sightings) -> list[Regressor]:
-    """Regressor with a separate amount for each previous target, as a list; empty for too many targets."""
+    """Regressor with a separate value for each previous target, in a list, which is empty for too many targets."""
     count = len(sightings.target_names)
     return [group_amounts_regressor("last-target", count)] if 1 < count <= MAX_SEPARATE_TARGETS else []
 
 
 def lag_regressors(sightings: Sightings, covariates: Iterable[str]) -> list[Regressor]:
-    """Regressors that depend on covariates through a first-order lag, with each time constant."""
+    """Regressors that depend on one of the covariates with a first-order lag, for each of `LAG_TIME_CONSTANTS`."""
     varying = _varying_covariates(sightings, covariates)
     return [
         Regressor("lagging", (name,), constant=t)
@@ -373,7 +371,7 @@ def product_regressors(sightings: Sightings) -> Iterator[Regressor]:
 
 
 def wave_rates(sightings: Sightings, covariate: str, max_cycles: float) -> Floats:
-    """Angular frequencies [rad per unit] of waves in a covariate, with 1 to `max_cycles` cycles over its span."""
+    """Angular frequencies [rad per unit of the covariate] of waves with 1 to `max_cycles` cycles over its span."""
     span = float(np.ptp(sightings.quantities[covariate]))
     return 2 * np.pi * np.arange(1.0, max_cycles, WAVE_RATE_STEP) / span if span > MIN_COVARIATE_SPREAD else np.zeros(0)
 
@@ -383,7 +381,7 @@ def wave_regressors(
     covariates: Sequence[str] = ("time", *RAW_READING_NAMES, "x", "y", "z", "station-time", *ACCUMULATED_ROTATIONS),
     n_parts: int = 1,
 ) -> Iterator[Regressor]:
-    """Iterator over waves in some covariates, with frequencies that each of `n_parts` of the pointings can resolve."""
+    """Iterator over waves in covariates, with frequencies that a fraction 1 / `n_parts` of the pointings resolves."""
     max_waves = min(len(sightings) / MIN_POINTINGS_PER_CYCLE, MAX_WAVE_CYCLES) / n_parts
     for name in covariates:
         for rate in wave_rates(sightings, name, max_waves):

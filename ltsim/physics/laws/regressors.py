@@ -1,4 +1,4 @@
-"""Regressors: functions on which a response may depend, each as a few columns with a row per pointing, and a prior."""
+"""Regressors: functions on which a response may depend, each with k columns, a row per pointing, and a prior."""
 
 from __future__ import annotations
 
@@ -52,17 +52,17 @@ FILE_NAMES_OF_COVARIATES = {
 
 
 OPERATOR_INPUTS = ("azimuth", "elevation", "distance", "target")
-"""Quantities to which the operators on the order of measurement are applied."""
+"""Covariates of a pointing, such as the azimuth, whose previous value or change since then is a covariate as well."""
 
 
 def operator_input(covariate: str) -> str:
-    """Covariate without the prefix of its operator, such as `azimuth` for `last-azimuth`."""
+    """Name of a covariate without the prefix of `MEMORY_PREFIXES`, such as `azimuth` for `last-azimuth`."""
     how, _, base = covariate.partition("-")
     return base if base and f"{how}-" in MEMORY_PREFIXES else covariate
 
 
 def covariate_file_names(covariates: Iterable[str]) -> tuple[str, ...]:
-    """Names of covariates in files. Covariates that depend on previous motions of the head are called `approach`."""
+    """Names in files of covariates. Covariates that depend on previous motions of the head are called `approach`."""
     memory = {
         name
         for name in covariates
@@ -80,32 +80,23 @@ def covariate_file_names(covariates: Iterable[str]) -> tuple[str, ...]:
 class Regressor:
     """Regressor: the function on which a response depends.
 
-    Attributes
-    ----------
-    kind : str
-        Kind of the function: `constant`; `smooth` (eigenfunctions of a covariate); `wave` (cosine and sine of
-        `constant` times a covariate); `cycle` (a wave of any shape); `simple` (a short formula); `product`; `pieces`
-        (sum of steps and ramps of one covariate); `switch` (alternately on and off at steps of one covariate);
-        `lagging` (a covariate after a first-order lag); `amounts` (separate values for each station, instrument, target
-        or previous target); `field` (displacement of all reflectors: common, linear across the hall, and curved);
-        `passage` (length of the line of sight in a region of the hall; with the function `lever` each part is weighted
-        by the fraction of the line beyond it); `near` (1 at the centre of a region, decreasing with the distance of the
-        target); `state` (a quantity that pointings accumulate, that decays and is reset, see `laws.states`); `latch`
-        (set above `constant`, released below `latch_release`).
-    covariates : tuple of str
-    function : str
-        Name of the function of a `simple` regressor.
-    constant : float
-        Constant of a `simple` regressor or a wave; number of eigenfunctions of a smooth one; order of a field; number
-        of amounts; time [s] of a lag, also of a switch (0 for none).
-    factors : tuple of Regressor
-        Factors of a product, or the pieces.
-    centre_targets : tuple of str
-        Targets whose centre is the origin of a field, or that have separate amounts; empty for all.
-    region : HallRegion, optional
-        Region of a `passage` or `near` regressor.
-    latch_release : float
-        Threshold below which a latch is released.
+    The kinds of functions are:
+
+    - `constant`.
+    - `smooth`: a curve in a covariate, made of eigenfunctions.
+    - `wave`: cosine and sine of `constant` times a covariate. `cycle`: a periodic function of any shape.
+    - `simple`: a formula with one covariate and at most one constant.
+    - `product`: the product of other regressors.
+    - `pieces`: a sum of steps and ramps of one covariate.
+    - `switch`: on and off alternately, at steps of one covariate.
+    - `lagging`: a covariate after a first-order lag.
+    - `amounts`: a separate value for each station, instrument, target or previous target.
+    - `field`: a constant and a linear or quadratic function of the position in the hall.
+    - `passage`: the length of the line of sight in a region of the hall. With the function `lever` each part of this
+      length is weighted by the fraction of the line beyond it.
+    - `near`: 1 for a target at the centre of a region, decreasing with the distance of the target.
+    - `state`: a quantity that pointings accumulate, and that decays or is reset (`laws.states`).
+    - `latch`: set above the threshold `constant` of a covariate, and released below `latch_release`.
     """
 
     kind: str
@@ -113,24 +104,28 @@ class Regressor:
     covariates: tuple[str, ...] = ()
     """Names of the quantities of a pointing that the function depends on."""
     function: str = ""
-    """Name of the function within its kind."""
+    """Name of the function of a `simple`, `state` or `passage` regressor."""
     constant: float = 0.0
-    """Constant of the function: a limit, a rate, a period or a time constant [SI]."""
+    """Constant of a formula, a wave, a state or a latch; time [s] of a lag; otherwise a number.
+
+    The number counts the eigenfunctions of a curve, the amounts, or the pieces. For a field it is the order of the
+    polynomial. The time of a switch is that of its lag, 0 for none.
+    """
     factors: tuple[Regressor, ...] = ()
-    """Regressors that the function combines: factors of a product, or steps and ramps."""
+    """Regressors that the function combines: factors of a product, steps and ramps, or the steps of a switch."""
     centre_targets: tuple[str, ...] = ()
-    """Names of the targets whose centre is the origin of a field."""
+    """Names of the targets whose centre is the origin of a field, or that have separate amounts; empty for all."""
     region: HallRegion | None = None
-    """Region of the hall on which the function depends."""
+    """Region of the hall on which a `passage` or `near` regressor depends."""
     latch_release: float = 0.0
-    """Lower threshold of a latch."""
+    """Threshold below which a latch is released."""
 
     def columns(self, sightings: Sightings, *, acts_on_targets: bool = False) -> Floats:
-        """Columns (n, k), one row per pointing, each column with an rms of about one.
+        """Columns (n, k), one row for each of n pointings, each column with an rms of about one.
 
-        Coordinates of targets need a reference state. If the law `acts_on_targets`, the columns are therefore zero at
-        the start of the measurement, or while the column of the recording that it depends on is zero. Without such a
-        state their mean is zero.
+        A motion of targets is relative to their coordinates in a reference state. If the law `acts_on_targets`, the
+        columns are therefore zero at the start of the measurement, or where the additional column of the recording on
+        which the regressor depends is zero. If there is no such state, the mean of each column is zero.
         """
         columns = self._unreduced_columns(sightings, acts_on_targets)
         if not acts_on_targets or self.kind in ("constant", "field", "amounts", "product"):
@@ -139,7 +134,7 @@ class Regressor:
         return scaled_to_unit_rms(columns) if self.kind == "simple" else columns
 
     def _is_at_reference(self, sightings: Sightings) -> Bools:
-        """Flags (n,) of the pointings at which targets that move have their reference coordinates."""
+        """Flags (n,) of the pointings at which moving targets have their reference coordinates."""
         full_mask = np.ones(len(sightings), dtype=bool)
         name = "".join(self.covariates)
         if name == "time" and self.kind in ("simple", "pieces"):
@@ -148,7 +143,7 @@ class Regressor:
         return x == np.nanmin(x) if has_natural_zero(x) else full_mask
 
     def _unreduced_columns(self, sightings: Sightings, acts_on_targets: bool) -> Floats:
-        """Columns (n, k) of `columns` before the subtraction of their reference values."""
+        """Columns (n, k) of the regressor before their values in the reference state are subtracted."""
         name = "".join(self.covariates[:1])
         if self.region is not None:
             return scaled_to_unit_rms(self._region_column(self.region, sightings)[:, None])
@@ -187,7 +182,7 @@ class Regressor:
         return state_column(sightings, name, self.function, self.constant)
 
     def _region_column(self, region: HallRegion, sightings: Sightings) -> Floats:
-        """Values (n,) of a regressor of a region: path lengths [m], levers [m], or weights of the targets."""
+        """Values (n,) of a regressor of a region: lengths of paths [m], weighted lengths [m], or weights of targets."""
         if self.kind == "near":
             return region.target_weights(sightings)
         return region.levers(sightings) if self.function == LEVER_FUNCTION else region.path_lengths(sightings)
@@ -223,13 +218,13 @@ class Regressor:
     def is_per_instrument(self) -> bool:
         """True if each instrument has a separate curve with a mean of zero.
 
-        The mean of an instrument belongs to the constants of its ordinary calibration.
+        The ordinary calibration of an instrument already contains the mean of its curve.
         """
         return any(factor.covariates == ("instrument",) for factor in self.factors)
 
     @cached_property
     def coefficient_sigmas(self) -> tuple[Floats, ...]:
-        """Prior standard deviations (k,) of the coefficients, one array per length scale."""
+        """Prior standard deviations (k,) of the coefficients; a curve has several such arrays, one per length scale."""
         match self.kind:
             case "constant" | "simple" | "passage" | "near" | "state" | "latch" | "switch":
                 return (np.ones(1),)
@@ -257,7 +252,7 @@ class Regressor:
         return next((f.region for f in (self, *self.factors) if f.region is not None), None)
 
     def with_region(self, region: HallRegion) -> Regressor:
-        """Copy of the regressor with another region."""
+        """Copy of the regressor with another region of the hall in place of its own region or that of its factor."""
         if self.region is None:
             factors = tuple(f.with_region(region) if f.region is not None else f for f in self.factors)
             return replace(self, factors=factors)
@@ -271,7 +266,7 @@ class Regressor:
         return replace(self, factors=factors)
 
     def per_target(self, targets: tuple[str, ...]) -> Regressor:
-        """Product of this regressor without a field, and separate amounts for each of `targets`."""
+        """Product of this regressor, without its field, and a separate amount for each of `targets`."""
         other_factors = [f for f in self.factors or (self,) if f.kind != "field"]
         separate_amounts = group_amounts_regressor("target", len(targets), targets)
         return Regressor("product", factors=(*other_factors, separate_amounts))
@@ -295,29 +290,29 @@ COORDINATE_COVARIATES = ("x", "y", "z")
 
 
 def with_position_dependence(regressors: Sequence[Regressor], polynomial_order: int) -> list[Regressor]:
-    """Products of each regressor and a field: the amount varies across the room.
+    """Products of each regressor and a field, so that its coefficient varies across the hall.
 
-    The variation is linear for `polynomial_order` 1 and quadratic for 2.
+    The coefficient is a linear function of the position for `polynomial_order` 1 and a quadratic one for 2.
     """
     field = Regressor("field", COORDINATE_COVARIATES, constant=polynomial_order)
     return [Regressor("product", factors=(regressor, field)) for regressor in regressors]
 
 
 def scalar_regressor(covariate: str, function: str, constant: float = 1.0) -> Regressor:
-    """Regressor with one column, a function of one covariate and a constant."""
+    """Regressor with one column: a `function` of one covariate with a `constant`."""
     return Regressor("simple", (covariate,), function, constant)
 
 
 LEVER_FUNCTION = "lever"
-"""Name of the function of a passage that deflects a line of sight. A deflection at a point moves the end of the line in
-proportion to the length that follows, so that the measured direction changes by the fraction of the line that follows.
-"""
+"""Name of the function of a region that deflects the lines of sight through it. A deflection at a point moves the end
+of the line in proportion to the length beyond the point. The measured direction thus changes by the deflection times
+the fraction of the line beyond the point."""
 
 
 def passage_regressor(region: HallRegion, function: str = "") -> Regressor:
     """Regressor with the length of the line of sight in a region of the hall.
 
-    With the function `LEVER_FUNCTION` each part of this length is weighted by the fraction of the line that follows.
+    With the function `LEVER_FUNCTION` each part of this length is weighted by the fraction of the line beyond it.
     """
     return Regressor("passage", tuple(region.bounded_axes), function, region=region)
 
@@ -328,7 +323,7 @@ def nearness_regressor(region: HallRegion) -> Regressor:
 
 
 def state_regressor(covariate: str, function: str, constant: float) -> Regressor:
-    """Regressor with a state of each set-up, which accumulates the changes of a covariate (`laws.states`)."""
+    """Regressor with a state, which accumulates the changes of a covariate since the start of the set-up."""
     return Regressor("state", (covariate,), function, constant)
 
 
@@ -338,9 +333,10 @@ def latch_regressor(covariate: str, set_threshold: float, release_threshold: flo
 
 
 def group_amounts_regressor(group_kind: str, n_groups: int, targets: tuple[str, ...] = ()) -> Regressor:
-    """Regressor with a separate amount for each `station`, `instrument`, `target` or `last-target`.
+    """Regressor with a separate value for each of `n_groups` groups.
 
-    If `targets` is given, only these targets have an amount.
+    `group_kind` is `station`, `instrument`, `target` or `last-target`, the target of the previous pointing. If
+    `targets` is given, only these targets have a value.
     """
     return Regressor("amounts", (group_kind,), constant=n_groups, centre_targets=targets)
 

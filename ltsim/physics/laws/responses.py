@@ -1,8 +1,8 @@
 """Responses: quantities of the measurement that an unknown cause may change, and the resulting changes of readings.
 
-They are constants of the instrument, rotation and translation of a stand, coordinates of targets, air and reflectors.
-If no physical quantity explains a mismatch, the response is a reading itself. A motion in space is one response with
-three components.
+Responses are the constants of the instrument, the rotation and translation of a stand, coordinates of targets, air, and
+reflectors. If no physical quantity explains a mismatch, the response is a reading itself. A motion in space is one
+response with three components. In this module n is the number of pointings, and c the number of components.
 """
 
 from collections.abc import Callable
@@ -25,53 +25,40 @@ from ltsim.physics.effects.smr_centring import reflector_axes
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
-PLAUSIBLE_ANGLE_ERROR, PLAUSIBLE_LENGTH_ERROR = 2 * ARCSECOND, 10 * MICROMETRE
-PLAUSIBLE_SCALE_ERROR, PLAUSIBLE_MOTION = 2 * PPM, 30 * MICROMETRE
-"""Plausible size [m] of motions of walls and floors, the prior standard deviation of their coefficients."""
+PLAUSIBLE_ANGLE_ERROR = 2 * ARCSECOND
+"""Prior standard deviation [rad] of the coefficients of errors of angles, tilts and the vertical index."""
+PLAUSIBLE_LENGTH_ERROR = 10 * MICROMETRE
+"""Prior standard deviation [m] of the coefficients of errors of ranges, beam offsets and reflectors."""
+PLAUSIBLE_SCALE_ERROR = 2 * PPM
+"""Prior standard deviation of the coefficients of a relative error of ranges."""
+PLAUSIBLE_MOTION = 30 * MICROMETRE
+"""Prior standard deviation [m] of the coefficients of motions of targets and stands, with their walls and floors."""
 
 
 @dataclass(frozen=True)
 class Response:
-    """Quantity of the measurement, such as the vertical index, that an effect or law changes.
-
-    Attributes
-    ----------
-    name : str
-        Name of the response in files and sentences.
-    display_unit : str
-    plausible_size : float
-        Plausible size [SI].
-    observables : tuple of str
-        Observables that mainly change; empty for all.
-    kind : str
-        Part of the measurement that changes: `reading`, `instrument`, `circle`, `stand`, `target`, `air` or
-        `reflector`.
-    component_names : tuple of str
-        Names of the components; one empty name for a response without direction.
-    component_scales : tuple of float
-        Change [SI] of each component per unit of its coefficient; empty for ones.
-    component_units : tuple of str
-        Units of the components; empty if all have the unit of the response.
-    """
+    """Quantity of the measurement, such as the vertical index, that an effect or law changes."""
 
     name: str
+    """Name of the response in files and sentences."""
     display_unit: str
-    """Unit in which the size is displayed."""
+    """Unit in which a change of the quantity is displayed."""
     plausible_size: float
-    """Plausible size of a change [SI]."""
+    """Plausible size [SI] of a change of the quantity, the prior standard deviation of its coefficients."""
     observables: tuple[str, ...] = ()
-    """Observables that the response mainly changes; empty if this depends on the geometry."""
+    """Observables that the response mainly changes; empty if they depend on the geometry."""
     kind: str = "instrument"
-    """Part of the measurement that changes: instrument, stand, target, air or reflector."""
+    """Part of the measurement that changes: `reading`, `instrument`, `circle`, `stand`, `target`, `air`, `reflector`.
+    """
     component_names: tuple[str, ...] = ("",)
-    """Names of the components; one without a name for a scalar quantity."""
+    """Names of the c components. A scalar quantity has one component, with an empty name."""
     component_scales: tuple[float, ...] = ()
-    """Plausible sizes [SI] of the components, relative to `plausible_size`; empty for equal ones."""
+    """Change [SI] of each component per unit of its coefficient; empty if all are 1."""
     component_units: tuple[str, ...] = ()
     """Display units of the components; empty if all have `display_unit`."""
 
     def display_unit_of(self, component: int) -> tuple[str, float]:
-        """Unit of a component, and factor from its coefficient [SI] to that unit."""
+        """Display unit of the component with this index, and the factor from its coefficient to that unit."""
         unit, scale = (
             (self.component_units[component], self.component_scales[component])
             if self.component_units
@@ -88,7 +75,7 @@ _SLOT_RESPONSES = {
     "beam-vertical": Response("vertical beam offset", "um", PLAUSIBLE_LENGTH_ERROR, ("elevation",)),
     "beam-tilt": Response("beam tilt", "urad", PLAUSIBLE_ANGLE_ERROR, ("azimuth",)),
 }
-"""Responses that are errors in a slot of the kinematic chain, by slot."""
+"""Responses that are constants of the instrument, by the place (slot) in the kinematic chain where the error acts."""
 _ECCENTRICITY_RESPONSES = {
     Response(
         f"{effect.observables[0]} eccentricity",
@@ -100,7 +87,8 @@ _ECCENTRICITY_RESPONSES = {
     ): effect
     for effect in (AzimuthEccentricity(), ElevationEccentricity())
 }
-"""Responses of circles whose centre is not on their axis, each with the effect of the catalogue for its derivatives."""
+"""Responses of circles whose centre is not on the axis, each with the effect of the catalogue that has its derivatives.
+"""
 _READING_RESPONSES = tuple(
     Response(
         name,
@@ -130,12 +118,13 @@ _JOINT_RESPONSES = tuple(
     for count in (2, 3)
     for names in combinations(OBSERVABLES, count)
 )
-"""Responses of several observables that depend on the same regressor, each with a separate coefficient."""
+"""Responses with two or three observables as components, which depend on the same regressor with separate coefficients.
+"""
 _RANGE_SCALE = Response("range scale", "ppm", PLAUSIBLE_SCALE_ERROR, ("distance",))
 
 
 def constants_of_slot(slot: str) -> tuple[str, ...]:
-    """Names of the constants of the ordinary calibration that act on a slot of the kinematic chain."""
+    """Names of the constants of the ordinary calibration that act at a place (slot) in the kinematic chain."""
     return tuple(
         p.name for e in BASELINE_EFFECTS for p, t in zip(e.parameters, e.terms, strict=True) if t == SlotTerm(slot)
     )
@@ -146,7 +135,7 @@ VARIED_CONSTANTS = (
     | {response.name: tuple(p.name for p in effect.parameters) for response, effect in _ECCENTRICITY_RESPONSES.items()}
     | {"distance": constants_of_slot("range"), _RANGE_SCALE.name: ("range-scale",)}
 )
-"""Names of the constants of the ordinary calibration that each response changes, by the name of the response."""
+"""Names of the constants of the ordinary calibration that a response adds to, by the name of the response."""
 _STAND_TILT = Response("lean of the stand", "urad", PLAUSIBLE_ANGLE_ERROR, (), "stand", ("about x", "about y"))
 _STAND_POSITION = Response("place of the stand", "um", PLAUSIBLE_MOTION, (), "stand", ("along x", "along y", "along z"))
 _TARGET_POSITION = Response("place of targets", "um", PLAUSIBLE_MOTION, (), "target", ("along x", "along y", "along z"))
@@ -155,18 +144,18 @@ _AIR_GRADIENT = Response("air gradient", "K/m", 1.0, (), "air")
 _REFLECTOR_VERTEX = Response(
     "vertex of the reflectors", "um", PLAUSIBLE_LENGTH_ERROR, (), "reflector", ("axially", "sideways", "up")
 )
-_LEVEL = Response(
+_DISPLACEMENT_TOWARDS_INSTRUMENT = Response(
     "level displacement of reflectors towards the instrument", "um", PLAUSIBLE_LENGTH_ERROR, (), "reflector"
 )
 
 
 def _reading_design(sightings: Sightings, observable: str) -> Floats:
-    """Change (n, 3, 1) of the raw readings per unit of a correction of one observable."""
+    """Change (n, 3, 1) of the raw readings per unit of a correction of one observable in the front face."""
     return design_from_front_face_corrections(sightings, **{observable: np.ones(len(sightings))})[:, :, None]
 
 
 def _joint_design(sightings: Sightings, response: Response) -> Floats:
-    """Change (n, 3, c) of the raw readings per unit of each of c observables, scaled to the response's components."""
+    """Change (n, 3, c) of the raw readings per unit of each of the c coefficients of a response of c observables."""
     component_designs = [
         scale * _reading_design(sightings, name)
         for name, scale in zip(response.observables, response.component_scales, strict=True)
@@ -175,7 +164,7 @@ def _joint_design(sightings: Sightings, response: Response) -> Floats:
 
 
 def _slot_design(sightings: Sightings, slot: str) -> Floats:
-    """Change (n, 3, 1) of the raw readings per unit of the error in a slot of the kinematic chain."""
+    """Change (n, 3, 1) of the raw readings per unit of an error at a place (slot) in the kinematic chain."""
     return sightings.slot_responses[slot][:, :, None]
 
 
@@ -185,18 +174,21 @@ def _range_scale_design(sightings: Sightings) -> Floats:
 
 
 def _nest_normal_design(sightings: Sightings) -> Floats:
-    """Change (n, 3, 1) of the raw readings per unit of a motion of the targets along the normals of their nests."""
+    """Change (n, 3, 1) of the raw readings per metre of a motion of the targets along the normals of their nests."""
     normal = np.nan_to_num(sightings.nest_normals[sightings.target])
     return design_from_displacements(sightings, normal[:, :, None])
 
 
 def _vertex_design(sightings: Sightings) -> Floats:
-    """Change (n, 3, 3) of the raw readings per unit of a displacement of the reflectors' vertices along their axes."""
+    """Change (n, 3, 3) of the raw readings per metre of a displacement of the reflectors' vertices along three axes.
+
+    The axes are those of `reflector_axes`: axially, sideways and up.
+    """
     return design_from_displacements(sightings, reflector_axes(sightings))
 
 
 def _displacement_towards_instrument(sightings: Sightings) -> Floats:
-    """Change (n, 3, 1) of the raw readings per unit of a horizontal motion of the reflectors towards the instrument."""
+    """Change (n, 3, 1) of the raw readings per metre of a level motion of the reflectors towards the instrument."""
     back_sight = sightings.station_positions[sightings.station] - sightings.target_points[sightings.target]
     level = back_sight * [1.0, 1.0, 0.0]
     return design_from_displacements(
@@ -205,11 +197,11 @@ def _displacement_towards_instrument(sightings: Sightings) -> Floats:
 
 
 ResponseDesign = Callable[[Sightings], Floats]
-"""Function from sightings to the change (n, 3, c) of the raw readings per unit of each component of a response."""
+"""Function from sightings to the change (n, 3, c) of the raw readings per unit of each coefficient of a response."""
 
 
 def _response_registry() -> dict[str, tuple[Response, ResponseDesign]]:
-    """Responses by name, each with its function of `ResponseDesign`."""
+    """Responses by name, each with the function for the resulting change of the raw readings."""
     derivatives: list[tuple[Response, ResponseDesign]] = [
         *((response, partial(_reading_design, observable=response.name)) for response in _READING_RESPONSES),
         *((response, partial(_joint_design, response=response)) for response in _JOINT_RESPONSES),
@@ -222,27 +214,29 @@ def _response_registry() -> dict[str, tuple[Response, ResponseDesign]]:
         (_AIR_GRADIENT, AirGradient().design),
         (_TARGET_HEIGHT, _nest_normal_design),
         (_REFLECTOR_VERTEX, _vertex_design),
-        (_LEVEL, _displacement_towards_instrument),
+        (_DISPLACEMENT_TOWARDS_INSTRUMENT, _displacement_towards_instrument),
     ]
     return {response.name: (response, derivative) for response, derivative in derivatives}
 
 
 RESPONSES_BY_NAME = _response_registry()
-"""Responses by name, each with the function for the change (n, 3, c) of the raw readings per unit of each component."""
+"""Responses by name, each with the function for the change (n, 3, c) of the raw readings per unit of each coefficient.
+"""
 _RESPONSES_NEEDING_NESTS = {_TARGET_HEIGHT.name, _REFLECTOR_VERTEX.name}
 """Names of the responses that need declared normals of the nests."""
 
 
 def response_designs(sightings: Sightings) -> dict[str, tuple[Response, Floats]]:
-    """Responses by name, each with the change (n, 3, c) of the raw readings per unit of its c components.
+    """Responses by name, each with the change (n, 3, c) of the raw readings per unit of its c coefficients.
 
-    Responses with equal changes are listed once: on a single face, for example, the vertical index equals the
-    elevation. A moving stand is listed in addition to a moving target, because their regressors differ.
+    Of responses with the same change, only the first is listed. For example, an error of the vertical index and one of
+    the elevation are the same if all readings are on one face. A motion of the stand is always listed, because it can
+    depend on other regressors than a motion of the targets.
     """
     designs: dict[str, tuple[Response, Floats]] = {}
-    nests = bool(np.isfinite(sightings.nest_normals).any())
+    has_nest_normals = bool(np.isfinite(sightings.nest_normals).any())
     for name, (response, derivative) in RESPONSES_BY_NAME.items():
-        if name in _RESPONSES_NEEDING_NESTS and not nests:
+        if name in _RESPONSES_NEEDING_NESTS and not has_nest_normals:
             continue
         design = derivative(sightings)
         comparable = (d for c, d in designs.values() if d.shape == design.shape and c.kind != "stand")

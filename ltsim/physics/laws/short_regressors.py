@@ -10,39 +10,39 @@ from ltsim.physics.laws.regressors import CLOCK_COVARIATES, Regressor, scalar_re
 from ltsim.scene.sightings import Sightings
 
 ANGULAR_COVARIATES = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
-"""Angles whose sines, cosines and tangents a search tries."""
+"""Covariates that are angles, whose sines, cosines and tangents a search tries."""
 SAW_PERIODS = np.array([1.0, 0.5, 0.25, 0.125])
 """Periods of saw-tooth functions that a search tries, as fractions of the covariate's span."""
 SPAN_FRACTIONS = np.array([0.05, 0.15, 0.5])
 """Constants of decays, saturations and dead bands that a search tries, as fractions of the covariate's span."""
 
 
-def short_regressors(sightings: Sightings, name: str, *, reduced: bool = False) -> Iterator[Regressor]:
-    """Iterator over functions of the covariate `name` with at most one constant.
+def short_regressors(sightings: Sightings, covariate: str, *, reduced: bool = False) -> Iterator[Regressor]:
+    """Iterator over functions of the `covariate` with at most one constant.
 
-    The list is shorter if `reduced`, for products of functions of several covariates.
+    If `reduced`, it has fewer functions, to limit the number of products with functions of other covariates.
     """
-    times = SPAN_FRACTIONS * float(np.ptp(sightings.quantities[name]))
-    circular = name in CIRCULAR_COVARIATES
+    times = SPAN_FRACTIONS * float(np.ptp(sightings.quantities[covariate]))
+    circular = covariate in CIRCULAR_COVARIATES
     if circular:
         for order in range(1, 4 if reduced else 7):
-            yield Regressor("wave", (name,), constant=float(order))
+            yield Regressor("wave", (covariate,), constant=float(order))
     function_constants: list[tuple[str, Sequence[float] | Floats]] = (
         [] if circular and reduced else [("power", (1.0, 2.0))]
     )
-    if name in ANGULAR_COVARIATES and not (circular and reduced):
+    if covariate in ANGULAR_COVARIATES and not (circular and reduced):
         function_constants += [("sin", (1.0, 2.0, 3.0)), ("cos", (1.0, 2.0, 3.0)), ("tan", (1.0,))]
-    function_constants += [("decay", times)] if name == "lapse" else []
+    function_constants += [("decay", times)] if covariate == "lapse" else []
     if not reduced:
-        function_constants.append(("saw", SAW_PERIODS * float(np.ptp(sightings.quantities[name]))))
-        function_constants.append(("power", (3.0, -1.0) if name == "distance" else (3.0,)))
-        function_constants += [("decay", times)] if name in CLOCK_COVARIATES else []
-        function_constants += [("relaxing", times)] if name in (*CLOCK_COVARIATES, "lapse") else []
+        function_constants.append(("saw", SAW_PERIODS * float(np.ptp(sightings.quantities[covariate]))))
+        function_constants.append(("power", (3.0, -1.0) if covariate == "distance" else (3.0,)))
+        function_constants += [("decay", times)] if covariate in CLOCK_COVARIATES else []
+        function_constants += [("relaxing", times)] if covariate in (*CLOCK_COVARIATES, "lapse") else []
         function_constants += (
-            [("abs", (1.0,)), ("saturated", times), ("fading", times)] if name.startswith("move-") else []
+            [("abs", (1.0,)), ("saturated", times), ("fading", times)] if covariate.startswith("move-") else []
         )
-        function_constants += [("within", times), ("stuck", times)] if name.startswith("move-") else []
-        function_constants += [("slack", times)] if name.startswith(("move-", "wound-")) else []
+        function_constants += [("within", times), ("stuck", times)] if covariate.startswith("move-") else []
+        function_constants += [("slack", times)] if covariate.startswith(("move-", "wound-")) else []
     for function, constants in function_constants:
         for constant in constants:
-            yield scalar_regressor(name, function, float(constant))
+            yield scalar_regressor(covariate, function, float(constant))

@@ -23,9 +23,9 @@ def displayed_sizes(
 ) -> tuple[DisplayedSize, ...]:
     """Sizes of a law: a constant, the amplitude and phase of a wave, or the rms and swing of a curve.
 
-    The swing is the change between the pointings with the largest and the smallest value. For a motion in space all
-    components are listed, at the set-up with the largest motion. `coefficients` (k,) are those of the law, with their
-    `covariance` (k, k) [SI].
+    The swing of a curve is its largest value minus its smallest value at the pointings. For a motion in space all
+    components are listed, at the set-up with the largest motion. `coefficients` (k,) are those of the law [SI], with
+    their `covariance` (k, k).
     """
     law, main_direction, means, spread = law.law_at_largest_effect(coefficients, covariance, sightings)
     ways = law.response.component_names
@@ -60,6 +60,6 @@ def displayed_sizes(
 
 
 def _displayed_size(law: EmpiricalLaw, name: str, value: float, variance: float, component: int = 0) -> DisplayedSize:
-    """Size of a component of the law's response in its display unit, from value and variance [SI]."""
+    """Size of one component of the law's response in its display unit, from its `value` and `variance` [SI]."""
     unit, factor = law.response.display_unit_of(component)
     return DisplayedSize(name.strip(), float(value) * factor, float(np.sqrt(max(variance, 0.0))) * factor, unit)

@@ -17,9 +17,9 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.scene.sightings import Sightings
 
 STATE_INPUTS = ("station-time", "count", "work-azimuth", "work-elevation", "work-distance", "wound-azimuth")
-"""Quantities whose changes accumulate in a state."""
+"""Names of the covariates whose changes accumulate in a state."""
 RESET_EVENTS = ("face", "seating", "azimuth", "elevation")
-"""Names of events that reset a state: a change of the face, of the target, of the direction in which an axis turns."""
+"""Names of events that reset a state: a change of the face, of the target, or of the direction of motion of an axis."""
 RESET_LIMIT_QUANTITIES = ("pause", "slew", "tip")
 """Names of quantities that reset a state if they exceed a limit: the time since the previous pointing, the motion in
 azimuth, and the motion in elevation.
@@ -33,9 +33,10 @@ FIXED_COUNT_RESET_FUNCTION = "every"
 RESET_LIMIT_QUANTILES = (0.6, 0.8, 0.92)
 """Limits of `RESET_LIMIT_QUANTITIES` that a search tries, as quantiles of the quantity."""
 STATE_DECAY_TIME_FRACTIONS = (0.03, 0.1, 0.3)
-"""Time constants of decaying states that a search tries, as fractions of the median duration of a set-up."""
+"""Time constants that a search tries for states that decay with time, as fractions of the median duration of a set-up.
+"""
 DECAY_POINTINGS = (2.0, 4.0, 8.0)
-"""Numbers of pointings that a search tries for the decay of a state by a factor of e."""
+"""Numbers of pointings within which a state decays by a factor of e, as a search tries them."""
 FIXED_COUNT_INPUTS = ("station-time", "count")
 """Inputs of states that are reset after a fixed number of pointings."""
 RESET_COUNTS = range(3, 31)
@@ -43,15 +44,18 @@ RESET_COUNTS = range(3, 31)
 LATCH_QUANTILES = (0.2, 0.35, 0.5, 0.65, 0.8)
 """Thresholds of latches that a search tries, as quantiles of the quantity."""
 MIN_RESETS = 2
-"""Smallest number of resets within set-ups for which a search tries a state. With fewer it is nearly a plain sum."""
+"""Smallest number of resets for which a search tries a state, and smallest number of pointings without reset. The first
+pointing of a set-up counts as neither. With fewer resets the state is nearly a plain sum.
+"""
 MIN_RELATIVE_STATE_SPAN = 1e-6
-"""Span of a state divided by the span of its input up to which the state counts as constant, and is not tried."""
+"""Span of a state divided by the span of its input, up to which the state counts as constant. A search omits such a
+state."""
 StateKey = tuple[str, str, float]
 """Key of a state: input, function, and constant (a limit, a time constant [s], or a number of pointings)."""
 
 
 def candidate_states(sightings: Sightings, inputs: Sequence[str]) -> list[StateKey]:
-    """Keys of the states that a search tries with the given inputs. Their columns are cached with the sightings."""
+    """Keys of the states that a search tries with `inputs`, names of covariates. The sightings cache their columns."""
     functions = list(_state_functions(sightings))
     states = [
         (name, how, k)
@@ -65,9 +69,9 @@ def candidate_states(sightings: Sightings, inputs: Sequence[str]) -> list[StateK
 
 
 def _state_functions(sightings: Sightings) -> Iterator[tuple[str, float]]:
-    """Iterator over functions of a state (a kind of decay or of reset) and their constants.
+    """Iterator over pairs of a function of a state (a kind of decay or of reset) and its constant.
 
-    Functions with too few or too many resets in these sightings are omitted.
+    A function is omitted if it has too few resets in these sightings, or too few pointings without reset.
     """
     setup_duration = float(
         np.median([np.ptp(sightings.time[sightings.station == s]) for s in np.unique(sightings.station)])
@@ -92,7 +96,7 @@ def _state_functions(sightings: Sightings) -> Iterator[tuple[str, float]]:
 
 
 def state_column(sightings: Sightings, covariate: str, function_name: str, constant: float) -> Floats:
-    """Value (n,) of a state at each pointing, minus its mean."""
+    """Value (n,) of a state at each of n pointings, minus its mean."""
     key: StateKey = covariate, function_name, constant
     _cache_states(sightings, [key])
     values: Floats = sightings.derived_cache[key]
@@ -100,9 +104,9 @@ def state_column(sightings: Sightings, covariate: str, function_name: str, const
 
 
 def latch_column(sightings: Sightings, covariate: str, set_threshold: float, release_threshold: float) -> Floats:
-    """Value (n,) of a latch at each pointing, minus its mean.
+    """Value (n,) of a latch at each of n pointings, minus its mean.
 
-    The latch is 1 if the quantity was last above the upper threshold, and 0 if it was last below the lower one.
+    The latch is 1 from a covariate value above `set_threshold` until one below `release_threshold`, and 0 otherwise.
     """
     x, rows = sightings.quantities[covariate], sightings.order_by_setup
     event = np.where(x > set_threshold, 1.0, np.where(x < release_threshold, 0.0, np.nan))[rows]
@@ -117,7 +121,7 @@ def latch_column(sightings: Sightings, covariate: str, set_threshold: float, rel
 
 
 def latch_thresholds(sightings: Sightings, covariates: Iterable[str]) -> list[tuple[str, float, float]]:
-    """Latches that a search tries: covariate, upper threshold and lower threshold."""
+    """Latches that a search tries, each as a tuple of the covariate, its upper threshold and its lower threshold."""
     latches = []
     for name in covariates:
         thresholds = np.unique(np.quantile(sightings.quantities[name], LATCH_QUANTILES))
@@ -125,14 +129,14 @@ def latch_thresholds(sightings: Sightings, covariates: Iterable[str]) -> list[tu
     return latches
 
 
-def _limit_quantity(sightings: Sightings, function_name: str) -> Floats:
-    """Quantity (n,) of each pointing with a name of `RESET_LIMIT_QUANTITIES`, as absolute value [s, rad]."""
-    quantity = {"pause": "lapse", "slew": "move-azimuth", "tip": "move-elevation"}[function_name]
+def _limit_quantity(sightings: Sightings, quantity_name: str) -> Floats:
+    """Absolute value (n,) [s or rad] at each pointing of a quantity with a name of `RESET_LIMIT_QUANTITIES`."""
+    quantity = {"pause": "lapse", "slew": "move-azimuth", "tip": "move-elevation"}[quantity_name]
     return np.abs(sightings.quantities[quantity])
 
 
 def _is_reset(sightings: Sightings, function_name: str, constant: float) -> Bools:
-    """Flags (n,) of the pointings at which a state is reset, except the first one of a set-up."""
+    """Flags (n,) of the pointings at which a state is reset. The first pointing of a set-up has none."""
     has_previous = sightings.previous_rows >= 0
     before = np.where(has_previous, sightings.previous_rows, 0)
     name = function_name.removeprefix("after ")
@@ -142,17 +146,17 @@ def _is_reset(sightings: Sightings, function_name: str, constant: float) -> Bool
         return has_previous & (np.remainder(sightings.quantities["count"], round(constant)) == 0.0)
     if name in RESET_LIMIT_QUANTITIES:
         return has_previous & (_limit_quantity(sightings, name) > constant)
-    changing = {
+    quantity = {
         "face": sightings.face,
         "seating": sightings.target,
         "azimuth": sightings.approach_signs[:, 0],
         "elevation": sightings.approach_signs[:, 1],
     }[name]
-    return np.asarray(has_previous & (changing != changing[before]))
+    return np.asarray(has_previous & (quantity != quantity[before]))
 
 
 def _cache_states(sightings: Sightings, states: Sequence[StateKey]) -> None:
-    """Computation of several states together; each (n,), minus its mean, is cached with the sightings."""
+    """Computation of several states together. The sightings cache the values (n,) of each, minus their mean."""
     states = [key for key in states if key not in sightings.derived_cache]
     if not states:
         return
@@ -162,10 +166,10 @@ def _cache_states(sightings: Sightings, states: Sequence[StateKey]) -> None:
     increments = np.stack([inputs[name] for name, _, _ in states], axis=1)
     factor = np.stack([factors[how, k] for _, how, k in states], axis=1)
     values = np.empty_like(increments)
-    now = np.zeros(len(states))
+    present_values = np.zeros(len(states))
     for i in range(len(rows)):
-        now = factor[i] * (now + increments[i])
-        values[i] = now
+        present_values = factor[i] * (present_values + increments[i])
+        values[i] = present_values
     values -= values.mean(axis=0)
     for key, column in zip(states, values.T, strict=True):
         sightings.derived_cache[key] = np.empty(len(rows))
@@ -179,7 +183,7 @@ def _increments(sightings: Sightings, covariate: str) -> Floats:
 
 
 def _remaining_fraction(sightings: Sightings, function_name: str, constant: float) -> Floats:
-    """Factor k (n,) of a state at each pointing: the fraction that remains, 0 at a reset and at the first pointing."""
+    """Fraction (n,) of a state that remains from pointing to pointing: 0 at a reset and at the first of a set-up."""
     has_previous = (sightings.previous_rows >= 0).astype(np.float64)
     if function_name == TIME_DECAY_FUNCTION:
         return has_previous * np.exp(-sightings.quantities["lapse"] / constant)

@@ -1,4 +1,4 @@
-"""Variance functions: changes of the noise that are not in the catalogue, and errors that repeated pointings share."""
+"""Variance functions: changes of the noise that the catalogue lacks, and errors common to repeated pointings."""
 
 from dataclasses import dataclass
 
@@ -12,17 +12,19 @@ from ltsim.scene.regions import HallRegion
 from ltsim.scene.sightings import Sightings
 
 REPETITION_KINDS = REPEATS_PER_FACE, REPEATS_IN_BOTH_FACES = ("in each face", "in both faces")
-"""Kinds of repetition: pointings of a station to a target have the same error in each face, or in both faces."""
+"""Kinds of repetition: all pointings of a station to a target in one face have the same error, or those in both faces.
+"""
 
 
 MIN_RELATIVE_PATH = 0.05
-"""Path of a line of sight through a region, divided by the longest such path. Up to it the line counts as outside."""
+"""Path of a line of sight through a region as a fraction of the longest such path. Up to this fraction the line counts
+as outside the region."""
 
 
 def noise_groups(sightings: Sightings, group_kind: str) -> tuple[tuple[str, ...], Ints]:
-    """Names of the groups with separate noise, and the index (n,) of the group of each pointing.
+    """Names of the groups with separate noise, and the index (n,) of the group of each of n pointings.
 
-    The groups are stations, targets, or single pointings with names such as ``row 1``.
+    The groups are stations, targets, or, for the kind `reading`, single pointings with names such as ``row 1``.
     """
     if group_kind == "reading":
         return tuple(f"row {i + 1}" for i in range(len(sightings))), np.arange(len(sightings))
@@ -32,7 +34,7 @@ def noise_groups(sightings: Sightings, group_kind: str) -> tuple[tuple[str, ...]
 
 
 def noise_covariate(sightings: Sightings, covariate: str) -> Floats:
-    """Covariate (n,) on which noise depends; the absolute value for covariates of earlier pointings."""
+    """Covariate (n,) on which noise depends. For a covariate of earlier pointings it is the absolute value."""
     values: Floats = sightings.quantities[covariate]
     return np.abs(values) if covariate.startswith(MEMORY_PREFIXES) else values
 
@@ -42,10 +44,10 @@ class VarianceFunction(NoiseSignature):
     """Variance function: noise of some observables that depends on a covariate, or differs by target or station.
 
     variance = sigma^2 (1 + value * pattern), with a pattern from 0 to 1 over the pointings. Each of `group_names`
-    (targets, stations or readings) has a separate value, and with `per_observable` also each observable. For a `region`
-    of the hall the pattern is the length of the line of sight in it, divided by the longest. With a `covariate_band`
-    the pattern is 1 if the first covariate is between the first and second limit, the third and fourth, and so on, and
-    0 elsewhere. With a region and a band the pattern is the product of both.
+    (targets, stations or pointings) has a separate value, and with `per_observable` also each observable. For a
+    `region` of the hall the pattern is the length of the line of sight in it, divided by the longest such length. With
+    a `covariate_band` the pattern is 1 where the first covariate is between the first and second limit, the third and
+    fourth, and so on. Elsewhere it is 0. With a region and a band the pattern is the product of both patterns.
     """
 
     observables: tuple[str, ...] = OBSERVABLES
@@ -56,13 +58,15 @@ class VarianceFunction(NoiseSignature):
     decreases: bool = False
     """True if the noise decreases with the covariate."""
     repetition: str = ""
-    """Kind of repetition of the error, one of `REPETITION_KINDS`; empty for independent errors."""
+    """Repeated pointings that have the same error, one of `REPETITION_KINDS`; empty for independent errors."""
     group_kind: str = ""
     """Kind of the groups with separate noise: target, station or pointing; empty for common noise."""
     group_names: tuple[str, ...] = ()
     """Names of the groups with separate noise; empty for all."""
     per_observable: bool = False
+    """True if each observable has a separate value."""
     region: HallRegion | None = None
+    """Region of the hall; readings along lines of sight through it have larger noise."""
     covariate_band: tuple[float, ...] = ()
     """Limits of the covariate between which the noise is larger; empty for none."""
 
@@ -70,7 +74,7 @@ class VarianceFunction(NoiseSignature):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Added variances: one, or one per group if the noise differs by group."""
+        """Added variances, as fractions of the declared variance: one, or one per group and observable."""
         kinds = [f"-{name}" for name in self.observables] if self.per_observable else [""]
         names = [f"added-variance{kind} at {name}" for name in self.group_names for kind in kinds]
         return tuple(
@@ -80,12 +84,12 @@ class VarianceFunction(NoiseSignature):
 
     @property
     def response_text(self) -> str:
-        """Response for users: an observable for errors that recur in it, otherwise `noise`."""
+        """Name for users of what changes: `noise`, or an observable in which repeated pointings have the same error."""
         return self.observables[0] if self.repetition and len(self.observables) == 1 else "noise"
 
     @property
     def regressor_text(self) -> str:
-        """Text of the covariates or groups on which the variance depends."""
+        """Names for users of the covariates, or of the kind of groups, on which the variance depends."""
         return "station and target" if self.repetition else self.group_kind or " ".join(self.covariates)
 
     @property
@@ -103,7 +107,7 @@ class VarianceFunction(NoiseSignature):
         if self.group_kind:
             what = self.group_kind.replace("station", "set-up")
             return f"noise that differs from {what} to {what}" + (
-                ", in each observable by itself" if self.per_observable else ""
+                ", separately for each observable" if self.per_observable else ""
             )
         if not self.covariates:
             return "larger noise"
@@ -113,7 +117,7 @@ class VarianceFunction(NoiseSignature):
         return f"noise that {'falls' if self.decreases else 'grows'} with {self.covariates[0]}"
 
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
-        """Variance (n, 3) of the readings."""
+        """Variance (n, 3) of the readings, from the declared standard deviations `sigma` (n, 3) and added `values`."""
         if self.group_kind:
             added = values.reshape(len(self.group_names), -1)[noise_groups(sightings, self.group_kind)[1]]
             acts = [o in self.observables for o in OBSERVABLES]
@@ -145,8 +149,8 @@ class VarianceFunction(NoiseSignature):
                 inside |= (x >= low) & (x <= high)
         return inside
 
-    def _variance_plus_fraction(self, sigma: Floats, added_variance: Floats) -> Floats:
-        """Variance (n, 3) after an increase by a fraction (n,) of itself in the observables of this function."""
+    def _variance_plus_fraction(self, sigma: Floats, added_fraction: Floats) -> Floats:
+        """Variance (n, 3): the declared variance, increased by a fraction (n,) in the observables of this function."""
         acts = [float(o in self.observables) for o in OBSERVABLES]
-        grown: Floats = sigma**2 * (1.0 + added_variance[:, None] * np.array(acts))
+        grown: Floats = sigma**2 * (1.0 + added_fraction[:, None] * np.array(acts))
         return grown

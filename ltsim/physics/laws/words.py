@@ -1,4 +1,4 @@
-"""Text form of laws, such as ``exp(-station-time / 8 min)``, and the parser of this text."""
+"""Text form of empirical laws, such as ``exp(-station-time / 8 min)``, and the parser of this text."""
 
 import itertools
 import re
@@ -43,7 +43,7 @@ COVARIATE_PHRASES = {
 }
 """Phrases for covariates whose name is not understood in a sentence."""
 GROUP_KINDS = ("station", "target", "last-target")
-"""Kinds of objects that may have separate amounts."""
+"""Covariates for whose values (stations, targets, previous targets) a law may have separate amounts."""
 REGRESSOR_TEMPLATES: dict[tuple[str, str, float | None], str] = {
     ("constant", "", None): "constant",
     ("smooth", "", None): "a smooth function of {x}",
@@ -88,8 +88,8 @@ REGRESSOR_TEMPLATES: dict[tuple[str, str, float | None], str] = {
     ("simple", "power", None): "{x}^{k}",
     ("simple", "power", 1.0): "{x}",
 }
-"""Phrase for a regressor by its kind, function and constant; None stands for any constant. In the phrase x is a
-covariate, k the constant, and value the constant or a period with its unit.
+"""Text of a regressor by its kind, function and constant. None stands for any constant. In the text x is a covariate, k
+is the constant, and value is the constant or a period with its unit.
 """
 CONSTANT_UNIT_COVARIATE = {
     "lagging": "time",
@@ -98,20 +98,22 @@ CONSTANT_UNIT_COVARIATE = {
     "after slew": "move-azimuth",
     "after tip": "move-elevation",
 }
-"""Covariate that has the same unit as the constant of a regressor, by kind or function of the regressor."""
+"""Covariate that has the same unit as the constant of a regressor, by the kind or function of the regressor. All other
+constants have the unit of the regressor's covariate."""
 MIN_DISPLAYED = {"min": 2.0, "m": 1.0}
-"""Value below which the smaller unit is displayed: 90 s, but 2 min; 400 mm, but 1 m."""
+"""Smallest value that is displayed in the unit. Below it the next smaller unit is used, as in 90 s and 400 mm."""
 PER_SETUP_SUFFIX = ", separately at each set-up"
 """Suffix of the text of a law with separate coefficients for each set-up."""
-RATIO = ", components in the ratio {values}"
+RATIO_SUFFIX = ", components in the ratio {values}"
 """Suffix of the text of a law whose components have a fixed ratio."""
 PER_INSTRUMENT_SUFFIX = ", separately for each instrument"
 """Suffix of the text of a regressor that has separate coefficients for each instrument."""
 SWITCH_TEMPLATE = "a switch of {x}, on from {spans}"
 """Template of the text form of a switch."""
-SWITCH_LAG = ", followed with a lag of {value}"
+SWITCH_LAG_SUFFIX = ", followed with a lag of {value}"
+"""Suffix of the text of a switch, for a response that follows the switch with a first-order lag."""
 START_TEXT = "the start"
-"""Text for the start of an interval that began before the first pointing."""
+"""Text for the start of an interval of a switch that is on from the first pointing."""
 FACTOR_SEPARATORS = {"product": " times ", "pieces": ", "}
 """Separators between the texts of the factors of a product, and of the steps and ramps of a sum."""
 REGION_PHRASES = {
@@ -119,40 +121,40 @@ REGION_PHRASES = {
     ("passage", LEVER_FUNCTION): "the lever of the path through",
     ("near", ""): "the nearness of targets to",
 }
-"""Phrase before the text of a region, by kind and function of the regressor."""
+"""Text before that of a region, by the kind and the function of the regressor."""
 
 
-def covariate_value_text(covariate: str, value: float, *, clock: bool = True) -> str:
-    """Text of a covariate's value [SI] with its display unit; times are in rows for a recording without a `clock`."""
-    units = _display_units(covariate, clock)
+def covariate_value_text(covariate: str, value: float, *, has_clock: bool = True) -> str:
+    """Text of a covariate's value [SI] with its display unit. Without a clock times count the recording's rows."""
+    units = _display_units(covariate, has_clock)
     *larger, last = units
     unit = next((u for u in larger if abs(value) >= MIN_DISPLAYED[u] * units[u]), last)
     digits = 4 if unit in ("mm", "") else 3
     return f"{value / units[unit]:.{digits}g} {unit}".rstrip()
 
 
-def _display_units(covariate: str, clock: bool) -> dict[str, float]:
+def _display_units(covariate: str, has_clock: bool) -> dict[str, float]:
     """Display units of a covariate with their sizes in SI, the larger unit first."""
     if covariate.endswith((*ANGLE_COVARIATES, "incidence")):
         return {"deg": np.pi / 180.0}
     if covariate in TIME_COVARIATES:
-        return {"min": 60.0, "s": 1.0} if clock else {"rows": 1.0}
+        return {"min": 60.0, "s": 1.0} if has_clock else {"rows": 1.0}
     return {"m": 1.0, "mm": 1e-3} if covariate in COVARIATES_IN_METRES else {"": 1.0}
 
 
-def regressor_text(regressor: Regressor, *, clock: bool = True) -> str:
-    """Text form of a regressor."""
+def regressor_text(regressor: Regressor, *, has_clock: bool = True) -> str:
+    """Text form of a regressor. Without a clock times count the recording's rows."""
     if regressor.is_per_instrument:
-        return regressor_text(regressor.factors[0], clock=clock) + PER_INSTRUMENT_SUFFIX
+        return regressor_text(regressor.factors[0], has_clock=has_clock) + PER_INSTRUMENT_SUFFIX
     if regressor.kind in FACTOR_SEPARATORS:
-        return FACTOR_SEPARATORS[regressor.kind].join(regressor_text(f, clock=clock) for f in regressor.factors)
+        return FACTOR_SEPARATORS[regressor.kind].join(regressor_text(f, has_clock=has_clock) for f in regressor.factors)
     if regressor.region is not None:
         return f"{REGION_PHRASES[regressor.kind, regressor.function]} {region_text(regressor.region)}"
     if regressor.kind == "switch":
-        return _switch_text(regressor, clock=clock)
+        return _switch_text(regressor, has_clock=has_clock)
     if regressor.kind == "latch":
         above, below = (
-            covariate_value_text(regressor.covariates[0], k, clock=clock)
+            covariate_value_text(regressor.covariates[0], k, has_clock=has_clock)
             for k in (regressor.constant, regressor.latch_release)
         )
         return f"a latch of {regressor.covariates[0]}, set above {above}, released below {below}"
@@ -161,19 +163,19 @@ def regressor_text(regressor: Regressor, *, clock: bool = True) -> str:
         how = "turn" if name.endswith(ANGLE_COVARIATES) else "period"
     phrase = REGRESSOR_TEMPLATES.get((regressor.kind, how, k)) or REGRESSOR_TEMPLATES[regressor.kind, how, None]
     unit = CONSTANT_UNIT_COVARIATE.get(how, CONSTANT_UNIT_COVARIATE.get(regressor.kind, name))
-    value = covariate_value_text(unit, 2 * np.pi / k if how == "period" else k, clock=clock)
+    value = covariate_value_text(unit, 2 * np.pi / k if how == "period" else k, has_clock=has_clock)
     return phrase.format(x=COVARIATE_PHRASES.get(name, name), k=f"{k:.4g}", value=value)
 
 
-def _switch_text(regressor: Regressor, *, clock: bool) -> str:
+def _switch_text(regressor: Regressor, *, has_clock: bool) -> str:
     """Text form of a switch: the intervals in which it is on, of which the first and the last may be unbounded."""
     name = regressor.covariates[0]
-    values = [covariate_value_text(name, factor.constant, clock=clock) for factor in regressor.factors]
+    values = [covariate_value_text(name, factor.constant, has_clock=has_clock) for factor in regressor.factors]
     if regressor.factors[0].constant == -np.inf:
         values[0] = START_TEXT
     spans = [f"{on} to {off}" for on, off in zip(values[::2], [*values[1::2], "the end"], strict=False)]
     lag = (
-        SWITCH_LAG.format(value=covariate_value_text("time", regressor.constant, clock=clock))
+        SWITCH_LAG_SUFFIX.format(value=covariate_value_text("time", regressor.constant, has_clock=has_clock))
         if regressor.constant
         else ""
     )
@@ -181,8 +183,8 @@ def _switch_text(regressor: Regressor, *, clock: bool) -> str:
 
 
 def law_suffix(law: EmpiricalLaw) -> str:
-    """Text after the regressor of a law: that set-ups have separate coefficients, and the ratio of components."""
-    ratio = RATIO.format(values=" / ".join(f"{value:.4g}" for value in law.direction)) if law.direction else ""
+    """Text after that of a law's regressor, about separate coefficients of set-ups and the ratio of its components."""
+    ratio = RATIO_SUFFIX.format(values=" / ".join(f"{value:.4g}" for value in law.direction)) if law.direction else ""
     return (PER_SETUP_SUFFIX if law.is_per_setup else "") + ratio
 
 
@@ -218,10 +220,12 @@ _REGION_PATTERN = re.compile(
     rf"at (?P<at>.+), width (?P<width>{_NUMBER_PATTERN}) m"
 )
 _COORDINATE_PATTERN = re.compile(rf"([xyz]) ({_NUMBER_PATTERN}) m")
-_RATIO = re.compile(rf"(?P<words>.+){RATIO.format(values=f'(?P<values>{_NUMBER_PATTERN}(?: / {_NUMBER_PATTERN})*)')}")
+_RATIO_PATTERN = re.compile(
+    rf"(?P<words>.+){RATIO_SUFFIX.format(values=f'(?P<values>{_NUMBER_PATTERN}(?: / {_NUMBER_PATTERN})*)')}"
+)
 _LATCH_PATTERN = re.compile(r"a latch of (?P<x>.+), set above (?P<above>.+), released below (?P<below>.+)")
-_LAG = SWITCH_LAG.format(value=rf"(?P<value>{_NUMBER_PATTERN}) (?P<unit>[a-z]+)")
-_SWITCH_PATTERN = re.compile(rf"a switch of (?P<x>.+), on from (?P<spans>.+?)(?:{_LAG})?")
+_LAG_PATTERN = SWITCH_LAG_SUFFIX.format(value=rf"(?P<value>{_NUMBER_PATTERN}) (?P<unit>[a-z]+)")
+_SWITCH_PATTERN = re.compile(rf"a switch of (?P<x>.+), on from (?P<spans>.+?)(?:{_LAG_PATTERN})?")
 _STEP_SEPARATOR = re.compile(r", (?=step\(|ramp\()")
 
 
@@ -235,25 +239,23 @@ def parse_law(
 ) -> EmpiricalLaw:
     """Law from the name of its response and the text form of its regressor, at the given places or everywhere.
 
-    Raises ModelError for an unknown response and for a text that `regressor_text` cannot produce.
+    Raises ModelError for an unknown response, and for a text that is not the text form of a regressor.
     """
     if response_name not in RESPONSES_BY_NAME:
         raise ModelError(f"there is no response called '{response_name}'; responses are {', '.join(RESPONSES_BY_NAME)}")
-    ratio = _RATIO.fullmatch(regressor_text)
+    ratio = _RATIO_PATTERN.fullmatch(regressor_text)
     direction = tuple(map(float, ratio["values"].split(" / "))) if ratio else ()
     regressor_text = ratio["words"] if ratio else regressor_text
-    regressor, is_per_setup = (
-        parse_regressor(regressor_text.removesuffix(PER_SETUP_SUFFIX), recording),
-        regressor_text.endswith(PER_SETUP_SUFFIX),
-    )
+    regressor = parse_regressor(regressor_text.removesuffix(PER_SETUP_SUFFIX), recording)
+    is_per_setup = regressor_text.endswith(PER_SETUP_SUFFIX)
     if is_per_setup and (stations or targets):
         raise ModelError(f"'{regressor_text}' applies to all set-ups, not to {', '.join((*stations, *targets))}")
     target_factors = [f for f in (regressor, *regressor.factors) if f.covariates == ("target",)]
     regressor = Regressor("product", factors=(regressor,)) if target_factors == [regressor] else regressor
     if not targets and target_factors:
         raise ModelError(
-            f"'{regressor_text}' applies to targets, which follow the law: "
-            f"{response_name} ~ {regressor_text}:TARGET,TARGET"
+            f"'{regressor_text}' needs the names of its targets after a colon: "
+            f"'{response_name} ~ {regressor_text}:TARGET,TARGET'"
         )
     if targets or any(factor.kind == "wave" for factor in regressor.factors):  # linear for a group, quadratic for all
         orders = {COORDINATE_COVARIATES: 1.0, ("target",): float(len(targets))}
@@ -269,15 +271,15 @@ def parse_law(
         regressor,
         is_per_setup=is_per_setup,
     )
-    if direction and len(direction) != law.components:
+    if direction and len(direction) != law.n_components:
         raise ModelError(
-            f"'{regressor_text}': expected a ratio of {law.components} components, not of {len(direction)}"
+            f"'{regressor_text}': expected a ratio of {law.n_components} components, not of {len(direction)}"
         )
     return replace(law, direction=direction)
 
 
 def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFAULT) -> Regressor:
-    """Regressor from its text form, the inverse of `regressor_text`; a smooth regressor has `n_modes` eigenfunctions.
+    """Regressor from its text form, the inverse of `regressor_text`. A curve has `n_modes` eigenfunctions.
 
     Raises ModelError for a text that is not a regressor of the recording.
     """
@@ -335,8 +337,8 @@ def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFA
         constant = 2 * np.pi / k if how == "period" else k
         return Regressor(kind, along, how if kind in ("simple", "state") else "", constant)
     raise ModelError(
-        f"'{text}' is not a regressor of this recording; expected words such as "
-        f"{'; '.join(TEXT_FORM_EXAMPLES)}; with one of "
+        f"'{text}' is not a regressor of this recording; expected a text such as "
+        f"{'; '.join(TEXT_FORM_EXAMPLES)}; with one of the covariates "
         f"{', '.join(covariates)}"
     )
 
@@ -352,7 +354,7 @@ def _parse_switch(law_text: str, match: re.Match[str], recording: Recording) -> 
             continue
         value = re.fullmatch(_PLACEHOLDER_PATTERNS["value"], text)
         if value is None or not is_covariate:
-            raise ModelError(f"'{law_text}': expected words such as '{TEXT_FORM_EXAMPLES[-1]}'")
+            raise ModelError(f"'{law_text}': expected a text such as '{TEXT_FORM_EXAMPLES[-1]}'")
         edges.append(
             scalar_regressor(name, "step", _parse_constant(law_text, name, value.groupdict(), recording.has_clock))
         )
@@ -369,7 +371,7 @@ def _parse_latch(law_text: str, match: re.Match[str], recording: Recording) -> R
     for text in (match["above"], match["below"]):
         value = re.fullmatch(_PLACEHOLDER_PATTERNS["value"], text)
         if value is None or name not in {*READING_COVARIATES, *recording.regressor_covariates}:
-            raise ModelError(f"'{law_text}': expected words such as '{TEXT_FORM_EXAMPLES[-2]}'")
+            raise ModelError(f"'{law_text}': expected a text such as '{TEXT_FORM_EXAMPLES[-2]}'")
         thresholds.append(_parse_constant(law_text, name, value.groupdict(), recording.has_clock))
     if thresholds[1] >= thresholds[0]:
         raise ModelError(f"'{law_text}': expected a release threshold below the set threshold")
@@ -386,13 +388,12 @@ def _parse_region(text: str, match: re.Match[str]) -> HallRegion:
     return HallRegion(axes, tuple(map(float, centre.values())), float(match["width"]))
 
 
-def _parse_constant(text: str, covariate: str, groups: Mapping[str, str], clock: bool) -> float:
+def _parse_constant(text: str, covariate: str, groups: Mapping[str, str], has_clock: bool) -> float:
     """Constant [SI] in the text form of a regressor; raises ModelError for a unit that its covariate cannot have."""
     if "k" in groups:
         return float(groups["k"])
-    units, unit = _display_units(covariate, clock), groups["unit"]
+    units, unit = _display_units(covariate, has_clock), groups["unit"]
     if unit not in units:
-        raise ModelError(
-            f"'{text}': expected a value of {covariate} {' or '.join(f'in {u}' if u else 'alone' for u in units)}"
-        )
+        unit_text = " or ".join(f"in {u}" if u else "without a unit" for u in units)
+        raise ModelError(f"'{text}': expected a value of {covariate} {unit_text}")
     return float(groups["value"]) * units[unit]

@@ -10,10 +10,7 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, unknown_name
 from ltsim.core.units import ARCSECOND, MICROMETRE, PPM
-from ltsim.geometry.kinematics.chain import KinematicChain, point_and_derivatives, point_of_readings
-from ltsim.geometry.kinematics.dh import DH_CHAIN
-from ltsim.geometry.kinematics.misalignment import MISALIGNMENT_CHAIN
-from ltsim.geometry.kinematics.steering_mirror import STEERING_MIRROR_CHAIN
+from ltsim.geometry import kinematics
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap_angle
 from ltsim.physics.effects import BASELINE_EFFECTS
 from ltsim.physics.effects.azimuth_eccentricity import AzimuthEccentricity
@@ -48,7 +45,7 @@ class Construction:
     """Kinematic chain and the parameters that act on its slots."""
 
     name: str
-    kinematic_chain: KinematicChain
+    kinematic_chain: kinematics.KinematicChain
     parameters: tuple[Parameter, ...]
     """Error parameters of the instrument."""
     terms: tuple[SlotTerm, ...]
@@ -82,7 +79,7 @@ class Construction:
         return replace(self, parameters=parameters, terms=terms)
 
     @cached_property
-    def _chain_with_reading_slots(self) -> tuple[KinematicChain, tuple[str, ...]]:
+    def _chain_with_reading_slots(self) -> tuple[kinematics.KinematicChain, tuple[str, ...]]:
         """Chain with a slot on each motion that depends on a reading, and these slots for range, azimuth, elevation."""
         zero_reading, chain, slots = np.zeros((1, 3)), list(self.kinematic_chain), []
         for column in range(3):
@@ -123,7 +120,7 @@ class Construction:
 
     def point(self, readings: Floats, values: Floats) -> Floats:
         """Point (n, 3) [m] in the instrument frame of raw readings (n, 3); exact."""
-        return point_of_readings(self.kinematic_chain, readings, self.slot_errors(readings, values))
+        return kinematics.point_of_readings(self.kinematic_chain, readings, self.slot_errors(readings, values))
 
     def linearise(self, readings: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
         """Point (n, 3) [m], and its derivatives by the raw readings (n, 3, 3) and by the parameters (n, 3, p).
@@ -133,7 +130,7 @@ class Construction:
         """
         (chain, slots_of_readings), bases = self._chain_with_reading_slots, self.basis_values(readings)
         slots = {term.slot for term in self.terms} | set(slots_of_readings)
-        p, by_slot = point_and_derivatives(chain, readings, self._slot_amounts(bases, values), slots)
+        p, by_slot = kinematics.point_and_derivatives(chain, readings, self._slot_amounts(bases, values), slots)
         by_reading = np.stack([by_slot[slot] for slot in slots_of_readings], axis=2)
         if not self.terms:
             return p, by_reading, np.zeros((len(readings), 3, 0))
@@ -187,7 +184,7 @@ def misalignment_construction(effects: Iterable[SlotEffect] = BASELINE_EFFECTS) 
     chosen = tuple(effects)
     return Construction(
         "misalignment",
-        MISALIGNMENT_CHAIN,
+        kinematics.MISALIGNMENT_CHAIN,
         tuple(p for effect in chosen for p in effect.parameters),
         tuple(t for effect in chosen for t in effect.terms),
     )
@@ -239,7 +236,7 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
         Degree of the range axis' polynomials in d.
     unphysical_sigma : float
         Prior standard deviation of the coefficients that are not in `DH_MISALIGNMENTS`, divided by 5 um or 1 arcsec.
-        These coefficients have no physical cause, and most of them repeat others (`kinematics.dh`). The prior keeps
+        These coefficients have no physical cause, and most of them repeat others (`DH_CHAIN`). The prior keeps
         them near zero.
 
     Notes
@@ -265,7 +262,7 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
         )
         parameters.append(Parameter(name, unit, f"coefficient {name} of eq. 8", sigma, kind))
         terms.append(SlotTerm(slot, basis))
-    return Construction("dh", DH_CHAIN, tuple(parameters), tuple(terms))
+    return Construction("dh", kinematics.DH_CHAIN, tuple(parameters), tuple(terms))
 
 
 def _joint_basis(column: int, basis_number: int) -> BasisFunction:
@@ -304,7 +301,7 @@ MIRROR_PARAMETERS: tuple[tuple[str, PriorKind, HarmonicBasis | None, str], ...] 
     ("elevation-second-order-sin", "angle", HarmonicBasis("sin", 2, 1.0), "sine of twice the mirror's angle"),
 )
 """Misalignments of mirror, axes, cover plate and beam: name, kind of prior, harmonic of the elevation, description. A
-parameter without a harmonic acts on the slot with its name in `kinematics.steering_mirror`. Harmonics are functions of
+parameter without a harmonic acts on the slot with its name in `STEERING_MIRROR_CHAIN`. Harmonics are functions of
 the mirror's angle, which is half the raw elevation.
 """
 
@@ -317,12 +314,12 @@ def steering_mirror_construction() -> Construction:
         unit, sigma = UNIT_AND_SIGMA_BY_PRIOR_KIND[kind]
         parameters.append(Parameter(name, unit, meaning, sigma, kind))
         terms.append(SlotTerm("elevation", lobe) if lobe else SlotTerm(name))
-    return Construction("steering-mirror", STEERING_MIRROR_CHAIN, tuple(parameters), tuple(terms))
+    return Construction("steering-mirror", kinematics.STEERING_MIRROR_CHAIN, tuple(parameters), tuple(terms))
 
 
 def ideal_construction() -> Construction:
     """Construction without instrument parameters."""
-    return Construction("ideal", MISALIGNMENT_CHAIN, (), ())
+    return Construction("ideal", kinematics.MISALIGNMENT_CHAIN, (), ())
 
 
 CONSTRUCTION_FACTORIES: dict[str, Callable[[], Construction]] = {

@@ -9,9 +9,7 @@ import numpy as np
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import DEGREE, EARTH_RADIUS, MILLIMETRE
-from ltsim.geometry.alignment import align_rigidly
-from ltsim.geometry.rigid import pose_design
-from ltsim.geometry.rotations import rotation_about_z, smallest_rotation
+from ltsim.geometry.rigid import align_rigidly, pose_design, rotation_about_z, smallest_rotation
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction

@@ -20,12 +20,13 @@ from ltsim.recordings.setup import Axes, Instrument, Noise
 
 CENTESIMAL_SECOND = SI_PER_UNIT["cc"]
 FIXED_SIGMA_M = 1e-7
-"""Standard deviation [m] of a fixed coordinate."""
+"""Standard deviation [m] that a coordinate declared as fixed is given."""
 FIXED_AXES: dict[str, str] = {"CALA": "xyz", "VXY": "z", "VXZ": "y", "VYZ": "x", "VZ": "xy", "POIN": ""}
-"""Coordinates that are fixed, by the keyword of a point."""
+"""Axes along which a point is fixed, by the keyword of its block."""
 SIGMA_OPTIONS = ("SX", "SY", "SZ")
+"""Options of a point that are followed by the standard deviation along x, y, z."""
 ROTATION_KEYWORDS = ("BEAR", "SLOPE", "ROLL", "HDEFL")
-"""Keywords of LGC for declared rotations of an instrument, which are not read."""
+"""Options of a point that rotate the axes of its standard deviations; a file with one is refused."""
 OPTIONS_WITH_VALUE = (
     "OBSE",
     "PPM",
@@ -42,75 +43,75 @@ OPTIONS_WITH_VALUE = (
     "IHSE",
     "ICSE",
 )
-"""Options of LGC that are followed by a value; others are flags."""
+"""Options of LGC that are followed by a value; all other options are flags."""
 
 
 @dataclass(frozen=True)
 class LineWords:
-    """Words of a line, with the location of the line."""
+    """Words of one line of the file, with the location of the line."""
 
     tokens: Sequence[str]
     location: SourceLocation
 
     def first_words(self, n_words: int, message: str) -> Sequence[str]:
-        """The first `n_words` words; raises RecordError if there are fewer."""
+        """The first `n_words` words; raises RecordError with `message` if there are fewer."""
         if len(self.tokens) < n_words:
             raise self.location.error(message)
         return self.tokens[:n_words]
 
     def numbers(self, first_word: int, *columns: str, limit: float = 1e12) -> list[float]:
-        """Numbers from word `first_word` on; raises RecordError."""
+        """Numbers in the words from index `first_word` on, one for each of `columns`; raises RecordError."""
         words = zip(self.tokens[first_word : first_word + len(columns)], columns, strict=True)
         return [self.location.number(word, column, limit=limit) for word, column in words]
 
     def options(self, first_word: int) -> LineOptions:
-        """Options from word `first_word` on: flags, and names followed by a value."""
+        """Options from the word with index `first_word` on: flags, or names with a value; raises RecordError."""
         values: dict[str, str] = {}
-        rest = iter(self.tokens[first_word:])
-        for word in map(str.upper, rest):
-            value = next(rest, None) if word in OPTIONS_WITH_VALUE else ""
+        remaining_words = iter(self.tokens[first_word:])
+        for word in map(str.upper, remaining_words):
+            value = next(remaining_words, None) if word in OPTIONS_WITH_VALUE else ""
             if value is None:
-                raise self.location.error(f"{word} without a value")
+                raise self.location.error(f"the option {word} has no value")
             values[word] = value
         return LineOptions(values, self.location)
 
 
 @dataclass(frozen=True)
 class LineOptions:
-    """Options after the values of a line, by name."""
+    """Options at the end of a line: the text of each value by name of the option, '' for a flag."""
 
     values: dict[str, str]
     location: SourceLocation
 
     def number(self, name: str, default: float) -> float:
-        """Number of an option, or its default; raises RecordError."""
+        """Value of an option as a number, or the default if the line does not have the option; raises RecordError."""
         return self.location.number(self.values[name], name) if name in self.values else default
 
 
 @dataclass
 class DeclaredPoint:
-    """Point declared in the file, with its coordinates and their weights."""
+    """Point declared in the file, with its coordinates and their inverse covariance."""
 
     declared_point: Floats
     """Declared coordinates, known or approximate, (3,) [m]."""
     information: Floats = field(default_factory=lambda: np.zeros((3, 3)))
-    """Inverse covariance (3, 3) [1 / m^2] of its coordinates; 0 along free ones."""
+    """Inverse covariance (3, 3) [1 / m^2] of the observed coordinates; 0 along axes without an observation."""
     weighted_point: Floats = field(default_factory=lambda: np.zeros(3))
     """Product (3,) [1 / m] of `information` and the observed coordinates, for the weighted mean."""
 
-    def add_observation(self, place: Floats, covariance: Floats, axes: Bools | None = None) -> None:
-        """Addition of observed coordinates (3,) with covariance (3, 3), along some axes or all."""
-        at = np.ix_(*[np.ones(3, dtype=bool) if axes is None else axes] * 2)
+    def add_observation(self, point: Floats, covariance: Floats, axes: Bools | None = None) -> None:
+        """Addition of observed coordinates (3,) [m] with covariance (3, 3) [m^2], along flagged axes (3,) or all."""
+        block = np.ix_(*[np.ones(3, dtype=bool) if axes is None else axes] * 2)
         information = np.zeros((3, 3))
-        information[at] = np.linalg.inv(covariance[at])
+        information[block] = np.linalg.inv(covariance[block])
         self.information = self.information + information
-        self.weighted_point = self.weighted_point + information @ place
+        self.weighted_point = self.weighted_point + information @ point
 
     @property
     def axes(self) -> Axes | None:
-        """Axes along which the coordinates are known; None if there are none."""
-        determined = "".join(axis for axis, weight in zip("xyz", np.diag(self.information), strict=True) if weight > 0)
-        return determined or None  # type: ignore[return-value]
+        """Axes along which the coordinates are known, such as "xy"; None if no coordinate is known."""
+        axes = "".join(axis for axis, weight in zip("xyz", np.diag(self.information), strict=True) if weight > 0)
+        return axes or None  # type: ignore[return-value]
 
     @property
     def is_fixed(self) -> bool:
@@ -119,40 +120,43 @@ class DeclaredPoint:
 
     @property
     def is_placeholder(self) -> bool:
-        """True if its plan coordinates are 0, which means unknown."""
+        """True if the plan coordinates of the point are 0, which means unknown."""
         return not np.any(self.declared_point[:2])
 
     @property
     def point_and_covariance(self) -> tuple[Floats, Floats]:
-        """Coordinates (3,) [m] and covariance (3, 3) [m^2]; free ones as declared, with a variance of 1 mm^2."""
+        """Coordinates (3,) [m] and covariance (3, 3) [m^2].
+
+        A coordinate that is not known has its declared value and a variance of 1 mm^2.
+        """
         axes = np.diag(self.information) > 0
-        at, covariance, place = np.ix_(axes, axes), np.eye(3) * MILLIMETRE**2, self.declared_point.copy()
-        covariance[at] = np.linalg.inv(self.information[at])
-        place[axes] += covariance[at] @ (self.weighted_point - self.information @ self.declared_point)[axes]
-        return place, covariance
+        block, covariance, point = np.ix_(axes, axes), np.eye(3) * MILLIMETRE**2, self.declared_point.copy()
+        covariance[block] = np.linalg.inv(self.information[block])
+        point[axes] += covariance[block] @ (self.weighted_point - self.information @ self.declared_point)[axes]
+        return point, covariance
 
 
 def parse_point(keyword: str, words: LineWords) -> tuple[str, DeclaredPoint]:
-    """Name and point of a line in a block of points; raises RecordError."""
-    name, place = _name_and_point(words, "a point needs a name and three coordinates")
-    point = DeclaredPoint(place)
+    """Name and declaration of the point in a line of a block of points (`keyword`); raises RecordError."""
+    name, declared_point = _name_and_point(words, "a point needs a name and three coordinates")
+    point = DeclaredPoint(declared_point)
     axes = np.array([axis in FIXED_AXES[keyword] for axis in "xyz"])
     if axes.any():
-        point.add_observation(place, np.eye(3) * FIXED_SIGMA_M**2, axes)
+        point.add_observation(declared_point, np.eye(3) * FIXED_SIGMA_M**2, axes)
     else:
         _read_precision(point, [token.upper() for token in words.tokens[4:]], words.location)
     return name, point
 
 
 def parse_observed_point(words: LineWords) -> tuple[str, Floats, Floats]:
-    """Name, coordinates (3,) [m] and covariance (3, 3) [m^2] of a line of OBSXYZ; raises RecordError."""
+    """Name, coordinates (3,) [m] and covariance (3, 3) [m^2] of the point in a line of *OBSXYZ; raises RecordError."""
     message = "*OBSXYZ needs a point, three coordinates and three standard deviations"
-    name, place = _name_and_point(words, message)
+    name, point = _name_and_point(words, message)
     words.first_words(7, message)
     sigma = np.array(words.numbers(4, *SIGMA_OPTIONS))
     if not np.all(sigma > 0):
-        raise words.location.error("a standard deviation of 0")
-    return name, place, np.diag(sigma * MILLIMETRE) ** 2
+        raise words.location.error("the line has a standard deviation of 0, expected one above 0")
+    return name, point, np.diag(sigma * MILLIMETRE) ** 2
 
 
 def _name_and_point(words: LineWords, message: str) -> tuple[str, Floats]:
@@ -164,17 +168,19 @@ def _name_and_point(words: LineWords, message: str) -> tuple[str, Floats]:
 def _read_precision(point: DeclaredPoint, sigma_words: list[str], location: SourceLocation) -> None:
     rotation_word = next((word for word in sigma_words if word in ROTATION_KEYWORDS), None)
     if rotation_word is not None:
-        raise location.error(f"{rotation_word}: standard deviations in rotated axes are not read; give APRICOV")
+        raise location.error(
+            f"standard deviations in axes rotated by {rotation_word} are not read; give APRICOV instead"
+        )
     if "APRICOV" in sigma_words:
         point.add_observation(
             point.declared_point, _parse_matrix("".join(sigma_words[sigma_words.index("APRICOV") + 1 :][:1]), location)
         )
         return
-    word_after = {word: sigma_words[i + 1] for i, word in enumerate(sigma_words[:-1]) if word in SIGMA_OPTIONS}
+    value_by_option = {word: sigma_words[i + 1] for i, word in enumerate(sigma_words[:-1]) if word in SIGMA_OPTIONS}
     sigma = np.array(
-        [location.number(word_after[s], s) * MILLIMETRE if s in word_after else np.nan for s in SIGMA_OPTIONS]
+        [location.number(value_by_option[s], s) * MILLIMETRE if s in value_by_option else np.nan for s in SIGMA_OPTIONS]
     )
-    if word_after:
+    if value_by_option:
         point.add_observation(point.declared_point, np.diag(np.fmax(sigma, FIXED_SIGMA_M) ** 2), np.isfinite(sigma))
 
 
@@ -191,9 +197,10 @@ def _parse_matrix(word: str, location: SourceLocation) -> Floats:
 
 @dataclass(frozen=True)
 class TargetSigmas:
-    """Standard deviations of a kind of target.
+    """Declared standard deviations of pointings to a kind of target, and its height.
 
-    Azimuth and zenith angle [cc], distance [mm, ppm], height of the target [m].
+    Azimuth and zenith angle (`elevation`) [cc], distance [mm] with its part proportional to the distance [ppm], height
+    of the target [m].
     """
 
     azimuth: float
@@ -203,46 +210,46 @@ class TargetSigmas:
     height: float
 
     def sigma_of(self, kind: str, options: LineOptions, value: float) -> float:
-        """Standard deviation [m, rad] of one value, from the options of its line or the target's declaration."""
+        """Standard deviation [m, rad] of an observation, from its line or from the declaration of the target."""
         option = {"azimuth": "ASE", "elevation": "ZSE", "distance": "DSE"}[kind]
         declared = options.number(option, options.number("OBSE", getattr(self, kind)))
         sigma = declared * CENTESIMAL_SECOND
         if kind == "distance":
             sigma = declared * MILLIMETRE + options.number("PPM", self.ppm) * PPM * value
         if not sigma > 0:
-            raise options.location.error("a standard deviation of 0", kind)
+            raise options.location.error("the standard deviation is 0, expected one above 0", kind)
         return sigma
 
 
 @dataclass
 class PolarInstrument:
-    """Polar instrument of the file: default target, height [m], and kinds of target."""
+    """Polar instrument of the file: name of its default kind of target, height [m], and standard deviations by kind."""
 
     default: str
     height: float
     targets: dict[str, TargetSigmas] = field(default_factory=dict)
 
     def declare(self, words: LineWords) -> str:
-        """Declaration of a kind of target with its sigmas; returns a note. Raises RecordError."""
+        """Declaration of a kind of target with its sigmas; returns a note, or ''. Raises RecordError."""
         name = words.first_words(5, "a target needs its name and four sigmas")[0]
         height = words.numbers(9, "height")[0] if len(words.tokens) > 9 else 0.0
         correction = words.numbers(6, "correction")[0] if len(words.tokens) > 6 else 0.0
         azimuth, elevation, distance, ppm = words.numbers(1, "sigma", "sigma", "sigma", "sigma")
         self.targets[name] = TargetSigmas(azimuth, elevation, distance, ppm, height)
         return (
-            f"target {quoted_text(name)}: its correction of distances of {correction:g} m is not applied"
+            f"the distance correction of {correction:g} m of target {quoted_text(name)} is not applied"
             if correction
             else ""
         )
 
     def instrument(self, name: str) -> Instrument:
-        """Instrument of the set-up; a name such as AT402.392506 contains model and serial number."""
+        """Instrument with its noise; a name such as AT402.392506 contains model and serial number."""
         match = re.fullmatch(r"([A-Z]+\d+)[._](\d{4,})", name)
         model, serial = match.groups() if match else (None, None)
         return Instrument(noise=self._noise(), corrected=True, model=model, serial=serial)
 
     def _noise(self) -> Noise:
-        """Noise by the sigmas of the default target; sigmas of single observations are in columns."""
+        """Noise from the sigmas of the default kind of target; sigmas of single observations are in columns."""
         sigmas = self.targets.get(self.default) or next(iter(self.targets.values()), None)
         if sigmas is None:
             return Noise()

@@ -1,13 +1,14 @@
 """Format: input files of CERN's LGC (``.lgc``, ``.lgc2``).
 
-Understood are points (``*CALA``, ``*POIN``, ``*VXY`` and its kin, ``*PDOR``) and what observes them (``*OBSXYZ``),
+The reader supports points (``*CALA``, ``*POIN``, ``*VXY`` and similar, ``*PDOR``), observed coordinates (``*OBSXYZ``),
 polar instruments with the sigmas of their targets, set-ups (``*TSTN``, ``*V0``), observations (``*PLR3D``, ``*ANGL``,
-``*ZEND``, ``*DIST``, ``*DHOR``), free rotation (``ROT3D``) and lines switched off with ``%``. Other observations are
-named in a note and skipped, and so are those in frames of their own (``*FRAME``).
-Angles count clockwise, in gon; coordinates and distances are in metres.
+``*ZEND``, ``*DIST``, ``*DHOR``), free rotation (``ROT3D``) and lines switched off with ``%``. It skips other
+observations, and those in separate frames (``*FRAME``), and names them in a note. Angles are clockwise, in gon;
+coordinates and distances are in metres.
 
-In a curved reference (``*RS2K`` and others) the third coordinate is a height. It is turned into the z of a plane that
-touches the network in its middle, and every levelled set-up gets the direction of plumb that belongs to its place.
+In a curved reference system (``*RS2K`` and others) the third coordinate is a height. It is converted to the z
+coordinate over a tangent plane in the middle of the network, and each levelled set-up has the direction of the plumb
+line at its position.
 """
 
 from __future__ import annotations
@@ -53,7 +54,9 @@ OBSERVATION_KEYWORDS: dict[str, tuple[ObservationKind, ...]] = {
     "DIST": ("distance",),
     "DHOR": ("distance",),
 }
+"""Observables in a line of each kind of block with observations."""
 CURVED_KEYWORDS = ("RS2K", "LEP", "SPHE")
+"""Keywords of reference systems whose third coordinate is a height above a curved surface."""
 OPTION_KEYWORDS = (
     *("TITR", "OLOC", "HIST", "PREC", "PUNC", "FAUT", "JSON", "APRI", "DEFA", "FMTP", "NODUP", "SOBS", "EREL"),
     *("COVAR", "CONSI", "LM", "TOL", "NOSPC", "PRES", "CHABA", "INSTR", "POLAR", "PDOR", "TSTN", "V0", "END"),
@@ -62,45 +65,49 @@ OPTION_KEYWORDS = (
 
 @dataclass(frozen=True)
 class _SetUp:
+    """Set-up over a point: instrument and its height [m], default kind of target, constant of its directions [rad]."""
+
     point: str
     instrument: str
     height: float
     levelled: bool
-    default: str
-    constant: float = 0.0
+    default_target: str
+    direction_constant: float = 0.0
 
 
 @dataclass
 class _File:
+    """Content of the lines that were read so far."""
+
     path: Path
     title: list[str] = field(default_factory=list)
-    curved: str = ""
+    curved_reference: str = ""
     points: dict[str, DeclaredPoint] = field(default_factory=dict)
     frames: list[str] = field(default_factory=list)
-    framed: list[str] = field(default_factory=list)
-    placed: list[tuple[str, Floats, Floats]] = field(default_factory=list)
-    orientation: list[str] = field(default_factory=list)
+    points_in_frames: list[str] = field(default_factory=list)
+    observed_points: list[tuple[str, Floats, Floats]] = field(default_factory=list)
+    orientation_points: list[str] = field(default_factory=list)
     polar: dict[str, PolarInstrument] = field(default_factory=dict)
     setups: dict[str, _SetUp] = field(default_factory=dict)
-    observed: list[SingleObservation] = field(default_factory=list)
+    observations: list[SingleObservation] = field(default_factory=list)
     skipped: dict[str, int] = field(default_factory=dict)
-    switched_off: int = 0
+    n_switched_off: int = 0
     notes: list[str] = field(default_factory=list)
 
     @property
     def station(self) -> str:
-        """Set-up that was declared last."""
+        """Name of the set-up that was declared last; '' before the first one."""
         return next(reversed(self.setups), "")
 
-    def stand(self, setup: _SetUp) -> None:
+    def add_setup(self, setup: _SetUp) -> None:
         """Addition of a set-up; a repeated set-up on a point gets a number."""
-        count = sum(s.point == setup.point for s in self.setups.values())
-        self.setups[numbered_name(setup.point, count)] = setup
+        n_earlier = sum(s.point == setup.point for s in self.setups.values())
+        self.setups[numbered_name(setup.point, n_earlier)] = setup
 
 
-def recognises(path: Path, head: str) -> bool:
+def recognises(path: Path, beginning: str) -> bool:
     """True if a file begins like an LGC file."""
-    return re.search(r"^\s*\*(TITR|RS2K|OLOC|INSTR|CALA|POIN)\b", head, re.MULTILINE) is not None
+    return re.search(r"^\s*\*(TITR|RS2K|OLOC|INSTR|CALA|POIN)\b", beginning, re.MULTILINE) is not None
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
@@ -120,7 +127,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
             if not in_frame:
                 _begin_block(keyword, LineWords(words.tokens[1:], words.location), file)
         elif in_frame and keyword == "OBSXYZ":
-            file.framed.append(first)
+            file.points_in_frames.append(first)
         elif in_frame or not _process_line(keyword, words, file):
             file.skipped[keyword] = file.skipped.get(keyword, 0) + 1
         if keyword == "END":
@@ -132,18 +139,18 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 
 def _lines(file: _File) -> Iterator[LineWords]:
-    """Words of every line that is not empty; comments after % and $ are dropped."""
+    """Words of each line that is not empty, without comments after % and $."""
     for i, line in enumerate(read_lines(file.path, replaces_undecodable=True)):
         text = line.partition("%")[0].partition("$")[0]
         if line.lstrip().startswith("%"):
-            file.switched_off += len(line.split()) > 2 and re.search(r"\d\.\d{3}", line[:150]) is not None
+            file.n_switched_off += len(line.split()) > 2 and re.search(r"\d\.\d{3}", line[:150]) is not None
         elif text.strip():
             yield LineWords(text.split(), SourceLocation(file.path, i + 1))
 
 
 def _begin_block(keyword: str, words: LineWords, file: _File) -> None:
     if keyword in CURVED_KEYWORDS:
-        file.curved = keyword
+        file.curved_reference = keyword
     elif keyword == "POLAR":
         name, default, _ = words.first_words(3, "*POLAR needs an instrument, its default target and a height")
         file.polar[words.location.name(name, "instrument")] = PolarInstrument(default, words.numbers(2, "height")[0])
@@ -166,28 +173,28 @@ def _begin_setup(words: LineWords, file: _File) -> None:
     options, polar = words.options(2), file.polar[instrument]
     height = options.number("IH", polar.height if "IHFIX" in options.values else 0.0)
     default = options.values.get("TRGT", polar.default)
-    file.stand(_SetUp(point, instrument, height, "ROT3D" not in options.values, default))
+    file.add_setup(_SetUp(point, instrument, height, "ROT3D" not in options.values, default))
 
 
 def _begin_set(words: LineWords, file: _File) -> None:
-    """Begin of an orientation.
+    """Begin of a set of directions with one orientation of the circle.
 
-    The first one of a set-up belongs to it, a further one creates another set-up on the same point.
+    The first set of a set-up belongs to this set-up; each further set creates another set-up over the same point.
     """
     if not file.setups:
-        raise words.location.error("*V0 without a set-up (*TSTN) before it")
+        raise words.location.error("*V0 has no set-up (*TSTN) before it")
     options, name = words.options(0), file.station
     setup = file.setups[name]
-    default = options.values.get("TRGT", setup.default)
-    setup = replace(setup, constant=options.number("ACST", 0.0) * GON, default=default)
-    if any(o.station == name for o in file.observed):
-        file.stand(setup)
+    default = options.values.get("TRGT", setup.default_target)
+    setup = replace(setup, direction_constant=options.number("ACST", 0.0) * GON, default_target=default)
+    if any(o.station == name for o in file.observations):
+        file.add_setup(setup)
     else:
         file.setups[name] = setup
 
 
 def _process_line(keyword: str, words: LineWords, file: _File) -> bool:
-    """Processing of a line of the current block; returns False if blocks of this kind are not supported."""
+    """Processing of one line in a block of the kind `keyword`; returns False if such blocks are not supported."""
     if keyword in ("TITR", ""):
         file.title += words.tokens
     elif keyword in FIXED_AXES:
@@ -195,10 +202,10 @@ def _process_line(keyword: str, words: LineWords, file: _File) -> bool:
         if name in file.points:
             raise words.location.error(f"the point {name} is declared twice")
         file.points[name] = point
-    elif keyword == "OBSXYZ" and not file.curved:
-        file.placed.append(parse_observed_point(words))
+    elif keyword == "OBSXYZ" and not file.curved_reference:
+        file.observed_points.append(parse_observed_point(words))
     elif keyword == "PDOR":
-        file.orientation.append(words.tokens[0])
+        file.orientation_points.append(words.tokens[0])
     elif keyword == "POLAR":
         file.notes += filter(None, [file.polar[next(reversed(file.polar))].declare(words)])
     elif keyword in OBSERVATION_KEYWORDS:
@@ -211,27 +218,37 @@ def _process_line(keyword: str, words: LineWords, file: _File) -> bool:
 def _observation(keyword: str, words: LineWords, file: _File) -> None:
     kinds, where = OBSERVATION_KEYWORDS[keyword], words.location
     if not file.setups:
-        raise where.error(f"*{keyword} without a set-up (*TSTN) before it")
+        raise where.error(f"*{keyword} has no set-up (*TSTN) before it")
     words.first_words(1 + len(kinds), f"*{keyword} needs a point and {len(kinds)} values")
     setup = file.setups[file.station]
     target = where.name(words.tokens[0], "target")
     if target not in file.points:
         raise where.error(f"the point {target} is in no block of points")
     options = words.options(1 + len(kinds))
-    used, declared = options.values.get("TRGT", setup.default), file.polar[setup.instrument].targets
-    if used not in declared:
-        raise where.error(f"the target {quoted_text(used)} is not declared with instrument {setup.instrument}")
-    height = options.number("TH", declared[used].height)
+    kind_of_target, sigmas_by_target = (
+        options.values.get("TRGT", setup.default_target),
+        file.polar[setup.instrument].targets,
+    )
+    if kind_of_target not in sigmas_by_target:
+        raise where.error(
+            f"the target {quoted_text(kind_of_target)} is not declared with instrument {setup.instrument}"
+        )
+    height = options.number("TH", sigmas_by_target[kind_of_target].height)
     for kind, value in zip(kinds, words.numbers(1, *kinds, limit=1e6), strict=True):
-        si, sigma = _reading_in_si(kind, value, setup, where), declared[used].sigma_of(kind, options, value)
+        reading, sigma = (
+            _reading_in_si(kind, value, setup, where),
+            sigmas_by_target[kind_of_target].sigma_of(kind, options, value),
+        )
         heights = setup.height, NOT_MEASURED if kind == "azimuth" else height, keyword == "DHOR"
-        file.observed.append(SingleObservation(kind, file.station, target, si, sigma, *heights, where.row or 0))
+        file.observations.append(
+            SingleObservation(kind, file.station, target, reading, sigma, *heights, where.row or 0)
+        )
 
 
 def _reading_in_si(kind: ObservationKind, value: float, setup: _SetUp, location: SourceLocation) -> float:
-    """Reading [m, rad] with counter-clockwise azimuth, and elevation in place of the zenith angle."""
+    """Reading [m, rad] from a value of the file: distance, counter-clockwise azimuth, or elevation."""
     if kind == "azimuth":
-        return float(np.mod(-value * GON - setup.constant, 2 * np.pi))
+        return float(np.mod(-value * GON - setup.direction_constant, 2 * np.pi))
     if kind == "elevation":
         if not 0 <= value <= 200:
             raise location.error(
@@ -245,15 +262,15 @@ def _reading_in_si(kind: ObservationKind, value: float, setup: _SetUp, location:
 
 def _make_recording(file: _File) -> Recording:
     pointings, instrument_heights, target_heights = separate_constant_heights(
-        merge_observations(file.observed, file.path.name)
+        merge_observations(file.observations, file.path.name)
     )
     if not pointings:
         raise RecordError("contains no polar observations", file=file.path)
     targets = dict.fromkeys(p.target for p in pointings)
     _use_observed_coordinates(file)
-    marks = [s.point for s in file.setups.values() if file.points[s.point].axes or s.point in targets]
+    occupied_marks = [s.point for s in file.setups.values() if file.points[s.point].axes or s.point in targets]
     plane = _TangentPlane.from_points(
-        [file.points[name] for name in {*targets, *(s.point for s in file.setups.values())}], file.curved
+        [file.points[name] for name in {*targets, *(s.point for s in file.setups.values())}], file.curved_reference
     )
     setup = Setup(
         title=as_title(" ".join(file.title)),
@@ -263,17 +280,17 @@ def _make_recording(file: _File) -> Recording:
                 **plane.setup_keys(file.points[s.point], levelled=s.levelled),
                 instrument=s.instrument,
                 instrument_height_mm=instrument_heights.get(name, 0.0),
-                over=s.point if s.point in marks else None,
+                over=s.point if s.point in occupied_marks else None,
             )
             for name, s in file.setups.items()
         },
         targets={
             name: Target(
                 **plane.coordinate_keys(file.points[name]),
-                datum=name in file.orientation,
+                datum=name in file.orientation_points,
                 height_mm=target_heights.get(name, 0.0),
             )
-            for name in dict.fromkeys([*targets, *marks])
+            for name in dict.fromkeys([*targets, *occupied_marks])
         },
     )
     return recording_of_pointings(
@@ -282,54 +299,57 @@ def _make_recording(file: _File) -> Recording:
 
 
 def _use_observed_coordinates(file: _File) -> None:
-    """Use of the observed coordinates of points that are not fixed."""
-    for name, place, covariance in file.placed:
+    """Addition of observed coordinates to the points that are not fixed; raises RecordError."""
+    for name, point, covariance in file.observed_points:
         if name not in file.points:
             raise RecordError(f"*OBSXYZ observes {name}, which is in no block of points", file=file.path)
         if file.points[name].is_fixed:
-            file.notes.append(f"*OBSXYZ of {name}: the point is fixed, so that its observed coordinates are not used")
+            file.notes.append(f"the coordinates of {name} in *OBSXYZ are not used, because the point is fixed")
         else:
-            file.points[name].add_observation(place, covariance)
+            file.points[name].add_observation(point, covariance)
 
 
 @dataclass(frozen=True)
 class _TangentPlane:
-    """Tangent plane of the curved reference in the middle of the network: `centre` (2,) [m] in plan."""
+    """Tangent plane of a curved reference surface; it touches the surface at `centre` (2,) [m] in plan.
+
+    Without a curved surface (`is_curved`) it is the horizontal plane.
+    """
 
     centre: Floats
-    curved: bool
+    is_curved: bool
 
     @classmethod
     def from_points(cls, points: list[DeclaredPoint], earth_model: str) -> _TangentPlane:
-        """Plane around the median of the points in use; points at 0, 0 are placeholders."""
+        """Plane at the median of the points, without placeholders; `earth_model` is '' without a curved reference."""
         plan_points = [point.declared_point[:2] for point in points if not point.is_placeholder]
         return cls(np.median(plan_points, axis=0) if plan_points else np.zeros(2), bool(earth_model))
 
-    def plane_coordinates(self, place: Floats) -> Vector:
-        """Coordinates [mm] of a place in the plane."""
-        x, y, height = place.tolist()
-        drop = float(np.sum((place[:2] - self.centre) ** 2)) / (2 * EARTH_RADIUS) if self.curved else 0.0
+    def plane_coordinates(self, point: Floats) -> Vector:
+        """Coordinates [mm] over the plane, from plan coordinates and height `point` (3,) [m]."""
+        x, y, height = point.tolist()
+        drop = float(np.sum((point[:2] - self.centre) ** 2)) / (2 * EARTH_RADIUS) if self.is_curved else 0.0
         return round(x * 1e3, 6), round(y * 1e3, 6), round((height - drop) * 1e3, 6)
 
     def setup_keys(self, point: DeclaredPoint, *, levelled: bool) -> dict[str, Any]:
-        """Keys of a set-up over a point: its place and direction of the vertical."""
+        """Keys of the set-up over a point in `setup.toml`: position and direction of the vertical."""
         keys: dict[str, Any] = (
             {} if point.is_placeholder else {"position_mm": self.plane_coordinates(point.declared_point)}
         )
         if levelled:
             keys |= {"levelled": True, "levelling_sigma_arcsec": EXACT_LEVEL_ARCSEC}
-        if levelled and self.curved and keys.get("position_mm"):
+        if levelled and self.is_curved and keys.get("position_mm"):
             x, y = ((point.declared_point[:2] - self.centre) / EARTH_RADIUS).round(12).tolist()
             keys["vertical"] = (x, y, 1.0)
         return keys
 
     def coordinate_keys(self, point: DeclaredPoint) -> dict[str, Any]:
-        """Keys of a target's coordinates: known along some axes, approximate along the others."""
+        """Keys of a target's coordinates in `setup.toml`: known along some axes, approximate along the others."""
         axes = point.axes
         if axes is None:
             return {} if point.is_placeholder else {"approximate_mm": self.plane_coordinates(point.declared_point)}
-        place, covariance = point.point_and_covariance
-        keys: dict[str, Any] = {"known_mm": self.plane_coordinates(place), "known_axes": axes}
+        coordinates, covariance = point.point_and_covariance
+        keys: dict[str, Any] = {"known_mm": self.plane_coordinates(coordinates), "known_axes": axes}
         keys["known_sigma_mm"] = FIXED_SIGMA_M / MILLIMETRE
         if not all(abs(covariance[k, k] / FIXED_SIGMA_M**2 - 1.0) < 1e-6 for k in range(3) if "xyz"[k] in axes):
             keys["known_covariance_mm2"] = tuple((covariance[np.triu_indices(3)] / MILLIMETRE**2).tolist())
@@ -337,21 +357,21 @@ class _TangentPlane:
 
 
 def _notes(file: _File) -> Iterator[str]:
-    if file.switched_off:
-        yield f"{file.switched_off} lines are switched off with % and not used"
+    if file.n_switched_off:
+        yield f"{file.n_switched_off} lines are switched off with % and are not used"
     for keyword, count in file.skipped.items():
-        curved = f"observes coordinates in the axes of *{file.curved}, not in those of its heights,"
-        why = curved if keyword == "OBSXYZ" else "is not understood here"
-        yield f"*{quoted_text(keyword)} {why} and skipped ({count} lines)"
-    if file.framed:
+        axes_reason = f"observes coordinates in the axes of *{file.curved_reference}, not in those of its heights"
+        reason = axes_reason if keyword == "OBSXYZ" else "is not supported"
+        yield f"*{quoted_text(keyword)} {reason}: {count} lines are skipped"
+    if file.points_in_frames:
         frames = ", ".join(map(quoted_text, file.frames))
-        sentence = f"*OBSXYZ observes {len(file.framed)} points in a separate frame ({frames})"
-        if all(name in file.points and file.points[name].is_fixed for name in file.framed):
-            yield f"{sentence}; all of them are fixed, so they only locate that frame"
+        sentence = f"*OBSXYZ observes {len(file.points_in_frames)} points in a separate frame ({frames})"
+        if all(name in file.points and file.points[name].is_fixed for name in file.points_in_frames):
+            yield f"{sentence}: they are not used, because all of them are fixed"
         else:
-            yield f"{sentence}, whose place is not adjusted here; they are skipped"
-    if file.curved:
-        sphere = "heights refer to a curved surface: ltsim uses a sphere, so plumb lines differ by place"
-        yield f"*{file.curved}: {sphere}"
-    for name in file.orientation:
-        yield f"*PDOR: the frame is oriented by the approximate coordinates of {quoted_text(name)}"
+            yield f"{sentence}: they are skipped, because ltsim does not adjust the pose of this frame"
+    if file.curved_reference:
+        sphere = "heights refer to a curved surface, for which ltsim uses a sphere: plumb lines differ between stations"
+        yield f"*{file.curved_reference}: {sphere}"
+    for name in file.orientation_points:
+        yield f"the approximate coordinates of {quoted_text(name)} orient the frame (*PDOR)"

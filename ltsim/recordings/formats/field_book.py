@@ -1,4 +1,4 @@
-"""Field book of a total station: set-ups over points with heights, and pointings from them."""
+"""Field book of a total station, filled by the readers of several formats: set-ups over points, and pointings."""
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
@@ -21,26 +21,29 @@ from ltsim.recordings.pointings import (
     separate_constant_heights,
 )
 from ltsim.recordings.recording import HEIGHT_COLUMNS, KIND_COLUMN, Recording
+from ltsim.recordings.resolution import default_total_station
 from ltsim.recordings.setup import Setup, Station, Target, Vector
-from ltsim.recordings.specification import TOTAL_STATION, TOTAL_STATION_NOTE
+from ltsim.recordings.tables.setups import marks_with_other_spelling, spelling_note
 
 
 @dataclass
 class FieldBook:
-    """Content of a total station's file, as far as it is used."""
+    """Set-ups and pointings that were read from a total station's file so far."""
 
     path: Path
     station: str = ""
+    """Name of the set-up that was added last."""
     setups: dict[str, tuple[str, float, Vector | None]] = field(default_factory=dict)
     """Point, height of the instrument [m] and coordinates [mm] of each set-up, by its name."""
     pointings: list[Pointing] = field(default_factory=list)
-    skipped: int = 0
+    n_skipped: int = 0
+    """Number of records that are not used."""
 
-    def add_setup(self, name: str, height: float, place: Vector | None, location: SourceLocation) -> None:
-        """Addition of a set-up; a station that is occupied again gets a number."""
-        count = sum(point == location.name(name, "station") for point, _, _ in self.setups.values())
-        self.station = numbered_name(name, count)
-        self.setups[self.station] = (name, height, place)
+    def add_setup(self, name: str, height: float, coordinates_mm: Vector | None, location: SourceLocation) -> None:
+        """Addition of a set-up over a point, with height [m] and coordinates [mm]; repeated set-ups are numbered."""
+        n_earlier = sum(point == location.name(name, "station") for point, _, _ in self.setups.values())
+        self.station = numbered_name(name, n_earlier)
+        self.setups[self.station] = (name, height, coordinates_mm)
 
     def add_pointing(
         self,
@@ -53,22 +56,22 @@ class FieldBook:
         height: float = NOT_MEASURED,
         is_horizontal: bool = False,
     ) -> None:
-        """Addition of a pointing: distance [m], clockwise circle and zenith angle [rad], NaN if not measured.
+        """Addition of a pointing: distance [m], clockwise direction and zenith angle [rad], height of the target [m].
 
-        Height [m].
+        A value that was not measured is NaN. `is_horizontal` marks a distance that is reduced to the horizontal plane.
 
-        Raises RecordError before the first station, and for values beyond any instrument.
+        Raises RecordError before the first station, and for impossible values.
         """
         if not self.station:
-            raise location.error("a measurement before any station is named; give --hint station=NAME")
+            raise location.error("this measurement precedes the first named station; give --hint station=NAME")
         distance = distance or NOT_MEASURED
         if not (np.isnan(distance) or 0 < distance < 1e6):
-            raise location.error(f"a distance of {distance:g} m")
+            raise location.error(f"found a distance of {distance:g} m, expected one above 0 and below 1000 km")
         if not (np.isnan(zenith) or 0 <= zenith <= 2 * np.pi):
-            raise location.error("a zenith angle outside the circle")
+            raise location.error(f"found a zenith angle of {zenith:g} rad, expected one from 0 to a full circle")
         elevation = np.pi / 2 - zenith + (2 * np.pi if zenith > np.pi else 0.0)
         if np.all(np.isnan([distance, horizontal, zenith])):
-            self.skipped += 1
+            self.n_skipped += 1
             return
         self.pointings.append(
             Pointing(
@@ -87,38 +90,43 @@ class FieldBook:
     def make_recording(self, kind: str, *notes: str) -> Recording:
         """Recording with levelled set-ups over points and the noise of a total station.
 
-        `kind` names the format in its notes. Set-ups of one point have one position.
+        `kind` is the format, which a note names. All set-ups over one point have the same position.
 
-        Raises RecordError where nothing was measured.
+        Raises RecordError if the file has no measurements.
         """
         if not self.pointings:
             raise RecordError("holds no measurements", file=self.path)
-        turned = self._separate_orientations()
+        orientation_notes = self._separate_orientations()
         pointings, _, heights = separate_constant_heights(self.pointings)
         names = dict.fromkeys(p.station for p in pointings)
         marks = {p.target for p in pointings}
-        marks |= {point for point, count in Counter(self.setups[name][0] for name in names).items() if count > 1}
+        other = marks_with_other_spelling([self.setups[p.station][0] for p in pointings], [p.target for p in pointings])
+        points = {name: other.get(self.setups[name][0], self.setups[name][0]) for name in names}
+        marks |= {point for point, count in Counter(points.values()).items() if count > 1}
         stations = {}
-        for name in names:
-            point, height, place = self.setups[name]
+        for name, point in points.items():
+            _, height, coordinates_mm = self.setups[name]
             stations[name] = Station(
                 levelled=True,
                 over=point if point in marks else None,
                 instrument_height_mm=round(height / MILLIMETRE, 6),
-                position_mm=place,
+                position_mm=coordinates_mm,
             )
+        readings = np.array([[p.distance, p.azimuth, p.elevation] for p in pointings])
+        instrument, noise = default_total_station(readings, f"it is {kind}")
         setup = Setup(
             title=self.path.stem,
             air=NO_AIR_UNCERTAINTY,
-            instrument=TOTAL_STATION,
+            instrument=instrument,
             stations=stations,
             targets={name: Target(height_mm=height) for name, height in heights.items()},
         )
-        all_notes = [TOTAL_STATION_NOTE.format(reason=f"it is {kind}"), *turned, *notes]
+        spelled = spelling_note({name: mark for name, mark in other.items() if mark in marks})
+        all_notes = [noise, *orientation_notes, *spelled, *notes]
         return with_earth_curvature(recording_of_pointings(pointings, setup, notes=all_notes, file=self.path))
 
     def _separate_orientations(self) -> list[str]:
-        """Separation (in place) of the orientations of a circle that was set anew into separate set-ups, with notes."""
+        """Division, in place, of set-ups whose circle was set anew into set-ups of one orientation; returns notes."""
         occupations, occupation = index_names([p.station for p in self.pointings], "station", self.path)
         _, sight = np.unique([f"{p.station}\n{p.target}\n{p.face}" for p in self.pointings], return_inverse=True)
         readings = np.array([[p.distance, p.azimuth, p.elevation] for p in self.pointings])

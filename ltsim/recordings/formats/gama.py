@@ -1,12 +1,13 @@
-"""Input files of GNU Gama (``gama-local``).
+"""Format: input files of GNU Gama (``gama-local``).
 
-Understood are directions, azimuths, zenith angles, slope and horizontal distances, angles, heights of instrument and
-target, points that are fixed, constrained, adjusted or observed with a covariance. Each set of directions becomes a
-set-up of its own over the same point, azimuths an oriented one; distances alone between two targets are known lengths,
-height differences and vectors known differences of their marks. Without any pointing they are no recording.
+The reader supports directions, azimuths, zenith angles, slope and horizontal distances, angles, heights of instrument
+and target, and points that are fixed, constrained, adjusted or observed with a covariance. Each set of directions
+becomes a separate set-up over the same point, and azimuths an oriented one. A distance between two points without other
+measurements becomes a reference length; height differences and vectors become reference differences between marks. A
+file without pointings is not a recording.
 
-Gama's instruments are levelled exactly and its angles count clockwise unless said otherwise; a left-handed system of
-axes is made right-handed by turning y over, which a note says.
+Gama's instruments are levelled exactly, and its angles are clockwise unless the file declares otherwise. In a left-
+handed system of axes the sign of y is changed, which a note reports.
 """
 
 import re
@@ -51,39 +52,41 @@ from ltsim.recordings.setup import (
 from ltsim.recordings.xml import XmlNode, parse_xml
 
 MIRRORED_AXES = ("ne", "sw", "es", "wn")
-"""Axes of gama-local that form a left-handed frame: the sign of y is changed."""
+"""Directions of x and y that form a left-handed frame, in which the sign of y is changed."""
 DIRECT_AXES = ("en", "nw", "se", "ws")
+"""Directions of x and y that form a right-handed frame."""
 CENTESIMAL_SECOND = SI_PER_UNIT["cc"]
 STDEV_ATTRIBUTES = {"z-angle": "zenith-angle", "s-distance": "distance"} | {
     k: k for k in ("direction", "azimuth", "distance")
 }
-"""Attributes that hold the standard deviation, by kind of observation."""
+"""Beginning of the attribute with the default standard deviation (``KIND-stdev``), by element of the observation."""
 NAME_ATTRIBUTES = ("id", "from", "to", "bs", "fs")
-"""Attributes that name a point."""
+"""Attributes of elements that name a point."""
 SigmaAndSharedErrors = tuple[float, dict[str, float]]
-"""Standard deviation of the independent part of an observation (NaN: the default), and the change by each shared error,
-by name [mm, cc].
+"""Standard deviation of the independent error of an observation, and its change by each shared error, by name [mm, cc].
+
+The standard deviation is NaN for the default of the file.
 """
-CORRELATIONS_NOTE = "correlations between observed coordinates of different points are left out"
-OMITTED_CORRELATIONS_NOTE = "correlations between height differences, or between vectors, are left out"
-_DMS = re.compile(r"([+-]?)(\d{1,3})-(\d{1,2})-(\d{1,2}(?:\.\d+)?)", re.ASCII)
+CORRELATIONS_NOTE = "correlations between observed coordinates of different points are not used"
+OMITTED_CORRELATIONS_NOTE = "correlations between height differences, or between vectors, are not used"
+_SEXAGESIMAL_ANGLE_PATTERN = re.compile(r"([+-]?)(\d{1,3})-(\d{1,2})-(\d{1,2}(?:\.\d+)?)", re.ASCII)
 
 
-def recognises(path: Path, head: str) -> bool:
-    """True if the root element is that of gama-local."""
-    return re.search(r"<gama-(local|xml)\b", head) is not None and "<gama-local-adjustment" not in head
+def recognises(path: Path, beginning: str) -> bool:
+    """True if the root element is that of an input file of gama-local."""
+    return re.search(r"<gama-(local|xml)\b", beginning) is not None and "<gama-local-adjustment" not in beginning
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     """Recording of an input file of gama-local.
 
-    Raises RecordError for XML that is malformed, unsafe or of another kind.
+    Raises RecordError for XML that is malformed or unsafe, or has another root element.
     """
     root = parse_xml(path)
     if root.tag not in ("gama-local", "gama-xml"):
         raise RecordError(f"the root is <{quoted_text(root.tag)}>, expected <gama-local>", file=path)
     network = GamaNetwork(path)
-    _without_slashes(root, network)
+    _replace_slashes(root, network)
     for node in root.descendants("network", "description", "parameters"):
         if node.tag == "network":
             _read_axes(node, network)
@@ -98,17 +101,17 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     return _make_recording(network)
 
 
-def _without_slashes(root: XmlNode, network: GamaNetwork) -> None:
-    """Replacement of `/` in names of points by `_`, because target names must not contain it.
+def _replace_slashes(root: XmlNode, network: GamaNetwork) -> None:
+    """Replacement, in place, of `/` in names of points by `_`, because names of targets must not contain `/`.
 
-    `..` is not permitted either.
+    A name with `..` is left as it is, because it is not permitted in any case.
     """
     attributes = [(element, key) for element in root.element.iter() for key in NAME_ATTRIBUTES if key in element.attrib]
-    given = dict.fromkeys(element.attrib[key] for element, key in attributes)
+    file_names = dict.fromkeys(element.attrib[key] for element, key in attributes)
     names: dict[str, str] = {}
-    for name in (name for name in given if "/" in name and ".." not in name):
+    for name in (name for name in file_names if "/" in name and ".." not in name):
         names[name] = name.replace("/", "_")
-        while names[name] in given or list(names.values()).count(names[name]) > 1:
+        while names[name] in file_names or list(names.values()).count(names[name]) > 1:
             names[name] += "_"
     for element, key in attributes:
         element.attrib[key] = names.get(element.attrib[key], element.attrib[key])
@@ -125,16 +128,18 @@ def _read_axes(node: XmlNode, network: GamaNetwork) -> None:
     network.angle_sign = -1.0 if angles == "left-handed" else 1.0
     network.north_direction_deg = {"n": 0.0, "e": 90.0, "s": 180.0, "w": -90.0}[axes[0]]
     if network.y_sign < 0:
-        network.notes.append(f"axes-xy='{axes}' is a left-handed system: y is turned over to make it right-handed")
+        network.notes.append(f"axes-xy='{axes}' is a left-handed system: the sign of y is changed")
 
 
 def _read_parameters(node: XmlNode, network: GamaNetwork) -> None:
-    network.apriori = node.number("sigma-apr", network.apriori)
+    network.apriori_sigma = node.number("sigma-apr", network.apriori_sigma)
     if "sigma-apr" in node:
-        apriori = quoted_text(node.get("sigma-apr"))
-        network.notes.append(f"sigma-apr is {apriori}: Gama's sigma0 is this factor times the one of ltsim")
+        apriori_sigma = quoted_text(node.get("sigma-apr"))
+        network.notes.append(
+            f"sigma-apr is {apriori_sigma}: the sigma0 that Gama reports is {apriori_sigma} times that of ltsim"
+        )
     if "latitude" in node or "ellipsoid" in node:
-        network.notes.append("latitude and ellipsoid are not used: no reduction of observations to an ellipsoid")
+        network.notes.append("latitude and ellipsoid are not used: observations are not reduced to an ellipsoid")
 
 
 def _read_part(node: XmlNode, network: GamaNetwork) -> None:
@@ -145,7 +150,7 @@ def _read_part(node: XmlNode, network: GamaNetwork) -> None:
     elif node.tag == "coordinates":
         _read_coordinates(node, network)
     elif node.tag in ("height-differences", "vectors"):
-        differences, correlated = read_differences(node, network.y_sign, network.apriori)
+        differences, correlated = read_differences(node, network.y_sign, network.apriori_sigma)
         network.differences += differences
         network.notes += [OMITTED_CORRELATIONS_NOTE] * correlated
     else:
@@ -153,9 +158,9 @@ def _read_part(node: XmlNode, network: GamaNetwork) -> None:
 
 
 def _read_point(node: XmlNode, network: GamaNetwork) -> GamaPoint:
-    """Point of an element: known (fixed) along some axes, approximate along the others.
+    """Point of an element, added to the network: known along fixed axes, approximate along the others.
 
-    Capital letters define the datum.
+    Capital letters in `adj` mark axes of the datum.
     """
     name = node.name("id", "point")
     point = network.points.setdefault(name, GamaPoint())
@@ -178,20 +183,23 @@ def _parse_axes(letters: str) -> str:
 
 
 def _read_coordinates(node: XmlNode, network: GamaNetwork) -> None:
-    """Observed coordinates of an element, known with their covariance; correlations between points are ignored."""
+    """Addition of the observed coordinates of an element with their covariance, without correlations between points."""
     row, column, numbers = covariance_entries(node)
-    sign, at = np.array([1.0, network.y_sign, 1.0]), 0
-    for inner in [inner for inner in node if inner.tag == "point"]:
-        point, axes = _read_point(inner, network), [i for i, axis in enumerate("xyz") if axis in inner]
-        first, at = at, at + len(axes)
-        mine = (row >= first) & (row < at)
-        inside = mine & (column < at)
-        covariance, (i, j) = np.eye(3), np.array(axes, dtype=np.int64)[np.stack([row[inside], column[inside]]) - first]
-        covariance[i, j] = covariance[j, i] = numbers[inside]
+    sign, next_row = np.array([1.0, network.y_sign, 1.0]), 0
+    for child in [child for child in node if child.tag == "point"]:
+        point, axes = _read_point(child, network), [i for i, axis in enumerate("xyz") if axis in child]
+        first_row, next_row = next_row, next_row + len(axes)
+        is_row_of_point = (row >= first_row) & (row < next_row)
+        is_block_of_point = is_row_of_point & (column < next_row)
+        covariance, (i, j) = (
+            np.eye(3),
+            np.array(axes, dtype=np.int64)[np.stack([row[is_block_of_point], column[is_block_of_point]]) - first_row],
+        )
+        covariance[i, j] = covariance[j, i] = numbers[is_block_of_point]
         variances = np.diag(covariance)[axes]
         if np.count_nonzero(i == j) < len(axes) or not np.all(variances > 0):
-            raise inner.location.error("observed coordinates need a variance each")
-        if np.any(numbers[mine & ~inside]):
+            raise child.location.error("observed coordinates have no positive variance each, expected one")
+        if np.any(numbers[is_row_of_point & ~is_block_of_point]):
             network.notes.append(CORRELATIONS_NOTE)
         point.fixed = "".join("xyz"[axis] for axis in axes)
         point.sigma = float(np.sqrt(np.mean(variances)))
@@ -200,25 +208,27 @@ def _read_coordinates(node: XmlNode, network: GamaNetwork) -> None:
 
 
 def _read_obs(block: XmlNode, network: GamaNetwork) -> None:
-    """Observations of a block, from one point or from the `from` of each observation."""
-    inner = [child for child in block if child.tag != "cov-mat"]
+    """Addition of the observations of a block, from the point in `from` of the block or of each observation."""
+    children = [child for child in block if child.tag != "cov-mat"]
     row, column, numbers = covariance_entries(block)
-    if len(numbers) and row[-1] + 1 != len(inner):
-        raise block.location.error("a <cov-mat> that does not match its observations")
-    sigmas, reach = [NOT_MEASURED] * len(inner), np.zeros((len(inner), 0))
+    if len(numbers) and row[-1] + 1 != len(children):
+        raise block.location.error("the size of <cov-mat> does not match its observations")
+    sigmas, shared_effects = [NOT_MEASURED] * len(children), np.zeros((len(children), 0))
     if len(numbers):
-        alone, reach = split_correlations(block, (row, column, numbers), network.shared)
-        sigmas = alone.tolist()
-    shared = [{f"{network.shared + k}": errors[k] for k in np.flatnonzero(errors)} for errors in reach]
-    network.shared += reach.shape[1]
-    circles = {(_start_point(child, block), child.tag) for child in inner if child.tag in ("direction", "azimuth")}
+        independent, shared_effects = split_correlations(block, (row, column, numbers), network.n_shared_errors)
+        sigmas = independent.tolist()
+    shared = [
+        {f"{network.n_shared_errors + k}": errors[k] for k in np.flatnonzero(errors)} for errors in shared_effects
+    ]
+    network.n_shared_errors += shared_effects.shape[1]
+    circles = {(_start_point(child, block), child.tag) for child in children if child.tag in ("direction", "azimuth")}
     names = {circle: network.station(circle[0], with_directions=True) for circle in sorted(circles, reverse=True)}
     network.oriented |= {name for (_, kind), name in names.items() if kind == "azimuth"}
-    for child, sigma, errors in zip(inner, sigmas, shared, strict=True):
+    for child, sigma, errors in zip(children, sigmas, shared, strict=True):
         if child.tag in STDEV_ATTRIBUTES:
             point = _start_point(child, block)
             station = names.get((point, child.tag)) or names.get((point, "direction")) or network.station(point)
-            network.observed.append(_observation(child, block, station, (sigma, errors), network))
+            network.observations.append(_observation(child, block, station, (sigma, errors), network))
         elif child.tag == "angle":
             _read_angle(child, block, (sigma, errors), network)
         else:
@@ -226,11 +236,12 @@ def _read_obs(block: XmlNode, network: GamaNetwork) -> None:
 
 
 def _start_point(child: XmlNode, block: XmlNode) -> str:
+    """Name of the point from which an observation was made; raises RecordError."""
     return (child if "from" in child else block).name("from", "point")
 
 
 def _observation(
-    child: XmlNode, block: XmlNode, station: str, spread: SigmaAndSharedErrors, network: GamaNetwork
+    child: XmlNode, block: XmlNode, station: str, sigma_and_errors: SigmaAndSharedErrors, network: GamaNetwork
 ) -> SingleObservation:
     target = child.name("to", "point")
     heights = child.number("from_dh", block.number("from_dh", 0.0)), child.number("to_dh", 0.0)
@@ -238,46 +249,54 @@ def _observation(
         value = child.number("val")
         if not 0 < value < 1e6:
             raise child.location.error(f"found {value:g}, expected a distance above 0", f"<{child.tag}> val")
-        sigma, shared = _scale_sigma(spread, MILLIMETRE, child, network, value)
+        sigma, shared = _scale_sigma(sigma_and_errors, MILLIMETRE, child, network, value)
         flat = child.tag == "distance"
         return SingleObservation("distance", station, target, value, sigma, *heights, flat, child.line, shared)
     value, second = _parse_angle(child)
     sense = network.angle_sign if child.tag in ("direction", "azimuth") else -1.0
-    sigma, shared = _scale_sigma(spread, sense * second, child, network)
+    sigma, shared = _scale_sigma(sigma_and_errors, sense * second, child, network)
     if child.tag in ("direction", "azimuth"):
-        return SingleObservation("azimuth", station, target, sense * value, sigma, line=child.line, shared=shared)
+        return SingleObservation(
+            "azimuth", station, target, sense * value, sigma, line=child.line, shared_error_changes=shared
+        )
     if value > np.pi:
-        raise child.location.error("a zenith angle beyond half a circle", "<z-angle> val")
+        raise child.location.error(
+            "found a zenith angle beyond half a circle, expected 0 to half a circle", "<z-angle> val"
+        )
     return SingleObservation(
-        "elevation", station, target, np.pi / 2 - value, sigma, *heights, line=child.line, shared=shared
+        "elevation", station, target, np.pi / 2 - value, sigma, *heights, line=child.line, shared_error_changes=shared
     )
 
 
-def _read_angle(child: XmlNode, block: XmlNode, spread: SigmaAndSharedErrors, network: GamaNetwork) -> None:
-    """Angle as two directions of a separate orientation, each with its sigma divided by the square root of 2."""
+def _read_angle(child: XmlNode, block: XmlNode, sigma_and_errors: SigmaAndSharedErrors, network: GamaNetwork) -> None:
+    """Addition of an angle as two directions of a separate set-up, each with its sigma over the square root of 2."""
     station = network.station(_start_point(child, block), with_directions=True)
     value, second = _parse_angle(child)
-    sigma, shared = _scale_sigma(spread, network.angle_sign * second, child, network)
+    sigma, shared = _scale_sigma(sigma_and_errors, network.angle_sign * second, child, network)
     for name, turned, errors in (("bs", 0.0, {}), ("fs", network.angle_sign * value, shared)):
         target = child.name(name, "point")
         direction = SingleObservation(
-            "azimuth", station, target, turned, sigma / np.sqrt(2), line=child.line, shared=errors
+            "azimuth", station, target, turned, sigma / np.sqrt(2), line=child.line, shared_error_changes=errors
         )
-        network.observed.append(direction)
+        network.observations.append(direction)
 
 
 def _scale_sigma(
-    spread: SigmaAndSharedErrors, unit: float, child: XmlNode, network: GamaNetwork, distance: float = 0.0
+    sigma_and_errors: SigmaAndSharedErrors, unit: float, child: XmlNode, network: GamaNetwork, distance: float = 0.0
 ) -> tuple[float, dict[str, float]]:
-    """Standard deviation and shared errors multiplied by a unit, with the sign of the sense of the reading."""
-    sigma, shared = spread
-    alone = sigma if np.isfinite(sigma) else _sigma_of_observation(child, network, distance)
-    return alone * abs(unit), {name: error * unit for name, error in shared.items()}
+    """Standard deviation [m, rad], and changes [m, rad] by shared errors, of an observation.
+
+    `sigma_and_errors` holds both in the unit of the file, and `unit` converts them to SI; a negative `unit` reverses
+    the sense of an angle.
+    """
+    sigma, shared = sigma_and_errors
+    independent = sigma if np.isfinite(sigma) else _sigma_of_observation(child, network, distance)
+    return independent * abs(unit), {name: error * unit for name, error in shared.items()}
 
 
 def _parse_angle(child: XmlNode) -> tuple[float, float]:
-    """Angle [rad] from gon or degrees-minutes-seconds, and the unit [rad] of its standard deviation."""
-    match = _DMS.fullmatch(child.required_attribute("val"))
+    """Angle [rad] from gon, or from degrees, minutes and seconds, and the unit [rad] of its standard deviation."""
+    match = _SEXAGESIMAL_ANGLE_PATTERN.fullmatch(child.required_attribute("val"))
     if match is None:
         return child.number("val", limit=1e4) * GON, CENTESIMAL_SECOND
     degrees = float(match[2]) + float(match[3]) / 60 + float(match[4]) / 3600
@@ -285,7 +304,10 @@ def _parse_angle(child: XmlNode) -> tuple[float, float]:
 
 
 def _sigma_of_observation(child: XmlNode, network: GamaNetwork, distance: float = 0.0) -> float:
-    """Standard deviation of an observation, or the default: ``a``, or ``a b c`` for a + b D^c with D in km."""
+    """Standard deviation [mm, cc] of an observation, from its attribute or the default of the file.
+
+    The attribute is ``a``, or ``a b c`` for a + b D^c with the distance D in km. Raises RecordError.
+    """
     kind = STDEV_ATTRIBUTES.get(child.tag, child.tag)
     words = child.get("stdev", network.stdev.get(kind, "")).split()
     if not 0 < len(words) < 4:
@@ -297,7 +319,8 @@ def _sigma_of_observation(child: XmlNode, network: GamaNetwork, distance: float 
     a, b, c = [*coefficients, 0.0, 1.0][:3] if len(coefficients) == 1 else [*coefficients, 1.0][:3]
     sigma = a + (b * (distance / 1000) ** c if b else 0.0)
     if not 0 < sigma < 1e9:
-        raise child.location.error(f"a standard deviation of {sigma:g}", f"<{quoted_text(child.tag)}>")
+        message = f"found a standard deviation of {sigma:g}, expected one above 0"
+        raise child.location.error(message, f"<{quoted_text(child.tag)}>")
     return sigma
 
 
@@ -343,10 +366,14 @@ def _make_recording(network: GamaNetwork) -> Recording:
 
 
 def _target(point: GamaPoint, height: float) -> Target:
-    reference = {"known_axes": point.fixed, "known_sigma_mm": point.sigma, "known_covariance_mm2": point.covariance}
+    reference_keys = {
+        "known_axes": point.fixed,
+        "known_sigma_mm": point.sigma,
+        "known_covariance_mm2": point.covariance,
+    }
     return Target(
         known_mm=point.coordinates if point.fixed else None,
-        **reference if point.fixed else {},  # type: ignore[arg-type]
+        **reference_keys if point.fixed else {},  # type: ignore[arg-type]
         in_plan=point.active == "xy",
         approximate_mm=None if point.fixed == "xyz" else point.place,
         datum=bool(point.datum),
@@ -356,7 +383,7 @@ def _target(point: GamaPoint, height: float) -> Target:
 
 
 def _noise(network: GamaNetwork) -> Noise:
-    """Default standard deviations of the file; those of single observations are in columns."""
+    """Noise with the default standard deviations of the file; those of single observations are in columns."""
 
     def default(kind: str, fallback: float) -> float:
         words = network.stdev.get(kind, "").split()

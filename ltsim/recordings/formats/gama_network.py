@@ -1,4 +1,4 @@
-"""Content of an input file of GNU Gama, and its observations with a covariance matrix."""
+"""Content of an input file of GNU Gama, and its observations with a common covariance matrix."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -16,18 +16,23 @@ from ltsim.recordings.setup import GaugeDistance, ReferenceDifference, Vector
 from ltsim.recordings.xml import XmlNode, band_matrix_entries
 
 FIXED_SIGMA_MM = 1e-4
-"""Standard deviation [mm] of a fixed coordinate."""
+"""Standard deviation [mm] that a coordinate declared as fixed is given."""
 
 
 @dataclass
 class GamaPoint:
-    """Point of the file: coordinates [m] by axis; axes that are fixed, in the datum, or used."""
+    """Point of the file."""
 
     values: dict[str, float] = field(default_factory=dict)
+    """Coordinates [m] by axis."""
     fixed: str = ""
+    """Axes along which the point is fixed or has observed coordinates."""
     datum: str = ""
+    """Axes along which the point defines the datum."""
     active: str = ""
+    """Axes along which the point is fixed or adjusted."""
     sigma: float = FIXED_SIGMA_MM
+    """Standard deviation [mm] of the coordinates along the fixed axes."""
     covariance: tuple[float, ...] | None = None
     """Covariance xx, xy, xz, yy, yz, zz [mm^2]; None if not given."""
 
@@ -38,93 +43,109 @@ class GamaPoint:
 
     @property
     def coordinates(self) -> Vector:
-        """Coordinates [mm], 0 for missing ones."""
+        """Coordinates [mm]; a missing coordinate is 0."""
         x, y, z = (round(self.values.get(axis, 0.0) / MILLIMETRE, 9) for axis in "xyz")
         return x, y, z
 
 
 @dataclass
 class GamaNetwork:
-    """Network of the file as far as it has been read."""
+    """Content of a file of gama-local that was read so far."""
 
     file: Path
     title: str = ""
     y_sign: float = 1.0
+    """-1 if the sign of y is changed, otherwise 1."""
     angle_sign: float = -1.0
+    """-1 if angles in the file are clockwise, otherwise 1."""
     stdev: dict[str, str] = field(default_factory=dict)
+    """Text of the default standard deviation, by kind of observation."""
     points: dict[str, GamaPoint] = field(default_factory=dict)
-    sets: Counter[str] = field(default_factory=Counter)
+    n_direction_sets: Counter[str] = field(default_factory=Counter)
+    """Number of sets of directions at each point."""
     point_of_station: dict[str, str] = field(default_factory=dict)
-    north_direction_deg: float = 0.0  # [deg] counter-clockwise from x
-    oriented: set[str] = field(default_factory=set)  # set-ups of azimuths: their circles are zero in the north
-    observed: list[SingleObservation] = field(default_factory=list)
-    apriori: float = 10.0  # [mm, cc] standard deviation of unit weight
+    north_direction_deg: float = 0.0
+    """Direction [deg] of north, counter-clockwise from x."""
+    oriented: set[str] = field(default_factory=set)
+    """Set-ups with azimuths, whose circle is zero in the north."""
+    observations: list[SingleObservation] = field(default_factory=list)
+    apriori_sigma: float = 10.0
+    """Standard deviation [mm, cc] of unit weight."""
     differences: list[ReferenceDifference] = field(default_factory=list)
     skipped: Counter[str] = field(default_factory=Counter)
-    shared: int = 0  # number of errors that observations share
+    n_shared_errors: int = 0
+    """Number of errors that several observations share."""
     notes: list[str] = field(default_factory=list)
 
     def station(self, point: str, *, with_directions: bool = False) -> str:
         """Name of the set-up over a point; each further set of directions gets another set-up."""
-        self.sets[point] += with_directions
-        name = numbered_name(point, max(self.sets[point] - 1, 0))
+        self.n_direction_sets[point] += with_directions
+        name = numbered_name(point, max(self.n_direction_sets[point] - 1, 0))
         self.point_of_station[name] = point
         return name
 
 
 def drop_undetermined_heights(network: GamaNetwork) -> None:
-    """Removal of height observations that are neither fixed nor adjusted.
+    """Removal of observations that need the height of a point that is adjusted in plan only.
 
-    The heights of their ends are fixed, as in Gama.
+    The heights of such points are fixed, as in Gama.
     """
-    flat = {name for name, point in network.points.items() if point.active == "xy"}
-    if not flat:
+    plan_points = {name for name, point in network.points.items() if point.active == "xy"}
+    if not plan_points:
         return
-    observed = []
-    for o in network.observed:
-        in_plan = bool({network.point_of_station[o.station], o.target} & flat)
-        if not in_plan or o.kind == "azimuth" or o.horizontal:
-            observed.append(replace(o, instrument_height=0.0, target_height=0.0) if in_plan else o)
-    joined = [
+    observations = []
+    for o in network.observations:
+        in_plan = bool({network.point_of_station[o.station], o.target} & plan_points)
+        if not in_plan or o.kind == "azimuth" or o.is_horizontal:
+            observations.append(replace(o, instrument_height=0.0, target_height=0.0) if in_plan else o)
+    differences = [
         difference
         for difference in network.differences
-        if not ({difference.from_, difference.to} & flat and difference.known_axes == "z")
+        if not ({difference.from_, difference.to} & plan_points and difference.known_axes == "z")
     ]
-    count = len(network.observed) - len(observed) + len(network.differences) - len(joined)
+    n_removed = len(network.observations) - len(observations) + len(network.differences) - len(differences)
     network.differences = [
-        difference.model_copy(update={"known_axes": "xy"}) if {difference.from_, difference.to} & flat else difference
-        for difference in joined
+        difference.model_copy(update={"known_axes": "xy"})
+        if {difference.from_, difference.to} & plan_points
+        else difference
+        for difference in differences
     ]
-    for name in flat:
+    for name in plan_points:
         network.points[name].values.setdefault("z", 0.0)
         network.points[name].fixed += "z"
     network.notes.append(
-        f'{len(flat)} points are adjusted in plan only (adj="xy"): they have no heights, and '
-        f"{count} observations that need heights are left out, as Gama does"
+        f'{len(plan_points)} points are adjusted in plan only (adj="xy"): they have no heights, and '
+        f"{n_removed} observations that need heights are left out, as Gama does"
     )
-    network.observed = observed
+    network.observations = observations
 
 
 def split_reference_lengths(network: GamaNetwork) -> tuple[list[GaugeDistance], list[SingleObservation]]:
-    """Slope distances that become reference lengths, and all other observations.
+    """Reference lengths, made of slope distances from points without other measurements, and all other observations.
 
-    Such a distance is between marks that others observe, from a point without other measurements.
+    Both ends of such a distance are targets of other observations.
     """
-    angles = {o.station for o in network.observed if o.kind != "distance" or o.horizontal}
-    targets = {o.target for o in network.observed if o.station in angles}
-    gauge, rest = [], []
-    for o in network.observed:
-        start = network.point_of_station[o.station]
-        if o.station in angles or start == o.target or not {start, o.target} <= targets or any(o.heights) or o.shared:
-            rest.append(o)
+    stations_with_angles = {o.station for o in network.observations if o.kind != "distance" or o.is_horizontal}
+    targets = {o.target for o in network.observations if o.station in stations_with_angles}
+    gauge, other_observations = [], []
+    for o in network.observations:
+        point = network.point_of_station[o.station]
+        if (
+            o.station in stations_with_angles
+            or point == o.target
+            or not {point, o.target} <= targets
+            or any(o.heights)
+            or o.shared_error_changes
+        ):
+            other_observations.append(o)
         else:
             length = {"length_mm": o.value / MILLIMETRE, "sigma_mm": o.sigma / MILLIMETRE}
-            gauge.append(GaugeDistance.model_validate({"from": start, "to": o.target, **length}))
-    return gauge, rest
+            gauge.append(GaugeDistance.model_validate({"from": point, "to": o.target, **length}))
+    return gauge, other_observations
 
 
 def with_distinct_names(differences: list[ReferenceDifference]) -> Iterator[ReferenceDifference]:
-    """Differences with a number where several join the same points, such as a line that was levelled twice."""
+    """Differences with distinct names: a number is added if several join the same points (a line levelled twice)."""
     counts: Counter[str] = Counter()
     for difference in differences:
         number = counts[difference.label]
@@ -133,13 +154,19 @@ def with_distinct_names(differences: list[ReferenceDifference]) -> Iterator[Refe
 
 
 MAX_CORRELATED_OBSERVATIONS = 500
-"""Largest number of correlated observations in a file: each shared error is an unknown of the adjustment."""
+"""Number of correlated observations above which a file is refused, because each shared error is an unknown."""
 MAX_ZERO_CORRELATION_EIGENVALUE = 1e-6
-"""Eigenvalue of a correlation matrix that counts as zero, and relative difference up to which two count as equal."""
+"""Eigenvalue of a correlation matrix below which it counts as zero and the matrix is refused.
+
+Eigenvalues with a smaller relative difference count as equal.
+"""
 
 
 def covariance_entries(node: XmlNode) -> tuple[Ints, Ints, Floats]:
-    """Row, column and value (k,) of the upper triangle of a matrix in Gama's band form [mm^2] or [cc^2]."""
+    """Row index (k,), column index (k,) and value (k,) [mm^2, cc^2] of the upper triangle of an element's covariance.
+
+    Empty arrays if the element has no <cov-mat>.
+    """
     matrix = next((inner for inner in node if inner.tag == "cov-mat"), None)
     if matrix is None:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
@@ -147,50 +174,52 @@ def covariance_entries(node: XmlNode) -> tuple[Ints, Ints, Floats]:
     return band_matrix_entries(matrix, matrix.number("dim"), matrix.number("band"), values)
 
 
-def read_differences(section: XmlNode, y_sign: float, apriori: float) -> tuple[list[ReferenceDifference], bool]:
-    """Height differences or vectors of a section, and a flag that correlations between them were ignored.
+def read_differences(section: XmlNode, y_sign: float, apriori_sigma: float) -> tuple[list[ReferenceDifference], bool]:
+    """Height differences or vectors of a section, and a flag that is True if correlations between them were ignored.
 
-    A height difference without a standard deviation has `apriori` mm times the square root of its length in kilometres.
+    A height difference without a standard deviation has `apriori_sigma` [mm] times the square root of its length in km.
     """
-    inner = [child for child in section if child.tag != "cov-mat"]
+    children = [child for child in section if child.tag != "cov-mat"]
     tag, size = ("dh", 1) if section.tag == "height-differences" else ("vec", 3)
     row, column, numbers = covariance_entries(section)
-    wrong = next((child for child in inner if child.tag != tag), None)
-    if wrong is not None:
-        raise wrong.location.error(f"<{quoted_text(wrong.tag)}> is in <{section.tag}>, expected <{tag}>")
-    if len(numbers) and row[-1] + 1 != size * len(inner):
-        raise section.location.error("a <cov-mat> that does not match its observations")
-    whole, differences = np.zeros((size * len(inner),) * 2), []
-    whole[row, column] = whole[column, row] = numbers
-    for k, child in enumerate(inner):
+    wrong_child = next((child for child in children if child.tag != tag), None)
+    if wrong_child is not None:
+        raise wrong_child.location.error(f"<{quoted_text(wrong_child.tag)}> is in <{section.tag}>, expected <{tag}>")
+    if len(numbers) and row[-1] + 1 != size * len(children):
+        raise section.location.error("the size of <cov-mat> does not match its observations")
+    full_covariance, differences = np.zeros((size * len(children),) * 2), []
+    full_covariance[row, column] = full_covariance[column, row] = numbers
+    for k, child in enumerate(children):
         block = slice(size * k, size * (k + 1))
-        spread = whole[block, block].copy() if len(numbers) else np.array([[_sigma(child, apriori) ** 2]])
-        differences.append(_difference(child, y_sign, spread))
-        whole[block, block] = 0.0
-    return differences, bool(whole.any())
+        covariance = (
+            full_covariance[block, block].copy() if len(numbers) else np.array([[_sigma(child, apriori_sigma) ** 2]])
+        )
+        differences.append(_difference(child, y_sign, covariance))
+        full_covariance[block, block] = 0.0
+    return differences, bool(full_covariance.any())
 
 
-def _sigma(child: XmlNode, apriori: float) -> float:
-    """Standard deviation [mm] as declared, or from the length of a levelling line."""
+def _sigma(child: XmlNode, apriori_sigma: float) -> float:
+    """Standard deviation [mm] of a height difference, as declared or from the length of the levelling line."""
     attributes = [name for name in ("stdev", "dist") if name in child and child.tag == "dh"]
     if not attributes:
         wanted = "stdev, dist or a <cov-mat>" if child.tag == "dh" else "a <cov-mat>"
         raise child.location.error(f"no standard deviation is given for <{child.tag}>, expected one ({wanted})")
     value = max(child.number(attributes[0]), 0.0)
-    return value if attributes[0] == "stdev" else apriori * float(np.sqrt(value))
+    return value if attributes[0] == "stdev" else apriori_sigma * float(np.sqrt(value))
 
 
-def _difference(child: XmlNode, y_sign: float, spread: Floats) -> ReferenceDifference:
+def _difference(child: XmlNode, y_sign: float, covariance: Floats) -> ReferenceDifference:
     """Reference difference of an element with its covariance (1, 1) or (3, 3) [mm^2]."""
     end_names = {"from": child.name("from", "point"), "to": child.name("to", "point")}
     x, y, z = (0.0, 0.0, child.number("val")) if child.tag == "dh" else (child.number(f"d{a}") for a in "xyz")
     if any(child.number(name, 0.0) for name in ("from_dh", "to_dh")):
-        message = f"<{child.tag}> with a height of instrument or target, which gama-local leaves out of it"
-        raise child.location.error(f"{message}; expected one between the marks, without from_dh and to_dh")
-    precision: dict[str, object] = {"known_axes": "z", "known_sigma_mm": float(np.sqrt(max(spread[-1, -1], 0.0)))}
+        message = f"<{child.tag}> has a height of instrument or target, which gama-local does not use"
+        raise child.location.error(f"{message}; expected a difference between the marks, without from_dh and to_dh")
+    precision: dict[str, object] = {"known_axes": "z", "known_sigma_mm": float(np.sqrt(max(covariance[-1, -1], 0.0)))}
     if child.tag == "vec":
         sign = np.array([1.0, y_sign, 1.0])
-        precision = {"known_covariance_mm2": tuple((spread * np.outer(sign, sign))[np.triu_indices(3)].tolist())}
+        precision = {"known_covariance_mm2": tuple((covariance * np.outer(sign, sign))[np.triu_indices(3)].tolist())}
     vector = tuple(round(value / MILLIMETRE, 9) for value in (x, y_sign * y, z))
     if end_names["from"] == end_names["to"]:
         raise child.location.error(f"<{child.tag}> goes from a point to itself, expected two points")
@@ -199,20 +228,21 @@ def _difference(child: XmlNode, y_sign: float, spread: Floats) -> ReferenceDiffe
     except ValidationError:
         wanted = "values below 1e8 m, and variances that are positive in every direction"
         raise child.location.error(
-            f"<{child.tag}> is too large, or its covariance is wrong, expected {wanted}"
+            f"the value of <{child.tag}> is too large, or its covariance is wrong, expected {wanted}"
         ) from None
 
 
 def split_correlations(block: XmlNode, matrix: tuple[Ints, Ints, Floats], n_earlier: int) -> tuple[Floats, Floats]:
-    """Standard deviations (n,) of the independent parts of observations, and effects (n, q) of q shared errors.
+    """Standard deviations (n,) of the independent errors of n observations, and changes (n, q) by q shared errors.
 
-    With effects F and independent standard deviations on the diagonal of D, the declared covariance is D^2 + F F'. F
-    has the smallest number of errors that leaves every observation an independent part. Uncorrelated observations share
-    none; `n_earlier` is the number of shared errors of earlier observations.
+    With the changes F and the independent standard deviations on the diagonal of D, the declared covariance is D^2 + F
+    F'. F has the smallest number of errors with which each observation keeps an independent error; uncorrelated
+    observations have none. `matrix` is the covariance from `covariance_entries`, `n_earlier` the number of shared
+    errors of earlier observations. Raises RecordError.
     """
     (row, column, numbers), diagonal = matrix, matrix[0] == matrix[1]
     if not np.all(numbers[diagonal] > 0.0):
-        raise block.location.error("a <cov-mat> whose variances are not all above 0")
+        raise block.location.error("<cov-mat> has a variance that is not above 0")
     sigma = np.sqrt(numbers[diagonal])
     if not np.any(numbers[~diagonal]):
         return sigma, np.zeros((len(sigma), 0))
@@ -224,17 +254,17 @@ def split_correlations(block: XmlNode, matrix: tuple[Ints, Ints, Floats], n_earl
         raise block.location.error(message)
     correlation = np.zeros((len(sigma),) * 2)
     correlation[row, column] = correlation[column, row] = numbers / (sigma[row] * sigma[column])
-    linked, reach = correlation != 0.0, []
+    is_linked, shared_effects = correlation != 0.0, []
     for _ in range(len(sigma).bit_length()):
-        linked = linked @ linked
-    for first in np.unique(np.argmax(linked, axis=1)).tolist():
-        if len(group := np.flatnonzero(linked[first])) > 1:
+        is_linked = is_linked @ is_linked
+    for first in np.unique(np.argmax(is_linked, axis=1)).tolist():
+        if len(group := np.flatnonzero(is_linked[first])) > 1:
             values, vectors = np.linalg.eigh(correlation[np.ix_(group, group)])
             if values[0] < MAX_ZERO_CORRELATION_EIGENVALUE:
-                raise block.location.error("a <cov-mat> that is not positive definite")
-            more = values > values[0] * (1.0 + MAX_ZERO_CORRELATION_EIGENVALUE)
-            factors = np.zeros((len(sigma), int(more.sum())))
-            factors[group] = sigma[group, None] * vectors[:, more] * np.sqrt(values[more] - values[0])
-            reach.append(factors)
+                raise block.location.error("<cov-mat> is not positive definite")
+            is_larger = values > values[0] * (1.0 + MAX_ZERO_CORRELATION_EIGENVALUE)
+            factors = np.zeros((len(sigma), int(is_larger.sum())))
+            factors[group] = sigma[group, None] * vectors[:, is_larger] * np.sqrt(values[is_larger] - values[0])
+            shared_effects.append(factors)
             sigma[group] *= np.sqrt(values[0])
-    return sigma, np.hstack(reach)
+    return sigma, np.hstack(shared_effects)

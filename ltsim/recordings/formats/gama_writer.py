@@ -1,4 +1,4 @@
-"""Export of levelled networks to GNU Gama (``gama-local``), so that it can check an adjustment."""
+"""Export of levelled networks to GNU Gama (``gama-local``), to compare its adjustment with that of ltsim."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,9 +22,10 @@ GAMA_XML_NAMESPACE = "http://www.gnu.org/software/gama/gama-local"
 
 
 def write(recording: Recording, path: Path) -> None:
-    """Input file of gama-local: levelled set-ups, face 2 reduced to face 1, gauge lengths as distances.
+    """Export as input file of gama-local: levelled set-ups, face 2 reduced to face 1, gauge lengths as distances.
 
-    If no coordinates are known, the targets of the first set-up have its coordinates and define the datum.
+    If no coordinates are known, the targets that the first set-up measured have coordinates in its frame and define the
+    datum.
 
     Raises RecordError for a set-up that is not levelled and for SMRs of several radii, which gama-local does not
     support.
@@ -57,60 +58,60 @@ def write(recording: Recording, path: Path) -> None:
 
 
 def _point_under_station(recording: Recording, station: str) -> str:
-    """Name of the point under a station: a target's mark, or a separate point."""
-    over = recording.station_setup(station).over
-    if over is not None:
-        return over
+    """Name of the point under a station: the target over which it stands, or a separate point."""
+    mark = recording.station_setup(station).over
+    if mark is not None:
+        return mark
     return station if station not in recording.targets else f"{station}.station"
 
 
 def _point_lines(recording: Recording) -> Iterator[str]:
-    """Elements of the points: fixed, observed with a variance, or adjusted; those of the datum in capitals."""
+    """XML elements of the points: fixed, observed with a variance, or adjusted, with capital letters in the datum."""
     names = dict.fromkeys([*recording.targets, *recording.setup.targets])
-    anchored = any(t.known_mm is not None or t.datum for t in recording.setup.targets.values())
-    first = {} if anchored else _first_cloud(recording)
-    observed = []
+    has_datum = any(t.known_mm is not None or t.datum for t in recording.setup.targets.values())
+    first_setup_points = {} if has_datum else _first_setup_points(recording)
+    observed_points = []
     for name in names:
         target = recording.target_setup(name)
-        place = target.known_mm or target.approximate_mm or first.get(name)
-        words = "" if place is None else _coordinate_attributes(place)
-        datum = target.datum or name in first
+        coordinates = target.known_mm or target.approximate_mm or first_setup_points.get(name)
+        attributes = "" if coordinates is None else _coordinate_attributes(coordinates)
+        datum = target.datum or name in first_setup_points
         if target.known_mm is None:
-            yield f'<point id={quoteattr(name)}{words} adj="{"XYZ" if datum else "xyz"}" />'
+            yield f'<point id={quoteattr(name)}{attributes} adj="{"XYZ" if datum else "xyz"}" />'
         elif target.known_covariance_mm2 is None and target.known_sigma_mm <= 10 * FIXED_SIGMA_MM:
-            rest = "".join(a for a in "xyz" if a not in target.known_axes)
-            adjusted = f' adj="{rest}"' if rest else ""
-            yield f'<point id={quoteattr(name)}{words} fix="{target.known_axes}"{adjusted} />'
+            adjusted_axes = "".join(a for a in "xyz" if a not in target.known_axes)
+            adjusted = f' adj="{adjusted_axes}"' if adjusted_axes else ""
+            yield f'<point id={quoteattr(name)}{attributes} fix="{target.known_axes}"{adjusted} />'
         else:
-            yield f'<point id={quoteattr(name)}{words} adj="xyz" />'
-            observed.append((name, target))
+            yield f'<point id={quoteattr(name)}{attributes} adj="xyz" />'
+            observed_points.append((name, target))
     for name in dict.fromkeys(_point_under_station(recording, s) for s in recording.stations):
         if name not in names:
             yield f'<point id={quoteattr(name)} adj="xyz" />'
-    for name, target in observed:
+    for name, target in observed_points:
         yield from _coordinate_lines(name, target)
 
 
-def _coordinate_attributes(place: Vector, axes: str = "xyz") -> str:
+def _coordinate_attributes(coordinates: Vector, axes: str = "xyz") -> str:
     """Coordinates [mm] as XML attributes in metres."""
-    values = zip("xyz", place, strict=True)
+    values = zip("xyz", coordinates, strict=True)
     return "".join(f' {axis}="{round(value * MILLIMETRE, 12)!r}"' for axis, value in values if axis in axes)
 
 
 def _coordinate_lines(name: str, target: Target) -> Iterator[str]:
-    words = _coordinate_attributes(target.known_mm, target.known_axes) if target.known_mm is not None else ""
-    yield f"<coordinates><point id={quoteattr(name)}{words} />"
-    at, band = ["xyz".index(axis) for axis in target.known_axes], 0
+    attributes = _coordinate_attributes(target.known_mm, target.known_axes) if target.known_mm is not None else ""
+    yield f"<coordinates><point id={quoteattr(name)}{attributes} />"
+    axes, band = ["xyz".index(axis) for axis in target.known_axes], 0
     matrix = np.eye(3) * target.known_sigma_mm**2
     if target.known_covariance_mm2 is not None:
-        matrix, band = symmetric_matrix(target.known_covariance_mm2), len(at) - 1
-    block = matrix[np.ix_(at, at)].tolist()
-    numbers = " ".join(repr(block[i][j]) for i in range(len(at)) for j in range(i, min(i + band + 1, len(at))))
-    yield f'<cov-mat dim="{len(at)}" band="{band}">{numbers}</cov-mat></coordinates>'
+        matrix, band = symmetric_matrix(target.known_covariance_mm2), len(axes) - 1
+    block = matrix[np.ix_(axes, axes)].tolist()
+    numbers = " ".join(repr(block[i][j]) for i in range(len(axes)) for j in range(i, min(i + band + 1, len(axes))))
+    yield f'<cov-mat dim="{len(axes)}" band="{band}">{numbers}</cov-mat></coordinates>'
 
 
-def _first_cloud(recording: Recording) -> dict[str, Vector]:
-    """Coordinates [mm] of the targets that the first set-up measured completely, in its frame."""
+def _first_setup_points(recording: Recording) -> dict[str, Vector]:
+    """Coordinates [mm] in the frame of the first set-up of each target that it measured with all three readings."""
     points = (from_polar(to_face(recording.readings, recording.face)) / MILLIMETRE).round(3).tolist()
     rows = np.flatnonzero((recording.station == 0) & np.all(recording.is_measured, axis=1))
     return {recording.targets[recording.target[i]]: points[i] for i in rows}
@@ -138,7 +139,7 @@ def _observation_lines(recording: Recording) -> Iterator[str]:
 
 
 def _length_lines(recording: Recording) -> Iterator[str]:
-    """Elements of the gauge lengths at the temperature of the measurement."""
+    """XML elements of the reference lengths at the temperature of the recording."""
     lengths = ReferenceLengths.from_recording(recording)
     ends = [[quoteattr(recording.targets[i]) for i in end] for end in (lengths.first_targets, lengths.second_targets)]
     for first, second, length, sigma in zip(*ends, lengths.lengths.tolist(), lengths.sigma.tolist(), strict=True):
@@ -148,7 +149,7 @@ def _length_lines(recording: Recording) -> Iterator[str]:
 
 
 def _difference_lines(recording: Recording, path: Path) -> Iterator[str]:
-    """Elements of the reference differences: height differences, and vectors with covariance."""
+    """XML elements of the reference differences: height differences, and vectors with covariance."""
     for difference in recording.setup.differences:
         ends = f"from={quoteattr(difference.from_)} to={quoteattr(difference.to)}"
         matrix = np.eye(3) * difference.known_sigma_mm**2
@@ -158,9 +159,9 @@ def _difference_lines(recording: Recording, path: Path) -> Iterator[str]:
             value, stdev = round(difference.known_mm[2] * MILLIMETRE, 12), float(np.sqrt(matrix[2, 2]))
             yield f'<height-differences><dh {ends} val="{value!r}" stdev="{stdev!r}" /></height-differences>'
         elif difference.known_axes == "xyz":
-            words = "".join(f" d{word}" for word in _coordinate_attributes(difference.known_mm).split())
+            attributes = "".join(f" d{word}" for word in _coordinate_attributes(difference.known_mm).split())
             numbers = " ".join(map(repr, matrix[np.triu_indices(3)].tolist()))
-            yield f'<vectors><vec {ends}{words} /><cov-mat dim="3" band="2">{numbers}</cov-mat></vectors>'
+            yield f'<vectors><vec {ends}{attributes} /><cov-mat dim="3" band="2">{numbers}</cov-mat></vectors>'
         else:
             message = f"the difference {difference.label} is given along {difference.known_axes}, expected z or xyz"
             raise RecordError(f"{message}: gama-local has only these", file=path)

@@ -1,10 +1,10 @@
 """Format: Leica GSI-8 and GSI-16, measurement blocks of theodolites, total stations and older trackers.
 
-A block is a line of words: two digits of index, four of information, sign, 8 or 16 characters of data. Understood
-are point (11), code (41 with the station's name in 42 and the instrument's height in 43, in files without coordinates
-of stations), angles (21, 22), slope and horizontal distance (31, 32), heights of target (87) and instrument (88),
-station coordinates (84 to 86). The format fixes the meaning: directions count clockwise, 22 is a zenith angle, the unit
-stands in every word.
+A block is a line of words. A word has an index of two digits, four characters of information, a sign, and 8 or 16
+characters of data. The reader supports points (11), codes (41 with the station's name in 42 and the instrument's height
+in 43, in files without coordinates of stations), angles (21, 22), slope and horizontal distances (31, 32), heights of
+the target (87) and the instrument (88), and coordinates of stations (84 to 86). Directions are clockwise, 22 is a
+zenith angle, and each word has its unit.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from ltsim.recordings.recording import Recording
 _WORD_PATTERN = re.compile(r"(\d\d)(.{4})([+-])(.{16}|.{8})", re.ASCII)
 _PPM_PATTERN = re.compile(r"51.{4}[+-]\d{4,8}[+-]\d{3,7}", re.ASCII)
 GSI_LENGTH_FACTORS = {"0": 1e-3, "1": 0.3048e-3, "6": 1e-4, "7": 0.3048e-4, "8": 1e-5, ".": 1e-3}
-"""Factors to m by the last character of the information field."""
+"""Factor from the data of a word to m, by the last character of its information."""
 GSI_ANGLE_FACTORS = {"2": 1e-5 * GON, "3": 1e-5 * DEGREE, "5": 1e-4 * 2 * np.pi / 6400}
-"""Factors to rad by the last character of the information field; unit 4 is degrees, minutes and seconds."""
+"""Factor from the data of a word to rad, by the last character of its information; 4 is degrees, minutes, seconds."""
 
 
 @dataclass(frozen=True)
 class _GsiLine:
-    """Line of the file: information and signed data of each word by its index."""
+    """Block of the file: information and signed data of each word by its index."""
 
     words: dict[str, tuple[str, str]]
-    where: SourceLocation
+    location: SourceLocation
 
     @classmethod
     def from_line(cls, line: str, location: SourceLocation) -> _GsiLine:
@@ -56,7 +56,7 @@ class _GsiLine:
         return all(key in self.words for key in keys)
 
     def name(self, key: str) -> str:
-        """Name in a word, without leading zeros."""
+        """Name in the word with this index, without leading zeros."""
         return self.words[key][1][1:].strip().lstrip("0") or "0"
 
     def _number(self, key: str) -> float:
@@ -64,20 +64,23 @@ class _GsiLine:
         if re.fullmatch(r"[+-]-+", digits):
             return NOT_MEASURED
         if re.fullmatch(r"[+-]\d+", digits, re.ASCII) is None:
-            raise self.where.error(f"found '{quoted_text(self.words[key][1])}', expected digits")
+            raise self.location.error(f"found '{quoted_text(self.words[key][1])}', expected digits")
         return float(digits)
 
     def length(self, key: str, default: float = 0.0) -> float:
-        """Length [m] in the unit of the word."""
+        """Length [m] in the word with this index; `default` if the block does not have it. Raises RecordError."""
         if key not in self.words:
             return default
         unit = self.words[key][0][-1]
         if unit not in GSI_LENGTH_FACTORS:
-            raise self.where.error(f"unit '{quoted_text(unit)}' of a length, expected 0, 1, 6, 7 or 8")
+            raise self.location.error(f"found the unit '{quoted_text(unit)}' of a length, expected 0, 1, 6, 7 or 8")
         return self._number(key) * GSI_LENGTH_FACTORS[unit]
 
     def angle(self, key: str) -> float:
-        """Angle [rad] from gon, decimal degrees, degrees-minutes-seconds or mils (6400 per circle)."""
+        """Angle [rad] in the word with this index, from gon, degrees, degrees-minutes-seconds or mils (1/6400 circle).
+
+        NaN if the block does not have the word. Raises RecordError.
+        """
         if key not in self.words:
             return NOT_MEASURED
         unit, value = self.words[key][0][-1], self._number(key)
@@ -86,14 +89,14 @@ class _GsiLine:
             minutes, seconds = divmod(rest, 1e3)
             return float(np.sign(value) * (degrees + minutes / 60 + seconds / 36_000) * DEGREE)
         if unit not in GSI_ANGLE_FACTORS and not np.isnan(value):
-            raise self.where.error(f"unit '{quoted_text(unit)}' of an angle, expected 2, 3, 4 or 5")
+            raise self.location.error(f"found the unit '{quoted_text(unit)}' of an angle, expected 2, 3, 4 or 5")
         return value * GSI_ANGLE_FACTORS.get(unit, NOT_MEASURED)
 
 
-def recognises(path: Path, head: str) -> bool:
+def recognises(path: Path, beginning: str) -> bool:
     """True if the first line consists of GSI words."""
-    first = next((line for line in head.splitlines() if line.strip()), "")
-    return re.match(r"\*?(11|41)\d{4}[+-]", first) is not None
+    first_line = next((line for line in beginning.splitlines() if line.strip()), "")
+    return re.match(r"\*?(11|41)\d{4}[+-]", first_line) is not None
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
@@ -106,10 +109,13 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     if hints.station is not None:
         file.add_setup(hints.station, 0.0, None, SourceLocation(path))
     lines = read_lines(path)
-    code = _SurveyOfBlocks.from_blocks(_blocks(lines, path)).setup_code(path, is_line_broken=not lines[-1].strip())
+    survey = _SurveyOfBlocks.from_blocks(_blocks(lines, path))
+    setup_code = survey.setup_code(path, is_line_broken=not lines[-1].strip())
     for block in _blocks(lines, path):
-        _process_block(block, file, code)
-    notes = [f"{file.skipped} blocks are neither a station nor a measurement and are not used"] if file.skipped else []
+        _process_block(block, file, setup_code)
+    notes = (
+        [f"{file.n_skipped} blocks are neither a station nor a measurement and are not used"] if file.n_skipped else []
+    )
     return file.make_recording("a GSI file", *notes)
 
 
@@ -165,7 +171,7 @@ class _SurveyOfBlocks:
         for a last line without a line break that differs from the one before, and for the file of a level.
         """
         if self.last is not None and not is_line_broken and self.last.words.keys() != self.keys_before_last:
-            raise self.last.where.error("the last line has no line break and is incomplete")
+            raise self.last.location.error("the last line has no line break and is incomplete")
         if self.has_staff_readings and not self.has_directions:
             raise RecordError("is the file of a level: it has staff readings (33) and no directions (21)", file=path)
         return None if self.has_stations else self.code_with_height or self.code_with_name
@@ -178,21 +184,21 @@ def _is_station(block: _GsiLine) -> bool:
 
 def _process_block(block: _GsiLine, file: FieldBook, setup_code: str | None) -> None:
     if block.has_words("41", "42") and block.name("41") == setup_code:
-        file.add_setup(block.name("42"), block.length("43"), None, block.where)
+        file.add_setup(block.name("42"), block.length("43"), None, block.location)
     elif _is_station(block):
         x, y, z = (block.length(key) / MILLIMETRE for key in ("84", "85", "86"))
-        file.add_setup(block.name("11"), block.length("88"), (x, y, z), block.where)
+        file.add_setup(block.name("11"), block.length("88"), (x, y, z), block.location)
     elif block.has_words("11") and any(block.has_words(key) for key in ("21", "22", "31", "32")):
         _pointing(block, file)
     else:
-        file.skipped += 1
+        file.n_skipped += 1
 
 
 def _pointing(block: _GsiLine, file: FieldBook) -> None:
     is_horizontal = not block.has_words("31")
     file.add_pointing(
         block.name("11"),
-        block.where,
+        block.location,
         distance=block.length("32" if is_horizontal else "31", NOT_MEASURED),
         horizontal=block.angle("21"),
         zenith=block.angle("22"),

@@ -1,8 +1,9 @@
 """Format: OpenIndy projects (``oiProjectData`` XML), readings of trackers in radians and metres.
 
-Polar, direction, distance and cartesian readings are taken. Observations of a point geometry belong to one target;
-those of planes, spheres and the like touch another place each and become targets of their own. OpenIndy's azimuth
-runs counter-clockwise. Its readings are reduced to the front face: the face is taken from the zenith angle.
+The reader uses polar, direction, distance and cartesian readings. All observations of a point geometry belong to one
+target. Observations of planes, spheres and other geometries are at different places, so each one is a separate target.
+OpenIndy's azimuth is counter-clockwise. Its readings are reduced to the front face; the zenith angle determines the
+face.
 """
 
 from collections import Counter
@@ -24,19 +25,21 @@ from ltsim.recordings.specification import NO_NOISE_NOTE
 from ltsim.recordings.xml import XmlNode, parse_xml
 
 ROOT_ELEMENT = "oiProjectData"
+"""Root element of an OpenIndy project."""
 READINGS_BY_TYPE = {
     "polar": ("distance", "azimuth", "zenith"),
     "direction": ("azimuth", "zenith"),
     "distance": ("distance",),
     "cartesian": ("x", "y", "z"),
 }
-"""Readings of each type of observation that is read."""
-SIGMA_ATTRIBUTES = dict(zip(("distance", "azimuth", "zenith"), SIGMA_COLUMNS, strict=True))
+"""Measurements that a reading of each supported type must have."""
+SIGMA_COLUMN_BY_MEASUREMENT = dict(zip(("distance", "azimuth", "zenith"), SIGMA_COLUMNS, strict=True))
+"""Column of the standard deviation of each measurement."""
 
 
-def recognises(path: Path, head: str) -> bool:
+def recognises(path: Path, beginning: str) -> bool:
     """True if the root element is an OpenIndy project."""
-    return f"<{ROOT_ELEMENT}" in head
+    return f"<{ROOT_ELEMENT}" in beginning
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
@@ -57,21 +60,21 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
         raise RecordError("holds no readings", file=path)
     first_time = np.min([p.time for p in pointings])
     pointings = [replace(p, time=p.time - first_time) for p in pointings]
-    counts = [f"{count} {what}" for what, count in notes.items()]
+    count_notes = [f"{count} {what}" for what, count in notes.items()]
     setup = Setup(title=as_title(root.get("name", path.stem)))
-    recording = recording_of_pointings(pointings, setup, notes=counts, file=path)
+    recording = recording_of_pointings(pointings, setup, notes=count_notes, file=path)
     return recording if declares_noise(recording) else recording.replace(notes=(NO_NOISE_NOTE, *recording.notes))
 
 
 def _pointing(
     node: XmlNode, stations: dict[str, XmlNode], geometries: dict[str, XmlNode], notes: Counter[str]
 ) -> Pointing | None:
-    inner = {child.tag: child for child in node}
-    if "reading" not in inner:
+    children = {child.tag: child for child in node}
+    if "reading" not in children:
         return None
-    if "station" not in inner:
-        raise node.location.error("an observation without its station")
-    reading, reference = inner["reading"], inner["station"].required_attribute("ref")
+    if "station" not in children:
+        raise node.location.error("the observation has no station")
+    reading, reference = children["reading"], children["station"].required_attribute("ref")
     kind = reading.get("type")
     if node.get("isValid") == "0" or kind not in READINGS_BY_TYPE:
         notes[
@@ -81,19 +84,21 @@ def _pointing(
         ] += 1
         return None
     if reference not in stations:
-        raise node.location.error(f"a reading refers to station {quoted_text(reference)}, which does not exist")
-    measured = {m.required_attribute("type"): m for m in reading.descendants("measurement")}
-    missing_names = [name for name in READINGS_BY_TYPE[kind] if name not in measured]
+        raise node.location.error(f"the reading refers to the station {quoted_text(reference)}, which does not exist")
+    measurements = {m.required_attribute("type"): m for m in reading.descendants("measurement")}
+    missing_names = [name for name in READINGS_BY_TYPE[kind] if name not in measurements]
     if missing_names:
-        raise node.location.error(f"a {kind} reading lacks its {missing_names[0]}")
+        raise node.location.error(f"the {kind} reading has no {missing_names[0]}")
     distance, azimuth, elevation = _polar_reading(
-        {name: measured[name].number("value", limit=1e6) for name in READINGS_BY_TYPE[kind]}
+        {name: measurements[name].number("value", limit=1e6) for name in READINGS_BY_TYPE[kind]}
     )
     if distance <= 0:
         raise node.location.error(f"found a distance of {distance:g}, expected one above 0")
     face = 2 if elevation > np.pi / 2 + 1e-9 else 1
     if (reading.get("face") == "2") != (face == 2):
-        notes["readings have a face that contradicts their zenith angle: the face of the zenith angle is used"] += 1
+        notes[
+            "readings declare a face that contradicts their zenith angle; the face is taken from the zenith angle"
+        ] += 1
     return Pointing(
         stations[reference].name("name", "station"),
         _target_name(node, geometries),
@@ -102,13 +107,13 @@ def _pointing(
         azimuth,
         elevation,
         _seconds_of_stamp(reading.get("time")),
-        _sigmas(measured),
+        _sigmas(measurements),
         source=f"{node.file.name}, line {node.line}",
     )
 
 
 def _polar_reading(values: dict[str, float]) -> tuple[float, float, float]:
-    """Range, azimuth and raw elevation; NaN for a missing measurement."""
+    """Range [m], azimuth and raw elevation [rad] from the measurements of a reading; NaN if not measured."""
     if "x" in values:
         d, a, e = to_polar(np.array([[values["x"], values["y"], values["z"]]]))[0].tolist()
         return d, a, e
@@ -119,21 +124,32 @@ def _polar_reading(values: dict[str, float]) -> tuple[float, float, float]:
 
 
 def _sigmas(nodes: dict[str, XmlNode]) -> dict[str, float]:
-    sigmas = {name: nodes[name].number("sigma", 0.0, limit=1e6) for name in SIGMA_ATTRIBUTES if name in nodes}
-    unit = {"distance": MILLIMETRE, "azimuth": ARCSECOND, "zenith": ARCSECOND}
-    return {SIGMA_ATTRIBUTES[name]: sigma / unit[name] for name, sigma in sigmas.items() if sigma > 0}
+    sigmas = {
+        name: nodes[name].number("sigma", 0.0, limit=1e6) for name in SIGMA_COLUMN_BY_MEASUREMENT if name in nodes
+    }
+    unit_by_measurement = {"distance": MILLIMETRE, "azimuth": ARCSECOND, "zenith": ARCSECOND}
+    return {
+        SIGMA_COLUMN_BY_MEASUREMENT[name]: sigma / unit_by_measurement[name]
+        for name, sigma in sigmas.items()
+        if sigma > 0
+    }
 
 
 def _target_name(node: XmlNode, geometries: dict[str, XmlNode]) -> str:
-    """Name of the target: the point geometry, or a separate name for a reading of another geometry."""
-    touched = [
+    """Name of the target of an observation: that of its point geometry, or a separate name for another geometry."""
+    geometries_of_node = [
         geometries[e.get("ref")] for e in node.descendants("measuredTargetGeometry") if e.get("ref") in geometries
     ]
-    point = next((geometry for geometry in touched if geometry.get("type") == "point"), None)
-    if point is not None:
-        return point.name("name", "target")
-    number = node.required_attribute("id")
-    return node.location.name(f"{touched[0].get('name')}.{number}" if touched else f"observation {number}", "target")
+    point_geometry = next((geometry for geometry in geometries_of_node if geometry.get("type") == "point"), None)
+    if point_geometry is not None:
+        return point_geometry.name("name", "target")
+    observation_id = node.required_attribute("id")
+    return node.location.name(
+        f"{geometries_of_node[0].get('name')}.{observation_id}"
+        if geometries_of_node
+        else f"observation {observation_id}",
+        "target",
+    )
 
 
 def _seconds_of_stamp(stamp: str) -> float:

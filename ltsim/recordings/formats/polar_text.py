@@ -1,8 +1,8 @@
 """Format: plain polar text, ``station target horizontal vertical distance``, one pointing per line.
 
-Separated by blanks, tabs or commas, decimal point or comma, raw readings on one or two faces. Lines that
-begin with ``#`` are comments, of which ``# Units: gon mm``, ``# Azimuth: clockwise`` and ``# Vertical:
-zenith`` are understood. Four columns leave the station out.
+Blanks, tabs or commas separate the columns; numbers have a decimal point or comma; readings are raw, on one or two
+faces. A line with four columns has no station. Lines that begin with ``#`` are comments; the reader uses the comments
+``# Units: gon mm``, ``# Azimuth: clockwise`` and ``# Vertical: zenith``.
 """
 
 import re
@@ -27,16 +27,17 @@ SETTING_WORDS = {
     name: get_args(kind) for name, kind in (("angle", AngleUnit), ("vertical", VerticalKind), ("azimuth", AzimuthSense))
 }
 SETTING_WORDS["length"] = get_args(LengthUnit)
+"""Permitted words of each convention that a comment can declare."""
 _SETTING_PATTERN = re.compile(r"#\s*(units|azimuth|vertical)\s*:\s*([\w-]+)(?:\s+(\w+))?\s*", re.IGNORECASE | re.ASCII)
 _POLAR_PATTERN = re.compile(r"^#.*(polar|spherical|azimuth)", re.IGNORECASE | re.MULTILINE)
 
 
-def recognises(path: Path, head: str) -> bool:
-    """True if the first lines are names and three numbers; without a station only if a comment declares polar text."""
-    body = [row.fields for row in head_rows(head) if not row.is_comment]
-    whole = body[: max(1, min(6, len(body) - 1))]
-    columns = (4, 5) if _POLAR_PATTERN.search(head) else (5,)
-    return bool(whole) and all(len(f) in columns and all(map(is_value, f[-3:])) for f in whole)
+def recognises(path: Path, beginning: str) -> bool:
+    """True if the first lines have two names and three numbers, or one name if a comment declares polar text."""
+    data_rows = [row.fields for row in head_rows(beginning) if not row.is_comment]
+    sample = data_rows[: max(1, min(6, len(data_rows) - 1))]
+    field_counts = (4, 5) if _POLAR_PATTERN.search(beginning) else (5,)
+    return bool(sample) and all(len(f) in field_counts and all(map(is_value, f[-3:])) for f in sample)
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
@@ -58,27 +59,26 @@ def _hints_from_comments(lines: list[str], hints: Hints, file: Path) -> Hints:
         settings: dict[str, str] = {"angle": value, "length": second} if key == "units" else {key: value}
         for name, word in settings.items():
             if word and word not in SETTING_WORDS[name]:
-                message = (
-                    f"'{quoted_text(line)}' says {quoted_text(word)}, expected one of {', '.join(SETTING_WORDS[name])}"
-                )
+                choices = ", ".join(SETTING_WORDS[name])
+                message = f"'{quoted_text(line)}' contains {quoted_text(word)}, expected one of {choices}"
                 raise RecordError(message, file=file)
-        unsaid = {name: word for name, word in settings.items() if word and getattr(hints, name) is None}
-        hints = replace(hints, **unsaid)  # type: ignore[arg-type]
+        undecided = {name: word for name, word in settings.items() if word and getattr(hints, name) is None}
+        hints = replace(hints, **undecided)  # type: ignore[arg-type]
     return hints
 
 
 def write(recording: Recording, path: Path) -> None:
-    """Polar text in degrees and millimetres with counter-clockwise azimuth and elevation, raw on both faces.
+    """Export as polar text: raw readings in degrees and millimetres, counter-clockwise azimuth, elevation.
 
-    Raises RecordError for a recording with incomplete pointings, which this format cannot hold.
+    Raises RecordError for a pointing without all three readings, which this format does not support.
     """
-    missing = np.flatnonzero(~np.all(recording.is_measured, axis=1))
-    if len(missing):
-        message = "a reading is missing here; polar text holds complete pointings only"
-        raise RecordError(message, row=int(missing[0]) + 1)
+    incomplete_rows = np.flatnonzero(~np.all(recording.is_measured, axis=1))
+    if len(incomplete_rows):
+        message = "a reading is missing here; polar text supports only pointings with all three readings"
+        raise RecordError(message, row=int(incomplete_rows[0]) + 1)
     lines = ["# Units: deg mm", "# Azimuth: counter-clockwise", "# Vertical: elevation"]
-    index: Ints = np.arange(len(recording))
-    for i in index.tolist():
+    row_indices: Ints = np.arange(len(recording))
+    for i in row_indices.tolist():
         distance, azimuth, elevation = recording.readings[i].tolist()
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
         values = (azimuth / DEGREE, elevation / DEGREE, distance / MILLIMETRE)

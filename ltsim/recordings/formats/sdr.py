@@ -1,9 +1,9 @@
 """Format: Sokkia SDR field books, SDR20 (SDR2x) and SDR33, also written by total stations of other makers.
 
-A record is a line of fixed fields: two digits of kind, two letters of derivation. Understood are the header (00, with
-the units), the instrument (01), stations (02), target heights (03) and observations on both faces (09F1, 09F2). The
-dialects differ in the width of names and numbers: 4 and 10 characters, or 16 and 16. Angles are decimal, directions
-clockwise.
+A record is a line with fields of fixed width; it begins with two digits for its kind and two letters for its origin.
+The reader supports the header (00, with the units), instruments (01), stations (02), heights of targets (03) and
+observations on both faces (09F1, 09F2). Names and numbers have 4 and 10 characters in SDR20, 16 and 16 in SDR33. Angles
+are decimal, directions clockwise.
 """
 
 import re
@@ -22,27 +22,28 @@ from ltsim.recordings.recording import Recording
 
 _HEADER_PATTERN = re.compile(r"00NMSDR(20|33)", re.ASCII)
 FIELD_WIDTHS = {"20": (4, 10), "33": (16, 16)}
-"""Widths in characters of a name and of a number, by dialect."""
+"""Number of characters of a name and of a number, by dialect."""
 SDR_ANGLE_FACTORS = {"1": DEGREE, "2": GON, "4": 2 * np.pi / 6400}
-"""Factors to rad by the code of the angle unit in the header record."""
+"""Factor to rad by the code of the unit of angles in the header record."""
 SDR_LENGTH_FACTORS = {"1": 1.0, "2": SI_PER_UNIT["ft"]}
-"""Factors to m by the code of the length unit in the header record."""
+"""Factor to m by the code of the unit of lengths in the header record."""
 UNITS_COLUMN = slice(40, 45)
-"""Column of the units in the header record."""
+"""Columns of the unit codes in the header record."""
 VERTICAL_ZERO_COLUMN = 50
-"""Column of the digit for the zero of vertical angles in the instrument record."""
+"""Column of the code for the zero of vertical angles in the instrument record."""
 OBSERVATION_RECORDS = ("09F1", "09F2")
+"""Beginnings of the records with raw observations on face 1 and face 2."""
 
 
 @dataclass(frozen=True)
 class _Dialect:
-    """Dialect of a file: widths, units and orders from the header."""
+    """Dialect of a file, from its header: widths of fields, factors to rad and m, and order of the coordinates."""
 
-    name: int
-    number: int
-    angle: float
-    length: float
-    north_first: bool
+    name_width: int
+    number_width: int
+    angle_factor: float
+    length_factor: float
+    is_north_first: bool
 
     @classmethod
     def from_header(cls, header: str, location: SourceLocation) -> "_Dialect":
@@ -57,23 +58,25 @@ class _Dialect:
             (units[1], SDR_LENGTH_FACTORS, "distances"),
         ):
             if digit not in units_of:
-                raise location.error(f"unit '{quoted_text(digit)}' of {what}, expected one of {', '.join(units_of)}")
+                raise location.error(
+                    f"found the unit '{quoted_text(digit)}' of {what}, expected one of {', '.join(units_of)}"
+                )
         return cls(*FIELD_WIDTHS[match[1]], SDR_ANGLE_FACTORS[units[0]], SDR_LENGTH_FACTORS[units[1]], units[4] != "2")
 
-    def fields(self, line: str, names: int, numbers: int) -> tuple[list[str], list[str]]:
-        """The first names and numbers of a record, as text."""
-        at = 4
-        widths = [self.name] * names + [self.number] * numbers
+    def fields(self, line: str, n_names: int, n_numbers: int) -> tuple[list[str], list[str]]:
+        """Texts of the first `n_names` names in a record, and of the `n_numbers` numbers after them."""
+        start = 4
+        widths = [self.name_width] * n_names + [self.number_width] * n_numbers
         cells = []
         for width in widths:
-            cells.append(line[at : at + width].strip())
-            at += width
-        return cells[:names], cells[names:]
+            cells.append(line[start : start + width].strip())
+            start += width
+        return cells[:n_names], cells[n_names:]
 
 
-def recognises(_: Path, head: str) -> bool:
+def recognises(_: Path, beginning: str) -> bool:
     """True if the first line is the header of SDR20 or SDR33."""
-    return _HEADER_PATTERN.match(head) is not None
+    return _HEADER_PATTERN.match(beginning) is not None
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
@@ -84,20 +87,20 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     book = FieldBook(path)
     lines = read_lines(path, replaces_undecodable=True)
     dialect = _Dialect.from_header(lines[0], SourceLocation(path, 1))
-    height, from_horizon, skipped = NOT_MEASURED, False, 0
+    height, is_from_horizon, skipped = NOT_MEASURED, False, 0
     shortest = min((len(line.rstrip()) for line in lines[:-1] if line[:4] in OBSERVATION_RECORDS), default=0)
     if lines[-1][:4] in OBSERVATION_RECORDS and len(lines[-1].rstrip()) < shortest:
         raise SourceLocation(path, len(lines)).error("the last line has no line break and is incomplete")
     for i, line in enumerate(lines[1:], start=2):
         where, kind = SourceLocation(path, i), line[:2]
         if kind == "01":
-            from_horizon = line[VERTICAL_ZERO_COLUMN : VERTICAL_ZERO_COLUMN + 1] == "2"
+            is_from_horizon = line[VERTICAL_ZERO_COLUMN : VERTICAL_ZERO_COLUMN + 1] == "2"
         elif kind == "02":
             _read_setup(line, dialect, book, where)
         elif kind == "03":
-            height = _parse_number(line[4:].split()[0] if line[4:].split() else "", where) * dialect.length
+            height = _parse_number(line[4:].split()[0] if line[4:].split() else "", where) * dialect.length_factor
         elif line[:4] in OBSERVATION_RECORDS:
-            _read_observation(line, dialect, book, where, height=height, from_horizon=from_horizon)
+            _read_observation(line, dialect, book, where, height=height, is_from_horizon=is_from_horizon)
         elif kind == "09":
             skipped += 1
     if skipped and not book.pointings:
@@ -110,29 +113,36 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 
 def _read_setup(line: str, dialect: _Dialect, book: FieldBook, location: SourceLocation) -> None:
-    (name,), (first, second, up, height) = dialect.fields(line, 1, 4)
-    plan = [_parse_number(text, location) * dialect.length / MILLIMETRE for text in (first, second)]
-    y, x = plan if dialect.north_first else plan[::-1]
-    z = _parse_number(up, location) * dialect.length / MILLIMETRE
-    place = (x, y, z) if np.isfinite([x, y, z]).all() else None
-    tall = _parse_number(height, location)
-    book.add_setup(name, 0.0 if np.isnan(tall) else tall * dialect.length, place, location)
+    (name,), (first, second, z_text, height) = dialect.fields(line, 1, 4)
+    plan_coordinates = [_parse_number(text, location) * dialect.length_factor / MILLIMETRE for text in (first, second)]
+    y, x = plan_coordinates if dialect.is_north_first else plan_coordinates[::-1]
+    z = _parse_number(z_text, location) * dialect.length_factor / MILLIMETRE
+    coordinates_mm = (x, y, z) if np.isfinite([x, y, z]).all() else None
+    instrument_height = _parse_number(height, location)
+    book.add_setup(
+        name,
+        0.0 if np.isnan(instrument_height) else instrument_height * dialect.length_factor,
+        coordinates_mm,
+        location,
+    )
 
 
 def _read_observation(
-    line: str, dialect: _Dialect, book: FieldBook, location: SourceLocation, *, height: float, from_horizon: bool
+    line: str, dialect: _Dialect, book: FieldBook, location: SourceLocation, *, height: float, is_from_horizon: bool
 ) -> None:
     (station, target), cells = dialect.fields(line, 2, 3)
     if book.station and station != book.setups[book.station][0]:
-        raise location.error(f"is measured from '{quoted_text(station)}', expected the station of the last record 02")
+        raise location.error(
+            f"the record names the station '{quoted_text(station)}', expected that of the last record 02"
+        )
     distance, vertical, horizontal = (_parse_number(cell, location) for cell in cells)
-    vertical *= dialect.angle
+    vertical *= dialect.angle_factor
     book.add_pointing(
         target,
         location,
-        distance=distance * dialect.length,
-        horizontal=horizontal * dialect.angle,
-        zenith=float(np.mod(np.pi / 2 - vertical, 2 * np.pi)) if from_horizon else vertical,
+        distance=distance * dialect.length_factor,
+        horizontal=horizontal * dialect.angle_factor,
+        zenith=float(np.mod(np.pi / 2 - vertical, 2 * np.pi)) if is_from_horizon else vertical,
         height=height,
     )
 

@@ -1,9 +1,9 @@
 """Format: instrument report of SpatialAnalyzer (``Instruments - CompositeReport``) exported as text.
 
-Blocks of a set-up: its pose (``Transform``), then its observations, which are a table like any other with columns that
-are known. Semicolons and decimal commas, or commas and points; units stand in the headings. The column called elevation
-may hold a zenith angle: its values tell. Poses tell the sense of the azimuth, and which points of one name in different
-groups are one point.
+The report has a block for each set-up: its pose (``Transform``), then a table of its observations. Cells are separated
+by semicolons (with decimal commas) or by commas (with decimal points); headings contain the units. The column called
+elevation may contain zenith angles; the values decide. The poses decide the sense of the azimuth, and whether points
+with one name in different groups are the same point.
 """
 
 import csv
@@ -31,8 +31,9 @@ from ltsim.recordings.tables.rows import read_pointing_table
 from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 
 REPORT_TITLE = "CompositeReport"
+"""Text in the title of a report."""
 MAX_SAME_POINT_DISTANCE = 2e-3
-"""Largest distance [m] between the centres of two groups of points that count as one target."""
+"""Distance [m] between points with one name in two groups below which they are the same target."""
 SPATIALANALYZER_COLUMN_MAP = "target=Target,horizontal=Azimuth,vertical=Elevation,distance=Distance"
 """Roles of the columns of a block, as in the option --columns."""
 PERMITTED_UNITS = {"target": None, "azimuth": ANGLE_UNITS, "elevation": ANGLE_UNITS, "distance": LENGTH_UNITS}
@@ -44,24 +45,28 @@ _HEADING_PATTERN = re.compile(r"^\"?Collection\"?[;,\t]\"?Group\"?[;,\t]\"?Targe
 
 @dataclass
 class _Block:
-    """Block of a set-up: heading, pose in units of the file, announced number of rows, and rows with the heading."""
+    """Block of a set-up in a report: its instrument, its pose, and the table of its observations."""
 
     collection: str
     number: str
     model: str
-    count: int | None = None
+    declared_count: int | None = None
+    """Number of observations that the block announces."""
     position: Floats | None = None
+    """Position (3,) [m] of the instrument."""
     rotation: Floats | None = None
+    """Rotation angles (3,) [rad] about the fixed axes x, y, z."""
     rows: list[SheetRow] = field(default_factory=list)
+    """Heading of the table, and its rows."""
 
     def cell(self, row: SheetRow, title: str) -> str:
-        """Cell of a row by the title of its column; empty without such a column."""
+        """Text in the column with this title in a row; '' without such a column."""
         titles = self.rows[0].fields
         return row.cell(titles.index(title)) if title in titles else ""
 
     @property
     def pose(self) -> StationPoseArrays | None:
-        """Rotation about the fixed axes x, y, z in this order, and position; None without a pose."""
+        """Pose of the set-up; None if the block has none."""
         if self.position is None or self.rotation is None:
             return None
         from scipy.spatial.transform import Rotation
@@ -69,9 +74,9 @@ class _Block:
         return Rotation.from_euler("xyz", self.rotation).as_matrix(), self.position
 
 
-def recognises(path: Path, head: str) -> bool:
-    """True if the file begins with the title of the report or the heading of its observations."""
-    return REPORT_TITLE in head or _HEADING_PATTERN.search(head) is not None
+def recognises(path: Path, beginning: str) -> bool:
+    """True if the file begins with the title of a report or with the heading of its observations."""
+    return REPORT_TITLE in beginning or _HEADING_PATTERN.search(beginning) is not None
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
@@ -83,35 +88,42 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     if not blocks:
         raise RecordError("contains no block of observations", file=path)
     names = _station_names(blocks)
-    used = [[row for row in b.rows[1:] if b.cell(row, "Active").lower() != "no"] for b in blocks]
-    remarks, off = [NO_NOISE_NOTE], sum(len(b.rows) - 1 - len(rows) for b, rows in zip(blocks, used, strict=True))
-    if off:
-        remarks.append(f"{off} observations are switched off in the report and not used")
+    active_rows = [[row for row in b.rows[1:] if b.cell(row, "Active").lower() != "no"] for b in blocks]
+    report_notes, n_inactive = (
+        [NO_NOISE_NOTE],
+        sum(len(b.rows) - 1 - len(rows) for b, rows in zip(blocks, active_rows, strict=True)),
+    )
+    if n_inactive:
+        report_notes.append(f"{n_inactive} observations are not active in the report and are not used")
     hints = replace(hints, columns=SPATIALANALYZER_COLUMN_MAP, date=hints.date or "dmy")
     table = read_pointing_table(
         [
             _sheet_of_block(*block_parts, path)
-            for block_parts in zip(blocks, names, used, strict=True)
+            for block_parts in zip(blocks, names, active_rows, strict=True)
             if block_parts[2]
         ],
         hints,
         path,
     )
-    groups = {row.line: b.cell(row, "Group") for b, rows in zip(blocks, used, strict=True) for row in rows}
-    group = [groups[line] for line in table.pointings.line]
-    for i, name in enumerate(group):
+    group_by_line = {
+        row.line: b.cell(row, "Group") for b, rows in zip(blocks, active_rows, strict=True) for row in rows
+    }
+    group_names = [group_by_line[line] for line in table.pointings.line]
+    for i, name in enumerate(group_names):
         table.pointings.source_location(i).text(name, "Group")
     poses = {name: block.pose for name, block in zip(names, blocks, strict=True)}
-    order = dict.fromkeys(table.pointings.station)
-    placed = {i: pose for i, name in enumerate(order) if (pose := poses[name]) is not None}
-    meaning, readings = interpret_readings(table, placed, hints, path)
-    table.notes += _prefix_ambiguous_points(table, group, readings, poses)
+    ordered_names = dict.fromkeys(table.pointings.station)
+    pose_by_index = {i: pose for i, name in enumerate(ordered_names) if (pose := poses[name]) is not None}
+    meaning, readings = interpret_readings(table, pose_by_index, hints, path)
+    table.notes += _prefix_ambiguous_points(table, group_names, readings, poses)
     recording = assemble_recording(table, meaning, readings, _setup(blocks, names, path), hints, path)
-    return recording.replace(labels={**recording.labels, "group": tuple(group)}, notes=(*recording.notes, *remarks))
+    return recording.replace(
+        labels={**recording.labels, "group": tuple(group_names)}, notes=(*recording.notes, *report_notes)
+    )
 
 
 def _read_cells(path: Path) -> Iterator[SheetRow]:
-    """Every row that is not empty, with the line where it ends."""
+    """Rows that are not empty, each with the number of the line where it ends; raises RecordError."""
     lines = read_lines(path)
     heading = next((line for line in lines if _HEADING_PATTERN.match(line)), None)
     if heading is None:
@@ -127,27 +139,30 @@ def _read_cells(path: Path) -> Iterator[SheetRow]:
 
 
 def _read_blocks(path: Path) -> list[_Block]:
-    """Set-ups of a report in order; a pose repeated on a further page is ignored."""
+    """Blocks of the set-ups in a report, in order; a block that continues on another page is one block.
+
+    Raises RecordError.
+    """
     blocks: dict[tuple[str, str], _Block] = {}
-    current: _Block | None = None
-    what = ""
+    block_of_row: _Block | None = None
+    section = ""
     for row in _read_cells(path):
         where, first = SourceLocation(path, row.line), row.fields[0].split("\n")[0]
         if first in ("Transform", "Observations"):
-            what, heading = first, _parse_heading(row.fields[0], where)
-            current = blocks.setdefault(heading[:2], _Block(*heading))
-        elif current is not None and what == "Transform":
-            _read_pose(current, row.fields, where)
-        elif current is not None and first == "Collection":
+            section, heading = first, _parse_heading(row.fields[0], where)
+            block_of_row = blocks.setdefault(heading[:2], _Block(*heading))
+        elif block_of_row is not None and section == "Transform":
+            _read_pose(block_of_row, row.fields, where)
+        elif block_of_row is not None and first == "Collection":
             _check_heading(row.fields, where)
-            current.rows = current.rows or [row]
-        elif current is not None and current.rows and len(row.fields) > 1:
-            row.check_width(len(current.rows[0].fields), path)
-            current.rows.append(row)
+            block_of_row.rows = block_of_row.rows or [row]
+        elif block_of_row is not None and block_of_row.rows and len(row.fields) > 1:
+            row.check_width(len(block_of_row.rows[0].fields), path)
+            block_of_row.rows.append(row)
     for block in blocks.values():
-        if block.rows and block.count not in (None, len(block.rows) - 1):
-            held = f"{block.count} observations and holds {len(block.rows) - 1}"
-            message = f"set-up {quoted_text(block.number)} announces {held}: the report is incomplete or edited"
+        if block.rows and block.declared_count not in (None, len(block.rows) - 1):
+            held = f"{block.declared_count} observations and holds {len(block.rows) - 1}"
+            message = f"set-up {quoted_text(block.number)} announces {held}: the report is incomplete or was edited"
             raise RecordError(message, file=path)
     return list(blocks.values())
 
@@ -156,13 +171,13 @@ def _parse_heading(cell: str, location: SourceLocation) -> tuple[str, str, str]:
     """Collection, number and model of the instrument from ``A::0 - Leica AT960``."""
     match = re.fullmatch(r"(?:(.*)::)?(.+?)(?: - (.*))?", cell.partition("\n")[2].strip())
     if match is None:
-        raise location.error("a block without the name of its set-up")
+        raise location.error("the block has no name of its set-up")
     return match[1] or "", match[2], (match[3] or "").replace("/", "-").strip()
 
 
 def _read_pose(block: _Block, fields: Sequence[str], location: SourceLocation) -> None:
     if fields[0] == "# Meas." and len(fields) > 1:
-        block.count = int(location.number(fields[1], "# Meas.", comma=True))
+        block.declared_count = int(location.number(fields[1], "# Meas.", comma=True))
     if fields[0].startswith("(") and len(fields) > 3:
         values = np.array([location.number(text, comma=True) for text in fields[1:4]])
         unit = UNITS_BY_SPELLING.get(fields[0].strip("()").lower(), "")
@@ -171,27 +186,26 @@ def _read_pose(block: _Block, fields: Sequence[str], location: SourceLocation) -
         elif unit in ANGLE_UNITS:
             block.rotation = values * SI_PER_UNIT[unit]
         else:
-            raise location.error(f"unit '{quoted_text(fields[0].strip('()'))}' of a pose is not known")
+            raise location.error(f"the unit '{quoted_text(fields[0].strip('()'))}' of the pose is not supported")
 
 
 def _check_heading(fields: Sequence[str], location: SourceLocation) -> None:
-    """Check of the headings.
-
-    Raises RecordError for a required column that is missing, repeated, or in an unknown unit.
-    """
-    named = [title_words_and_unit(field) for field in fields]
-    for wanted, allowed in PERMITTED_UNITS.items():
-        units = [unit for word, unit in named if word == wanted]
+    """Check that the heading of a table has each required column once, in a permitted unit; raises RecordError."""
+    titles_and_units = [title_words_and_unit(field) for field in fields]
+    for required_title, permitted in PERMITTED_UNITS.items():
+        units = [unit for word, unit in titles_and_units if word == required_title]
         if len(units) != 1:
-            message = f"the heading has {len(units)} columns called {wanted.capitalize()}, expected one"
+            message = f"the heading has {len(units)} columns called {required_title.capitalize()}, expected one"
             raise location.error(message)
-        if allowed is not None and units[0] not in allowed:
-            message = f"unit '{quoted_text(units[0])}' in this heading, expected one of {', '.join(allowed)}"
-            raise location.error(message, wanted.capitalize())
+        if permitted is not None and units[0] not in permitted:
+            message = (
+                f"found the unit '{quoted_text(units[0])}' in this heading, expected one of {', '.join(permitted)}"
+            )
+            raise location.error(message, required_title.capitalize())
 
 
 def _sheet_of_block(block: _Block, name: str, rows: list[SheetRow], file: Path) -> TableSheet:
-    """Columns of a set-up's table that a recording retains; offsets have their unit in their name."""
+    """Table of a set-up with only the columns that are read; the titles of offsets contain their unit."""
     titles = {}
     for place, title in enumerate(block.rows[0].fields):
         word, unit = title_words_and_unit(title)
@@ -202,7 +216,7 @@ def _sheet_of_block(block: _Block, name: str, rows: list[SheetRow], file: Path) 
 
 
 def _station_names(blocks: Sequence[_Block]) -> list[str]:
-    """Names of the stations: ``Instrument_0`` if numbers are unique, otherwise with the collection."""
+    """Names of the stations: ``Instrument_0`` if the numbers are unique, otherwise ``COLLECTION::0``."""
     numbers = [block.number for block in blocks]
     if len(set(numbers)) == len(numbers):
         return [f"Instrument_{number}" for number in numbers]
@@ -210,31 +224,36 @@ def _station_names(blocks: Sequence[_Block]) -> list[str]:
 
 
 def _prefix_ambiguous_points(
-    table: PointingTable, group: Sequence[str], readings: Floats, poses: dict[str, StationPoseArrays | None]
+    table: PointingTable, group_names: Sequence[str], readings: Floats, poses: dict[str, StationPoseArrays | None]
 ) -> list[str]:
-    """Prefixing (in place) of point names that occur at several places with their group; returns notes."""
+    """Addition, in place, of the group to names that stand for several points; returns notes."""
     sightings: dict[str, dict[str, list[tuple[str, Floats]]]] = {}
     printed = table.pointings
-    for station, target, member_of, point in zip(
-        printed.station, printed.target, group, from_polar(readings), strict=True
+    for station, target, group_name, point in zip(
+        printed.station, printed.target, group_names, from_polar(readings), strict=True
     ):
         pose = poses[station]
-        place = point if pose is None else pose[0] @ point + pose[1]
-        sightings.setdefault(target, {}).setdefault(member_of, []).append((station, place))
+        position = point if pose is None else pose[0] @ point + pose[1]
+        sightings.setdefault(target, {}).setdefault(group_name, []).append((station, position))
     names = {name: _names_by_place(name, groups) for name, groups in sightings.items()}
-    several = sorted(name for name, of in names.items() if any(new != name for new in of.values()))
-    printed.target = [names[target][member_of] for target, member_of in zip(printed.target, group, strict=True)]
-    if not several:
+    ambiguous_names = sorted(name for name, of in names.items() if any(new != name for new in of.values()))
+    printed.target = [names[target][group_name] for target, group_name in zip(printed.target, group_names, strict=True)]
+    if not ambiguous_names:
         return []
-    few = ", ".join(several[:4])
-    return [f"{len(several)} names stand for points in different places ({few}, ...): the group is added there"]
+    examples = ", ".join(ambiguous_names[:4])
+    count = len(ambiguous_names)
+    return [f"{count} names stand for points at different places ({examples}, ...): their group is added to the name"]
 
 
 def _names_by_place(name: str, groups: dict[str, list[tuple[str, Floats]]]) -> dict[str, str]:
-    """Name for each group: the place seen from most stations (then with most pointings) keeps the plain name."""
+    """New name, by group, of the points called `name`.
+
+    `groups` holds the station and the position (3,) [m] of each pointing, by group. The place that was measured from
+    most stations, and then with most pointings, keeps the name.
+    """
     clusters: list[tuple[Floats, list[str]]] = []
     for group, members in groups.items():
-        centre = np.median([place for _, place in members], axis=0)
+        centre = np.median([position for _, position in members], axis=0)
         near = next((c for c in clusters if np.linalg.norm(c[0] - centre) < MAX_SAME_POINT_DISTANCE), None)
         if near is None:
             clusters.append((centre, [group]))
@@ -246,16 +265,16 @@ def _names_by_place(name: str, groups: dict[str, list[tuple[str, Floats]]]) -> d
         return len({*stations}), len(stations)
 
     clusters.sort(key=weight, reverse=True)
-    plain = len(clusters) == 1 or weight(clusters[0]) > weight(clusters[1])
+    is_unique_best = len(clusters) == 1 or weight(clusters[0]) > weight(clusters[1])
     return {
-        group: name if plain and i == 0 else f"{together[0]}:{name}"
-        for i, (_, together) in enumerate(clusters)
-        for group in together
+        group: name if is_unique_best and i == 0 else f"{groups_at_place[0]}:{name}"
+        for i, (_, groups_at_place) in enumerate(clusters)
+        for group in groups_at_place
     }
 
 
 def _setup(blocks: Sequence[_Block], names: Sequence[str], file: Path) -> Setup:
-    """Set-up with rough poses and, if the report names several, one instrument per model."""
+    """Set-up with the poses in the report as rough poses, and one instrument for each model."""
     stations = {}
     for name, block in zip(names, blocks, strict=True):
         position = yaw = None

@@ -1,28 +1,30 @@
-"""Formats of field books that are recognised and not read, and what to export instead."""
+"""Formats that are recognised but not read, and what to export instead."""
 
 import re
 from dataclasses import dataclass
 
-OBSERVATIONS = "export GSI, SDR or a table of the observations (station, point, horizontal circle, zenith, distance)"
-"""Advice for programs of total stations."""
-ARRAYS = "write its arrays to a table, as docs/how-to/own-tracker.md shows in a few lines"
-"""Advice for files of numerical programs."""
-DATABASES = "export the observations from its program as a table (SpatialAnalyzer, PolyWorks: reports as text)"
-"""Advice for databases, as the jobs of metrology programs are."""
-WORKBOOKS = "save it as xlsx or CSV"
-"""Advice for workbooks in other formats."""
+OBSERVATIONS_ADVICE = (
+    "export GSI, SDR or a table of the observations (station, point, horizontal circle, zenith, distance)"
+)
+"""Text on what to export in place of a field book of a total station."""
+ARRAYS_ADVICE = "write its arrays to a table, as docs/how-to/own-tracker.md shows in a few lines"
+"""Text on what to write in place of a file of a numerical program."""
+DATABASES_ADVICE = "export the observations from its program as a table (SpatialAnalyzer, PolyWorks: reports as text)"
+"""Text on what to export in place of a database, in which a metrology program stores its jobs."""
+WORKBOOKS_ADVICE = "save it as xlsx or CSV"
+"""Text on how to save a workbook in another format."""
 
 
 @dataclass(frozen=True)
 class UnreadFormat:
-    """Format by a pattern of its first characters, and advice on what to export instead."""
+    """Format that is recognised by a pattern of its first characters, with advice on what to export instead."""
 
     name: str
     pattern: re.Pattern[str]
-    alternative: str = OBSERVATIONS
+    alternative: str = OBSERVATIONS_ADVICE
 
 
-def _make_format(name: str, pattern: str, alternative: str = OBSERVATIONS) -> UnreadFormat:
+def _make_format(name: str, pattern: str, alternative: str = OBSERVATIONS_ADVICE) -> UnreadFormat:
     return UnreadFormat(name, re.compile(pattern, re.DOTALL), alternative)
 
 
@@ -45,11 +47,11 @@ UNREAD_FORMATS = (
         r"(?:\s*#[^\n]*\n|\s*\.[A-Za-z][^\n]*\n|\s*C\s[^\n]*\n)*\s*(?:M\s+\S+-\S+-\S+\s|DB\s+\S+\s*\n\s*D[MN]\s)",
     ),
     _make_format("a field book in the format GEO (GeoEasy)", r"\s*\{\s*\d+\s+[^}]*\}\s*\{\s*\d+\s"),
-    _make_format("a file of MATLAB", r"MATLAB 5\.0 MAT-file", ARRAYS),
-    _make_format("a JSON array", r"\s*\[\s*[\[{\d\"-]", ARRAYS),
-    _make_format("a JSON object", r"\s*\{\s*\"[^\"\n]*\"\s*:", ARRAYS),
-    _make_format("a database", r"SQLite format 3|\x00\x01\x00\x00Standard (?:Jet|ACE) DB", DATABASES),
-    _make_format("a workbook of Excel 97 (xls)", r"\xd0\xcf\x11\xe0", WORKBOOKS),
-    _make_format("a workbook of OpenDocument (ods)", r"PK.{28}mimetypeapplication/vnd\.oasis", WORKBOOKS),
+    _make_format("a file of MATLAB", r"MATLAB 5\.0 MAT-file", ARRAYS_ADVICE),
+    _make_format("a JSON array", r"\s*\[\s*[\[{\d\"-]", ARRAYS_ADVICE),
+    _make_format("a JSON object", r"\s*\{\s*\"[^\"\n]*\"\s*:", ARRAYS_ADVICE),
+    _make_format("a database", r"SQLite format 3|\x00\x01\x00\x00Standard (?:Jet|ACE) DB", DATABASES_ADVICE),
+    _make_format("a workbook of Excel 97 (xls)", r"\xd0\xcf\x11\xe0", WORKBOOKS_ADVICE),
+    _make_format("a workbook of OpenDocument (ods)", r"PK.{28}mimetypeapplication/vnd\.oasis", WORKBOOKS_ADVICE),
 )
-"""Formats in the order in which they are tried."""
+"""Formats that are not read, in the order in which they are tried."""

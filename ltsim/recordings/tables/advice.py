@@ -1,4 +1,4 @@
-"""Suggestions for ``--columns`` for a table whose header has no recognised titles, from the content of its columns."""
+"""Suggestions for the option ``--columns`` for a table without recognised titles, from the content of its columns."""
 
 from collections.abc import Callable, Sequence
 from decimal import Decimal
@@ -20,68 +20,71 @@ from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 from ltsim.recordings.transcription_errors import MAX_CIRCLE_RADIANS, MIN_DISTANCE_MM
 
 MAX_SAMPLE_ROWS = 400
-"""Largest number of rows in which the roles of columns are searched."""
+"""Number of rows from which the roles of columns are suggested."""
 MAX_TRIED_ASSIGNMENTS = 20
-"""Largest number of assignments of columns that are tested on the whole sheet, the most likely first."""
+"""Largest number of suggested assignments that are tested on the whole sheet, the most likely first."""
 MAX_SAMPLE_CELLS = 100_000
-"""Number of cells, from the first rows of a table, that the suggestions are based on."""
+"""Number of cells, in the first rows of a table, from which the suggestions are made."""
 MAX_LENGTH_IN_METRES = MIN_DISTANCE_MM
-"""Number below which a distance or coordinate without unit is suggested in metres; in millimetres above."""
-ColumnAssignment = Sequence[tuple[str, ...]]
-COLUMNS_QUESTION = (
+"""Largest distance or coordinate below which metres are suggested as its unit, and above which millimetres."""
+CellsByColumn = Sequence[tuple[str, ...]]
+"""Cells of each column of a table."""
+COLUMNS_TEMPLATE = (
     '--columns "station=HEADER,target=HEADER,azimuth=HEADER[deg],elevation=HEADER[deg],distance=HEADER[mm]"'
 )
 
 
-def unrecognised_header_sentence(sheet: TableSheet, serves: Callable[[str], bool]) -> str:
-    """Sentence for a header without recognised titles.
+def unrecognised_header_sentence(sheet: TableSheet, is_readable_with: Callable[[str], bool]) -> str:
+    """Sentence on a header without recognised titles, with a suggestion for the option ``--columns``.
 
-    `serves` returns True for ``--columns`` that can read the sheet.
+    `is_readable_with` returns True for a value of ``--columns`` with which the sheet can be read.
     """
     sample = sample_rows(sheet)
-    head = next((row for row in sample if len(row.fields) > 2 and not row.n_values), None)
-    body = [row.fields for row in sample if row.n_values > 1]
-    if not body:
-        return "contains no row with two or more numbers, so no pointing"
-    if head is not None and (unit_fault := unknown_unit_sentence(head.fields)):
+    header_row = next((row for row in sample if len(row.fields) > 2 and not row.n_values), None)
+    data_rows = [row.fields for row in sample if row.n_values > 1]
+    if not data_rows:
+        return "contains no row with two or more numbers, and therefore no pointing"
+    if header_row is not None and (unit_fault := unknown_unit_sentence(header_row.fields)):
         return unit_fault
-    width = max(map(len, body))
-    named = head is not None and len(head.fields) == width
-    given = head.fields if head is not None and named else ("",) * width
-    titles = tuple(_column_reference(i, given) for i in range(width))
-    header = f"the header {quoted_text(', '.join(given), 80)}" if named else "a table without a header"
-    advised = _likely_assignments(titles, [row for row in body if len(row) == width][:MAX_SAMPLE_ROWS])
-    advice = next(filter(serves, advised[:MAX_TRIED_ASSIGNMENTS]), None)
+    n_columns = max(map(len, data_rows))
+    has_header = header_row is not None and len(header_row.fields) == n_columns
+    given = header_row.fields if header_row is not None and has_header else ("",) * n_columns
+    titles = tuple(_column_reference(i, given) for i in range(n_columns))
+    header = f"the header {quoted_text(', '.join(given), 80)}" if has_header else "a table without a header"
+    assignments = _likely_assignments(titles, [row for row in data_rows if len(row) == n_columns][:MAX_SAMPLE_ROWS])
+    advice = next(filter(is_readable_with, assignments[:MAX_TRIED_ASSIGNMENTS]), None)
     if advice is not None:
         sentence = f'{header} does not define its columns; define them, for instance --columns "{advice}"'
-        is_ambiguous = not named and advice != advised[-1] and serves(advised[-1])
-        return f'{sentence}, or --columns "{advised[-1]}"' if is_ambiguous else sentence
-    reason = "no three of them can be two angles and a distance, or coordinates"
-    return f"{header} does not define its columns, and {reason}; if they can, define them: {COLUMNS_QUESTION}"
+        is_ambiguous = not has_header and advice != assignments[-1] and is_readable_with(assignments[-1])
+        return f'{sentence}, or --columns "{assignments[-1]}"' if is_ambiguous else sentence
+    reason = "no three columns look like two angles and a distance, or like coordinates"
+    return f"{header} does not define its columns, and {reason}; define them if they are: {COLUMNS_TEMPLATE}"
 
 
-def _column_reference(place: int, titles: Sequence[str]) -> str:
-    """Title of a column in ``--columns``; its number if the title is empty, repeated or has a sign of this option."""
-    title = titles[place]
+def _column_reference(position: int, titles: Sequence[str]) -> str:
+    """Title of the column at `position` for the option ``--columns``; its number if the title cannot be used there."""
+    title = titles[position]
     is_usable = title and titles.count(title) == 1 and not any(sign in title for sign in ',+=[]"')
-    return title if is_usable else str(place + 1)
+    return title if is_usable else str(position + 1)
 
 
 def sample_rows(sheet: TableSheet) -> list[SheetRow]:
-    """First rows of a sheet, with `MAX_SAMPLE_CELLS` cells in total."""
+    """First rows of a sheet, with about `MAX_SAMPLE_CELLS` cells in total."""
     cells_before = accumulate((len(row.fields) for row in sheet.rows), initial=0)
     pairs = zip(sheet.rows, cells_before, strict=False)
     return [row for row, _ in takewhile(lambda pair: pair[1] < MAX_SAMPLE_CELLS, pairs)]
 
 
 def _likely_assignments(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Assignments of columns that the values permit, most likely first: names, a face, then readings or coordinates."""
+    """Values of ``--columns`` that the cells permit, most likely first: names, a face, then readings or coordinates."""
     columns: list[tuple[str, ...]] = list(zip(*rows, strict=True))
-    times = [i for i, column in enumerate(columns) if any(column) and all(cells.has_clock(t) for t in column if t)]
-    rest = [i for i in range(len(columns)) if i not in times and any(columns[i])]
-    texts = [i for i in rest if not all(map(cells.is_value, columns[i]))]
-    faces = [i for i in rest if i not in texts and len({*columns[i]}) == 2 and all(map(cells.parse_face, columns[i]))]
-    numbers = [i for i in rest if i not in (*texts, *faces) and all(map(cells.is_value, columns[i]))]
+    time_columns = [
+        i for i, column in enumerate(columns) if any(column) and all(cells.has_clock(t) for t in column if t)
+    ]
+    others = [i for i in range(len(columns)) if i not in time_columns and any(columns[i])]
+    texts = [i for i in others if not all(map(cells.is_value, columns[i]))]
+    faces = [i for i in others if i not in texts and len({*columns[i]}) == 2 and all(map(cells.parse_face, columns[i]))]
+    numbers = [i for i in others if i not in (*texts, *faces) and all(map(cells.is_value, columns[i]))]
     if not texts:  # points that have numbers for names come first
         texts = [i for i in numbers[:2] if all(cell.isdigit() for cell in columns[i])][: max(len(numbers) - 3, 0)]
     texts.sort(key=lambda i: len({*columns[i]}))
@@ -112,74 +115,75 @@ def _likely_assignments(titles: Sequence[str], rows: Sequence[Sequence[str]]) ->
         if _is_sexagesimal(first, columns) and not any(_is_sexagesimal(other, columns) for other in angles[1:])
         for length in _distance_columns("flat", [i for i in numbers if i > first[-1]], titles, columns, first)
     ]
-    places = [i for i in numbers if _has_fraction(columns[i]) and list(columns[i]) != sorted(columns[i])]
-    places = places[:3] if len(places) >= len(COORDINATE_ROLES) else numbers[:3]
-    unit = "m" if max((_largest_magnitude(columns[i]) for i in places), default=0) < MAX_LENGTH_IN_METRES else "mm"
-    as_places = [f"{axis}={titles[i]}[{unit}]" for axis, i in zip(COORDINATE_ROLES, places, strict=False)]
+    axes = [i for i in numbers if _has_fraction(columns[i]) and list(columns[i]) != sorted(columns[i])]
+    axes = axes[:3] if len(axes) >= len(COORDINATE_ROLES) else numbers[:3]
+    unit = "m" if max((_largest_magnitude(columns[i]) for i in axes), default=0) < MAX_LENGTH_IN_METRES else "mm"
+    coordinate_readings = [f"{axis}={titles[i]}[{unit}]" for axis, i in zip(COORDINATE_ROLES, axes, strict=False)]
     is_polar = any(_has_marked_angles(columns[i]) for i in numbers)
-    is_complete = len(as_places) == len(COORDINATE_ROLES) and not is_polar
-    whole = [*polar, *([as_places] if is_complete else [])]
-    return [",".join([*names_and_faces, *readings]) for readings in whole]
+    is_complete = len(coordinate_readings) == len(COORDINATE_ROLES) and not is_polar
+    readings_sets = [*polar, *([coordinate_readings] if is_complete else [])]
+    return [",".join([*names_and_faces, *readings]) for readings in readings_sets]
 
 
-def _angle_columns(numbers: Sequence[int], columns: ColumnAssignment) -> list[tuple[int, ...]]:
-    """Columns that may hold an angle, each alone or with the minutes and seconds in the next columns."""
+def _angle_columns(numbers: Sequence[int], columns: CellsByColumn) -> list[tuple[int, ...]]:
+    """Columns that may contain an angle: the column alone, or with those of minutes and seconds after it."""
     angles: list[tuple[int, ...]] = []
-    taken: set[int] = set()
+    used_columns: set[int] = set()
     for i in numbers:
-        parts = [i]
+        part_columns = [i]
         while (
-            len(parts) < len(ANGLE_MARKS)
-            and parts[-1] + 1 in numbers
-            and _is_minutes_or_seconds(columns[parts[-1] + 1])
+            len(part_columns) < len(ANGLE_MARKS)
+            and part_columns[-1] + 1 in numbers
+            and _is_minutes_or_seconds(columns[part_columns[-1] + 1])
         ):
-            if _has_fraction(columns[parts[-1]]):
+            if _has_fraction(columns[part_columns[-1]]):
                 break
-            parts.append(parts[-1] + 1)
-        alone = _has_fraction(columns[i]) or _has_marked_angles(columns[i])
+            part_columns.append(part_columns[-1] + 1)
+        is_angle_alone = _has_fraction(columns[i]) or _has_marked_angles(columns[i])
         if (
-            i not in taken
+            i not in used_columns
             and _largest_magnitude(columns[i]) <= FULL_CIRCLE_BY_UNIT["gon"]
-            and (alone or len(parts) > 1)
+            and (is_angle_alone or len(part_columns) > 1)
         ):
-            angles.append(tuple(parts))
-            taken.update(parts)
+            angles.append(tuple(part_columns))
+            used_columns.update(part_columns)
     return angles
 
 
 def _is_minutes_or_seconds(column: tuple[str, ...]) -> bool:
-    """True if all values are possible minutes or seconds, 0 to 60."""
+    """True if all numbers are from 0 to 60, as minutes and seconds are."""
     return all(0 <= number < 60 for number in _column_numbers(column))
 
 
 def _possible_conventions(
-    first: Sequence[int], angle_columns: Sequence[int], columns: ColumnAssignment, titles: Sequence[str]
+    horizontal: Sequence[int], vertical: Sequence[int], columns: CellsByColumn, titles: Sequence[str]
 ) -> list[tuple[str, str]]:
-    """Unit and kind of the vertical angle that the numbers and its title permit, most likely first."""
-    vertical = _column_numbers(columns[angle_columns[0]])
-    max_value = max(_largest_magnitude(columns[first[0]]), _largest_magnitude(columns[angle_columns[0]]))
-    if _is_sexagesimal(first, columns):
+    """Pairs of unit and kind of the vertical angle that its numbers and its title permit, most likely first."""
+    numbers = _column_numbers(columns[vertical[0]])
+    max_value = max(_largest_magnitude(columns[horizontal[0]]), _largest_magnitude(columns[vertical[0]]))
+    if _is_sexagesimal(horizontal, columns):
         units: tuple[AngleUnit, ...] = ("deg",)
     elif max_value < MAX_CIRCLE_RADIANS:
         units = ("rad",)
     else:
         units = ("deg", "gon") if max_value <= FULL_CIRCLE_BY_UNIT["deg"] else ("gon",)
-    lowest = min(vertical, default=Decimal(0))
-    is_zenith = "zenit" in normalised_title(titles[angle_columns[0]])
+    lowest = min(numbers, default=Decimal(0))
+    is_zenith = "zenit" in normalised_title(titles[vertical[0]])
     kind = "elevation" if lowest < 0 else "zenith" if is_zenith else "vertical"
     return [(unit, kind) for unit in units if lowest >= -FULL_CIRCLE_BY_UNIT[unit] / 4]
 
 
 def _distance_columns(
-    role: str, angle_columns: Sequence[int], titles: Sequence[str], columns: ColumnAssignment, angle: Sequence[int]
+    role: str, candidate_columns: Sequence[int], titles: Sequence[str], columns: CellsByColumn, angle: Sequence[int]
 ) -> list[list[str]]:
-    """First column after the angles that can hold distances, as a list of one; an empty list if there is none.
+    """Assignment of the first of the columns `candidate_columns` that may contain distances; empty if none may.
 
-    Its unit is that of its title; without one, metres where angles are in degrees, minutes and seconds.
+    The unit is that of the title. Without one it is metres if the `angle` is in degrees, minutes and seconds, otherwise
+    it follows from the size of the numbers.
     """
     candidates = [
         i
-        for i in angle_columns
+        for i in candidate_columns
         if _has_fraction(columns[i])
         and not _has_marked_angles(columns[i])
         and min(_column_numbers(columns[i]), default=Decimal(0)) > 0
@@ -193,18 +197,19 @@ def _distance_columns(
     return lengths
 
 
-def _is_sexagesimal(angle: Sequence[int], columns: ColumnAssignment) -> bool:
+def _is_sexagesimal(angle: Sequence[int], columns: CellsByColumn) -> bool:
     return len(angle) > 1 or _has_marked_angles(columns[angle[0]])
 
 
 @lru_cache(maxsize=1024)
 def _has_marked_angles(column: tuple[str, ...]) -> bool:
-    """True if a cell is an angle in degrees, minutes and seconds."""
+    """True if one of the cells is an angle in degrees, minutes and seconds."""
     return cells.plain_numbers(column) is None and any(map(cells.is_sexagesimal, column))
 
 
-def _joined_titles(places: Sequence[int], titles: Sequence[str]) -> str:
-    return "+".join(titles[i] for i in places)
+def _joined_titles(positions: Sequence[int], titles: Sequence[str]) -> str:
+    """Titles of several columns, joined by plus signs as in the option ``--columns``."""
+    return "+".join(titles[i] for i in positions)
 
 
 @lru_cache(maxsize=1024)

@@ -1,4 +1,4 @@
-"""Lines between the pointings of a table: the station of a block, and heights that apply to all of its rows."""
+"""Lines between the rows of a table that name the station, or the heights, of the rows below them."""
 
 import re
 from collections.abc import Sequence
@@ -12,33 +12,33 @@ from ltsim.recordings.tables.sheets import SheetRow
 INSTRUMENT_WORDS = frozenset(
     ("instrument", "instrumentname", "tracker", "trackername", "device", "deviceid", "devicename")
 )
-"""Words of an instrument: they name a set-up if no line names a station."""
+"""Words before the name of an instrument, which names the set-up if no line names a station."""
 WORDS_BEFORE_SIGN = frozenset(("from", "fromstn", "fromstation", "frompoint", "frompointid", "von"))
-"""Words that name a station only before a colon or an equals sign; elsewhere they are words of a text."""
+"""Words that precede the name of a station only before a colon or an equals sign; otherwise they belong to a text."""
 MAX_KEY_WORDS = 4
-"""Largest number of words of the name of a height."""
+"""Largest number of words before a height that are tested as its title."""
 _SIGNED_PATTERN = re.compile(r"#?\s*([^:=]{1,60}?)\s*[:=]\s*(\S.*?)[\s;,]*")
-"""Pattern of a value after a colon or an equals sign."""
+"""Pattern of words and a value, separated by a colon or an equals sign."""
 _WORD_PATTERN = re.compile(r"#?\s*([^\W\d_]+)\s*[:=;,\t ]\s*(\S.*?)[\s;,]*")
-"""Pattern of a value after one word."""
+"""Pattern of one word and a value."""
 _HEIGHT_PATTERN = re.compile(r"(.*?)[\s:=;,]\s*(\d{1,5}(?:[.,]\d{1,6})?)\s*(mm|cm|m|ft|in)?[\s;,]*")
-"""Pattern of a line that ends with a length."""
+"""Pattern of a line that ends with a length and possibly its unit."""
 
 
 @dataclass
 class TableBlock:
-    """Block of rows of one sheet: its station, and heights above marks by role."""
+    """Current block of rows in a sheet: its station, and the heights above marks that apply to its rows."""
 
     station: str = ""
     height_columns: list[TableColumn] = field(default_factory=list)
-    """Columns of the heights, one per role, in the order of their first lines."""
+    """Column of each height that a line gave so far."""
     heights: dict[str, str] = field(default_factory=dict)
-    """Cells of the heights of the current block, by role."""
+    """Text of each height of the current block, by the role of its column."""
     is_station_named: bool = False
-    """True if a line named a station, not only an instrument."""
+    """True if a line has named a station, and not only an instrument."""
 
     def read_line(self, row: SheetRow) -> bool:
-        """Station and heights of a line that is no pointing; False if it has neither."""
+        """Update of the block by a line that is no pointing; returns False if it has neither a station nor a height."""
         line = " ".join(cell for cell in row.fields if cell).rstrip(" \t;,")
         if len(line) > MAX_TEXT_LENGTH:
             return False
@@ -53,22 +53,22 @@ class TableBlock:
         return station is not None or bool(heights)
 
     def height_columns_after(self, columns: Sequence[TableColumn]) -> list[TableColumn]:
-        """Columns of the heights that follow the columns of a header; those whose role the header has are left out."""
+        """Columns of the heights, to be added after the columns of a header, without the roles that the header has."""
         roles = {column.role for column in columns}
         extra = [column for column in self.height_columns if column.role not in roles]
         return [replace(column, position=len(columns) + i) for i, column in enumerate(extra)]
 
     def _station_of(self, line: str) -> str | None:
-        """Name of the station that a line gives; None for any other line."""
-        signed = _SIGNED_PATTERN.fullmatch(line)
-        if signed is not None and title_role(signed[1]) == "station":
-            word, name = title_words_and_unit(signed[1])[0], signed[2]
+        """Name of the station in a line; None if the line names none."""
+        sign_match = _SIGNED_PATTERN.fullmatch(line)
+        if sign_match is not None and title_role(sign_match[1]) == "station":
+            word, name = title_words_and_unit(sign_match[1])[0], sign_match[2]
         else:
-            start = _WORD_PATTERN.fullmatch(line)
-            if start is None or title_role(start[1]) != "station":
+            word_match = _WORD_PATTERN.fullmatch(line)
+            if word_match is None or title_role(word_match[1]) != "station":
                 return None
-            word, name = title_words_and_unit(start[1])[0], start[2]
-            if word in WORDS_BEFORE_SIGN or (signed is not None and word in INSTRUMENT_WORDS):
+            word, name = title_words_and_unit(word_match[1])[0], word_match[2]
+            if word in WORDS_BEFORE_SIGN or (sign_match is not None and word in INSTRUMENT_WORDS):
                 return None
         if word in INSTRUMENT_WORDS and self.is_station_named:
             return None
@@ -77,7 +77,7 @@ class TableBlock:
 
 
 def _split_heights(line: str) -> tuple[str, list[tuple[TableColumn, str]]]:
-    """Line without the heights at its end, and these heights with their columns."""
+    """Line without the heights at its end, and column and text of each of these heights."""
     heights = []
     while (match := _HEIGHT_PATTERN.fullmatch(line)) is not None:
         words = match[1].rstrip(" \t:=;,").split()

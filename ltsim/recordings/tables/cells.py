@@ -1,4 +1,4 @@
-"""Content of one cell: a number with point or comma, degrees with minutes and seconds, a face, a date or time."""
+"""Parsers of one cell: numbers with point or comma, degrees with minutes and seconds, faces, dates and times."""
 
 import re
 from collections.abc import Callable, Iterable, Sequence
@@ -13,19 +13,20 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
 from ltsim.recordings.files import MAX_NUMBER_LENGTH, NUMBER_PATTERN, is_number
 
-FACE_TITLES = (
+FACE_WORDS = (
     "1 1.0 i f1 face1 facei lage1 lagei 1st f front direct d l left links cl a",
     "2 2.0 ii f2 face2 faceii lage2 lageii 2nd b back reverse r right rechts cr",
 )
-"""Words for faces 1 and 2."""
-FACE_WORDS = {word: face for face, words in enumerate(FACE_TITLES, start=1) for word in words.split()}
+"""Words for face 1, and words for face 2."""
+FACE_BY_WORD = {word: face for face, words in enumerate(FACE_WORDS, start=1) for word in words.split()}
+"""Face by each of its words."""
 MISSING_MARKS = frozenset(("-", "--", "---", "----", "-----", "\u2013", "\u2014", "n/a", "N/A", "#N/A"))
-"""Cells without a value, as programs write them."""
+"""Texts that programs write in cells without a value."""
 ValueType = TypeVar("ValueType")
 DAY = timedelta(days=1)
 """Time span of a day."""
 MAX_VALUE_LENGTH = 60
-"""Largest number of characters of a cell that is tested as a number or an angle."""
+"""Number of characters above which a cell is not tested as a number or an angle."""
 _DEGREES_PATTERN = r"°|º|˚|\^|\*|deg|d"
 _MINUTES_PATTERN = r"'|′|’|‘|´|`|ʹ|min|m"
 _SECONDS_PATTERN = rf"\"|″|”|“|ʺ|(?:{_MINUTES_PATTERN})(?:{_MINUTES_PATTERN})|sec|s"
@@ -37,9 +38,8 @@ _SEXAGESIMAL_PATTERN = re.compile(
 _TO_MINUTES_PATTERN = re.compile(
     rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES_PATTERN})\s*({_PART_PATTERN})\s*(?:{_MINUTES_PATTERN})()"
 )
-"""Pattern of degrees with minutes and seconds, separated by marks, colons, hyphens or blanks; with minutes alone, by
-marks.
-"""
+"""Pattern of degrees and minutes, each with its mark; `_SEXAGESIMAL_PATTERN` is that of degrees, minutes and
+seconds."""
 _CENTESIMAL_PATTERN = re.compile(
     r"([+-]?)\s*(\d{1,3})\s*g\s*(\d{1,2})\s*c\s*(\d{1,2}(?:[.,]\d+)?)\s*(?:cc)?", re.IGNORECASE
 )
@@ -49,13 +49,13 @@ UNIT_MARKS = {
     **dict.fromkeys(("°", "º", "deg"), "deg"),
     **{unit: unit for unit in ("rad", "mm", "cm", "m", "ft", "in")},
 }
-"""Units by the marks that may follow the number in a cell."""
+"""Unit by the mark after the number in a cell."""
 _MARKED_PATTERN = re.compile(
     rf"([+-]?\d[\d.,]*)\s*({'|'.join(sorted(UNIT_MARKS, key=len, reverse=True))})", re.IGNORECASE
 )
 _PACKED_PATTERN = re.compile(r"([+-]?)(\d{1,3})(?:[.,](\d*))?")
 _DIGIT_CHARACTERS = re.compile(r"[0-9.+eE-]*")
-"""Characters of decimal numbers."""
+"""Pattern of texts with only the characters of decimal numbers."""
 _CLOCK_PATTERN = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?")
 _SPELLED_CLOCK_PATTERN = re.compile(
     r"(\d{1,2})\s*h\s*(\d{1,2})(?:\s*m(?:in)?\s*(\d{1,2})(?:[.,](\d{1,9}))?\s*s?)?()", re.I
@@ -83,19 +83,20 @@ _COMPACT_STAMP_PATTERN = re.compile(
 )
 """Pattern of a date and time in the basic format of ISO 8601: ``20260301T080020``."""
 _DATE_ORDERS = ("ymd", "dmy", "mdy")
+"""Orders of year, month and day in dates, most likely first."""
 _DATE_ORDERS_12_HOURS = ("ymd", "mdy", "dmy")
-"""Orders of day and month, most likely first, beside a time of 12 hours (am, pm)."""
+"""Orders of year, month and day, most likely first, for dates with a time of 12 hours (am, pm)."""
 _DATE_PATTERN = re.compile(r"(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})")
 
 
 def python_number(text: str) -> str:
-    """Number in Python's notation: comma or point as decimal sign, without blanks and degree sign."""
+    """Number in Python's notation, from text with comma or point as decimal sign and possibly a degree sign."""
     text = text.strip().removesuffix("°").replace("\u2212", "-").replace("\u00a0", "").strip()
     comma, point = text.rfind(","), text.rfind(".")
     if comma < 0:
         return text
-    grouping = "." if comma > point else ","
-    return text.replace(grouping, "").replace(",", ".") if point >= 0 else text.replace(",", ".", 1)
+    group_separator = "." if comma > point else ","
+    return text.replace(group_separator, "").replace(",", ".") if point >= 0 else text.replace(",", ".", 1)
 
 
 _GROUPED_PATTERN = {mark: re.compile(rf"[+-]?\d{{1,3}}(?:\{mark}\d{{3}})+", re.ASCII) for mark in ".,"}
@@ -105,15 +106,21 @@ _COMMA_AND_POINT_PATTERN = {
 
 
 def thousands_separator(rows: Iterable[Sequence[str]], file: object) -> str:
-    """Thousands separator of a sheet: ``7.000,5`` in one cell shows that ``7.000`` in another is 7000; '' for none.
+    """Thousands separator of the cells of a sheet, point or comma; '' if there is none.
 
-    Raises RecordError where one cell groups by points and another by commas.
+    ``7.000,5`` in one cell shows that ``7.000`` in another cell is 7000. Raises RecordError if the cells have both
+    separators.
     """
-    mixed = (cell for row in rows for cell in row if "," in cell and "." in cell)
-    shown = {mark: cell for cell in mixed for mark, form in _COMMA_AND_POINT_PATTERN.items() if form.fullmatch(cell)}
-    if len(shown) > 1:
-        raise RecordError(f"writes numbers both as {shown['.']} and as {shown[',']}: use one", file=file)
-    return next(iter(shown), "")
+    mixed_cells = (cell for row in rows for cell in row if "," in cell and "." in cell)
+    cell_by_separator = {
+        mark: cell for cell in mixed_cells for mark, form in _COMMA_AND_POINT_PATTERN.items() if form.fullmatch(cell)
+    }
+    if len(cell_by_separator) > 1:
+        raise RecordError(
+            f"contains numbers written as {cell_by_separator['.']} and as {cell_by_separator[',']}; use one notation",
+            file=file,
+        )
+    return next(iter(cell_by_separator), "")
 
 
 def is_value(text: str) -> bool:
@@ -127,21 +134,21 @@ def is_value(text: str) -> bool:
 
 
 def split_unit_mark(text: str) -> tuple[str, str] | None:
-    """Number of a cell and the unit that its mark gives (``43.71 gon``, ``43g71c20cc``, ``12.5 m``); None without."""
+    """Number and unit of a cell with the mark of a unit (``43.71 gon``, ``43g71c20cc``, ``12.5 m``); None without."""
     text = text.strip()
     if len(text) > MAX_VALUE_LENGTH or text[-1:].isdigit():
         return None
-    hundredths = _CENTESIMAL_PATTERN.fullmatch(text)
-    if hundredths is not None:
-        sign, whole, minutes, seconds = hundredths.groups()
+    centesimal_match = _CENTESIMAL_PATTERN.fullmatch(text)
+    if centesimal_match is not None:
+        sign, whole, minutes, seconds = centesimal_match.groups()
         parts = Decimal(minutes) * 100 + Decimal(seconds.replace(",", "."))
         return f"{sign}{Decimal(whole) + parts / 10_000}", "gon"
-    marked = _MARKED_PATTERN.fullmatch(text)
-    return None if marked is None else (marked[1], UNIT_MARKS[marked[2].casefold()])
+    marked_match = _MARKED_PATTERN.fullmatch(text)
+    return None if marked_match is None else (marked_match[1], UNIT_MARKS[marked_match[2].casefold()])
 
 
 def split_common_unit(texts: Sequence[str]) -> tuple[Sequence[str], str]:
-    """Cells without the mark of their unit, and this unit; the cells as they are, and '', unless all have one unit."""
+    """Cells without the mark of their common unit, and this unit; unchanged cells and '' without a common unit."""
     filled = list(filter(None, texts))
     first = split_unit_mark(filled[0]) if filled else None
     if first is None:
@@ -153,26 +160,28 @@ def split_common_unit(texts: Sequence[str]) -> tuple[Sequence[str], str]:
 
 
 def is_sexagesimal(text: str) -> bool:
-    """True if a cell is an angle in degrees, minutes and seconds, and no plain number."""
+    """True if a cell is an angle in degrees, minutes and seconds, not a plain number."""
     return not is_number(python_number(text)) and _parse_sexagesimal(text) is not None
 
 
-def parse_number(text: str, grouping: str = "") -> Decimal | None:
-    """Plain number of a cell with all its digits; None if it is no number.
+def parse_number(text: str, group_separator: str = "") -> Decimal | None:
+    """Exact value of a cell with a plain number; None for any other cell.
 
-    `grouping` is the thousands separator of the sheet.
+    `group_separator` is the thousands separator of the sheet, '' for none.
     """
     text = text.strip()
     if len(text) > MAX_VALUE_LENGTH:
         return None
     digits = python_number(
-        text.replace(grouping, "") if grouping and _GROUPED_PATTERN[grouping].fullmatch(text) else text
+        text.replace(group_separator, "")
+        if group_separator and _GROUPED_PATTERN[group_separator].fullmatch(text)
+        else text
     )
     return Decimal(digits) if is_number(digits) else None
 
 
 def plain_numbers(texts: Sequence[str]) -> Floats | None:
-    """Floating-point numbers (n,) of a column, NaN for an empty cell; None unless all are decimals in plain ASCII."""
+    """Floating-point numbers (n,) of a column, NaN for an empty cell; None if a cell is no decimal number in ASCII."""
     joined_text = "".join(texts)
     if max(map(len, texts), default=0) > MAX_NUMBER_LENGTH or not _DIGIT_CHARACTERS.fullmatch(joined_text):
         return None
@@ -184,22 +193,22 @@ def plain_numbers(texts: Sequence[str]) -> Floats | None:
         return None
 
 
-def parse_value(text: str, grouping: str = "") -> Decimal | None:
-    """Number of a cell with all its digits (degrees for an angle with minutes and seconds); None if it is no number.
+def parse_value(text: str, group_separator: str = "") -> Decimal | None:
+    """Exact value of a cell with a number, or with an angle with minutes and seconds [deg]; None for any other cell.
 
-    `grouping` is the thousands separator of the sheet, from `thousands_separator`.
+    `group_separator` is the thousands separator of the sheet, '' for none.
     """
-    plain_number = parse_number(text, grouping)
+    plain_number = parse_number(text, group_separator)
     return _parse_sexagesimal(text) if plain_number is None else plain_number
 
 
-def parse_quantity(text: str, grouping: str = "") -> Decimal | None:
-    """Number of a cell that could also be a date or time: None for a date or time."""
-    return None if not is_number(text) and is_date_or_time(text) else parse_value(text, grouping)
+def parse_quantity(text: str, group_separator: str = "") -> Decimal | None:
+    """Exact value of a cell as `parse_value` gives it, but None for a cell that is a date or time."""
+    return None if not is_number(text) and is_date_or_time(text) else parse_value(text, group_separator)
 
 
 def parse_packed_degrees(text: str) -> Decimal | None:
-    """Degrees of a cell that packs minutes and seconds into decimals (``33.120747``); None for another cell."""
+    """Degrees from a cell whose decimals are minutes and seconds (``33.120747``: 33° 12' 07.47"); None for others."""
     match = _PACKED_PATTERN.fullmatch(text.strip()) if len(text) <= MAX_VALUE_LENGTH else None
     if match is None:
         return _parse_sexagesimal(text)
@@ -209,7 +218,7 @@ def parse_packed_degrees(text: str) -> Decimal | None:
 
 
 def _parse_sexagesimal(text: str) -> Decimal | None:
-    """Degrees of an angle in degrees, minutes and seconds, or degrees and minutes; None for anything else."""
+    """Degrees from a cell in degrees, minutes and seconds, or degrees and minutes; None for any other cell."""
     if len(text) > MAX_VALUE_LENGTH:
         return None
     text = text.strip().replace("\u2212", "-").replace("\u00a0", " ")
@@ -218,39 +227,41 @@ def _parse_sexagesimal(text: str) -> Decimal | None:
 
 
 def _degrees(sign: str, degrees: str, minutes: str, seconds: str) -> Decimal | None:
-    """Angle in degrees; None if minutes or seconds reach 60 (seconds may by rounding)."""
+    """Degrees from degrees, minutes and seconds; None for minutes of 60 or more, or seconds above 60."""
     parts = Decimal(minutes), Decimal(seconds or 0)
     if parts[0] >= 60 or parts[1] > 60:
         return None
-    size = Decimal(degrees) + (parts[0] * 60 + parts[1]) / 3600
-    return -size if sign == "-" else size
+    magnitude = Decimal(degrees) + (parts[0] * 60 + parts[1]) / 3600
+    return -magnitude if sign == "-" else magnitude
 
 
 def parse_face(text: str) -> int | None:
     """Face 1 or 2; None if the cell does not name a face."""
-    return FACE_WORDS.get(re.sub(r"[\s._-]", "", text.casefold()) if text not in ("1.0", "2.0") else text)
+    return FACE_BY_WORD.get(re.sub(r"[\s._-]", "", text.casefold()) if text not in ("1.0", "2.0") else text)
 
 
 def parse_times(texts: Sequence[str], order: str | None = None) -> tuple[list[float] | None, str]:
-    """Seconds since the earliest of times, dates or dates with times, and that moment in ISO format.
+    """Seconds since the earliest of several times, dates, or dates with times, and the earliest in ISO format.
 
-    `order` is ``dmy`` or ``mdy`` for dates with slashes. None for an unknown form, and for an ambiguous order of day
-    and month (the text is "?" then).
+    `order` is the order of day and month in dates with slashes, ``dmy`` or ``mdy``. The seconds are None if a text is
+    not understood (with the text ''), and if the order is ambiguous (with the text "?").
     """
     texts = [_without_apostrophe(text) for text in texts]
     clocks = _convert_all(_parse_clock, texts)
     if clocks is not None:
         return _seconds_since_first([datetime.min + clock for clock in _unwrap_midnight(clocks)], has_date=False)
     orders = _DATE_ORDERS_12_HOURS if texts and texts[0][-2:].casefold() in ("am", "pm") else _DATE_ORDERS
-    read = (_convert_all(partial(_parse_date_and_time, letters=letters, order=order), texts) for letters in orders)
-    readings = [_seconds_since_first(stamps, has_date=True) for stamps in read if stamps is not None]
+    stamps_by_order = (
+        _convert_all(partial(_parse_date_and_time, letters=letters, order=order), texts) for letters in orders
+    )
+    readings = [_seconds_since_first(stamps, has_date=True) for stamps in stamps_by_order if stamps is not None]
     if any(seconds != readings[0][0] for seconds, _ in readings):
         return None, "?"
     return readings[0] if readings else (None, "")
 
 
 def _convert_all(convert: Callable[[str], ValueType | None], texts: Sequence[str]) -> list[ValueType] | None:
-    """Conversion of all texts; None if one cannot be converted."""
+    """Converted texts; None if one of them cannot be converted."""
     values = []
     for text in texts:
         value_of_text = convert(text)
@@ -290,7 +301,7 @@ def _seconds_since_first(stamps: list[datetime], *, has_date: bool) -> tuple[lis
 
 
 def _unwrap_midnight(clocks: list[timedelta]) -> list[timedelta]:
-    """Times without a date as increasing time differences: a decrease by more than half a day is midnight."""
+    """Times of day continued over midnight: a decrease by more than half a day adds a day to all later times."""
     days, last, unwrapped = timedelta(0), clocks[0], []
     for clock in clocks:
         if last - clock > DAY / 2:
@@ -316,7 +327,7 @@ def _parse_clock(text: str) -> timedelta | None:
 
 
 def _numeric_date(text: str) -> str:
-    """Date and time with the month as a number, and with separators."""
+    """Text of a date and time in which the month is a number and separators are present."""
     compact = _COMPACT_STAMP_PATTERN.fullmatch(text)
     if compact is not None:
         year, month, day, hours, minutes, seconds, _ = compact.groups()
@@ -330,18 +341,21 @@ def _numeric_date(text: str) -> str:
 
 
 def _parse_date_and_time(text: str, letters: str, order: str | None) -> datetime | None:
-    """Date with or without time of day; the time zone of an ISO stamp is ignored (all stamps have the same zone)."""
-    day, _, rest = re.sub(r"(?<=\d)T(?=\d)", " ", _numeric_date(text.strip())).partition(" ")
-    rest = re.sub(r"(Z|[+-]\d{2}:?\d{2})$", "", rest.strip())
-    match, clock = _DATE_PATTERN.fullmatch(day), _parse_clock(rest) if rest else timedelta(0)
-    if match is None or clock is None or (len(match[1]) == 4) != (letters == "ymd"):
+    """Date with or without time of day, in the order of `letters` (such as "dmy"); None for any other text.
+
+    `order` excludes the other order of day and month. The time zone is ignored, because all times of a file have one.
+    """
+    day, _, clock_text = re.sub(r"(?<=\d)T(?=\d)", " ", _numeric_date(text.strip())).partition(" ")
+    clock_text = re.sub(r"(Z|[+-]\d{2}:?\d{2})$", "", clock_text.strip())
+    match, clock_time = _DATE_PATTERN.fullmatch(day), _parse_clock(clock_text) if clock_text else timedelta(0)
+    if match is None or clock_time is None or (len(match[1]) == 4) != (letters == "ymd"):
         return None
-    excluded = letters == "mdy" if match[2] == "." else letters != "ymd" and order not in (None, letters)
+    is_excluded = letters == "mdy" if match[2] == "." else letters != "ymd" and order not in (None, letters)
     parts = {letter: int(part) for letter, part in zip(letters, match.group(1, 3, 4), strict=True)}
     year = parts["y"] + (2000 if parts["y"] < 100 else 0)
-    if excluded or year < 1000:
+    if is_excluded or year < 1000:
         return None
     try:
-        return datetime(year, parts["m"], parts["d"]) + clock
+        return datetime(year, parts["m"], parts["d"]) + clock_time
     except ValueError:
         return None

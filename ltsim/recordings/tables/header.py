@@ -1,4 +1,4 @@
-"""Meaning of a header: roles of columns from titles in several languages, units in brackets, faces by number."""
+"""Interpretation of a header: role, unit and face of each column, from its title in several languages."""
 
 import re
 import unicodedata
@@ -13,8 +13,11 @@ from ltsim.recordings.files import SourceLocation, quoted_text
 from ltsim.recordings.tables.title_words import COMMON_SIGMA_ROLE, FOREIGN_TITLE_WORDS, TITLE_WORDS
 
 HORIZONTAL_ROLES = ("horizontal", "azimuth")
+"""Roles of columns with directions: readings of the horizontal circle, and azimuths."""
 VERTICAL_ROLES = ("vertical", "zenith", "elevation")
+"""Roles of columns with vertical angles: of an undecided kind, zenith angles, and elevations."""
 DISTANCE_ROLES = ("distance", "flat")
+"""Roles of columns with slope distances, and with horizontal distances."""
 COORDINATE_ROLES = ("x", "y", "z")
 READING_ROLES = (*HORIZONTAL_ROLES, *VERTICAL_ROLES, *DISTANCE_ROLES, *COORDINATE_ROLES)
 HEIGHT_ROLES = ("instrument_height_mm", "target_height_mm")
@@ -31,6 +34,7 @@ ROLE_BY_TITLE = {
     for role, text in words.items()
     for word in text.split()
 }
+"""Role by each known title, in the form of `normalised_title`."""
 ROLE_UNITS = {
     **dict.fromkeys((*HORIZONTAL_ROLES, *VERTICAL_ROLES), ANGLE_UNITS),
     **dict.fromkeys(
@@ -43,7 +47,7 @@ ROLE_UNITS = {
     "air_pressure_hpa": ("hpa",),
     "relative_humidity_pct": ("%",),
 }
-"""Permitted units by role; a column in another unit does not have the role."""
+"""Permitted units by role; a column with another unit does not have the role."""
 _SETUP_TITLES = ("setup", "setupname", "setupid", "setupno", "setupnr", "setupnumber")
 _OCCUPATION_TITLES = ("occupation", "occupationid", "aufstellung", "besetzung")
 FALLBACK_TITLES = {
@@ -52,10 +56,11 @@ FALLBACK_TITLES = {
 }
 """Titles that have a role only if no other title has it."""
 FALLBACK_TITLE_ROLES = {"target": "", "station": "instrument_setup"}
-"""Roles of titles where another title has their usual role: beside a station, a set-up numbers its occupations."""
+"""Role of such a title if another title has the usual role: with a station, a set-up numbers the occupations."""
 MAPPABLE_ROLES = tuple(dict.fromkeys((*TITLE_WORDS, *SIGMA_ROLES.values())))
+"""Roles that the option ``--columns`` accepts."""
 MAX_TITLE_LENGTH = 80
-"""Largest number of characters of a cell that is a possible title."""
+"""Number of characters above which a cell is not tested as a title."""
 _BRACKET_PATTERN = re.compile(r"(.*?)\s*[\[({]\s*([^\])}]*?)\s*[\])}]?\s*")
 _FACE_NUMBER_PATTERN = re.compile(r"(.*?)[\s._-]*(?:(?:face|lage|f|l)[\s._-]*)?(1|2|ii|i)", re.IGNORECASE)
 _SIGMA_TITLE_PATTERN = (
@@ -63,8 +68,9 @@ _SIGMA_TITLE_PATTERN = (
     re.compile(r"([a-z]+?)(?:error|err|sigma|stddev|std|sd)"),
 )
 ANGLE_MARKS = ("°", "'", '"')
+"""Marks that are added to degrees, minutes and seconds from separate columns."""
 ANGLE_PART_UNITS = ("min", "sec", "'", '"', "m", "s")
-"""Units of minutes and seconds of an angle in columns of their own."""
+"""Units in titles of separate columns with the minutes or seconds of an angle."""
 PART_ROLE = "part"
 """Role of a column with the minutes or seconds of an angle whose degrees are in an earlier column."""
 _PART_PATTERNS = tuple(
@@ -80,7 +86,7 @@ _VALUE_PATTERN = re.compile(r"([a-z0-9]+?)(?:value|reading|obs|raw)")
 
 @dataclass(frozen=True)
 class TableColumn:
-    """Column of a table: position, title, role ('' for none), unit ('' if not given) and face (0: any)."""
+    """Column of a table: position from 0, title, role ('' for none), unit ('' if not given) and face (0 for both)."""
 
     position: int
     title: str
@@ -88,10 +94,10 @@ class TableColumn:
     unit: str = ""
     face: int = 0
     part_positions: tuple[int, ...] = ()
-    """Positions of the columns with minutes and seconds of an angle whose degrees are in this column."""
+    """Positions of the columns with the minutes and seconds of an angle whose degrees are in this column."""
 
     def texts(self, table: Sequence[Sequence[str]]) -> Sequence[str]:
-        """Cells of the column in a table by column; degrees, minutes and seconds of several columns are joined."""
+        """Cells of this column, from the cells of each column in `table`; joined with those of minutes and seconds."""
         if not self.part_positions:
             return table[self.position]
         parts = zip(*(table[place] for place in (self.position, *self.part_positions)), strict=True)
@@ -99,7 +105,7 @@ class TableColumn:
 
     @property
     def is_additional(self) -> bool:
-        """True for an additional column that is retained: it has a title and is not part of a pointing."""
+        """True for a column that becomes a covariate or label: it has a title and is not part of a pointing."""
         return bool(self.title) and (not self.role or "_" in self.role or self.role == "round")
 
 
@@ -112,32 +118,38 @@ def header_columns(fields: Sequence[str]) -> list[TableColumn]:
 def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
     """Columns of a header, each with the role and unit of its title.
 
-    If two columns have one role, the first one gets it. Faces are distinguished if every reading has two columns.
-    Coordinates in a table of polar readings are further columns.
+    If two titles have one role, the first column has it. Faces are distinguished if each reading has two columns.
+    Coordinates in a table of polar readings are additional columns.
     """
     candidates = _join_angle_parts([_column_from_title(place, title) for place, title in enumerate(fields)])
     roles = {c.role for c in candidates}
-    if _reading_kinds(candidates) == 2 and not roles & {*VERTICAL_ROLES, "x", "y"}:  # Z beside Hz and D is no height
+    if _count_reading_kinds(candidates) == 2 and not roles & {
+        *VERTICAL_ROLES,
+        "x",
+        "y",
+    }:  # Z beside Hz and D is no height
         candidates = [replace(c, role="vertical") if c.role == "z" and not c.unit else c for c in candidates]
     two_face_roles = {c.role for c in candidates if c.face == 1} & {c.role for c in candidates if c.face == 2}
-    polar = _reading_kinds(candidates) > 1
-    words = {role: {title_words_and_unit(c.title)[0] for c in candidates if c.role == role} for role in FALLBACK_TITLES}
+    is_polar = _count_reading_kinds(candidates) > 1
+    titles_by_role = {
+        role: {title_words_and_unit(c.title)[0] for c in candidates if c.role == role} for role in FALLBACK_TITLES
+    }
     columns: list[TableColumn] = []
-    taken: set[tuple[str, int]] = set()
+    used_roles: set[tuple[str, int]] = set()
     for column in candidates:
         assigned = column
         if assigned.face and assigned.role not in two_face_roles:
             assigned = _column_from_title(assigned.position, assigned.title, has_face=False)
         fallback = FALLBACK_TITLES.get(assigned.role, ())
-        if title_words_and_unit(assigned.title)[0] in fallback and not words[assigned.role] <= {*fallback}:
+        if title_words_and_unit(assigned.title)[0] in fallback and not titles_by_role[assigned.role] <= {*fallback}:
             assigned = replace(assigned, role=FALLBACK_TITLE_ROLES[assigned.role])
         if assigned.role and (
-            (assigned.role, assigned.face) in taken
-            or (polar and assigned.role in (*COORDINATE_ROLES, COMMON_SIGMA_ROLE))
+            (assigned.role, assigned.face) in used_roles
+            or (is_polar and assigned.role in (*COORDINATE_ROLES, COMMON_SIGMA_ROLE))
         ):
             assigned = replace(assigned, role="", face=0)
         if assigned.role != PART_ROLE:
-            taken.add((assigned.role, assigned.face))
+            used_roles.add((assigned.role, assigned.face))
         columns.append(assigned)
     return distinct_titles(columns)
 
@@ -153,14 +165,14 @@ def distinct_titles(columns: Sequence[TableColumn]) -> list[TableColumn]:
     return distinct
 
 
-def _match_unit_ending(form: re.Pattern[str], title: str) -> re.Match[str] | None:
-    """Match of a title that ends with a unit; None if there is none or the title is too long."""
-    return form.fullmatch(title) if len(title) <= MAX_TITLE_LENGTH else None
+def _match_unit_ending(pattern: re.Pattern[str], title: str) -> re.Match[str] | None:
+    """Match of a title with a pattern that ends with a unit; None if there is none or the title is too long."""
+    return pattern.fullmatch(title) if len(title) <= MAX_TITLE_LENGTH else None
 
 
 def _join_angle_parts(columns: list[TableColumn]) -> list[TableColumn]:
-    """Columns in which degrees, minutes and (optionally) seconds of one angle in adjacent columns are joined."""
-    joined = list(columns)
+    """Columns in which adjacent columns with degrees, minutes and possibly seconds of one angle are joined."""
+    joined_columns = list(columns)
     for place, column in enumerate(columns):
         stem = _match_unit_ending(_PART_PATTERNS[0], column.title)
         names = [stem[1] if stem is not None else column.title]
@@ -175,35 +187,40 @@ def _join_angle_parts(columns: list[TableColumn]) -> list[TableColumn]:
         role = title_role(names[0])
         if len(names) > 1 and role in (*HORIZONTAL_ROLES, *VERTICAL_ROLES):
             places = tuple(range(place + 1, place + len(names)))
-            joined[place] = TableColumn(place, column.title, role, "deg", part_positions=places)
+            joined_columns[place] = TableColumn(place, column.title, role, "deg", part_positions=places)
             for other in places:
-                joined[other] = TableColumn(other, columns[other].title, PART_ROLE)
-    return joined
+                joined_columns[other] = TableColumn(other, columns[other].title, PART_ROLE)
+    return joined_columns
 
 
-def _reading_kinds(columns: Sequence[TableColumn]) -> int:
+def _count_reading_kinds(columns: Sequence[TableColumn]) -> int:
+    """Number of kinds of readings among the columns, of direction, vertical angle and distance."""
     roles = {column.role for column in columns}
     return sum(bool(roles.intersection(kind)) for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES))
 
 
 def count_role_titles(fields: Sequence[str]) -> int:
-    """Number of fields that have a role as a title: a quick test, since a header has at least two."""
+    """Number of fields that are titles with a role; a header has at least two."""
     return sum(map(_has_role, fields))
 
 
 @lru_cache(maxsize=65_536)
 def _has_role(title: str) -> bool:
-    degrees = _match_unit_ending(_PART_PATTERNS[0], title)
-    return bool(_column_from_title(0, title).role) or (degrees is not None and bool(title_role(degrees[1])))
+    degrees_match = _match_unit_ending(_PART_PATTERNS[0], title)
+    return bool(_column_from_title(0, title).role) or (degrees_match is not None and bool(title_role(degrees_match[1])))
 
 
-def is_header(columns: Sequence[TableColumn]) -> bool:
-    """True for a header: two of direction, vertical angle and distance, or all three coordinates."""
-    return _reading_kinds(columns) > 1 or has_named_coordinates(columns)
+def is_header(columns: Sequence[TableColumn], *, allows_unnamed: bool = False) -> bool:
+    """True if the columns of a header include two of direction, vertical angle and distance, or all coordinates.
+
+    Targets of coordinates must have names unless `allows_unnamed`.
+    """
+    has_coordinates = {*COORDINATE_ROLES} <= {column.role for column in columns}
+    return _count_reading_kinds(columns) > 1 or has_named_coordinates(columns) or (has_coordinates and allows_unnamed)
 
 
 def unknown_unit_sentence(titles: Sequence[str]) -> str:
-    """Sentence on the first title of a reading whose unit is not known; empty without one."""
+    """Sentence on the first title of a reading with an unknown unit; empty without such a title."""
     for title in titles:
         name, unit = title_words_and_unit(title)
         units = ROLE_UNITS.get(title_role(name), ())
@@ -215,7 +232,7 @@ def unknown_unit_sentence(titles: Sequence[str]) -> str:
 
 
 def require_readable_units(columns: Sequence[TableColumn], location: SourceLocation) -> None:
-    """Check that no kind of reading is missing because of the unit of its column; raises RecordError."""
+    """Check that no kind of reading is missing because the unit of its column is unknown; raises RecordError."""
     kinds = {_reading_kind(column.role) for column in columns}
     others = [c.title for c in columns if not c.role]
     missing = [title for title in others if _reading_kind(title_role(title_words_and_unit(title)[0])) not in kinds]
@@ -230,7 +247,7 @@ def has_named_coordinates(columns: Sequence[TableColumn]) -> bool:
 
 @lru_cache(maxsize=8192)
 def title_words_and_unit(title: str) -> tuple[str, str]:
-    """Words of a title without punctuation and accents, and its unit ('' if it has none)."""
+    """Title without unit, in the form of `normalised_title`, and its unit ('' if it has none)."""
     if len(title) > MAX_TITLE_LENGTH:
         return "", ""
     name, unit = _split_unit(title)
@@ -242,13 +259,13 @@ def title_words_and_unit(title: str) -> tuple[str, str]:
 
 
 def title_role(name: str) -> str:
-    """Role of a title, such as `haerror` for the sigma of a direction; '' for none."""
+    """Role of a title, for example that of the sigma of a direction for `haerror`; '' for none."""
     name = normalised_title(name)
     if name in ROLE_BY_TITLE:
         return ROLE_BY_TITLE[name]
-    value = _VALUE_PATTERN.fullmatch(name)
-    if value is not None and value[1] in ROLE_BY_TITLE:
-        return ROLE_BY_TITLE[value[1]]
+    value_match = _VALUE_PATTERN.fullmatch(name)
+    if value_match is not None and value_match[1] in ROLE_BY_TITLE:
+        return ROLE_BY_TITLE[value_match[1]]
     stems = [match[1] for form in _SIGMA_TITLE_PATTERN if (match := form.fullmatch(name))]
     return next((SIGMA_ROLES[ROLE_BY_TITLE[stem]] for stem in stems if ROLE_BY_TITLE.get(stem) in SIGMA_ROLES), "")
 
@@ -259,44 +276,46 @@ def normalised_title(text: str) -> str:
     return re.sub(r"[^a-z0-9]", "", letters)
 
 
-def _column_from_title(place: int, title: str, *, has_face: bool = True) -> TableColumn:
+def _column_from_title(position: int, title: str, *, has_face: bool = True) -> TableColumn:
     name, unit = title_words_and_unit(title)
     role, face = title_role(name), 0
-    numbered = _FACE_NUMBER_PATTERN.fullmatch(name) if has_face and not role else None
-    if numbered is not None:
-        role = title_role(numbered.group(1))
-        face = {"1": 1, "i": 1, "2": 2, "ii": 2}[numbered.group(2).lower()] if role else 0
+    face_match = _FACE_NUMBER_PATTERN.fullmatch(name) if has_face and not role else None
+    if face_match is not None:
+        role = title_role(face_match.group(1))
+        face = {"1": 1, "i": 1, "2": 2, "ii": 2}[face_match.group(2).lower()] if role else 0
     if role in ROLE_UNITS and unit and unit not in ROLE_UNITS[role]:
         # surveyors' lists have heights in a column called elevation
         is_zenith = name == "z" and unit in ANGLE_UNITS
         role, face = "zenith" if is_zenith else "z" if role == "elevation" and unit in LENGTH_UNITS else "", 0
-    return TableColumn(place, title, role, unit, face)
+    return TableColumn(position, title, role, unit, face)
 
 
 def mapped_columns(fields: Sequence[str], assignments: str, file: object) -> list[TableColumn] | None:
-    """Columns of a header by ``role=Header[unit],...``; None if a named title is missing.
+    """Columns of a header with the roles in ``--columns``, ``role=Header[unit],...``; None if a title is missing.
 
-    A title that is a number counts columns from 1; ``role=Degrees+Minutes+Seconds`` joins columns. Other roles follow
-    from the titles.
+    A number in place of a title counts columns from 1; ``role=Degrees+Minutes+Seconds`` joins columns. Columns without
+    an assignment have the role of their title.
 
-    Raises RecordError for a role or a unit that is not known.
+    Raises RecordError for an unknown role or unit.
     """
     columns = header_columns(fields)
-    assigned: dict[int, TableColumn] = {}
+    assigned_columns: dict[int, TableColumn] = {}
     for role, face, title, unit in parse_assignments(assignments, file):
-        place, *parts = _title_positions(fields, title) or (None,)
-        if place is None:
+        position, *parts = _title_positions(fields, title) or (None,)
+        if position is None:
             return None
-        assigned[place] = TableColumn(place, fields[place], role, unit or columns[place].unit, face, tuple(parts))
-        assigned |= {part: TableColumn(part, fields[part], PART_ROLE) for part in parts}
-    kinds = {_reading_kind(column.role) for column in assigned.values()}
-    rest = [c if _reading_kind(c.role) not in kinds else replace(c, role="", face=0) for c in columns]
-    return [assigned.get(c.position, c) for c in rest]
+        assigned_columns[position] = TableColumn(
+            position, fields[position], role, unit or columns[position].unit, face, tuple(parts)
+        )
+        assigned_columns |= {part: TableColumn(part, fields[part], PART_ROLE) for part in parts}
+    kinds = {_reading_kind(column.role) for column in assigned_columns.values()}
+    other_columns = [c if _reading_kind(c.role) not in kinds else replace(c, role="", face=0) for c in columns]
+    return [assigned_columns.get(c.position, c) for c in other_columns]
 
 
 def parse_assignments(assignments: str, file: object = None) -> list[tuple[str, int, str, str]]:
-    """Role, face (0: any), title and unit ('': not given) of every ``role=Header[unit]``."""
-    roles = []
+    """Role, face (0 for both), title and unit ('' if not given) of each ``role=Header[unit]``; raises RecordError."""
+    assignments_of_roles = []
     for part in filter(None, (p.strip() for p in assignments.split(","))):
         role, equals, title = part.partition("=")
         stem, face = role.strip().lower(), 0
@@ -311,42 +330,45 @@ def parse_assignments(assignments: str, file: object = None) -> list[tuple[str, 
         name, unit = _split_unit(title.strip())
         if unit and unit not in ROLE_UNITS.get(stem, ()):
             units = ", ".join(ROLE_UNITS.get(stem, ("none",)))
-            raise RecordError(f"--columns {quoted_text(part, 60)}: a unit of {stem} can be {units}", file=file)
-        roles.append((stem, face, name, unit))
-    return roles
+            raise RecordError(
+                f"--columns {quoted_text(part, 60)}: expected one of the units {units} for {stem}", file=file
+            )
+        assignments_of_roles.append((stem, face, name, unit))
+    return assignments_of_roles
 
 
 def _split_unit(text: str) -> tuple[str, str]:
-    """Title without the unit in brackets at its end, and that unit."""
-    bracket = _BRACKET_PATTERN.fullmatch(text)
-    if bracket is None or not bracket[1]:
+    """Title without the unit in brackets at its end, and this unit ('' if it has none)."""
+    bracket_match = _BRACKET_PATTERN.fullmatch(text)
+    if bracket_match is None or not bracket_match[1]:
         return text, ""
-    return bracket[1], UNITS_BY_SPELLING.get(bracket[2].lower(), bracket[2])
+    return bracket_match[1], UNITS_BY_SPELLING.get(bracket_match[2].lower(), bracket_match[2])
 
 
 def _title_positions(fields: Sequence[str], title: str) -> tuple[int, ...] | None:
-    """Position of a title, or positions of degrees, minutes and seconds that `title` joins by plus signs.
+    """Position of a title, or positions of the titles of degrees, minutes and seconds that `title` joins by plus signs.
 
-    It is None if missing.
+    None if a title is missing.
     """
-    place = _title_position(fields, title)
-    if place is not None or "+" not in title:
-        return None if place is None else (place,)
-    places = [_title_position(fields, part) for part in title.split("+")[: len(ANGLE_MARKS)]]
-    return None if None in places else tuple(p for p in places if p is not None)
+    position = _title_position(fields, title)
+    if position is not None or "+" not in title:
+        return None if position is None else (position,)
+    positions = [_title_position(fields, part) for part in title.split("+")[: len(ANGLE_MARKS)]]
+    return None if None in positions else tuple(p for p in positions if p is not None)
 
 
 def _title_position(fields: Sequence[str], title: str) -> int | None:
-    """Position of a title, given with or without its unit or as a column number; None if missing."""
+    """Position of a title, given with or without its unit or as a column number from 1; None if it is missing."""
     for fold in (str.strip, lambda text: _split_unit(text)[0].casefold()):
-        wanted = fold(title)
-        for place, field in enumerate(fields):
-            if fold(field) == wanted:
-                return place
+        folded_title = fold(title)
+        for position, field in enumerate(fields):
+            if fold(field) == folded_title:
+                return position
     return int(title) - 1 if title.isdigit() and 0 < int(title) <= len(fields) else None
 
 
 def _reading_kind(role: str) -> str:
+    """Kind of the reading in a column: the first of the roles for this kind; any other role unchanged."""
     for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES):
         if role in kind:
             return kind[0]

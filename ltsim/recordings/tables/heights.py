@@ -1,4 +1,4 @@
-"""Heights above marks in tables whose cells are filled in part."""
+"""Heights above marks in tables in which some cells of heights are empty."""
 
 import numpy as np
 
@@ -9,9 +9,9 @@ from ltsim.recordings.tables.printed import PointingTable, indices_by_value
 
 
 def with_heights_of_setups(table: PointingTable, covariates: dict[str, Floats]) -> tuple[dict[str, Floats], list[str]]:
-    """Covariates in which the single height of a set-up applies to all of its rows, and notes on empty heights.
+    """Covariates in which all rows of a set-up have its height of the instrument, and notes on empty heights.
 
-    An instrument keeps its height within a set-up, so that tables often give it in the first row only.
+    An instrument keeps its height within a set-up, so that tables often give it only in the first row.
     """
     notes = []
     for column in HEIGHT_COLUMNS:
@@ -28,11 +28,11 @@ def with_heights_of_setups(table: PointingTable, covariates: dict[str, Floats]) 
                     filled[rows] = values[0]
             n_filled = int(np.sum(np.isnan(heights) & np.isfinite(filled)))
             if n_filled:
-                notes.append(f"{n_filled} empty heights of instruments are those of the same set-up in other rows")
-        empty = np.flatnonzero(np.isnan(filled)).tolist()
-        if empty:
+                notes.append(f"{n_filled} empty heights of instruments are taken from other rows of the same set-up")
+        empty_rows = np.flatnonzero(np.isnan(filled)).tolist()
+        if empty_rows:
             names = table.pointings.station if kind == "instrument" else table.pointings.target
-            of = listing(list(dict.fromkeys(names[row] for row in empty)), 4)
-            notes.append(f"heights of {kind}s are empty in {len(empty)} rows ({of}): 0 is assumed there")
+            names_text = listing(list(dict.fromkeys(names[row] for row in empty_rows)), 4)
+            notes.append(f"heights of {kind}s are empty in {len(empty_rows)} rows ({names_text}); they are taken as 0")
         covariates = {**covariates, column: filled}
     return covariates, notes

@@ -1,9 +1,10 @@
 """Conventions of a table: units, zenith angle or elevation, sense of the circle, coordinates in place of readings.
 
-An explicit header is used; otherwise the data (`ltsim.recordings.conventions`) or a question to the user decide. Data
-without known positions cannot decide the sense of the circle, because the mirror image of a network is also a network.
-The titles do: `Hz`, `HA` are the horizontal circle of a theodolite, clockwise; azimuth and elevation are the spherical
-coordinates of a tracker, counter-clockwise. An azimuth with a zenith angle can be either and needs a hint.
+The header decides if it is explicit; otherwise the data (`ltsim.recordings.conventions`), or a question to the user.
+Data without known positions cannot decide the sense of the circle, because the mirror image of a network is also a
+network. The titles decide it: `Hz` and `HA` are the horizontal circle of a theodolite, clockwise; azimuth and elevation
+are the spherical coordinates of a tracker, counter-clockwise. An azimuth with a zenith angle can be either and needs a
+hint.
 """
 
 from collections.abc import Mapping
@@ -51,22 +52,23 @@ FULL_CIRCLE_DEG = 360
 QUARTER_CIRCLE_DEG = 90
 """Quarter circle [deg]."""
 HEIGHT_RANGE_M = (0.2, 3.0)
-"""Range [m] of heights of instruments and targets above their marks, which distinguishes metres from millimetres."""
+"""Smallest and largest height [m] above a mark, between which heights without a unit show that the table is in
+metres."""
 PLAUSIBLE_HEIGHTS = (("m", 0.2, 5.0), ("mm", 100.0, 5000.0))
-"""Ranges of heights above marks, by unit: as a length in the other unit they are below 5 mm or above 100 m."""
+"""Unit, smallest and largest number of plausible heights above marks; in the other unit they would be implausible."""
 MAX_AMBIGUOUS_MM = 1000.0
-"""Longest distance [mm] up to which a distance without unit could be in metres."""
+"""Longest distance of a table without unit below which it may be in metres or millimetres, and a hint is needed."""
 MAX_COMMON_FRAME_DIFFERENCE_M = 2e-3
-"""Difference [m] of common targets up to which two set-ups count as already in one frame."""
+"""Median difference [m] of coordinates of common targets below which set-ups count as transformed into one frame."""
 COORDINATES_NOTE = (
     "coordinates in the axes of each set-up are converted to distance, azimuth and elevation; the declared noise "
-    "applies to single readings, in both faces"
+    "is that of single readings in both faces"
 )
 
 
 @dataclass(frozen=True)
 class ColumnInterpretation:
-    """Conversion of the numbers of a table to raw readings; `notes` lists the decisions."""
+    """Units and conventions of the readings in a table; `notes` reports what decided them."""
 
     horizontal_unit: str
     vertical_unit: str
@@ -76,7 +78,7 @@ class ColumnInterpretation:
     notes: tuple[str, ...] = ()
 
     def readings(self, pointings: PrintedPointings) -> Floats:
-        """Raw ranges [m], azimuths and elevations [rad] (n, 3), equal to those of a native file."""
+        """Raw ranges, azimuths and elevations (n, 3) [m, rad, rad], exactly as from a native file of these numbers."""
         clockwise, zenith = self.azimuth == "clockwise", self.vertical == "zenith"
 
         def azimuth(turn: Any, degree: Any) -> Any:
@@ -96,9 +98,9 @@ class ColumnInterpretation:
         return np.stack(polar, axis=1) * [MILLIMETRE, DEGREE, DEGREE]
 
     def unit_of(self, role: str, values: Floats) -> str:
-        """Unit of a column of sigmas or heights (n,) without unit: that of its reading.
+        """Unit of a column of sigmas or heights (n,) that declares none: the unit of the readings.
 
-        Heights that are implausible in this unit and plausible in the other of metres and millimetres are in that one.
+        Heights are in millimetres, or metres, if only that unit makes them plausible.
         """
         if role in HEIGHT_ROLES and self.length_unit in ("m", "mm"):
             sizes = np.abs(values[np.isfinite(values) & (values != 0)])
@@ -114,16 +116,16 @@ class ColumnInterpretation:
 def interpret_readings(
     table: PointingTable, poses: Mapping[int, StationPoseArrays], hints: Hints, file: Path
 ) -> tuple[ColumnInterpretation, Floats]:
-    """Interpretation of the numbers of a table, and its raw readings (n, 3) [m, rad].
+    """Interpretation of the numbers of a table, and its raw readings (n, 3) [m, rad, rad].
 
-    Rough `poses` of stations, by their order in the table, decide the sense of the circle.
+    Rough `poses` of stations, by index of the station in the table, decide the sense of the circle.
 
-    Raises RecordError, with the option to type, if neither header nor data decide.
+    Raises RecordError with the option to type if neither the header nor the data decide.
     """
     if table.has_coordinates:
         return _readings_from_coordinates(table, hints, file)
     columns = {kind[0]: table.column(kind) for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES)}
-    unit_of = {kind: c.unit if c is not None else "" for kind, c in columns.items()}
+    unit_by_kind = {kind: c.unit if c is not None else "" for kind, c in columns.items()}
     pointings = table.pointings
     _, station = index_names(pointings.station, "station", file)
     _, target = index_names(pointings.target, "target", file)
@@ -132,12 +134,12 @@ def interpret_readings(
         target,
         *(to_floats(pointings.digits_of_roles(kind)) for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES)),
     )
-    units, vertical, notes = _angle_conventions(columns, unit_of, polar, hints, file)
-    length, more = _length_convention(unit_of["distance"], polar, table, hints, file)
-    meaning = ColumnInterpretation(*units, length, vertical, "counter-clockwise")
-    azimuth, why = _azimuth_sense(table, meaning, polar, poses, hints, file)
-    meaning = replace(meaning, azimuth=azimuth, notes=(*notes, *more, *why))
-    return meaning, meaning.readings(pointings)
+    units, vertical, notes = _angle_conventions(columns, unit_by_kind, polar, hints, file)
+    length, length_notes = _length_convention(unit_by_kind["distance"], polar, table, hints, file)
+    interpretation = ColumnInterpretation(*units, length, vertical, "counter-clockwise")
+    azimuth, sense_notes = _azimuth_sense(table, interpretation, polar, poses, hints, file)
+    interpretation = replace(interpretation, azimuth=azimuth, notes=(*notes, *length_notes, *sense_notes))
+    return interpretation, interpretation.readings(pointings)
 
 
 def _angle_conventions(
@@ -147,32 +149,39 @@ def _angle_conventions(
     hints: Hints,
     file: Path,
 ) -> tuple[tuple[str, str], VerticalKind, list[str]]:
+    """Units of the directions and of the vertical angles, kind of the vertical angle, and notes; raises RecordError.
+
+    `columns` and `unit_by_column` are given by kind of reading; the unit is '' if the header does not declare it.
+    """
     column = columns["vertical"]
     role = column.role if column is not None else ""
     declared: VerticalKind | None = "zenith" if role == "zenith" else "elevation" if role == "elevation" else None
     if column is None:
         declared = "elevation"
-    turn_unit, rise_unit = unit_by_column["horizontal"], unit_by_column["vertical"]
-    unit = turn_unit or rise_unit or hints.angle or ""
-    # The data are asked in one unit: angles in different ones are brought to degrees first.
-    asked, common_unit = polar, None
+    direction_unit, vertical_unit = unit_by_column["horizontal"], unit_by_column["vertical"]
+    unit = direction_unit or vertical_unit or hints.angle or ""
+    # The data decide in one unit: angles with different units are converted to degrees first.
+    converted, common_unit = polar, None
     if unit:
-        turns = [float(unit_ratio(u or unit, "deg")) for u in (turn_unit, rise_unit)]
-        asked = replace(polar, horizontal=polar.horizontal * turns[0], vertical=polar.vertical * turns[1])
+        factors = [float(unit_ratio(u or unit, "deg")) for u in (direction_unit, vertical_unit)]
+        converted = replace(polar, horizontal=polar.horizontal * factors[0], vertical=polar.vertical * factors[1])
         common_unit = "deg"
     if common_unit and (declared or hints.vertical):
-        return (turn_unit or unit, rise_unit or unit), hints.vertical or declared or "elevation", []
-    answer = replace(hints, angle=common_unit or hints.angle, vertical=hints.vertical or declared)  # type: ignore[arg-type]
-    angle, vertical, notes = angle_convention(asked, answer, file)
+        return (direction_unit or unit, vertical_unit or unit), hints.vertical or declared or "elevation", []
+    completed_hints = replace(hints, angle=common_unit or hints.angle, vertical=hints.vertical or declared)  # type: ignore[arg-type]
+    angle, vertical, notes = angle_convention(converted, completed_hints, file)
     if common_unit and column is not None:
         notes = [f"'{column.title}' is interpreted as {vertical} angles ({note.rpartition('(')[2]}" for note in notes]
-    return (turn_unit or unit or angle, rise_unit or unit or angle), vertical, notes
+    return (direction_unit or unit or angle, vertical_unit or unit or angle), vertical, notes
 
 
 def _length_convention(
     declared_unit: str, polar: PolarReadings, table: PointingTable, hints: Hints, file: Path
 ) -> tuple[str, list[str]]:
-    """Unit of the distances, with notes: declared, or from heights in the table, their size, or a hint."""
+    """Unit of the distances, and notes on it: as declared, from a hint, from their size, or from heights in the table.
+
+    Raises RecordError if nothing decides.
+    """
     if declared_unit or not np.isfinite(polar.distance).any():
         return declared_unit or hints.length or "mm", []
     longest = float(np.nanmax(polar.distance))
@@ -181,9 +190,9 @@ def _length_convention(
     if table.column(("flat",)) is not None:
         return "m", ["distances are interpreted as m (horizontal distances are written in metres)"]
     column = next((c for c in table.columns if c.role in HEIGHT_ROLES and not c.unit), None)
-    texts = table.pointings.additional_cells.get(column.title, []) if column is not None else []
-    tall = [abs(float(height)) for height in map(cells.parse_value, texts) if height]
-    if column is not None and tall and HEIGHT_RANGE_M[0] < float(np.median(tall)) < HEIGHT_RANGE_M[1]:
+    height_texts = table.pointings.additional_cells.get(column.title, []) if column is not None else []
+    heights = [abs(float(height)) for height in map(cells.parse_value, height_texts) if height]
+    if column is not None and heights and HEIGHT_RANGE_M[0] < float(np.median(heights)) < HEIGHT_RANGE_M[1]:
         return "m", [
             f"distances are interpreted as m ('{quoted_text(column.title)}' in the same table contains "
             "heights in metres)"
@@ -200,7 +209,10 @@ def _azimuth_sense(
     hints: Hints,
     file: Path,
 ) -> tuple[AzimuthSense, list[str]]:
-    """Sense of the circle, with notes: from a hint, known positions, or the titles of the header."""
+    """Sense of the circle, and notes on it: from a hint, from known positions, or from the titles of the header.
+
+    Raises RecordError if nothing decides.
+    """
     if hints.azimuth is not None or not np.isfinite(polar.horizontal).any():
         return hints.azimuth or "counter-clockwise", []
     if hints.points is not None or len(poses) > 1:
@@ -210,10 +222,10 @@ def _azimuth_sense(
         azimuth = azimuth_sense_from_poses(local, polar, poses)
         if azimuth is not None:
             return azimuth, [
-                f"azimuths are interpreted as {azimuth}: read so, all stations agree at their approximate positions"
+                f"azimuths are interpreted as {azimuth}, because all stations at their approximate positions then agree"
             ]
     column = table.column(HORIZONTAL_ROLES)
-    if table.positional or column is None:
+    if table.is_positional or column is None:
         raise RecordError(SENSE_UNKNOWN_NOTE, file=file)
     if column.role == "horizontal":
         circle = f"'{column.title}' is interpreted as a horizontal circle, clockwise"
@@ -229,9 +241,9 @@ def _azimuth_sense(
 
 
 def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -> tuple[ColumnInterpretation, Floats]:
-    """Coordinates converted to readings on face 1.
+    """Interpretation of a table of coordinates, and the corresponding readings (n, 3) [m, rad, rad] on face 1.
 
-    Raises RecordError if a coordinate is missing, or if all set-ups are in one frame.
+    Raises RecordError if a coordinate is missing, or if the coordinates of several set-ups are in one frame.
     """
     coordinates = np.stack([to_floats(table.pointings.digits_of_roles((axis,))) for axis in COORDINATE_ROLES], axis=1)
     rows, axes = np.nonzero(np.isnan(coordinates))
@@ -244,10 +256,10 @@ def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -
     if not length:
         length, notes = length_meaning(np.linalg.norm(coordinates, axis=1), hints)
     readings = to_polar(coordinates * SI_PER_UNIT[length])
-    near_indices = np.flatnonzero(readings[:, 0] < MILLIMETRE)
-    if len(near_indices):
-        raise table.pointings.source_location(int(near_indices[0])).error(
-            "coincides with the instrument, expected another point"
+    coincident_rows = np.flatnonzero(readings[:, 0] < MILLIMETRE)
+    if len(coincident_rows):
+        raise table.pointings.source_location(int(coincident_rows[0])).error(
+            "the point coincides with the instrument, expected another point"
         )
     _require_separate_frames(table, coordinates * SI_PER_UNIT[length], file)
     return ColumnInterpretation(
@@ -256,41 +268,46 @@ def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -
 
 
 def _require_separate_frames(table: PointingTable, points: Floats, file: Path) -> None:
-    """Check that coordinates were not transformed into one frame, in which they contain no information on a network.
+    """Check that points (n, 3) [m] of several set-ups were not transformed into one frame; raises RecordError.
 
-    Raises RecordError.
+    Coordinates in one frame contain no information on the network.
     """
-    first: dict[str, tuple[str, Floats]] = {}
-    gaps = []
-    for here, target, point in zip(table.pointings.station, table.pointings.target, points, strict=True):
-        station, place = first.setdefault(target, (here, point))
-        if station != here:
-            gaps.append(float(np.linalg.norm(point - place)))
-    if len(gaps) > 2 and float(np.median(gaps)) < MAX_COMMON_FRAME_DIFFERENCE_M:
+    first_point: dict[str, tuple[str, Floats]] = {}
+    distances = []
+    for station_of_row, target, point in zip(table.pointings.station, table.pointings.target, points, strict=True):
+        station, place = first_point.setdefault(target, (station_of_row, point))
+        if station != station_of_row:
+            distances.append(float(np.linalg.norm(point - place)))
+    if len(distances) > 2 and float(np.median(distances)) < MAX_COMMON_FRAME_DIFFERENCE_M:
         message = (
-            f"{len(gaps)} targets have the same coordinates from several set-ups: they are already in one frame; "
+            f"{len(distances)} targets have the same coordinates from several set-ups: they are already in one frame; "
             "export them in the axes of each instrument"
         )
         raise RecordError(message, file=file)
 
 
 def sigmas_from_coordinates(table: PointingTable, readings: Floats, length: str) -> dict[str, Floats]:
-    """Standard deviations (n,) of the readings (n, 3), by column, from those of x, y, z if the table has them."""
+    """Standard deviations (n,) of the readings (n, 3) by column name, from those of x, y, z; empty without them.
+
+    `length` is the unit of columns that declare none.
+    """
     columns = [table.column((SIGMA_ROLES[axis],)) or table.column((COMMON_SIGMA_ROLE,)) for axis in COORDINATE_ROLES]
     titles = [(c.title, SI_PER_UNIT[c.unit or length]) for c in columns if c is not None]
     if not table.has_coordinates or len(titles) < len(COORDINATE_ROLES):
         return {}
     pointings = table.pointings
-    columns_of_numbers = [map(cells.parse_value, pointings.texts(title), pointings.grouping) for title, _ in titles]
+    columns_of_numbers = [
+        map(cells.parse_value, pointings.texts(title), pointings.group_separator) for title, _ in titles
+    ]
     pointings.additional_cells = {
         title: column for title, column in pointings.additional_cells.items() if title not in dict(titles)
     }
-    sizes = [[float(s) if s is not None and s > 0 else np.nan for s in column] for column in columns_of_numbers]
-    variance = (np.stack(sizes, axis=1) * [factor for _, factor in titles]) ** 2
+    sigmas = [[float(s) if s is not None and s > 0 else np.nan for s in column] for column in columns_of_numbers]
+    variance = (np.stack(sigmas, axis=1) * [factor for _, factor in titles]) ** 2
     range_, azimuth, elevation = readings.T
-    ways = np.stack(unit_vectors(azimuth, elevation), axis=1) ** 2
-    level = np.maximum(range_ * np.cos(elevation), 1e-9)
-    units = np.stack([np.full(len(range_), MILLIMETRE), level * ARCSECOND, range_ * ARCSECOND], axis=1)
-    sigma = np.sqrt(np.einsum("nki,ni->nk", ways, variance)) / units
+    squared_directions = np.stack(unit_vectors(azimuth, elevation), axis=1) ** 2
+    horizontal_length = np.maximum(range_ * np.cos(elevation), 1e-9)
+    units = np.stack([np.full(len(range_), MILLIMETRE), horizontal_length * ARCSECOND, range_ * ARCSECOND], axis=1)
+    sigma = np.sqrt(np.einsum("nki,ni->nk", squared_directions, variance)) / units
     sigma[np.isnan(sigma[:, 0])] = np.nan
     return {} if np.isnan(sigma).all() else dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))

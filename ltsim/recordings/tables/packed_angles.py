@@ -11,18 +11,19 @@ from ltsim.recordings.tables.header import HORIZONTAL_ROLES, VERTICAL_ROLES, Tab
 from ltsim.recordings.tables.printed import Digits, PointingTable, to_digits
 
 MIN_PACKED_CELLS = 10
-"""Number of distinct angles that must all have minutes and seconds below 60. Of decimal degrees or gon 36 % have, so
-that ten do by chance in 4 of 100,000 tables.
+"""Number of distinct angles from which a column whose minutes and seconds are all below 60 counts as packed.
+
+A decimal angle has such digits with a probability of 36 %, ten angles with one of 4e-5.
 """
 MIN_PACKED_DIGITS = 4
-"""Number of decimals from which a cell shows minutes and seconds."""
+"""Number of decimals from which a cell contains minutes and seconds."""
 
 N_SAMPLE_CELLS = 1000
-"""Number of cells of each column that are tested first."""
+"""Number of cells of each column that are tested before all others, to save time."""
 
 
 def with_unpacked_angles(table: PointingTable, hints: Hints) -> PointingTable:
-    """Table whose angles are in degrees if their columns state no unit and all cells pack minutes and seconds."""
+    """Table in which packed angles are converted to degrees: those without a unit whose cells all have such digits."""
     columns = [c for c in table.columns if c.role in (*HORIZONTAL_ROLES, *VERTICAL_ROLES)]
     if hints.angle is not None or not columns or any(c.unit for c in columns):
         return table
@@ -42,13 +43,13 @@ def with_unpacked_angles(table: PointingTable, hints: Hints) -> PointingTable:
 
 
 def _are_packed(digits: Digits) -> bool:
-    """True if there are enough distinct angles with minutes and seconds, and all of them are below 60."""
+    """True if there are `MIN_PACKED_CELLS` distinct angles with minutes and seconds, and all of these are below 60."""
     distinct = [text for text in np.unique(digits).astype(str).tolist() if _n_decimals(text) >= MIN_PACKED_DIGITS]
     return len(distinct) >= MIN_PACKED_CELLS and all(cells.parse_packed_degrees(text) is not None for text in distinct)
 
 
 def _decimal_degrees(digits: Digits) -> Digits:
-    """Degrees with decimals of packed angles; empty cells stay empty."""
+    """Decimal degrees (n,) of packed angles; a missing angle stays empty."""
     return to_digits([str(cells.parse_packed_degrees(text)) if text else "" for text in digits.astype(str).tolist()])
 
 

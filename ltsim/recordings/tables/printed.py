@@ -1,7 +1,7 @@
-"""Pointings as they are in a table, column by column: names, faces, texts, and numbers with all digits.
+"""Pointings of a table before conversion of units: names, faces, texts, and numbers with all digits, by column.
 
-Numbers are stored as the digits of the cells (12 bytes; a decimal object takes 100), so that computations with them are
-exact, and an array of them is converted to floating point at once.
+Numbers are stored as the digits in the cells, so that conversions are exact. A number takes 12 bytes (a decimal object
+100), and a whole array is converted to floating point at once.
 """
 
 from __future__ import annotations
@@ -21,23 +21,25 @@ from ltsim.recordings.files import SourceLocation, quoted_text
 from ltsim.recordings.tables.header import COORDINATE_ROLES, READING_ROLES, TableColumn
 
 Digits = NDArray[np.bytes_]
-"""Numbers (n,) as decimal digits in ASCII; empty for a missing number."""
+"""Numbers (n,) as texts of decimal digits in ASCII; an empty text for a missing number."""
 ValueType = TypeVar("ValueType")
 MAX_EXACT_PRODUCT = 2**51
-"""Magnitude up to which a product of floating-point numbers is rounded to the correct integer."""
+"""Magnitude below which products of floating-point numbers are rounded to the correct integer; above it, Python's
+integers are used.
+"""
 MAX_ANGLE_SUM = 720.0
-"""Largest magnitude [deg] of sums of angles."""
+"""Largest magnitude [deg] of a sum of angles in a conversion."""
 ROWS_PER_BATCH = 8192
-"""Number of rows that are converted together, which bounds the memory of intermediate results."""
+"""Number of rows that are converted at once, which limits the memory of intermediate results."""
 
 
 def to_digits(texts: Sequence[str]) -> Digits:
-    """Numbers (n,) kept as their decimal text, so that no digit is lost."""
+    """Numbers (n,) as texts of decimal digits."""
     return np.array(texts, dtype=np.bytes_)
 
 
 def to_floats(digits: Digits) -> Floats:
-    """Nearest floating-point numbers (n,); NaN for missing ones."""
+    """Nearest floating-point numbers (n,); NaN for a missing number."""
     values = np.full(len(digits), np.nan)
     filled = digits != b""
     values[filled] = digits[filled].astype(np.float64)
@@ -45,7 +47,7 @@ def to_floats(digits: Digits) -> Floats:
 
 
 def to_decimals(digits: Digits) -> Iterator[Decimal | None]:
-    """Exact numbers; None for missing ones."""
+    """Exact decimal numbers; None for a missing number."""
     for start in range(0, len(digits), ROWS_PER_BATCH):
         for text in digits[start : start + ROWS_PER_BATCH].astype(np.str_).tolist():
             yield Decimal(text) if text else None
@@ -54,33 +56,36 @@ def to_decimals(digits: Digits) -> Iterator[Decimal | None]:
 def apply_exactly(
     digits: Digits, factor: Decimal, function: Callable[[Any, int], Any] = lambda products, unit: products
 ) -> Floats:
-    """Nearest floating-point numbers (n,) to a function of products with a factor; NaN for missing ones.
+    """Floating-point numbers (n,) nearest to the exact values of `function(digits * factor)`; NaN for a missing number.
 
-    The arguments of the function are the products as integers (n,) in units of their last digit, and the integer that
+    The arguments of `function` are the products as integers (n,), in units of their last digit, and the integer that
     represents 1.0.
     """
     values = np.full(len(digits), np.nan)
     filled = digits != b""
     exponent = factor.as_tuple().exponent
     multiplier = int(factor.scaleb(-int(exponent))) * 10 ** max(int(exponent), 0)
-    places = max(int(decimal_places(digits[filled]).max(initial=0)), 0)
-    unit = 10 ** (places + max(-int(exponent), 0))
-    values[filled] = function(_scaled_integers(digits[filled], places, multiplier, unit), unit) / unit
+    n_decimals = max(int(decimal_places(digits[filled]).max(initial=0)), 0)
+    unit = 10 ** (n_decimals + max(-int(exponent), 0))
+    values[filled] = function(_scaled_integers(digits[filled], n_decimals, multiplier, unit), unit) / unit
     return values
 
 
-def _scaled_integers(digits: Digits, places: int, multiplier: int, unit: int) -> NDArray[Any]:
-    """Numbers (n,) without decimal point, times a multiplier: int64 if floats are exact, otherwise Python integers."""
+def _scaled_integers(digits: Digits, n_decimals: int, multiplier: int, unit: int) -> NDArray[Any]:
+    """Numbers (n,) in units of their last of `n_decimals` decimals, times `multiplier`, as integers.
+
+    They are int64 if floating-point arithmetic is exact, otherwise Python integers.
+    """
     values = to_floats(digits)
     if unit * multiplier * int(np.abs(values).max(initial=MAX_ANGLE_SUM)) < MAX_EXACT_PRODUCT:
-        return np.rint(values * 10**places).astype(np.int64) * multiplier
+        return np.rint(values * 10**n_decimals).astype(np.int64) * multiplier
     with localcontext(prec=MAX_PREC):
-        whole = [int(number.scaleb(places)) * multiplier for number in to_decimals(digits) if number is not None]
-    return np.array([*whole, None])[:-1]  # of Python's integers, which an array of them alone would cut
+        integers = [int(number.scaleb(n_decimals)) * multiplier for number in to_decimals(digits) if number is not None]
+    return np.array([*integers, None])[:-1]  # of Python's integers, which an array of them alone would cut
 
 
 def decimal_places(digits: Digits) -> Ints:
-    """Number of decimals (n,); negative if the last digit is before the decimal point."""
+    """Number of decimals (n,) of each number; negative if the last digit is before the decimal point."""
     if np.any(np.char.find(digits, b"e") >= 0) or np.any(np.char.find(digits, b"E") >= 0):
         return np.array([-int(number.as_tuple().exponent) for number in to_decimals(digits) if number is not None])
     point = np.char.find(digits, b".")
@@ -89,7 +94,7 @@ def decimal_places(digits: Digits) -> Ints:
 
 @dataclass
 class PrintedPointings:
-    """Pointings as they are in a table: columns of n entries, numbers by role in the units of their columns."""
+    """Pointings of a table before conversion of units: columns of n entries, and numbers in the units of the table."""
 
     file: list[Path] = field(default_factory=list)
     line: list[int] = field(default_factory=list)
@@ -98,23 +103,24 @@ class PrintedPointings:
     face: list[int] = field(default_factory=list)
     """Face of each pointing; 0 if not given."""
     moment: list[str] = field(default_factory=list)
+    """Text of the date, the time, or both."""
     round: list[str] = field(default_factory=list)
     """Round of the station to which each pointing belongs: a number, possibly with a day."""
-    grouping: list[str] = field(default_factory=list)
+    group_separator: list[str] = field(default_factory=list)
     """Thousands separator in the sheet of each pointing, '' for none."""
     numbers: dict[str, Digits] = field(default_factory=dict)
     additional_cells: dict[str, list[str]] = field(default_factory=dict)
-    """Cells of additional columns by title; '' for a row without one."""
+    """Cells of additional columns by title; '' for a row without a cell."""
 
     def __len__(self) -> int:
         return len(self.line)
 
     def source_location(self, index: int) -> SourceLocation:
-        """File and row of a pointing."""
+        """File and line of a pointing."""
         return SourceLocation(self.file[index], self.line[index])
 
     def digits_of_roles(self, roles: Sequence[str]) -> Digits:
-        """Digits of each row in the first of the roles that it has."""
+        """Digits (n,) of each row, from the first of the roles in which the row has a number."""
         digits: Digits = np.zeros(len(self), dtype="S1")
         for role in roles:
             if role in self.numbers:
@@ -122,14 +128,14 @@ class PrintedPointings:
         return digits
 
     def texts(self, title: str) -> list[str]:
-        """Cells of an additional column; '' in a table without this title."""
+        """Cells (n) of the additional column with this title; all '' if there is no such column."""
         return self.additional_cells.get(title) or [""] * len(self)
 
     @property
     def complete_columns(self) -> tuple[list[Any], ...]:
-        """Columns that every row has, in the order of the fields."""
+        """Columns in which every row has an entry, in the order of the fields of this class."""
         names = (self.station, self.target)
-        return (self.file, self.line, *names, self.face, self.moment, self.round, self.grouping)
+        return (self.file, self.line, *names, self.face, self.moment, self.round, self.group_separator)
 
     @property
     def source(self) -> list[str]:
@@ -138,19 +144,19 @@ class PrintedPointings:
         return [f"{names[key]}, line {line}" for key, line in zip(map(id, self.file), self.line, strict=True)]
 
     def take(self, order: Iterable[int]) -> PrintedPointings:
-        """Pointings at some positions, in that order."""
-        places = list(order)
-        lists: list[Any] = [[column[i] for i in places] for column in self.complete_columns]
-        numbers = {role: digits[places] for role, digits in self.numbers.items()}
-        further = {title: [column[i] for i in places] for title, column in self.additional_cells.items()}
-        return PrintedPointings(*[*lists, numbers, further])
+        """Pointings at the given positions, in this order."""
+        positions = list(order)
+        list_columns: list[Any] = [[column[i] for i in positions] for column in self.complete_columns]
+        numbers = {role: digits[positions] for role, digits in self.numbers.items()}
+        additional_cells = {title: [column[i] for i in positions] for title, column in self.additional_cells.items()}
+        return PrintedPointings(*[*list_columns, numbers, additional_cells])
 
 
 def join_pointings(tables: Sequence[PrintedPointings]) -> PrintedPointings:
-    """Pointings of several parts in sequence; a column that a part lacks is empty there."""
+    """Pointings of several tables, one after the other; a column that a table does not have is empty there."""
     if len(tables) == 1:
         return tables[0]
-    lists: list[Any] = [
+    list_columns: list[Any] = [
         _concatenate(columns) for columns in zip(*(part.complete_columns for part in tables), strict=True)
     ]
     roles = dict.fromkeys(role for part in tables for role in part.numbers)
@@ -159,8 +165,8 @@ def join_pointings(tables: Sequence[PrintedPointings]) -> PrintedPointings:
         role: np.concatenate([part.numbers.get(role, np.zeros(len(part), dtype="S1")) for part in tables])
         for role in roles
     }
-    further = {title: _concatenate(part.texts(title) for part in tables) for title in titles}
-    return PrintedPointings(*[*lists, numbers, further])
+    additional_cells = {title: _concatenate(part.texts(title) for part in tables) for title in titles}
+    return PrintedPointings(*[*list_columns, numbers, additional_cells])
 
 
 def _concatenate(columns: Iterable[list[ValueType]]) -> list[ValueType]:
@@ -169,28 +175,33 @@ def _concatenate(columns: Iterable[list[ValueType]]) -> list[ValueType]:
 
 def indices_by_value(values: Iterable[ValueType]) -> tuple[list[ValueType], Ints]:
     """Distinct values in order of appearance, and the index of each value among them."""
-    places: dict[ValueType, int] = {}
-    indices = [places.setdefault(value, len(places)) for value in values]
-    return list(places), np.array(indices, dtype=np.int64)
+    index_by_value: dict[ValueType, int] = {}
+    indices = [index_by_value.setdefault(value, len(index_by_value)) for value in values]
+    return list(index_by_value), np.array(indices, dtype=np.int64)
 
 
 @dataclass
 class PointingTable:
-    """All pointings of a file or folder, their columns, and the lines that were not read."""
+    """All pointings of a file or folder, and their columns."""
 
     columns: list[TableColumn]
     pointings: PrintedPointings = field(default_factory=PrintedPointings)
-    unread: list[str] = field(default_factory=list)
-    nameless: bool = False
-    positional: bool = False
+    unread_lines: list[str] = field(default_factory=list)
+    """Lines that are no pointing and were not used, as texts for a note."""
+    lacks_station_names: bool = False
+    """True if a pointing has no name of its station."""
+    is_positional: bool = False
+    """True if the columns have fixed roles, because there is no header."""
+    has_unnamed_targets: bool = False
+    """True if no row names its target."""
     marks: dict[str, str] = field(default_factory=dict)
     """Name of the mark under each set-up, if it differs from that of the set-up."""
     notes: list[str] = field(default_factory=list)
     cell_units: dict[str, str] = field(default_factory=dict)
-    """Units that marks in the cells give, by title."""
+    """Unit from the marks in the cells of a column, by its title."""
 
     def column(self, kind: Sequence[str]) -> TableColumn | None:
-        """First column with one of the roles; None if there is none."""
+        """First column that has one of the roles; None if there is none."""
         return next((c for c in self.columns if c.role in kind), None)
 
     @property
@@ -200,36 +211,37 @@ class PointingTable:
 
     @property
     def mark(self) -> list[str]:
-        """Name of the mark under the set-up of each pointing."""
+        """Name of the mark under the set-up of each pointing, n names."""
         return [self.marks.get(station, station) for station in self.pointings.station]
 
     def add_header(self, columns: Sequence[TableColumn], file: object, row: int | None = None) -> None:
-        """Addition of another header: with equal roles and units, and possibly additional columns, which are retained.
+        """Addition of the columns of another header; additional columns may differ.
 
-        Raises RecordError if its readings or units differ.
+        Raises RecordError if the roles or units of its readings differ from those before.
         """
-        before, here = (
-            [(c.role, c.unit, c.face) for c in all_ if c.role in READING_ROLES] for all_ in (self.columns, columns)
+        earlier_columns, new_columns = (
+            [(c.role, c.unit, c.face) for c in table_columns if c.role in READING_ROLES]
+            for table_columns in (self.columns, columns)
         )
-        if before and before != here:
-            message = "its columns differ from those of the headers before, expected the same roles and units"
+        if earlier_columns and earlier_columns != new_columns:
+            message = "the columns differ from those of earlier headers, expected the same roles and units"
             raise SourceLocation(file, row).error(message)
         titles = {c.title for c in self.columns}
         self.columns += [c for c in columns if c.title not in titles]
 
     def add_cell_units(self, units: Mapping[str, str], file: object) -> None:
-        """Addition of units that marks in further cells give; raises RecordError if they differ from those before."""
+        """Addition of units from marks in cells; raises RecordError if a column has two units."""
         for title, unit in units.items():
-            before = self.cell_units.setdefault(title, unit)
-            if before != unit:
-                message = f"has cells in {before} and in {unit}, expected one unit"
+            earlier_unit = self.cell_units.setdefault(title, unit)
+            if earlier_unit != unit:
+                message = f"has cells in {earlier_unit} and in {unit}, expected one unit"
                 raise SourceLocation(file, None).error(message, quoted_text(title))
 
     def add_sheet(self, sheet: PointingTable, file: object) -> None:
-        """Addition of the columns and notes of another sheet; raises RecordError."""
+        """Addition of the columns and notes of another sheet, without its pointings; raises RecordError."""
         self.add_header(sheet.columns, file)
-        self.unread += sheet.unread
+        self.unread_lines += sheet.unread_lines
         self.notes += [note for note in sheet.notes if note not in self.notes]
-        self.nameless |= sheet.nameless
+        self.lacks_station_names |= sheet.lacks_station_names
         self.add_cell_units(sheet.cell_units, file)
-        self.positional |= sheet.positional
+        self.is_positional |= sheet.is_positional

@@ -15,9 +15,10 @@ from ltsim.recordings.files import MAX_TEXT_LENGTH, quoted_text
 from ltsim.recordings.occupations import check_centring
 from ltsim.recordings.pointings import NOT_MEASURED, PointingColumns, declares_noise, recording_of_columns
 from ltsim.recordings.recording import HEIGHT_COLUMNS, KIND_COLUMN, OCCUPATION_COLUMNS, SIGMA_COLUMNS, Recording
+from ltsim.recordings.resolution import LENGTH_STEPS, default_total_station, reading_step
 from ltsim.recordings.settings import read_setup
 from ltsim.recordings.setup import Instrument, Setup
-from ltsim.recordings.specification import NO_NOISE_NOTE, TOTAL_STATION, TOTAL_STATION_NOTE
+from ltsim.recordings.specification import NO_NOISE_NOTE
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import DISTANCE_ROLES, ROLE_UNITS, TableColumn, has_named_coordinates
 from ltsim.recordings.tables.heights import with_heights_of_setups
@@ -29,16 +30,17 @@ from ltsim.recordings.tables.setups import (
     common_target_names,
     connecting_occupations,
     heights_not_applied,
-    name_targets_by_position,
+    marks_with_other_spelling,
     split_occupations,
     with_setups_over_marks,
 )
 from ltsim.recordings.tables.sheets import TABLE_SUFFIXES, ZIP_SIGNATURE, head_rows, is_table_folder, read_sheets
-from ltsim.recordings.tables.station_names import require_station_names
+from ltsim.recordings.tables.station_names import require_station_names, several_positions_note
+from ltsim.recordings.tables.unnamed_targets import name_targets_by_position, name_unnamed_targets
 
 
 def with_time_column(table: PointingTable) -> PointingTable:
-    """Table with a time column: if no title means time, the first additional column of times is used."""
+    """Table with a time column: if no title is one of times, the first additional column with times of day is used."""
     if table.column(("time",)) is not None:
         return table
     pointings = table.pointings
@@ -53,24 +55,30 @@ def with_time_column(table: PointingTable) -> PointingTable:
             name: cells_of for name, cells_of in pointings.additional_cells.items() if name != title
         }
         table.columns = [replace(c, role="time", unit="") if c is column else c for c in table.columns]
-        table.notes.append(f"'{quoted_text(title)}' is interpreted as the time of each pointing (its cells are clocks)")
+        table.notes.append(
+            f"'{quoted_text(title)}' is interpreted as the time of each pointing, because its cells are times of day"
+        )
         break
     return table
 
 
 def pointing_times(table: PointingTable, hints: Hints) -> tuple[list[float], str, list[str]]:
-    """Time [s] of each pointing, the moment of time 0 if known, and notes; NaN for unreadable times."""
+    """Time [s] of each pointing, moment of time 0 in ISO format ('' if unknown), and notes; NaN if unreadable."""
     column = table.column(("time",)) or table.column(("date",))
     texts = table.pointings.moment
-    nothing = [float("nan")] * len(texts)
+    missing = [float("nan")] * len(texts)
     if column is None or not any(texts):
-        return nothing, "", []
-    by_rows = "the order of the rows replaces the time"
+        return missing, "", []
+    consequence = "the order of the rows replaces the time"
     if not all(texts):
-        return nothing, "", [f"column '{quoted_text(column.title)}' is empty in places: {by_rows}"]
+        return missing, "", [f"column '{quoted_text(column.title)}' is empty in some rows: {consequence}"]
     values = cells.plain_numbers(texts)
     if values is not None and column.role == "date":
-        return nothing, "", [f"column '{quoted_text(column.title)}' numbers days without a time: {by_rows}"]
+        return (
+            missing,
+            "",
+            [f"column '{quoted_text(column.title)}' contains numbers of days without a time: {consequence}"],
+        )
     if values is not None:
         return (values * SI_PER_UNIT[column.unit or "s"]).tolist(), "", []
     numbers = [cells.parse_number(text) for text in texts]
@@ -84,16 +92,18 @@ def pointing_times(table: PointingTable, hints: Hints) -> tuple[list[float], str
         )
         raise table.pointings.source_location(0).error(message, quoted_text(column.title))
     if seconds is None:
-        unknown = f"column '{quoted_text(column.title)}' contains no readable time ('{quoted_text(texts[0])}')"
-        return nothing, "", [f"{unknown}: {by_rows}"]
+        reason = f"column '{quoted_text(column.title)}' contains no readable time ('{quoted_text(texts[0])}')"
+        return missing, "", [f"{reason}: {consequence}"]
     if not any(map(cells.has_clock, texts)):
-        return nothing, "", [f"column '{quoted_text(column.title)}' contains dates without a time: {by_rows}"]
-    first = texts[int(np.argmin(seconds))]
-    if hints.date is None and len({cells.parse_times([first], order)[1] for order in ("dmy", "mdy")} - {""}) > 1:
-        chosen, other = (
-            ("day and month", "mdy") if cells.parse_times([first], "dmy")[1] == start else ("month and day", "dmy")
+        return missing, "", [f"column '{quoted_text(column.title)}' contains dates without a time: {consequence}"]
+    earliest = texts[int(np.argmin(seconds))]
+    if hints.date is None and len({cells.parse_times([earliest], order)[1] for order in ("dmy", "mdy")} - {""}) > 1:
+        day_order, other = (
+            ("day and month", "mdy") if cells.parse_times([earliest], "dmy")[1] == start else ("month and day", "dmy")
         )
-        note = f"the date in '{quoted_text(first)}' is interpreted as {chosen} (otherwise give --hint date={other})"
+        note = (
+            f"the date in '{quoted_text(earliest)}' is interpreted as {day_order} (otherwise give --hint date={other})"
+        )
         return seconds, start, [note]
     return seconds, start, []
 
@@ -102,93 +112,99 @@ SETUP_FILE = "setup.toml"
 MAX_ROWS_IN_NOTE = 3
 """Largest number of rows that a note lists."""
 HEAD_HEIGHT_SIGMA_MM = 1.0
-"""Standard deviation [mm] of the height of a head on one tripod or pillar each time it is set up."""
+"""Assumed standard deviation [mm] of the height of a head above its mark, for tables whose heights are not applied."""
 
 
-def recognises(path: Path, head: str) -> bool:
+def recognises(path: Path, beginning: str) -> bool:
     """True for a folder of tables, a workbook, or text with a header of readings or with columns of numbers."""
     if path.is_dir():
         return is_table_folder(path)
-    if head.startswith(ZIP_SIGNATURE.decode("latin-1")):
+    if beginning.startswith(ZIP_SIGNATURE.decode("latin-1")):
         return path.suffix.lower() == ".xlsx"
-    if "\x00" in head[2:] or head.lstrip()[:1] in ("<", "{"):
+    if "\x00" in beginning[2:] or beginning.lstrip()[:1] in ("<", "{"):
         return False
-    rows = head_rows(head if head.endswith("\n") else "\n".join(head.splitlines()[:-1]))  # the last may be cut
+    rows = head_rows(
+        beginning if beginning.endswith("\n") else "\n".join(beginning.splitlines()[:-1])
+    )  # the last may be cut
     headers = [columns for row in rows if (columns := parse_header(row, NO_HINTS))]
     if headers and has_named_coordinates(headers[0]) and not any(c.role == "station" for c in headers[0]):
         return False  # a list of coordinates, unless its station is named
-    measured = sum(row.n_values > 1 and len(row.fields) > 2 for row in rows)
-    return bool(headers) or (path.suffix.lower() in TABLE_SUFFIXES and 2 * measured > len(rows))
+    n_measured_rows = sum(row.n_values > 1 and len(row.fields) > 2 for row in rows)
+    return bool(headers) or (path.suffix.lower() in TABLE_SUFFIXES and 2 * n_measured_rows > len(rows))
 
 
 def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Recording:
-    """Recording of a table; with `positional`, also of lines with names and three numbers but no header.
+    """Recording of a table; with `positional`, also of lines with names and three numbers without a header.
 
     Raises RecordError.
     """
     printed = read_pointing_table(read_sheets(path), hints, path, positional=positional)
-    table = name_targets_by_position(with_unpacked_angles(with_time_column(printed), hints), path)
+    table = name_unnamed_targets(with_unpacked_angles(with_time_column(printed), hints), path)
     table.pointings.target, renamed = common_target_names(table.pointings)
     table.notes += renamed
+    table.marks = marks_with_other_spelling(table.pointings.station, table.pointings.target)
     setup = _read_setup(path, hints)
     poses = rough_poses(setup or Setup(), tuple(dict.fromkeys(table.pointings.station)))
-    meaning, readings = interpret_readings(table, poses, hints, path)
+    interpretation, readings = interpret_readings(table, poses, hints, path)
+    table = name_targets_by_position(table, readings)
     require_station_names(table, readings, path)
+    table.notes += several_positions_note(table, readings)
     if setup is not None:
-        recording = assemble_recording(table, meaning, readings, setup, hints, path)
+        recording = assemble_recording(table, interpretation, readings, setup, hints, path)
         if not hints.incomplete_tail:
             check_centring(recording, _setup_path(path, hints))
         return recording.replace(
             notes=(f"noise and set-ups are read from {_setup_path(path, hints)}", *recording.notes)
         )
-    instrument, noise = default_instrument(total_station_reason(table, meaning, readings))
-    air = NO_AIR_UNCERTAINTY if instrument is TOTAL_STATION else None
+    reason = total_station_reason(table, interpretation, readings)
+    instrument, noise = default_total_station(readings, reason) if reason else (Instrument(), NO_NOISE_NOTE)
+    air = NO_AIR_UNCERTAINTY if reason else None
     setup = Setup(title=path.stem[:MAX_TEXT_LENGTH], instrument=instrument, air=air)
-    recording = assemble_recording(table, meaning, readings, setup, hints, path)
+    recording = assemble_recording(table, interpretation, readings, setup, hints, path)
     return recording if declares_noise(recording) else recording.replace(notes=(noise, *recording.notes))
 
 
 def assemble_recording(
     table: PointingTable, interpretation: ColumnInterpretation, readings: Floats, setup: Setup, hints: Hints, file: Path
 ) -> Recording:
-    """Recording of a table whose readings (n, 3) were interpreted, in the order of its pointings."""
-    printed, nothing = table.pointings, np.full(len(table.pointings), NOT_MEASURED)
+    """Recording of a table from its interpreted readings (n, 3) [m, rad, rad], in the order of its pointings."""
+    printed, missing_values = table.pointings, np.full(len(table.pointings), NOT_MEASURED)
     sigmas = sigmas_from_coordinates(table, readings, interpretation.length_unit)
-    covariates, labels, further = _additional_columns(table, interpretation)
-    turns = covariates.get(SIGMA_COLUMNS[1], nothing) * ARCSECOND
+    covariates, labels, column_notes = _additional_columns(table, interpretation)
+    azimuth_sigma = covariates.get(SIGMA_COLUMNS[1], missing_values) * ARCSECOND
     is_total_station = bool(total_station_reason(table, interpretation, readings))
     has_circle = is_total_station or table.column(("horizontal",)) is not None
-    same_place, rounds = split_occupations(table, readings, turns, has_circle=has_circle)
-    upright = is_total_station and table.column(("elevation",)) is None
-    setup, over = with_setups_over_marks(table, setup, readings, rounds=same_place, levelled=upright)
-    faces, reduced = _pointing_faces(table, readings)
-    times, started, timed = pointing_times(table, hints)
-    if started and not setup.started:
-        setup = setup.model_copy(update={"started": started})
-    covariates, empty_heights = with_heights_of_setups(table, covariates)
-    height = np.stack([covariates.get(name, nothing) for name in HEIGHT_COLUMNS], axis=1) * MILLIMETRE
-    unused = heights_not_applied(table, readings, height)
-    if unused:
-        empty_heights = []
+    same_position, occupation_notes = split_occupations(table, readings, azimuth_sigma, has_circle=has_circle)
+    is_levelled = is_total_station and table.column(("elevation",)) is None
+    setup, level_notes = with_setups_over_marks(table, setup, readings, rounds=same_position, levelled=is_levelled)
+    faces, face_notes = _pointing_faces(table, readings)
+    times, start_moment, time_notes = pointing_times(table, hints)
+    if start_moment and not setup.started:
+        setup = setup.model_copy(update={"started": start_moment})
+    covariates, height_notes = with_heights_of_setups(table, covariates)
+    height = np.stack([covariates.get(name, missing_values) for name in HEIGHT_COLUMNS], axis=1) * MILLIMETRE
+    unapplied = heights_not_applied(table, readings, height)
+    if unapplied:
+        height_notes = []
         covariates = {name: column for name, column in covariates.items() if name not in HEIGHT_COLUMNS}
         sigma_mm = setup.heads_sigma_mm or HEAD_HEIGHT_SIGMA_MM
         setup = setup.model_copy(update={"heads_sigma_mm": sigma_mm, "curved": True})
         labels = _merged_labels(connecting_occupations(table), labels)
-    if timed and table.column(("date",)) is not None:  # a text where it is no clock
+    if time_notes and table.column(("date",)) is not None:  # a text where it is no clock
         labels["date"] = printed.moment
     if "flat" in printed.numbers:
         slope = printed.digits_of_roles(("distance",))
         labels[KIND_COLUMN] = np.where((printed.numbers["flat"] != b"") & (slope == b""), "horizontal", "").tolist()
-    remarks = [
+    note_groups = [
         table.notes,
         interpretation.notes,
-        rounds,
-        over,
-        reduced,
-        timed,
-        further,
-        empty_heights,
-        unused,
+        occupation_notes,
+        level_notes,
+        face_notes,
+        time_notes,
+        column_notes,
+        height_notes,
+        unapplied,
         _unread_lines_note(table),
     ]
     targets, target = indices_by_value(printed.target)
@@ -206,12 +222,12 @@ def assemble_recording(
         printed.source,
     )
     return with_earth_curvature(
-        recording_of_columns(columns, setup, notes=[n for notes in remarks for n in notes], file=file)
+        recording_of_columns(columns, setup, notes=[n for notes in note_groups for n in notes], file=file)
     )
 
 
 def _merged_labels(default_labels: dict[str, list[str]], priority_labels: dict[str, list[str]]) -> dict[str, list[str]]:
-    """Labels of both mappings; in each row a non-empty label of `priority_labels` has priority."""
+    """Labels by column of both mappings; in each row a label of `priority_labels` has priority unless it is empty."""
     merged_labels = {
         name: [upper or other for upper, other in zip(priority_labels[name], column, strict=True)]
         if name in priority_labels
@@ -222,42 +238,47 @@ def _merged_labels(default_labels: dict[str, list[str]], priority_labels: dict[s
 
 
 def _setup_path(path: Path, hints: Hints) -> Path:
-    """File with noise and gauge: the named one, or a `setup.toml` in the same folder."""
+    """Path of the file with noise and gauge: that of the hints, otherwise `setup.toml` in the same folder."""
     file = hints.setup or (path if path.is_dir() else path.parent) / SETUP_FILE
     return file / SETUP_FILE if file.is_dir() else file
 
 
 def _read_setup(path: Path, hints: Hints) -> Setup | None:
-    """Noise and set-ups from a file in addition to the table; None if there is none."""
+    """Set-up from the file with noise and gauge; None if there is no such file."""
     file = _setup_path(path, hints)
     return read_setup(file) if hints.setup is not None or file.is_file() else None
 
 
 def _pointing_faces(table: PointingTable, readings: Floats) -> tuple[list[int], list[str]]:
-    """Face of each pointing, with notes; face-2 readings that were reduced to face 1 are converted back in place."""
-    beyond = np.abs(readings[:, 2]) > np.pi / 2 + 1e-9
-    faces = [face or int(b) + 1 for face, b in zip(table.pointings.face, beyond.tolist(), strict=True)]
-    second = np.array(faces) == 2
-    if not second.any() or beyond[second].any() or not np.isfinite(readings[second, 2]).any():
+    """Face of each pointing, and notes; readings of face 2 that were reduced to face 1 are made raw again, in place."""
+    beyond_zenith = np.abs(readings[:, 2]) > np.pi / 2 + 1e-9
+    faces = [face or int(b) + 1 for face, b in zip(table.pointings.face, beyond_zenith.tolist(), strict=True)]
+    is_second_face = np.array(faces) == 2
+    if (
+        not is_second_face.any()
+        or beyond_zenith[is_second_face].any()
+        or not np.isfinite(readings[is_second_face, 2]).any()
+    ):
         return faces, []
     readings[:] = to_face(readings, np.array(faces))
-    readings[second, 1] %= 2 * np.pi
+    readings[is_second_face, 1] %= 2 * np.pi
     return faces, ["readings of face 2 were reduced to face 1 and are converted back to circle readings"]
 
 
 def _additional_columns(
     table: PointingTable, interpretation: ColumnInterpretation
 ) -> tuple[dict[str, Floats], dict[str, list[str]], list[str]]:
-    """Additional columns of each pointing: numbers as covariates, texts as labels, and notes.
+    """Covariates (additional columns of numbers) by name, labels (additional columns of texts) by name, and notes.
 
-    Sigmas and heights have standard names; without a unit in their title they are in the unit of the readings.
+    Columns of sigmas and heights have the names of the native format; without a unit in their title they are in the
+    unit of the readings.
     """
     columns = [c for c in table.columns if c.is_additional]
-    words = {c.title for c in columns if c.role in OCCUPATION_COLUMNS}
-    values = [c for c in columns if c.title not in words]
-    converted = {c.title: _covariate_values(c, table.pointings, interpretation) for c in values}
+    label_titles = {c.title for c in columns if c.role in OCCUPATION_COLUMNS}
+    value_columns = [c for c in columns if c.title not in label_titles]
+    converted = {c.title: _covariate_values(c, table.pointings, interpretation) for c in value_columns}
     numeric = {title: numbers for title, numbers in converted.items() if numbers is not None}
-    used_titles = words | {c.title for c in values if "_" in c.role and c.title in numeric}
+    used_titles = label_titles | {c.title for c in value_columns if "_" in c.role and c.title in numeric}
     names = {c.title: c.role if c.title in used_titles else c.title for c in columns}
     covariates = {names[title]: column for title, (column, _) in numeric.items()}
     labels = {
@@ -279,25 +300,27 @@ def _additional_columns(
 
 
 def _unit_reason(role: str, unit: str, interpretation: ColumnInterpretation) -> str:
-    """Reason for the unit of a column that states none."""
+    """Text for the reason why a column that declares no unit is taken to be in `unit`."""
     of_reading = role not in HEIGHT_COLUMNS or unit == interpretation.length_unit
-    return " as its reading" if of_reading else f": {interpretation.length_unit}, as of its reading, is implausible"
+    return (
+        " as the readings" if of_reading else f", because heights in {interpretation.length_unit} would be implausible"
+    )
 
 
 def _covariate_values(
     column: TableColumn, pointings: PrintedPointings, interpretation: ColumnInterpretation
 ) -> tuple[Floats, str] | None:
-    """Numbers of a column in the unit of its role, NaN for an empty cell, and its unit; None for a text column."""
+    """Numbers (n,) of a column in the unit of its role, NaN for an empty cell, and unit of its cells; None for text."""
     texts = pointings.additional_cells.get(column.title, [])
     if not any(texts):
         return None
     bare_texts, cell_unit = cells.split_common_unit(texts) if column.role in ROLE_UNITS else (texts, "")
-    numbers = cells.plain_numbers(bare_texts) if not any(pointings.grouping) else None
+    numbers = cells.plain_numbers(bare_texts) if not any(pointings.group_separator) else None
     if numbers is None:
         numbers = np.full(len(texts), NOT_MEASURED)
-        for i, (text, grouping) in enumerate(zip(bare_texts, pointings.grouping, strict=True)):
+        for i, (text, group_separator) in enumerate(zip(bare_texts, pointings.group_separator, strict=True)):
             if text and text not in cells.MISSING_MARKS:
-                number = cells.parse_quantity(text, grouping)
+                number = cells.parse_quantity(text, group_separator)
                 if number is None and column.role in HEIGHT_COLUMNS:
                     message = f"found '{quoted_text(texts[i])}', expected a height, with the same unit in all cells"
                     raise pointings.source_location(i).error(message, quoted_text(column.title))
@@ -305,37 +328,37 @@ def _covariate_values(
                     return None
                 numbers[i] = number
     unit = cell_unit or column.unit or interpretation.unit_of(column.role, numbers)
-    wanted = column.role.rpartition("_")[2]
-    if wanted in ("mm", "arcsec") and unit in (*ROLE_UNITS[column.role], "dms"):
-        numbers = numbers * float(unit_ratio(unit, wanted))
+    target_unit = column.role.rpartition("_")[2]
+    if target_unit in ("mm", "arcsec") and unit in (*ROLE_UNITS[column.role], "dms"):
+        numbers = numbers * float(unit_ratio(unit, target_unit))
     return numbers, unit
 
 
 def _unread_lines_note(table: PointingTable) -> list[str]:
     notes = []
-    if table.nameless:
-        alone = "the table names no station, so that one station S1 is assumed for its pointings"
-        notes.append(f"{alone} (--hint station=NAME)")
-    if table.unread:
-        examples = "; ".join(table.unread[:MAX_ROWS_IN_NOTE])
-        more = len(table.unread) - MAX_ROWS_IN_NOTE
+    if table.lacks_station_names:
+        assumption = "the table names no station: all its pointings are assumed from one station, S1"
+        notes.append(f"{assumption} (give another name with --hint station=NAME)")
+    if table.unread_lines:
+        examples = "; ".join(table.unread_lines[:MAX_ROWS_IN_NOTE])
+        more = len(table.unread_lines) - MAX_ROWS_IN_NOTE
         notes.append(f"free text is not used: {examples}" + (f" and {more} more lines" if more > 0 else ""))
     return notes
 
 
 MAX_TRACKER_RANGE_M = 160.0
-"""Longest range [m] of laser trackers (manufacturers' data sheets: 80 to 160)."""
+"""Range [m] above which a table is from a total station (longest range of trackers in data sheets: 80 to 160)."""
 MIN_COARSE_DIGIT_M = 0.5e-4
-"""Last digit [m] of ranges from which they are too coarse for a laser tracker: trackers report micrometres."""
+"""Last digit [m] of ranges above which a table is from a total station; trackers report micrometres."""
 
 MIN_RANGES = 6
-"""Smallest number of ranges whose last digit is used: fewer may all end in zeros by chance."""
+"""Number of ranges below which their last digit does not decide, because fewer may all end in zeros by chance."""
 
 
 def total_station_reason(table: PointingTable, interpretation: ColumnInterpretation, readings: Floats) -> str:
-    """Reason why the table is from a total station; empty if it may be from a laser tracker.
+    """Text for the reason why a table is from a total station; empty if it may be from a laser tracker.
 
-    Heights above marks are no sufficient reason: trackers are set up over marks too.
+    Heights above marks are not a sufficient reason, because trackers are also set up over marks.
     """
     if table.has_coordinates:
         return ""
@@ -347,17 +370,14 @@ def total_station_reason(table: PointingTable, interpretation: ColumnInterpretat
     if ranges.max() > MAX_TRACKER_RANGE_M:
         return f"its longest range is {ranges.max():.4g} m, beyond any laser tracker"
     columns = [digits for role, digits in table.pointings.numbers.items() if role in DISTANCE_ROLES]
-    places = np.concatenate([decimal_places(digits[digits != b""]) for digits in columns])
-    if len(places) < MIN_RANGES:
+    n_decimals = np.concatenate([decimal_places(digits[digits != b""]) for digits in columns])
+    if len(n_decimals) < MIN_RANGES:
         return ""
-    digit = 10.0 ** -int(places.max()) * SI_PER_UNIT[interpretation.length_unit]
+    digit = max(
+        10.0 ** -int(n_decimals.max()) * SI_PER_UNIT[interpretation.length_unit], reading_step(ranges, LENGTH_STEPS)
+    )
     if digit > MIN_COARSE_DIGIT_M:
         return f"its ranges are written to {1e3 * digit:.2g} mm"
     if table.column(("instrument_height_mm",)) is not None and digit > MIN_COARSE_DIGIT_M / 10:
         return f"its ranges are written to {1e3 * digit:.2g} mm, with heights over marks"
     return ""
-
-
-def default_instrument(reason: str) -> tuple[Instrument, str]:
-    """Instrument for a table without noise, and the note about it."""
-    return (TOTAL_STATION, TOTAL_STATION_NOTE.format(reason=reason)) if reason else (Instrument(), NO_NOISE_NOTE)

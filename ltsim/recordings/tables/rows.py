@@ -1,4 +1,4 @@
-"""Pointings from rows of text: headers, blocks of a station, free text."""
+"""Pointings from the rows of a table, which may have several headers, blocks of a station, and free text."""
 
 from __future__ import annotations
 
@@ -36,59 +36,69 @@ from ltsim.recordings.tables.runs import HeaderRun, RunReader, pad_cells
 from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 
 POSITIONAL_ROLES = ("station", "target", "azimuth", "vertical", "distance")
-"""Roles of the columns in a table without header whose lines are names and three numbers."""
+"""Roles of the columns of a table without header whose lines have names and three numbers."""
 MIN_TITLES = 2
-"""Smallest number of columns in a header of readings: two angles, or an angle and a distance."""
+"""Smallest number of titles with a role in a header: two angles, or an angle and a distance."""
 
 
 def read_pointing_table(
     sheets: Sequence[TableSheet], hints: Hints, file: object, *, positional: bool = False
 ) -> PointingTable:
-    """Pointings of all sheets; with `positional`, also lines with names and three numbers but no header.
+    """Pointings of all sheets; with `positional`, also of lines with names and three numbers without a header.
 
-    Raises RecordError for a header without recognised titles, for headers with different roles, and for a wrong cell.
+    Raises RecordError for a header without recognised titles, for headers with different roles, and for an invalid
+    cell.
     """
-    whole, parts = PointingTable([]), []
-    starts = [find_header(sheet, hints) for sheet in sheets]
-    headers = [_header_at(sheet, start, hints) for sheet, start in zip(sheets, starts, strict=True)]
+    joined_table, parts = PointingTable([]), []
+    header_indices = [find_header(sheet, hints) for sheet in sheets]
+    headers = [_header_at(sheet, start, hints) for sheet, start in zip(sheets, header_indices, strict=True)]
     has_polar = any(header and not has_named_coordinates(header) for header in headers)
-    for sheet, start, header in zip(sheets, starts, headers, strict=True):
+    for sheet, start, header in zip(sheets, header_indices, headers, strict=True):
         if has_polar and header and has_named_coordinates(header):
             name = quoted_text(sheet.station or sheet.file.name)
-            whole.notes.append(f"the coordinates of '{name}' are not used (give them with --frame or --control)")
+            joined_table.notes.append(
+                f"the coordinates in '{name}' are not used (to use them, give --frame or --control)"
+            )
             continue
         reader = _SheetReader(sheet, hints)
         if start is not None or positional:
             table = reader.read_positional() if start is None else reader.read(start)
-            whole.add_sheet(table, sheet.file)
+            joined_table.add_sheet(table, sheet.file)
             parts.append(table.pointings)
         elif len(sheets) == 1 or any(row.n_values > 2 for row in sheet.rows[:50]):
             raise RecordError(unrecognised_header_sentence(sheet, partial(_is_readable, sheet, hints)), file=sheet.file)
     if not any(map(len, parts)):
-        unread = f": {whole.unread[0]} has no number in a column of readings" if whole.unread else ""
+        unread = (
+            f": {joined_table.unread_lines[0]} has no number in a column of readings"
+            if joined_table.unread_lines
+            else ""
+        )
         raise RecordError(f"contains no pointings{unread or ' below its header'}", file=file)
-    whole.pointings = join_pointings(parts)
-    whole.columns = [replace(c, unit=whole.cell_units.get(c.title, c.unit)) for c in whole.columns]
-    return whole
+    joined_table.pointings = join_pointings(parts)
+    joined_table.columns = [replace(c, unit=joined_table.cell_units.get(c.title, c.unit)) for c in joined_table.columns]
+    return joined_table
 
 
 def parse_header(row: SheetRow, hints: Hints, file: object = None) -> list[TableColumn] | None:
-    """Columns that a row names as a header; None if it is no header."""
+    """Columns whose titles are in a row; None if the row is not a header."""
     if hints.columns is not None:
         return mapped_columns(row.fields, hints.columns, file) if any(row.fields) else None
     if count_role_titles(row.fields) < MIN_TITLES or any(map(cells.is_value, row.fields)):
         return None
     columns = header_columns(row.fields)
-    return columns if is_header(columns) else None
+    return columns if is_header(columns, allows_unnamed=hints.station is not None) else None
 
 
 def _header_at(sheet: TableSheet, row: int | None, hints: Hints) -> list[TableColumn]:
-    """Columns of the header in a row; empty without a header or for numbered columns."""
+    """Columns of the header with index `row`; empty without a header, and for numbered columns (-1)."""
     return [] if row is None or row < 0 else parse_header(sheet.rows[row], hints, sheet.file) or []
 
 
 def find_header(sheet: TableSheet, hints: Hints) -> int | None:
-    """Index of the first header row; -1 if `hints.columns` numbers the columns of a table without header."""
+    """Index of the first header; None if there is none.
+
+    If `hints.columns` numbers the columns of a table without header, it is the index before the first row of numbers.
+    """
     if hints.columns is not None and sheet.rows:
         asked = parse_assignments(hints.columns, sheet.file)
         if all(title.isdigit() for *_, title, _ in asked):
@@ -98,10 +108,7 @@ def find_header(sheet: TableSheet, hints: Hints) -> int | None:
 
 
 class _SheetReader:
-    """Reader of one sheet.
-
-    Its state is the current header, the current block, and the rows since the header.
-    """
+    """Reader of one sheet; its state is the current header, the current block, and the rows that were not converted."""
 
     def __init__(self, sheet: TableSheet, hints: Hints) -> None:
         self.sheet, self.hints = sheet, hints
@@ -111,18 +118,19 @@ class _SheetReader:
         self.header: list[TableColumn] = []
         """Columns of the current header."""
         self.columns: list[TableColumn] = []
-        """Columns of the current header, and of the heights of the block."""
+        """Columns of the current header, and of the heights that the lines of a block give."""
         self.station_position: int | None = None
         """Position of the column of stations."""
         self.n_unnamed = 0
-        """Number of rows with the station of the row above."""
-        self.wanted: list[int] = []
-        self.headers = 0
+        """Number of rows without a station, which have the station of the row above."""
+        self.reading_positions: list[int] = []
+        """Positions of the columns with readings."""
+        self.n_headers = 0
         self.run = HeaderRun()
         """Rows of pointings that are not converted yet."""
 
     def read(self, header_row: int) -> PointingTable:
-        """Pointings of the rows below the header in row `header_row`; -1 for numbered columns."""
+        """Pointings of the rows below the header with index `header_row`; -1 for numbered columns."""
         rows = self.sheet.rows
         for row in rows[: max(header_row, 0)]:
             self._process_other_line(row)
@@ -132,20 +140,20 @@ class _SheetReader:
         return self._read_rows(rows[max(header_row, 0) :])
 
     def read_positional(self) -> PointingTable:
-        """Pointings of lines with station, target and three numbers; lines shorter by one have no station."""
+        """Pointings of lines with station, target and three numbers, or with target and three numbers."""
         first = next((row for row in self.sheet.rows if not row.is_comment), None)
         roles = POSITIONAL_ROLES[1:] if first is not None and len(first.fields) == 4 else POSITIONAL_ROLES
         for row in self.sheet.rows:
             if not row.is_comment and len(row.fields) != len(roles):
                 message = f"{len(row.fields)} fields, expected station, target, two angles and a distance"
                 raise SourceLocation(self.sheet.file, row.line).error(message)
-        self.table.positional = True
+        self.table.is_positional = True
         self._start_header([TableColumn(i, role, role) for i, role in enumerate(roles)], None)
         return self._read_rows(self.sheet.rows, reads_all=True)
 
     def _start_header(self, columns: list[TableColumn], row: int | None) -> None:
-        self.headers += 1
-        if self.headers > MAX_TABLE_HEADERS:
+        self.n_headers += 1
+        if self.n_headers > MAX_TABLE_HEADERS:
             raise SourceLocation(self.sheet.file, row).error(
                 f"holds more than {MAX_TABLE_HEADERS} headers, the limit for reading"
             )
@@ -157,7 +165,7 @@ class _SheetReader:
             self._convert_rows()
         self.table.add_header(columns, self.sheet.file, row)
         self.columns = columns
-        self.wanted = [c.position for c in columns if c.role in READING_ROLES]
+        self.reading_positions = [c.position for c in columns if c.role in READING_ROLES]
         self.station_position = next((c.position for c in columns if c.role == "station"), None)
 
     def _read_rows(self, rows: Sequence[SheetRow], *, reads_all: bool = False) -> PointingTable:
@@ -173,7 +181,7 @@ class _SheetReader:
                 self._add_pointing(row)
             elif not self.hints.incomplete_tail:  # otherwise it may not be whole yet
                 self._convert_rows()
-                self.sheet.require_complete_end(len(self.header), requires_all=self.table.positional)
+                self.sheet.require_complete_end(len(self.header), requires_all=self.table.is_positional)
                 self._add_pointing(row)
         self._convert_rows()
         self.table.notes += _duplicate_role_warnings(self.columns)
@@ -183,21 +191,21 @@ class _SheetReader:
         return self.table
 
     def _is_measured(self, row: SheetRow) -> bool:
-        """True if a cell of a reading has a value; in a pointing it is usually the first."""
+        """True if a cell in a column of readings has a value."""
         fields = row.fields
-        for place in self.wanted:
+        for place in self.reading_positions:
             if place < len(fields) and (is_number(fields[place]) or cells.is_value(fields[place])):
                 return True
         return False
 
     def _process_other_line(self, row: SheetRow) -> None:
-        """Processing of a line that is no pointing: it describes a block, or is ignored."""
+        """Processing of a line that is no pointing: it names a station or heights, or is not used."""
         n_heights = len(self.block.height_columns)
         if self.block.read_line(row):
             if self.header and len(self.block.height_columns) > n_heights:
                 self._start_header(self.header, row.line)
         elif not row.is_comment:
-            self.table.unread.append(f"line {row.line} of {self.sheet.file.name} ('{row}')")
+            self.table.unread_lines.append(f"line {row.line} of {self.sheet.file.name} ('{row}')")
 
     def _add_pointing(self, row: SheetRow) -> None:
         if len(self.run.line) == ROWS_PER_BATCH:
@@ -217,9 +225,9 @@ class _SheetReader:
         self.run.add_row(row, self.block.station)
 
     def _convert_rows(self) -> None:
-        """Conversion of the rows since the last header to columns at once.
+        """Conversion of the rows since the last header to columns, all at once.
 
-        If that fails, row by row to report the first error.
+        If this fails, the rows are converted one by one, to report the first error.
         """
         run, self.run = self.run, HeaderRun()
         if not run.line:
@@ -229,7 +237,7 @@ class _SheetReader:
             converted = [reader.read(run)]
         except RecordError:
             converted = [reader.read(row) for row in run.single_rows()]
-        self.table.nameless |= reader.nameless
+        self.table.lacks_station_names |= reader.lacks_station_names
         self.table.add_cell_units(reader.cell_units, self.sheet.file)
         self.parts.append(join_pointings(converted))
         while (
@@ -241,19 +249,19 @@ class _SheetReader:
 
 
 def _duplicate_role_warnings(columns: Sequence[TableColumn]) -> list[str]:
-    """Warnings about columns whose role is already taken by another column."""
-    taken = {c.role: c.title for c in columns if c.role}
+    """Notes on columns whose role another column already has."""
+    title_by_role = {c.role: c.title for c in columns if c.role}
     unused_columns = [(c.title, title_role(title_words_and_unit(c.title)[0])) for c in columns if not c.role]
     return [
-        f"column '{quoted_text(title)}' is a further column, because the {role} is read from "
-        f"'{quoted_text(taken[role])}'"
+        f"column '{quoted_text(title)}' is read as an additional column, because the {role} is in "
+        f"'{quoted_text(title_by_role[role])}'"
         for title, role in unused_columns
-        if role in taken
+        if role in title_by_role
     ]
 
 
 def _is_readable(sheet: TableSheet, hints: Hints, columns: str) -> bool:
-    """True if a sheet can be read with an assignment of columns."""
+    """True if a sheet can be read with the value `columns` of the option ``--columns``."""
     hints = replace(hints, columns=columns)
     try:
         start = find_header(sheet, hints)

@@ -1,4 +1,4 @@
-"""Runs of rows below one header, converted to columns of pointings at once."""
+"""Conversion of consecutive rows below one header to columns of pointings, all at once."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from ltsim.recordings.tables.printed import Digits, PrintedPointings, join_point
 from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 
 MAX_READING_MAGNITUDE = 10**9
-"""Magnitude below which all readings must be, in any unit."""
+"""Magnitude of a reading, in any unit, from which it is refused."""
 
 
 @dataclass
 class HeaderRun:
-    """Rows below one header, by column: line numbers, cells, and the station of the block for rows that name none."""
+    """Consecutive rows below one header: line number, cells, and station of the block of each row."""
 
     line: list[int] = field(default_factory=list)
     fields: list[tuple[str, ...]] = field(default_factory=list)
@@ -43,24 +43,27 @@ class HeaderRun:
         self.station.append(station)
 
     def single_rows(self) -> Iterator[HeaderRun]:
-        """Runs with one row each."""
+        """Runs with one row each, for each row of this run."""
         for line, fields, station in zip(self.line, self.fields, self.station, strict=True):
             yield HeaderRun([line], [fields], [station])
 
 
 class RunReader:
-    """Reader of the rows below one header of a sheet. `nameless` and `cell_units` are those of `PointingTable`."""
+    """Reader of the rows below one header of a sheet.
+
+    `lacks_station_names` and `cell_units` have the meaning as in `PointingTable`.
+    """
 
     def __init__(self, sheet: TableSheet, columns: Sequence[TableColumn]) -> None:
         self.sheet, self.columns = sheet, columns
         self.faces = (1, 2) if any(c.face for c in columns) else (0,)
-        self.nameless = False
+        self.lacks_station_names = False
         self.cell_units: dict[str, str] = {}
 
     def read(self, run: HeaderRun) -> PrintedPointings:
-        """Pointings of rows; a row that names no station has the station of its block.
+        """Pointings of the rows; a row that names no station has the station of its block.
 
-        Raises RecordError for a wrong cell: the first one in a run of one row, any one in a longer run.
+        Raises RecordError for an invalid cell, which need not be the first one if the run has several rows.
         """
         width = len(self.columns)
         padded = [fields if len(fields) == width else pad_cells(fields, width) for fields in run.fields]
@@ -73,37 +76,42 @@ class RunReader:
         return pointings.take(by_row[angles[by_row]].tolist())
 
     def _pointings_of_face(self, face: int, run: HeaderRun, table: Sequence[Sequence[str]]) -> PrintedPointings:
-        """Pointings, one per row, from the columns of one face (0: the only face) and the common columns."""
+        """Pointings, one for each row, from the columns of one face and the common columns.
+
+        `face` is 0 if the columns do not distinguish faces. `table` has the cells of each column.
+        """
         columns = [c for c in self.columns if c.face in (0, face)]
-        text = {c.role: table[c.position] for c in reversed(columns) if c.role}
-        nothing = ("",) * len(run)
-        stations = [name or block for name, block in zip(text.get("station", nothing), run.station, strict=True)]
-        self.nameless |= "" in stations
-        faces = self._faces(text["face"], run.line) if "face" in text else [0] * len(run)
+        cells_by_role = {c.role: table[c.position] for c in reversed(columns) if c.role}
+        empty_cells = ("",) * len(run)
+        stations = [
+            name or block for name, block in zip(cells_by_role.get("station", empty_cells), run.station, strict=True)
+        ]
+        self.lacks_station_names |= "" in stations
+        faces = self._faces(cells_by_role["face"], run.line) if "face" in cells_by_role else [0] * len(run)
         numbers: dict[str, Digits] = {}
         for c in columns:
             if c.role in READING_ROLES:
                 digits = self._numbers(c.texts(table), c, run.line)
                 filled = digits != b""
                 if filled.any():
-                    before = numbers.get(c.role)
-                    numbers[c.role] = digits if before is None else np.where(filled, digits, before)
-        further = {c.title: self._texts(table[c.position], run.line) for c in columns if c.is_additional}
+                    earlier_digits = numbers.get(c.role)
+                    numbers[c.role] = digits if earlier_digits is None else np.where(filled, digits, earlier_digits)
+        additional_cells = {c.title: self._texts(table[c.position], run.line) for c in columns if c.is_additional}
         return PrintedPointings(
             [self.sheet.file] * len(run),
             run.line,
             [intern(name or "S1") for name in stations],
-            list(map(intern, text.get("target", nothing))),
+            list(map(intern, cells_by_role.get("target", empty_cells))),
             [face] * len(run) if face else faces,
-            _joined_cells(text.get("date"), text.get("time")) or [*nothing],
-            _joined_cells(text.get("date"), text.get("round")) or [*nothing],
+            _joined_cells(cells_by_role.get("date"), cells_by_role.get("time")) or [*empty_cells],
+            _joined_cells(cells_by_role.get("date"), cells_by_role.get("round")) or [*empty_cells],
             [self.sheet.thousands_separator] * len(run),
             numbers,
-            further,
+            additional_cells,
         )
 
     def _faces(self, texts: Sequence[str], lines: Sequence[int]) -> list[int]:
-        """Faces in the file; 0 for an empty cell."""
+        """Face in each cell; 0 for an empty cell. Raises RecordError."""
         faces = {text: cells.parse_face(text) if text else 0 for text in {*texts}}
         for text, line in zip(texts, lines, strict=True) if None in faces.values() else ():
             if faces[text] is None:
@@ -111,7 +119,10 @@ class RunReader:
         return [faces[text] or 0 for text in texts]
 
     def _numbers(self, texts: Sequence[str], column: TableColumn, lines: Sequence[int]) -> Digits:
-        """Digits (n,) of a column of readings: the cells if all are plain numbers, otherwise each cell converted."""
+        """Digits (n,) of a column of readings: the cells if all are plain numbers, otherwise the converted cells.
+
+        Raises RecordError.
+        """
         texts = ["" if text in cells.MISSING_MARKS else text for text in texts]
         values = cells.plain_numbers(texts) if column.unit != "dms" and not self.sheet.thousands_separator else None
         lower_bound = 0.0 if column.role in DISTANCE_ROLES else -np.inf
@@ -132,7 +143,7 @@ class RunReader:
         )
 
     def _number(self, text: str, column: TableColumn, line: int) -> str:
-        """Digits of the number in one cell."""
+        """Digits of the number in one cell; raises RecordError."""
         packed = column.unit == "dms"
         number = cells.parse_packed_degrees(text) if packed else cells.parse_value(text, self.sheet.thousands_separator)
         location = self._place(line)
@@ -147,7 +158,7 @@ class RunReader:
         return str(number)
 
     def _texts(self, texts: Sequence[str], lines: Sequence[int]) -> list[str]:
-        """Cells of an additional column; equal texts are stored once."""
+        """Checked cells of an additional column; equal texts are stored once. Raises RecordError."""
         distinct = dict.fromkeys(texts)
         joined_text = "".join(distinct)
         if (
@@ -165,12 +176,12 @@ class RunReader:
 
 
 def pad_cells(fields: Sequence[str], width: int) -> Sequence[str]:
-    """Cells of a row, extended with empty ones to the width of the header."""
+    """Cells of a row, with empty cells added, or cells removed, at the end to have `width` cells."""
     return (*fields[:width], *[""] * (width - len(fields)))
 
 
 def _joined_cells(first: Sequence[str] | None, second: Sequence[str] | None) -> list[str] | None:
-    """Cells of two columns joined by a blank; None if the table has neither column."""
+    """Cells of two columns, joined by a blank; those of one column if the other is None, and None if both are."""
     if first is None or second is None:
         return list(first or second or ()) or None
     return [" ".join(filter(None, pair)) for pair in zip(first, second, strict=True)]

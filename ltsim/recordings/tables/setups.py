@@ -1,20 +1,17 @@
-"""Set-ups and targets in surveyors' tables: names of one target that differ, occupations, heights above marks.
+"""Set-ups and targets in surveyors' tables: different names of one target, occupations, heights above marks.
 
-The name of one target may differ by set-up (`P 01` and `p1`, `S1_P01` and `S2_P01`). Set-ups may be over marks that are
-targets too, with a circle that is rotated between rounds. Rows without point names, or with one for all, are positions
-of a moving target (a robot, a T-MAC).
+The name of one target may differ between set-ups (`P 01` and `p1`, `S1_P01` and `S2_P01`). Set-ups may be over marks
+that are also targets, and their circle may be rotated between rounds.
 """
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from itertools import groupby, product
-from operator import add, sub
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
 
 import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
-from ltsim.core.errors import RecordError
 from ltsim.core.notation import listing
 from ltsim.core.units import EARTH_RADIUS
 from ltsim.recordings.circle_orientations import circle_orientations, zeroed_circle_note
@@ -23,77 +20,11 @@ from ltsim.recordings.pointings import numbered_name
 from ltsim.recordings.recording import OCCUPATION_COLUMNS
 from ltsim.recordings.setup import EXACT_LEVEL_ARCSEC, Setup, Station
 from ltsim.recordings.tables import cells
-from ltsim.recordings.tables.header import COORDINATE_ROLES, HEIGHT_ROLES, HORIZONTAL_ROLES, VERTICAL_ROLES
-from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, indices_by_value, to_floats
+from ltsim.recordings.tables.header import HEIGHT_ROLES
+from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, indices_by_value
 
-MAX_SAME_PLACE_RATIO = 3e-4
-"""Largest distance between rows at one position, relative to the largest length: 1 mm at 3 m, more than the
-repeatability of a robot.
-"""
-MAX_SAME_ANGLE = 0.02
-"""Tolerance [deg or gon] between directions to the same position."""
-MAX_SAME_ANGLE_RAD = MAX_SAME_PLACE_RATIO
-"""Tolerance [rad] between directions to the same position."""
-MAX_ANGLE_IN_RADIANS = 7.0
-"""Largest angle at which a column of angles is in radians; larger values are degrees or gon."""
-MIN_ROWS_FOR_POSITIONS = 3
-"""Smallest number of rows, and of different positions, of one name that is a moving target."""
-
-
-def name_targets_by_position(table: PointingTable, file: object) -> PointingTable:
-    """Table in which every position is a separate target, if rows have no names or one name has several positions.
-
-    Raises RecordError where several set-ups have no names: nothing then tells which of their targets are the same.
-    """
-    names, stations = {*table.pointings.target}, {*table.pointings.station}
-    if len(names) > 1 or (names != {""} and len(table.pointings) < MIN_ROWS_FOR_POSITIONS):
-        return table
-    places = _position_numbers(table)
-    count = int(places.max()) + 1
-    if names != {""} and (count < MIN_ROWS_FOR_POSITIONS or len(stations) > 1):
-        return table
-    if len(stations) > 1:
-        message = "names no points, so common targets of its set-ups are unknown; add a column target"
-        raise RecordError(message, file=file)
-    table.pointings.target = [f"pose-{place + 1}" for place in places.tolist()]
-    called = "names no points" if names == {""} else f"has one name ('{quoted_text(names.pop())}') for all of its rows"
-    table.notes.append(
-        f"the table {called}: its {len(places)} rows are {count} positions of a target that moves (a robot, a T-MAC), "
-        "each a target named pose-1, pose-2, ...; one set-up alone gives no information about the tracker"
-    )
-    return table
-
-
-def _position_numbers(table: PointingTable) -> Ints:
-    """Number (n,) of the position of each row, in the order of their first rows."""
-    numbers = table.pointings.numbers
-    printed = np.stack([to_floats(digits) for digits in numbers.values()], axis=1)
-    largest = np.nanmax(np.abs(printed), axis=0).tolist()
-    lengths = max((size for role, size in zip(numbers, largest, strict=True) if role in COORDINATE_ROLES), default=0.0)
-    tolerance = np.array(
-        [_position_tolerance(role, size, lengths) for role, size in zip(numbers, largest, strict=True)]
-    )
-    scaled = np.nan_to_num(printed / tolerance)
-    steps = list(product((0, -1, 1), repeat=scaled.shape[1]))
-    first: list[tuple[float, ...]] = []
-    of_box: dict[tuple[int, ...], int] = {}  # no two places lie in one box of unit size
-    numbers_of_places = []
-    for row, box in zip(scaled.tolist(), np.floor(scaled).astype(np.int64).tolist(), strict=True):
-        around = [of_box[other] for step in steps if (other := tuple(map(add, box, step))) in of_box]
-        near = [i for i in around if max(map(abs, map(sub, row, first[i]))) < 1.0]
-        if not near:
-            of_box[tuple(box)] = len(first)
-            first.append(tuple(row))
-        numbers_of_places.append(min(near, default=len(first) - 1))
-    return np.array(numbers_of_places)
-
-
-def _position_tolerance(role: str, max_distance: float, lengths: float) -> float:
-    if role in (*HORIZONTAL_ROLES, *VERTICAL_ROLES):
-        return MAX_SAME_ANGLE if max_distance > MAX_ANGLE_IN_RADIANS else MAX_SAME_ANGLE_RAD
-    return MAX_SAME_PLACE_RATIO * max(lengths, max_distance, 1e-9)
-
-
+NAME_DIFFERENCES = "case, blanks or leading zeros"
+"""Differences of spelling between names of one point."""
 MAX_NAMES_IN_SETUP_NOTE = 4
 """Largest number of names that a note on set-ups lists."""
 OCCUPATION_NAMES = (
@@ -101,34 +32,36 @@ OCCUPATION_NAMES = (
     ("date", "day"),
     ("instrument_height_mm", "height of the instrument"),
 )
-"""Columns that number occupations, in the order in which they are used, and their names in a note."""
+"""Roles of the columns that distinguish occupations, the first available one being used, and their names in a note."""
 MIN_ROWS_OF_OCCUPATION = 3
-"""Smallest number of rows with one height of the instrument that is an occupation."""
+"""Number of rows with one height of the instrument from which the height distinguishes an occupation."""
 MIN_CLOSED_LINES = 4
-"""Smallest number of lines measured in both directions for a test of the heights over marks."""
+"""Number of lines measured in both directions below which they do not decide whether heights are applied."""
 MAX_CLOSURE_RATIO = 0.5
-"""Largest ratio of the closure of lines measured to and fro without heights to that with heights from which the heights
+"""Closure of lines measured in both directions without heights, divided by that with heights, below which the heights
 are not applied.
 """
 MIN_CIRCLE_ROTATION = 1e-3
-"""Smallest difference [rad] between the directions of two rounds that counts as a rotated circle."""
+"""Median difference [rad] between the directions of two rounds above which the circle was rotated."""
 MIN_ROTATION_SIGMAS = 6.0
-"""Smallest difference of directions, in their standard deviations (if given), that counts as a rotation of the circle.
+"""Median difference between the directions of two rounds, in their standard deviations, above which the circle was
+rotated.
 """
 MAX_UNAPPLIED_CLOSURE_M = 0.2
-"""Largest median closure [m] without heights at which these can be left out: earth curvature of lines of 1.3 km."""
+"""Median closure [m] without heights above which heights are applied (curvature of the earth over 1.3 km)."""
 MAX_CLOSURE_M = 0.02
-"""Largest closure [m] of lines measured to and fro between heads on forced centring; lines over marks differ by
-decimetres.
+"""Median closure [m] of lines measured in both directions below which heads are on forced centring over the targets;
+lines over marks differ by decimetres.
 """
 OccupationKey = tuple[str, ...]
+"""Station, occupation, and round or orientation if the circle was rotated."""
 
 
 def common_target_names(pointings: PrintedPointings) -> tuple[list[str], list[str]]:
-    """Target name of each pointing, common to all set-ups, and notes on the changes.
+    """Name of the target of each pointing, common to all set-ups, and notes on changed names.
 
-    The name of the set-up as a prefix or suffix of all its targets is removed if set-ups then have more common targets.
-    Names that differ in case, blanks or leading zeros are one name if no set-up has both.
+    The name of the set-up in the names of all its targets is removed if set-ups then have common targets. Names that
+    differ only in case, blanks or leading zeros become one name if no set-up has both.
     """
     sightings, row = indices_by_value(zip(pointings.station, pointings.target, strict=True))
     stations, targets = (list(names) for names in zip(*sightings, strict=True))
@@ -144,28 +77,28 @@ def common_target_names(pointings: PrintedPointings) -> tuple[list[str], list[st
             f"the name of the set-up is removed from the names of its targets: '{targets[0]}' is '{plain_names[0]}'"
         )
         targets = plain_names
-    places: dict[str, set[str]] = {}
+    stations_of: dict[str, set[str]] = {}
     for station, target in zip(stations, targets, strict=True):
-        places.setdefault(target, set()).add(station)
-    spellings_of: dict[str, list[str]] = {}
-    for target in places:
-        spellings_of.setdefault(normalised_name(target), []).append(target)
+        stations_of.setdefault(target, set()).add(station)
+    spellings_by_name: dict[str, list[str]] = {}
+    for target in stations_of:
+        spellings_by_name.setdefault(normalised_name(target), []).append(target)
     common = {
         name: spellings[0]
-        for spellings in spellings_of.values()
+        for spellings in spellings_by_name.values()
         if len(spellings) > 1
-        and sum(len(places[s]) for s in spellings) == len(set().union(*(places[s] for s in spellings)))
+        and sum(len(stations_of[s]) for s in spellings) == len(set().union(*(stations_of[s] for s in spellings)))
         for name in spellings[1:]
     }
     if common:
         examples = listing([f"'{name}' and '{first}'" for name, first in common.items()], MAX_NAMES_IN_SETUP_NOTE)
-        notes.append(f"names that differ only in case, blanks or leading zeros are the same target: {examples}")
+        notes.append(f"names that differ only in {NAME_DIFFERENCES} are the same target: {examples}")
     names = [common.get(target, target) for target in targets]
     return [names[i] for i in row.tolist()], notes
 
 
 def _without_station_name(station: str, target: str) -> str:
-    """Name of a target without the name of its set-up; empty if it does not contain it."""
+    """Name of a target without the name of its set-up; empty if the name of the set-up is not a prefix or suffix."""
     if len(target) > MAX_RECORDING_NAME_LENGTH:  # which is refused later
         return ""
     match = re.fullmatch(rf"{re.escape(station)}[\s._:/-]+(.+)|(.+?)[\s._:/-]+{re.escape(station)}", target)
@@ -182,32 +115,55 @@ def normalised_name(name: str) -> str:
     return re.sub(r"(?<!\d)0+(?=\d)", "", re.sub(r"[\s_-]+", "_", plain_name))
 
 
+def marks_with_other_spelling(stations: Sequence[str], targets: Sequence[str]) -> dict[str, str]:
+    """Target over which a set-up stands if their names differ only in case, blanks or leading zeros, by set-up.
+
+    `stations` and `targets` are those of the pointings. A set-up does not stand over a target that it sees.
+    """
+    sights = {*zip(stations, targets, strict=True)}
+    names = dict.fromkeys(targets)
+    spelling = {normalised_name(target): target for target in names}
+    marks = {station: spelling.get(normalised_name(station), station) for station in dict.fromkeys(stations)}
+    return {
+        station: mark
+        for station, mark in marks.items()
+        if station not in names and station != mark and (station, mark) not in sights
+    }
+
+
+def spelling_note(mark_by_setup: Mapping[str, str]) -> list[str]:
+    """Note on set-ups over targets with another spelling; none for an empty mapping."""
+    examples = listing([f"'{name}' and '{mark}'" for name, mark in mark_by_setup.items()], MAX_NAMES_IN_SETUP_NOTE)
+    text = f"a set-up and a target whose names differ only in {NAME_DIFFERENCES} are one mark: {examples}"
+    return [text] if mark_by_setup else []
+
+
 def split_occupations(
     table: PointingTable, readings: Floats, sigma: Floats, *, has_circle: bool
 ) -> tuple[set[str], list[str]]:
-    """Separation (in place) of the occupations of one mark, and of rounds with a rotated circle, into separate set-ups.
+    """Division, in place, of the occupations of one mark, and of rounds with a rotated circle, into separate set-ups.
 
-    An occupation has one identifier in a column of set-ups or, without such a column, one day in a column of dates.
-    `sigma` (n,) [rad] are standard deviations of the azimuths, NaN if not given. Without a column of rounds, the
-    directions of an instrument that `has_circle` to set show where that was done.
+    A column of set-ups, a column of dates or the heights of the instrument distinguish occupations. `sigma` (n,) [rad]
+    are standard deviations of the azimuths, NaN if not given. Without a column of rounds, the directions of an
+    instrument with a horizontal circle (`has_circle`) show rotations of the circle.
 
-    Returns the names of set-ups at the position of others (rounds of one occupation), and notes.
+    Returns the names of set-ups that are rounds of one occupation, at the same position, and notes.
     """
     pointings = table.pointings
     occupations: Sequence[OccupationKey]
-    occupations, of_occupation = indices_by_value(zip(pointings.station, _occupation_numbers(table), strict=True))
-    distinct, code = occupations, of_occupation
-    turned, orientations = False, None
+    occupations, occupation_index = indices_by_value(zip(pointings.station, _occupation_numbers(table), strict=True))
+    distinct, code = occupations, occupation_index
+    is_rotated, orientations = False, None
     if table.column(("round",)) is not None:
-        by_round, of_round = indices_by_value(zip(of_occupation.tolist(), pointings.round, strict=True))
-        turned = _has_rotated_circle(table, of_occupation, of_round, readings[:, 1], sigma)
-        if turned:
-            distinct, code = [(*occupations[i], name) for i, name in by_round], of_round
+        by_round, round_index = indices_by_value(zip(occupation_index.tolist(), pointings.round, strict=True))
+        is_rotated = _has_rotated_circle(table, occupation_index, round_index, readings[:, 1], sigma)
+        if is_rotated:
+            distinct, code = [(*occupations[i], name) for i, name in by_round], round_index
     elif has_circle:
-        _, sight = indices_by_value(zip(of_occupation.tolist(), pointings.target, pointings.face, strict=True))
-        orientations = circle_orientations(of_occupation, sight, readings)
+        _, sight = indices_by_value(zip(occupation_index.tolist(), pointings.target, pointings.face, strict=True))
+        orientations = circle_orientations(occupation_index, sight, readings)
         if orientations is not None:
-            by_number, code = indices_by_value(zip(of_occupation.tolist(), orientations.tolist(), strict=True))
+            by_number, code = indices_by_value(zip(occupation_index.tolist(), orientations.tolist(), strict=True))
             distinct = [(*occupations[i], str(number)) for i, number in by_number]
     marks = {station for station, *_ in distinct}
     if len(distinct) == len(marks):
@@ -217,26 +173,26 @@ def split_occupations(
     for station, *_ in distinct:
         names.append(numbered_name(station, counts[station]))
         counts[station] += 1
-    table.marks = {name: key[0] for key, name in zip(distinct, names, strict=True)}
+    table.marks = {name: table.marks.get(key[0], key[0]) for key, name in zip(distinct, names, strict=True)}
     pointings.station = [names[i] for i in code.tolist()]
     notes = []
     if len(occupations) > len(marks):
-        by = next((name for role, name in OCCUPATION_NAMES if table.column((role,)) is not None), "")
-        notes.append(f"{len(occupations)} occupations of {len(marks)} marks, by {by}, are separate set-ups")
-    if turned:
+        column_name = next((name for role, name in OCCUPATION_NAMES if table.column((role,)) is not None), "")
+        notes.append(f"{len(occupations)} occupations of {len(marks)} marks, by {column_name}, are separate set-ups")
+    if is_rotated:
         of = f" of {len(occupations)} occupations" if len(occupations) > len(marks) else ""
         notes.append(
-            f"the circle was turned between rounds: {len(names)} rounds{of} are separate set-ups over their marks"
+            f"the circle was rotated between rounds: {len(names)} rounds{of} are separate set-ups over their marks"
         )
     if orientations is not None:
         notes.append(zeroed_circle_note(len(names), len(occupations)))
     rounds = Counter(key[:2] for key in distinct)
-    is_split = turned or orientations is not None
+    is_split = is_rotated or orientations is not None
     return {n for key, n in zip(distinct, names, strict=True) if rounds[key[:2]] > 1} if is_split else set(), notes
 
 
 def _occupation_numbers(table: PointingTable) -> list[str]:
-    """Occupation of the mark to which each pointing belongs."""
+    """Text that distinguishes the occupation of the mark in which each pointing was measured."""
     printed, column = table.pointings, table.column(("instrument_setup",))
     if column is not None:
         return printed.texts(column.title)
@@ -247,9 +203,10 @@ def _occupation_numbers(table: PointingTable) -> list[str]:
 
 
 def _numbers_by_height(table: PointingTable) -> list[str]:
-    """Occupation of each pointing by the height of the instrument, which is constant within an occupation.
+    """Number, as text, of the occupation of each pointing, from the height of the instrument.
 
-    A mark has one occupation if a height holds for few of its rows, or returns: a wrong height is no occupation.
+    The height is constant within an occupation. If a height applies to few rows of a mark, or recurs, it may be wrong,
+    and the mark has one occupation.
     """
     column = table.column(("instrument_height_mm",))
     numbers = [""] * len(table.pointings)
@@ -268,25 +225,26 @@ def _numbers_by_height(table: PointingTable) -> list[str]:
 
 
 def _has_rotated_circle(
-    table: PointingTable, of_occupation: Ints, of_round: Ints, azimuth: Floats, sigma: Floats
+    table: PointingTable, occupation_index: Ints, round_index: Ints, azimuth: Floats, sigma: Floats
 ) -> bool:
-    """True if the directions of a round differ from the first ones to the same targets in its occupation.
+    """True if the directions of a round differ from earlier ones to the same targets in its occupation.
 
-    The median difference counts, so that a single gross error has no effect. It must exceed `MIN_CIRCLE_ROTATION`, or
-    `MIN_ROTATION_SIGMAS` times the noise in the table.
+    The median difference is compared with `MIN_CIRCLE_ROTATION`, or with `MIN_ROTATION_SIGMAS` times the noise in the
+    table, so that a single gross error has no effect.
     """
     pointings = table.pointings
     first: dict[tuple[object, ...], tuple[int, float, float]] = {}
-    gaps: dict[int, list[tuple[float, float]]] = {}
-    numbers = (of_occupation.tolist(), of_round.tolist(), azimuth.tolist(), sigma.tolist())
-    for target, face, stay, key, turn, noise in zip(pointings.target, pointings.face, *numbers, strict=True):
-        other, before, before_noise = first.setdefault((stay, target, face), (key, turn, noise))
-        if other != key and np.isfinite(turn - before):
-            gap = float(np.remainder(turn - before + np.pi, 2 * np.pi) - np.pi)
-            gaps.setdefault(key, []).append((gap, np.hypot(noise, before_noise)))
-    for pairs in gaps.values():
-        gap, noise = np.median(np.array(pairs), axis=0).tolist()
-        if abs(gap) > min(MIN_CIRCLE_ROTATION, MIN_CIRCLE_ROTATION if np.isnan(noise) else MIN_ROTATION_SIGMAS * noise):
+    differences: dict[int, list[tuple[float, float]]] = {}
+    numbers = (occupation_index.tolist(), round_index.tolist(), azimuth.tolist(), sigma.tolist())
+    for target, face, stay, key, direction, noise in zip(pointings.target, pointings.face, *numbers, strict=True):
+        other, before, before_noise = first.setdefault((stay, target, face), (key, direction, noise))
+        if other != key and np.isfinite(direction - before):
+            difference = float(np.remainder(direction - before + np.pi, 2 * np.pi) - np.pi)
+            differences.setdefault(key, []).append((difference, np.hypot(noise, before_noise)))
+    for pairs in differences.values():
+        difference, noise = np.median(np.array(pairs), axis=0).tolist()
+        limit = MIN_CIRCLE_ROTATION if np.isnan(noise) else MIN_ROTATION_SIGMAS * noise
+        if abs(difference) > min(MIN_CIRCLE_ROTATION, limit):
             return True
     return False
 
@@ -294,11 +252,10 @@ def _has_rotated_circle(
 def with_setups_over_marks(
     table: PointingTable, setup: Setup, readings: Floats, *, rounds: set[str], levelled: bool
 ) -> tuple[Setup, list[str]]:
-    """Set-up with stations over the targets of the same names, and levelled stations.
+    """Set-up in which stations are over the targets with the same names, or levelled, and notes.
 
-    Stations with heights above their marks are levelled. Without heights, stations are over the targets of their names
-    if lines measured to and fro close, or are measured in plan alone; `rounds` of one occupation have the same
-    position.
+    Stations with heights above their marks are levelled. Without heights, stations are over the targets with their
+    names if lines measured in both directions close. The set-ups `rounds`, of one occupation, have the same position.
     """
     heights = table.column(("instrument_height_mm",)) is not None
     targets = {*table.pointings.target}
@@ -309,53 +266,59 @@ def with_setups_over_marks(
         shared = {mark for mark in marks.values() if mark in targets or over_mark[mark] > 1}
     else:
         shared = {marks[name] for name in rounds}
-    level = EXACT_LEVEL_ARCSEC if heights else Station().levelling_sigma_arcsec
+    levelling_sigma = EXACT_LEVEL_ARCSEC if heights else Station().levelling_sigma_arcsec
     stations = {
         name: Station(
-            levelled=heights or levelled,
-            over=mark if mark in shared else None,
-            levelling_sigma_arcsec=level,
+            levelled=heights or levelled, over=mark if mark in shared else None, levelling_sigma_arcsec=levelling_sigma
         )
         for name, mark in marks.items()
         if name not in setup.stations and (heights or levelled or mark in shared)
     }
     if not stations:
         return setup, []
-    over = f", {len(shared)} marks are also targets" if shared & targets else ""
+    targets_text = f", {len(shared)} marks are also targets" if shared & targets else ""
     kind = "set-ups with heights over their marks" if heights else "set-ups of a total station"
-    note = f"{kind} are assumed levelled{over} (otherwise set levelled = false in setup.toml)"
+    note = f"{kind} are assumed levelled{targets_text} (otherwise set levelled = false in setup.toml)"
     setup = setup.model_copy(update={"stations": {**setup.stations, **stations}})
-    return setup, [note] if heights or levelled else []
+    notes = [note] if heights or levelled else []
+    spelled = {
+        name: mark
+        for name, mark in marks.items()
+        if mark in shared and name != mark and not name.startswith(f"{mark}#")
+    }
+    notes += spelling_note(spelled)
+    return setup, notes
 
 
 def _has_closed_lines(table: PointingTable, readings: Floats) -> bool:
-    """True if lines measured to and fro between marks agree in length, and in height if heights were measured.
+    """True if lines measured in both directions agree in length, and in height if elevations were measured.
 
-    The median counts, without heights of instruments and targets, and with the curvature of the earth.
+    The median closure decides, without heights above marks, and with the curvature of the earth.
     """
-    level = readings[:, 0] * np.cos(np.nan_to_num(readings[:, 2]))
-    rises = readings[:, 0] * np.sin(readings[:, 2]) + level**2 / (2.0 * EARTH_RADIUS)
+    lengths = readings[:, 0] * np.cos(np.nan_to_num(readings[:, 2]))
+    rises = readings[:, 0] * np.sin(readings[:, 2]) + lengths**2 / (2.0 * EARTH_RADIUS)
     lines: dict[tuple[str, str], list[tuple[float, float]]] = {}
-    for line, length, rise in zip(_mark_and_target(table), level.tolist(), rises.tolist(), strict=True):
+    for line, length, rise in zip(_mark_and_target(table), lengths.tolist(), rises.tolist(), strict=True):
         lines.setdefault(line, []).append((length, rise))
     mean = {line: np.mean(both, axis=0) for line, both in lines.items()}
-    misses = [mean[a, b] - mean[b, a] * [1.0, -1.0] for a, b in lines if a < b and (b, a) in lines]
-    if not misses:
+    closures = [mean[a, b] - mean[b, a] * [1.0, -1.0] for a, b in lines if a < b and (b, a) in lines]
+    if not closures:
         return False
-    length, rise = np.abs(np.array(misses)).T
-    heights = rise[np.isfinite(rise)]
-    return float(np.median(length)) < MAX_CLOSURE_M and (not len(heights) or float(np.median(heights)) < MAX_CLOSURE_M)
+    length, rise = np.abs(np.array(closures)).T
+    in_height = rise[np.isfinite(rise)]
+    medians = [float(np.median(closure)) for closure in (length, in_height) if len(closure)]
+    return max(medians) < MAX_CLOSURE_M
 
 
 def _mark_and_target(table: PointingTable) -> Iterator[tuple[str, str]]:
-    """Mark and target of each pointing."""
+    """Mark under the station, and target, of each pointing."""
     return zip(table.mark, table.pointings.target, strict=True)
 
 
 def connecting_occupations(table: PointingTable) -> dict[str, list[str]]:
-    """Occupations of marks that a pointing connects, for a table without a column of occupations.
+    """Occupation of the mark by the instrument, and by the reflector, of each pointing, by name of the column.
 
-    They apply to a table without a column of occupations.
+    Marks and days distinguish them, for a table without such columns.
     """
     pointings = table.pointings
     days = pointings.moment if table.column(("time",)) is None else [""] * len(pointings)
@@ -365,10 +328,10 @@ def connecting_occupations(table: PointingTable) -> dict[str, list[str]]:
 
 
 def heights_not_applied(table: PointingTable, readings: Floats, height: Floats) -> list[str]:
-    """Note on readings that refer to the heads themselves, so that heights in the table are not applied.
+    """Note that the heights in a table are not applied, because its readings refer to heads; empty if they are applied.
 
-    Lines measured to and fro decide: their height differences cancel either with the heights (n, 2) [m] of instrument
-    and target, or without them.
+    Lines measured in both directions decide: their height differences cancel either with the heights (n, 2) [m] of
+    instrument and target, or without them.
     """
     heights = np.nan_to_num(height)
     if not heights.any():
@@ -380,19 +343,19 @@ def heights_not_applied(table: PointingTable, readings: Floats, height: Floats) 
         if up == up:
             lines.setdefault(line, []).append((up, other))
     mean = {line: np.mean(rises, axis=0) for line, rises in lines.items()}
-    misses = np.abs([mean[a, b] + mean[b, a] for a, b in mean if a < b and (b, a) in mean]).reshape(-1, 2)
-    if len(misses) < MIN_CLOSED_LINES:
+    closures = np.abs([mean[a, b] + mean[b, a] for a, b in mean if a < b and (b, a) in mean]).reshape(-1, 2)
+    if len(closures) < MIN_CLOSED_LINES:
         return []
-    if np.median(misses[:, 0]) > MAX_UNAPPLIED_CLOSURE_M:
+    if np.median(closures[:, 0]) > MAX_UNAPPLIED_CLOSURE_M:
         return []
-    for kind in (np.median, np.max):
-        without, applied = kind(misses, axis=0)
-        if not without < MAX_CLOSURE_RATIO * applied:
+    for statistic in (np.median, np.max):
+        closure_without, closure_with = statistic(closures, axis=0)
+        if not closure_without < MAX_CLOSURE_RATIO * closure_with:
             return []
     names = " and ".join(f"'{quoted_text(c.title)}'" for c in table.columns if c.role in HEIGHT_ROLES)
     return [
-        f"heights in {names} are not applied: {len(misses)} lines seen to and fro close within "
-        f"{1e3 * misses[:, 0].max():.3g} mm without them, {1e3 * misses[:, 1].max():.4g} mm with them; "
-        "coordinates are those of heads and reflectors, not of marks below; each head's height is an observation "
-        "(heads_sigma_mm), plumb lines differ by place (curved)"
+        f"heights in {names} are not applied: {len(closures)} lines measured in both directions close within "
+        f"{1e3 * closures[:, 0].max():.3g} mm without them, {1e3 * closures[:, 1].max():.4g} mm with them; "
+        "coordinates are those of heads and reflectors, not of the marks below them; the height of each head is an "
+        "observation (heads_sigma_mm), and plumb lines differ between stations (curved)"
     ]

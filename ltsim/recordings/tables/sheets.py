@@ -1,4 +1,4 @@
-"""Rows of text of a file: encoding, separator, quotes, comments, sheets of a workbook."""
+"""Rows of a text file or a workbook: encoding, separator, quotes, comments, sheets."""
 
 from __future__ import annotations
 
@@ -35,14 +35,15 @@ TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".xlsx")
 ZIP_SIGNATURE = b"PK\x03\x04"
 """First bytes of a workbook, which is a zip archive."""
 FIELD_SEPARATORS = ("\t", ";", ",", " ")
+"""Possible separators of fields; the first has priority if several are equally likely."""
 N_SAMPLE_LINES = 400
-"""Number of lines that decide on the separator."""
+"""Number of lines from which the separator is detected."""
 MAX_SAMPLE_CHARACTERS = 100_000
-"""Number of characters that decide on the separator."""
+"""Number of characters from which the separator is detected."""
 
 
 class SheetRow(NamedTuple):
-    """Fields of one line; a line that begins with # is a comment."""
+    """Line number and fields of one row; a line that begins with # is a comment."""
 
     line: int
     fields: tuple[str, ...]
@@ -53,12 +54,12 @@ class SheetRow(NamedTuple):
         """Number of fields with a number or an angle."""
         return sum(map(is_value, self.fields))
 
-    def cell(self, place: int) -> str:
-        """Field at a position; empty if the row is shorter."""
-        return self.fields[place] if place < len(self.fields) else ""
+    def cell(self, position: int) -> str:
+        """Field at position `position`; '' if the row is shorter."""
+        return self.fields[position] if position < len(self.fields) else ""
 
     def check_width(self, width: int, file: object) -> None:
-        """Check that a row has as many cells as the header; raises RecordError."""
+        """Check that the row has `width` fields, as the header; raises RecordError."""
         if len(self.fields) != width:
             raise SourceLocation(file, self.line).error(f"{len(self.fields)} fields, expected {width} as in the header")
 
@@ -67,7 +68,7 @@ class SheetRow(NamedTuple):
 
 
 class TextRows(Sequence[SheetRow]):
-    """Rows of a text file, split into fields on access: as text they take a fifth of the memory."""
+    """Rows of a text file, which are split into fields on access to save four fifths of the memory."""
 
     def __init__(self, lines: Sequence[tuple[int, str]], separator: str) -> None:
         self._lines, self._separator = lines, separator
@@ -96,7 +97,7 @@ class TextRows(Sequence[SheetRow]):
 
     @property
     def rows_with_comma_and_point(self) -> TextRows:
-        """Rows that may have a field with both a comma and a point."""
+        """Rows that may contain a field with both a comma and a point."""
         is_comma_separated = self._separator == ","  # fields then hold commas in quotes alone
         mixed = [
             line
@@ -120,29 +121,28 @@ class TableSheet:
 
     @cached_property
     def thousands_separator(self) -> str:
-        """Thousands separator of the numbers; raises RecordError for two different ones."""
+        """Thousands separator of the numbers, '' for none; raises RecordError for two different ones."""
         rows = self.rows.rows_with_comma_and_point if isinstance(self.rows, TextRows) else self.rows
         return thousands_separator((row.fields for row in rows), self.file)
 
     def require_complete_end(self, width: int, *, requires_all: bool = False) -> None:
-        """Check that the last line is complete: it has a line break or ends like the line before it.
+        """Check that the last line is complete; raises RecordError.
 
-        Raises RecordError.
-
-        `requires_all` requires the line break, for files written by programs.
+        It is complete if it has a line break or, unless `requires_all`, `width` fields and as many decimals at its end
+        as the line before it.
         """
         if not self.has_incomplete_end:
             return
         row = self.rows[-1]
         earlier = map(self.rows.__getitem__, range(len(self.rows) - 2, -1, -1))
         before = next((candidate for candidate in earlier if len(candidate.fields) == width), None)
-        ends = [len(r.fields[-1].replace(",", ".").partition(".")[2]) for r in (row, before) if r is not None]
-        if requires_all or len(row.fields) != width or (len(ends) == 2 and ends[0] < ends[1]):
+        decimals = [len(r.fields[-1].replace(",", ".").partition(".")[2]) for r in (row, before) if r is not None]
+        if requires_all or len(row.fields) != width or (len(decimals) == 2 and decimals[0] < decimals[1]):
             raise SourceLocation(self.file, row.line).error("the file ends inside this row and is incomplete")
 
 
 def is_table_folder(path: Path) -> bool:
-    """True for a folder of tables that is no recording of ltsim."""
+    """True for a folder that contains tables and is not in the native format."""
     try:
         return path.is_dir() and not (path / "observations.csv").exists() and bool(table_files(path))
     except OSError:
@@ -150,14 +150,14 @@ def is_table_folder(path: Path) -> bool:
 
 
 def table_files(path: Path) -> list[Path]:
-    """The file itself, or the tables of a folder in the order of their names."""
+    """Path itself if it is a file, or the paths of the tables in a folder in the order of their names."""
     if not path.is_dir():
         return [path]
     return sorted(f for f in path.iterdir() if f.is_file() and f.suffix.lower() in TABLE_SUFFIXES and f.name[0] != ".")
 
 
 def read_sheets(path: Path) -> list[TableSheet]:
-    """Sheets of a file or of all files of a folder; several are each named by their set-up.
+    """Sheets of a file, or of all files in a folder; the name of each of several sheets is that of its set-up.
 
     Raises RecordError for a file that is neither text nor a workbook, and for a workbook if the library that reads it
     is missing.
@@ -169,18 +169,18 @@ def read_sheets(path: Path) -> list[TableSheet]:
 
 
 def read_text_sheet(file: Path) -> TableSheet:
-    """Sheet of a text file; raises RecordError."""
+    """Rows of a text file as one sheet; raises RecordError."""
     lines = read_lines(file, replaces_undecodable=True)
     return TableSheet(file, _non_blank_rows(lines, file), file.stem, has_incomplete_end=bool(lines[-1]))
 
 
 def _non_blank_rows(lines: Sequence[str], file: Path) -> TextRows:
-    """Rows of the lines that are not blank; raises RecordError for a line with too many fields."""
+    """Rows of the lines that are not blank; raises RecordError for a line with more than `MAX_ROW_FIELDS` fields."""
     separator = _detect_separator(lines)
     rows = []
     for i, line in enumerate(lines):
-        says_separator = len(line) == 5 and line.lower().startswith("sep=")  # exports of some spreadsheets
-        if line.strip().lstrip("#").strip() and not says_separator:
+        is_separator_line = len(line) == 5 and line.lower().startswith("sep=")  # exports of some spreadsheets
+        if line.strip().lstrip("#").strip() and not is_separator_line:
             if len(line) >= MAX_ROW_FIELDS:
                 _require_few_fields(_split_fields(line, separator), i + 1, file)
             rows.append((i + 1, line))
@@ -193,9 +193,9 @@ def _require_few_fields(fields: Sequence[str], line: int, file: Path) -> None:
         raise SourceLocation(file, line).error(f"{len(fields)} fields, expected at most {MAX_ROW_FIELDS}")
 
 
-def head_rows(head: str) -> list[SheetRow]:
-    """First lines of a file as rows, comments included, for the detection of its format."""
-    lines = [line for line in head.splitlines() if line.strip()]
+def head_rows(beginning: str) -> list[SheetRow]:
+    """First rows of a file that begins with the text `beginning`, with comments, for the detection of its format."""
+    lines = [line for line in beginning.splitlines() if line.strip()]
     separator = _detect_separator(lines)
     return [
         SheetRow(i + 1, _split_fields(line.lstrip("# "), separator), line.startswith("#"))
@@ -204,11 +204,10 @@ def head_rows(head: str) -> list[SheetRow]:
 
 
 def _detect_separator(lines: Sequence[str]) -> str:
-    """Separator for which most lines have equal width and contain most values.
+    """Separator with which lines of equal width contain most numbers.
 
-    The first of `FIELD_SEPARATORS` in case of a tie.
-
-    Lines with three columns have priority over those with two, and these over the number of columns.
+    Lines with three or more columns decide first, then those with two or more, and then the number of columns. In case
+    of a tie it is the first of `FIELD_SEPARATORS`.
     """
     first = zip(lines[:N_SAMPLE_LINES], accumulate(map(len, lines[:N_SAMPLE_LINES]), initial=0), strict=False)
     sample = [
@@ -222,18 +221,18 @@ def _detect_separator(lines: Sequence[str]) -> str:
     )
 
 
-def _count_values(lines: Sequence[str], separator: str, min_values: int) -> int:
-    """Largest number of cells with values in lines of equal width with at least `min_values` columns."""
-    rows = [fields for fields in (_split_fields(line, separator) for line in lines) if len(fields) >= min_values]
-    test = is_number if separator == "," else is_value
+def _count_values(lines: Sequence[str], separator: str, min_columns: int) -> int:
+    """Largest number of cells with numbers in lines of one width, among lines with at least `min_columns` columns."""
+    rows = [fields for fields in (_split_fields(line, separator) for line in lines) if len(fields) >= min_columns]
+    is_number_cell = is_number if separator == "," else is_value
     counts: Counter[int] = Counter()
     for fields in rows:
-        counts[len(fields)] += sum(map(test, fields))
+        counts[len(fields)] += sum(map(is_number_cell, fields))
     return max(counts.values(), default=0)
 
 
 def _split_fields(line: str, separator: str) -> tuple[str, ...]:
-    """Fields of one line; CSV quotes are removed."""
+    """Fields of one line, without the quotes of CSV."""
     if separator == " ":
         return tuple(line.split())
     plain_fields = tuple(map(str.strip, line.split(separator)))
@@ -247,24 +246,26 @@ def _split_fields(line: str, separator: str) -> tuple[str, ...]:
 
 
 def table_rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
-    """Header of a small user-written table, and its rows by column, each with its line number.
+    """Header of a small user-written table, and line number and cells by title of each of its rows.
 
-    Raises RecordError when a column is there twice, or a row has more or fewer cells than the header.
+    Raises RecordError if a title occurs twice, or a row has more or fewer cells than the header.
     """
     lines = [row for row in read_text_sheet(path).rows if not row.is_comment]
     if not lines:
         raise RecordError("contains only comments, expected a header and rows", file=path)
     header, *rows = lines
-    twice = next((name for name in header.fields if header.fields.count(name) > 1), None)
-    if twice is not None:
-        raise SourceLocation(path, header.line).error("this column appears twice in the header", quoted_text(twice))
+    duplicate_title = next((name for name in header.fields if header.fields.count(name) > 1), None)
+    if duplicate_title is not None:
+        raise SourceLocation(path, header.line).error(
+            "this column appears twice in the header", quoted_text(duplicate_title)
+        )
     for row in rows:
         row.check_width(len(header.fields), path)
     return list(header.fields), [(r.line, dict(zip(header.fields, r.fields, strict=True))) for r in rows]
 
 
 def _read_workbook(file: Path) -> list[TableSheet]:
-    """Sheets of a workbook (xlsx) that are not empty, with names; raises RecordError."""
+    """Sheets of a workbook (xlsx) that are not empty, with their names; raises RecordError."""
     sheets = [
         TableSheet(file, tuple(_workbook_row(*line) for line in cells), name) for name, cells in workbook_cells(file)
     ]
@@ -274,9 +275,9 @@ def _read_workbook(file: Path) -> list[TableSheet]:
 
 
 def _workbook_row(line: int, fields: Sequence[str]) -> SheetRow:
-    """Row of a workbook; an error value of a spreadsheet is no comment."""
-    comment = fields[0].startswith("#") and not fields[0].startswith(("#REF!", "#N/A", "#VALUE!", "#DIV/0!"))
-    return SheetRow(line, (fields[0].lstrip("# ") if comment else fields[0], *fields[1:]), comment)
+    """Row of a workbook; a cell with an error value, such as #N/A, does not make it a comment."""
+    is_comment = fields[0].startswith("#") and not fields[0].startswith(("#REF!", "#N/A", "#VALUE!", "#DIV/0!"))
+    return SheetRow(line, (fields[0].lstrip("# ") if is_comment else fields[0], *fields[1:]), is_comment)
 
 
 _DATE_TYPES = (datetime, date, time)
@@ -285,9 +286,9 @@ WorkbookRow = tuple[int, list[str]]
 
 
 def workbook_cells(file: Path) -> list[tuple[str, list[WorkbookRow]]]:
-    """Names of the sheets of a workbook, each with its rows that are not empty.
+    """Name, and rows that are not empty, of each sheet of a workbook.
 
-    Raises RecordError for a file that is no workbook, is damaged or exceeds a limit, and if the library that reads
+    Raises RecordError for a file that is not a workbook, is damaged or exceeds a limit, and if the library that reads
     workbooks is missing.
     """
     try:
@@ -315,7 +316,7 @@ def workbook_cells(file: Path) -> list[tuple[str, list[WorkbookRow]]]:
 
 
 def _check_workbook_parts(file: Path, zipped: io.BytesIO) -> None:
-    """Check of the unpacked size and of the XML depth of a workbook; raises RecordError."""
+    """Check of the number of parts, the unpacked size and the XML of a workbook; raises RecordError."""
     with zipfile.ZipFile(zipped) as archive:
         parts = archive.infolist()
         if len(parts) > MAX_WORKBOOK_PARTS:
@@ -330,7 +331,10 @@ def _check_workbook_parts(file: Path, zipped: io.BytesIO) -> None:
 
 
 def _read_workbook_sheets(book: Any, file: Path) -> list[tuple[str, list[WorkbookRow]]]:
-    """Rows of all sheets of an open workbook, counted together because several sheets may refer to the same part."""
+    """Name and rows of each sheet of an open workbook; raises RecordError.
+
+    The limits apply to all sheets together, because several sheets may refer to the same part of the file.
+    """
     sheets = [sheet for sheet in book.worksheets if hasattr(sheet, "reset_dimensions")]
     if len(sheets) > MAX_WORKBOOK_SHEETS:
         raise RecordError(f"holds more than {MAX_WORKBOOK_SHEETS} sheets, the limit for reading", file=file)
@@ -359,7 +363,7 @@ def _read_workbook_sheets(book: Any, file: Path) -> list[tuple[str, list[Workboo
 
 
 def _cell_text(cell: object) -> str:
-    """Text of a cell; a date without a time of day is written without one."""
+    """Text of a cell; a date and time at midnight is written as a date."""
     if isinstance(cell, datetime) and cell.time() == time():
         cell = cell.date()
     return "" if cell is None else cell.isoformat() if isinstance(cell, _DATE_TYPES) else str(cell).strip()

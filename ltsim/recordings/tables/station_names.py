@@ -1,4 +1,4 @@
-"""Station names that a table lacks: the same target then has ranges and elevations that differ by set-up."""
+"""Names that a table lacks: those of its set-ups or of its points. Ranges and elevations under one name then differ."""
 
 import numpy as np
 
@@ -9,26 +9,29 @@ from ltsim.recordings.tables.header import title_words_and_unit
 from ltsim.recordings.tables.printed import PointingTable, indices_by_value
 
 MAX_SETUP_SPREADS = (0.1, 0.02)
-"""Largest median difference [m; rad] between ranges and elevations of the same target at one set-up: no reflector, face
-or drift changes them as much, and set-ups differ by more (0.02 rad is 0.1 m at 5 m).
+"""Median differences of the ranges [m] and elevations [rad] of one target above which a table has several set-ups.
+
+No reflector, face or drift changes the readings as much, and set-ups differ by more (0.02 rad is 0.1 m at 5 m).
 """
 MAX_SPREAD_RATIO = 0.01
-"""Largest ratio of this difference within the values of a column to that of all rows, for a column of station names."""
+"""Median difference within rows with one value of a column, divided by that of all rows, below which the column has the
+names of the set-ups.
+"""
 MIN_ROWS_PER_SETUP = 3
-"""Smallest mean number of rows of a value in a column of station names."""
+"""Mean number of rows with one value below which a column does not have the names of the set-ups."""
 
 
 class UnnamedStationsError(RecordError):
-    """Error for a table whose set-ups are named by a column with an unknown title."""
+    """Error for a table with a column, of unknown title, that has the names of its set-ups."""
 
 
 def require_station_names(table: PointingTable, readings: Floats, file: object) -> None:
-    """Check that a table without stations is from one set-up: ranges and elevations of each target must agree.
+    """Check that a table without station names is from one set-up: ranges and elevations of each target agree.
 
-    Raises UnnamedStationsError with the additional column of texts or numbers that names the set-ups, if there is one,
-    otherwise RecordError.
+    Raises UnnamedStationsError, with the title of the column that has the names of the set-ups, if there is such a
+    column, otherwise RecordError.
     """
-    if not table.nameless:
+    if not table.lacks_station_names:
         return
     targets = indices_by_value(table.pointings.target)[1]
     elevation = np.where(np.abs(readings[:, 2]) > np.pi / 2, np.pi - readings[:, 2], readings[:, 2])
@@ -49,14 +52,37 @@ def require_station_names(table: PointingTable, readings: Floats, file: object) 
         fault = f"names no station, but {quantity} to the same target differ by {spread:.3g} {unit}"
         if names:
             count, _, title = min(names)
-            message = f"{fault}; column '{quoted_text(title)}' has {count} values: give --columns \"station={title}\""
+            message = (
+                f"{fault}; column '{quoted_text(title)}' may name {count} stations: give --columns \"station={title}\""
+            )
             raise UnnamedStationsError(message, file=file)
         message = f"{fault}, so it has several set-ups; add a column station (or give --hint station=NAME for one)"
         raise RecordError(message, file=file)
 
 
+def several_positions_note(table: PointingTable, readings: Floats) -> list[str]:
+    """Note on names of targets that are not names of points: ranges from one set-up to most of them differ."""
+    sights, groups = indices_by_value(zip(table.pointings.station, table.pointings.target, strict=True))
+    spread = _median_spread(readings[:, 0], groups)
+    if spread <= MAX_SETUP_SPREADS[0]:
+        return []
+    finite = np.isfinite(readings[:, 0])
+    low, high = np.full(len(sights), np.inf), np.full(len(sights), -np.inf)
+    np.minimum.at(low, groups[finite], readings[finite, 0])
+    np.maximum.at(high, groups[finite], readings[finite, 0])
+    worst = int(np.argmax(high - low))
+    station, target = (quoted_text(name) for name in sights[worst])
+    return [
+        f"one name of a target has several positions: the distances from '{station}' to '{target}' differ by "
+        f"{high[worst] - low[worst]:.3g} m; if it names a reflector that moved, name each point"
+    ]
+
+
 def _median_spread(values: Floats, groups: Ints) -> float:
-    """Median over the groups with several finite values (n,) of their largest difference; 0 without such a group."""
+    """Median over groups of the largest difference of the values (n,) in a group; 0 without a group of several values.
+
+    `groups` (n,) is the number of the group of each value; values that are not finite are ignored.
+    """
     finite = np.isfinite(values)
     if not finite.any():
         return 0.0

@@ -1,7 +1,7 @@
-"""Words of the titles of columns, by role: English and German, and the usual ones of other languages.
+"""Known titles of columns, by role, in English, German and other languages.
 
-Words are without blanks, accents and signs, as `normalised_title` writes them (`ł` and `ø`, which have no accent, are
-left out there).
+Titles have the form of `normalised_title`: lower case, without blanks, accents and signs. Letters such as `ł` and `ø`,
+which are not a letter with an accent, are left out in this form.
 """
 
 COMMON_SIGMA_ROLE = "sigma_mm"
@@ -45,7 +45,7 @@ TITLE_WORDS = {
     "air_pressure_hpa": "airpressure pressure luftdruck",
     "relative_humidity_pct": "relativehumidity humidity luftfeuchte luftfeuchtigkeit",
 }
-"""English and German words by role."""
+"""English and German titles by role, separated by blanks."""
 FOREIGN_TITLE_WORDS = {
     "French": {
         "station": "stationne pointstation pointstationne",
@@ -141,4 +141,4 @@ FOREIGN_TITLE_WORDS = {
         "target_height_mm": "jelmagassag prizmamagassag",
     },
 }
-"""Words of other languages by role."""
+"""Titles in other languages: by language, and then by role."""

@@ -16,9 +16,8 @@ from ltsim.core.errors import LtsimError, SetupError
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.physics.model.construction import Construction
 from ltsim.planning.information import LayoutInformation
-from ltsim.planning.layout_scenario import PLAN_FILE, SCENARIO_FILE, copy_cad_files, with_layout
 from ltsim.planning.planner import layout_visibility
-from ltsim.planning.result import load_plan_and_scenario
+from ltsim.planning.result import PLAN_FILE, SCENARIO_FILE, copy_cad_files, load_plan_and_scenario, with_layout
 from ltsim.planning.site import MAX_COINCIDENCE_DISTANCE, MIN_VISIBLE_TARGETS, SearchSpace, broken_rules_text
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey

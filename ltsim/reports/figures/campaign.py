@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from scipy.stats import binomtest
 
 from ltsim.campaigns.design import Factor
 from ltsim.campaigns.results import CampaignResults
@@ -68,20 +69,24 @@ class SweepPoint:
     quantile_95: float
 
 
+def factor_title(factor: Factor) -> str:
+    """Title of a factor without its unit: `angle noise`."""
+    name = next((factor.name.removesuffix(e) for e in UNIT_BY_KEY_ENDING if factor.name.endswith(e)), factor.name)
+    return name.replace("_", " ")
+
+
 def factor_axis_title(factor: Factor) -> str:
     """Title of the axis of a factor: `angle noise [arcsec]`."""
-    name = next((factor.name.removesuffix(e) for e in UNIT_BY_KEY_ENDING if factor.name.endswith(e)), factor.name)
     unit = typographic_text(factor.unit)
-    return name.replace("_", " ") + (f" [{unit}]" if unit else "")
+    return factor_title(factor) + (f" [{unit}]" if unit else "")
 
 
 def factor_level_text(factor: Factor, level: Any) -> str:
     """Text of a factor with its level: `angle noise 0.2 arcsec`."""
     if factor.name == "title":
         return str(level)
-    name, _, unit = factor_axis_title(factor).partition(" [")
     value = factor.level_text(level).removesuffix(f" {factor.unit}") if factor.unit else factor.level_text(level)
-    return f"{name} {value} {unit.rstrip(']')}".rstrip()
+    return f"{factor_title(factor)} {value} {typographic_text(factor.unit)}".rstrip()
 
 
 def sweep_points(
@@ -355,13 +360,9 @@ ALLOWED_COVERAGE = (0.935, 0.965)
 
 
 def coverage_interval(row: ZScoreSummary) -> tuple[float, float]:
-    """Lower and upper limit of the 95 % interval of an observed coverage (Wilson 1927, equation 4)."""
-    n, z2 = row.trials, NORMAL_QUANTILE_95**2
-    centre = (row.coverage_95 + z2 / (2 * n)) / (1 + z2 / n)
-    half_width = (
-        NORMAL_QUANTILE_95 / (1 + z2 / n) * np.sqrt(row.coverage_95 * (1 - row.coverage_95) / n + z2 / (4 * n * n))
-    )
-    return float(centre - half_width), float(centre + half_width)
+    """Lower and upper limit of the 95 % interval of an observed coverage (Wilson 1927)."""
+    interval = binomtest(round(row.coverage_95 * row.trials), row.trials).proportion_ci(0.95, method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 def is_outside_allowed_coverage(rows: Sequence[ZScoreSummary]) -> list[bool]:

@@ -2,7 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,8 @@ LABEL_DISTANCE_PT = 6.0
 """Distance [pt] from a marker to its label."""
 LETTER_SIZE_RATIO = (0.62, 1.25)
 """Width and height of a letter, as fractions of the font size."""
+MIN_SIDE_RATIO_VERTICAL = 2.0
+"""Height of an area, relative to its width, from which its label is vertical: a lane is narrower than its name."""
 LABEL_BACKGROUND = {"boxstyle": "square,pad=0", "facecolor": "#FFFFFFB0", "edgecolor": "none"}
 """Matplotlib settings of the box behind a label."""
 
@@ -32,7 +34,8 @@ LABEL_BACKGROUND = {"boxstyle": "square,pad=0", "facecolor": "#FFFFFFB0", "edgec
 class MapLabel:
     """Label of a marker at `anchor` (2,) in data units, with its font size [pt].
 
-    The label is placed in `preferred_direction` [rad] from the marker if there is space.
+    The label is placed in `preferred_direction` [rad] from the marker if there is space. A vertical label is read from
+    the right.
     """
 
     text: str
@@ -41,6 +44,7 @@ class MapLabel:
     bold: bool = False
     colour: str = "#4A5056"
     preferred_direction: float = 0.0
+    is_vertical: bool = False
 
 
 def draw_labels(figure: Figure, ax: Axes, labels: Sequence[MapLabel], markers: Floats) -> None:
@@ -60,6 +64,7 @@ def draw_labels(figure: Figure, ax: Axes, labels: Sequence[MapLabel], markers: F
     )
     for label in labels:
         half_size = 0.5 * label.font_size * np.array([LETTER_SIZE_RATIO[0] * len(label.text), LETTER_SIZE_RATIO[1]])
+        half_size = half_size[::-1] if label.is_vertical else half_size
         for direction in label.preferred_direction + LABEL_DIRECTIONS:
             unit_vector = np.array([np.cos(direction), np.sin(direction)])
             offset = unit_vector * LABEL_DISTANCE_PT + half_size * np.clip(
@@ -73,6 +78,7 @@ def draw_labels(figure: Figure, ax: Axes, labels: Sequence[MapLabel], markers: F
                     label.text, tuple(label.anchor), xytext=tuple(offset), textcoords="offset points", ha="center",
                     va="center", fontsize=label.font_size, fontweight="bold" if label.bold else "normal",
                     color=label.colour, zorder=8, in_layout=False, bbox=LABEL_BACKGROUND,
+                    rotation=90.0 if label.is_vertical else 0.0,
                 )  # fmt: skip
                 break
 
@@ -210,9 +216,10 @@ def _draw_floor_areas(ax: Axes, floor: Floor) -> list[MapLabel]:
                 corners, facecolor="#FFFFFFCC", edgecolor=style.PURPLE, hatch="////", zorder=0.7, label=legend_label
             )
         )
-        labels.append(
-            MapLabel(place.name, corners.mean(axis=0), 7.0, colour="#8A3A66", preferred_direction=0.5 * np.pi)
-        )
+        width, height = np.ptp(corners, axis=0)
+        is_vertical = bool(height > MIN_SIDE_RATIO_VERTICAL * width)
+        label = MapLabel(place.name, corners.mean(axis=0), 7.0, colour="#8A3A66", preferred_direction=0.5 * np.pi)
+        labels.append(replace(label, is_vertical=is_vertical))
     for i, door in enumerate(floor.doors):
         ends = np.array([door.from_mm, door.to_mm]) * mm
         ax.plot(*ends.T, color="white", linewidth=5.0, zorder=1.5)

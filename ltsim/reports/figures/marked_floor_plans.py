@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
 from ltsim.core.units import MILLIMETRE
-from ltsim.planning.plan_change import PlanChange
+from ltsim.planning.reflector_changes import PlanChange
 from ltsim.reports import style
 from ltsim.reports.figures.floor_plan import MapLabel, floor_plan
 from ltsim.reports.workshop import PlacedWorkshop

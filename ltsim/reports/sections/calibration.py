@@ -10,7 +10,6 @@ import numpy as np
 
 from ltsim.adjustment.identification import CauseTest
 from ltsim.adjustment.identification.actions import cause_actions
-from ltsim.adjustment.remedies.remedy import advice_sentence
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import read_targets
 from ltsim.calibration.schema import (
@@ -124,7 +123,8 @@ def calibration_section(content: Calibration, context: ReportContext) -> Section
         title=f"{kind}: {recording_title}"
         if recording_title
         else f"{kind} of {count_text(len(content.stations), 'station')}",
-        kind=f"{kind} ({content.method or 'network'})" if content.parameters else kind,
+        kind=kind,
+        method=(content.method or "network") if content.parameters else "",
         summary=_answer_sentence(content, agreement_words, targets),
         assessment="plain" if agrees_with_constants else assessment,
         key_figures=_key_figures(content, agrees=agrees),
@@ -277,9 +277,8 @@ def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
         actions.append("Run ltsim diagnose to locate the disagreement of readings and model.")
     if content.verdict.scale_by_sigma0 and not (content.noise or _agrees_with_constants(content)):
         actions.append(f"If the noise is not known, estimate it from the data: {option('noise_from_data=True')}.")
-    measurements = [e.cure for e in content.undetermined if e.cure not in ("", advice_sentence("not determined"))]
-    cures = dict.fromkeys(cure.partition(" (gain ")[0] for cure in measurements)
-    actions += [f"To determine the open parameters: {cure.rstrip('.')}." for cure in list(cures)[:3]]
+    measurements = dict.fromkeys(e.measurement for e in content.undetermined if e.measurement)
+    actions += [f"To determine the open parameters: {measurement}." for measurement in list(measurements)[:3]]
     if content.parameters and is_accepted and not actions:
         actions.append("Apply the calibration to further readings with ltsim correct.")
     return actions

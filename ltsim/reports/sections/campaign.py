@@ -34,13 +34,11 @@ from ltsim.reports.document import (
     table_block,
 )
 from ltsim.reports.figures.campaign import (
-    ALLOWED_COVERAGE,
     PUBLISHED_CRITERIA,
     TrialDistribution,
-    coverage_figure,
     distributions_figure,
     factor_axis_title,
-    is_outside_allowed_coverage,
+    factor_title,
 )
 from ltsim.reports.figures.campaign_factors import (
     cell_descriptions,
@@ -48,6 +46,7 @@ from ltsim.reports.figures.campaign_factors import (
     statistic_figures,
     varying_factors,
 )
+from ltsim.reports.sections.campaign_coverage import coverage_blocks, coverage_key_figures
 from ltsim.reports.sections.method_comparison import MethodComparison
 from ltsim.reports.words import as_sentence, count_text, tracker_presets_text
 from ltsim.simulation.keys import key_description
@@ -57,8 +56,6 @@ if TYPE_CHECKING:
 
 MAX_DRAWN_TRIALS = 200_000
 """Largest number of trials in a figure; tables and intervals use all trials."""
-MAX_COVERAGE_FIGURES = 3
-"""Largest number of figures of the coverage of intervals; one per method is drawn up to this number."""
 MAX_LISTED_LEVELS = 8
 """Number of levels of a factor above which only the first and the last are listed."""
 MAX_OPEN_BLOCKS = 4
@@ -68,15 +65,15 @@ MAX_CELL_ROWS = 48
 IMPROVEMENT_COLUMN = "distance_improvement_percent"
 """Column of the statistic that the summary of a campaign reports."""
 
-STATISTIC_LABELS = MappingProxyType(
+STATISTIC_TITLES = MappingProxyType(
     {
-        "distance_improvement_percent": "distance criterion, improvement [%]",
-        "coordinate_improvement_percent": "coordinate criterion, improvement [%]",
-        "share_removed": "fraction of the correctable error removed",
-        "target_error_um": "error of the targets [µm]",
+        "distance_improvement_percent": ("distance criterion, improvement", " [%]"),
+        "coordinate_improvement_percent": ("coordinate criterion, improvement", " [%]"),
+        "share_removed": ("fraction of the correctable error removed", ""),
+        "target_error_um": ("error of the targets", " [µm]"),
     }
 )
-"""Axis label of a statistic, by its column."""
+"""Title of a statistic and its unit on an axis, by its column."""
 
 
 def campaign_section(folder: Path) -> Section:
@@ -102,7 +99,7 @@ def campaign_section(folder: Path) -> Section:
     open_blocks[1:1] = _error_tables(results, summaries)
     open_blocks[:0] = comparison.blocks() if comparison else []
     blocks: list[Block] = [*open_blocks, *(b for b in distribution_blocks if b not in open_blocks)]
-    blocks += [*_coverage_blocks(results, z_scores), *_statistic_tables(results, summaries, comparisons)]
+    blocks += [*coverage_blocks(results, z_scores), *_statistic_tables(results, summaries, comparisons)]
     blocks.append(CodeBlock("Settings of the campaign", json.dumps(manifest.settings, indent=1)))
     scenarios = [scenario.model_dump(mode="json") for scenario in manifest.scenarios]
     blocks.append(CodeBlock("Scenarios of its cells", json.dumps(scenarios, indent=1)))
@@ -144,17 +141,15 @@ def _answer_sentence(
     trials_text = f"Over {fewest} trials" if fewest == most else f"Over {fewest} to {most} trials"
     if len(manifest.cells) > 1:
         trials_text += f" in each of {len(manifest.cells)} settings"
-        trials_text += (
-            f" of {_list_text([factor_axis_title(f).partition(' [')[0] for f in factors])}" if factors else ""
-        )
+        trials_text += f" of {_list_text([factor_title(f) for f in factors])}" if factors else ""
     mean_texts = []
     for method in manifest.methods:
         means = [s for s in summaries.get(IMPROVEMENT_COLUMN, []) if s.method == method]
         if len(means) == 1:
             mean_texts.append(f"{method} by {_mean_text(means[0])} %")
         elif means:
-            low, high = min(s.mean for s in means), max(s.mean for s in means)
-            mean_texts.append(f"{method} by {number_text(low)} to {number_text(high)} %")
+            ends = dict.fromkeys(number_text(limit(s.mean for s in means)) for limit in (min, max))
+            mean_texts.append(f"{method} by {' to '.join(ends)} %")
     text = f"{trials_text}, calibration improves the distance criterion on average: {'; '.join(mean_texts)}."
     return (text if mean_texts else f"{trials_text} with {', '.join(manifest.methods)}.") + _extreme_cells_sentence(
         results, summaries
@@ -201,13 +196,7 @@ def _key_figures(
                 assessment_of(max(differences) < 1e-3),
             )
         )
-    if z_scores:
-        shares, n_intervals = [s.coverage_95 for s in z_scores], sum(s.trials for s in z_scores)
-        mean_share = sum(s.coverage_95 * s.trials for s in z_scores) / n_intervals
-        range_text = f"; by parameter and setting {100 * min(shares):.1f} to {100 * max(shares):.1f} %"
-        value = f"{100 * mean_share:.1f} % of {n_intervals} intervals" + (range_text if len(z_scores) > 1 else "")
-        facts.append(KeyFigure("coverage of 95 % intervals", value))
-    return facts
+    return facts + coverage_key_figures(manifest, z_scores)
 
 
 def _varying_factors_table(results: CampaignResults) -> list[Block]:
@@ -228,7 +217,7 @@ def _means_by_level_table(
         return []
     groups: dict[tuple[str, ...], list[float]] = {}
     for factor in sorted(varying_factors(results), key=lambda f: len(set(levels_of_cells(results, f)))):
-        for name in filter(summaries.get, STATISTIC_LABELS):
+        for name in filter(summaries.get, STATISTIC_TITLES):
             for s in summaries[name]:
                 key = factor_axis_title(factor), factor.level_text(results.levels[s.cell][factor.name]), s.method, name
                 groups.setdefault(key, []).append(s.mean)
@@ -243,9 +232,9 @@ def _improvement_figures(
     blocks: list[Block] = []
     if len(results.levels) == 1:  # shown by the distributions
         return blocks
-    for column, label in STATISTIC_LABELS.items():
+    for column, (title, unit) in STATISTIC_TITLES.items():
         rows, published_value = summaries.get(column, []), published_values.get(column)
-        for text, figure in statistic_figures(results, rows, label, published_value) if rows else ():
+        for text, figure in statistic_figures(results, rows, title + unit, published_value) if rows else ():
             outside = [
                 s
                 for s in rows
@@ -259,16 +248,16 @@ def _improvement_figures(
                 f"the trials in {which}."
             )
             caption = text if published_value is None else text + comparison
-            blocks.append(PictureBlock(label.split(" [")[0].capitalize(), figure, caption))
+            blocks.append(PictureBlock(title.capitalize(), figure, caption))
     return blocks
 
 
 def campaign_figure(results: CampaignResults) -> Figure:
     """Figure of the first main statistic over the factors; distributions over the trials if no setting varies."""
     if len(results.levels) > 1:
-        for column, label in STATISTIC_LABELS.items():
+        for column, (title, unit) in STATISTIC_TITLES.items():
             if column in results.columns:
-                return next(statistic_figures(results, results.distribution(column), label, None))[1]()
+                return next(statistic_figures(results, results.distribution(column), title + unit, None))[1]()
     return distributions_figure(_trial_distributions(results, {}))
 
 
@@ -297,35 +286,6 @@ def _distribution_figures(results: CampaignResults, published_values: Mapping[st
     caption = "Dashed: published values, with the share of trials below them." if published_values else ""
     title = f"Distributions over trials: {results.manifest.methods[0]}"
     return [PictureBlock(title, partial(distributions_figure, rows), caption)] if rows else []
-
-
-def _coverage_blocks(results: CampaignResults, z_scores: Sequence[ZScoreSummary]) -> list[Block]:
-    """Figure of the coverage of intervals in the first setting of each method, and table of all z-scores."""
-    blocks: list[Block] = []
-    for method in dict.fromkeys(s.method for s in z_scores):
-        method_scores = [s for s in z_scores if s.method == method]
-        rows = [s for s in method_scores if s.cell == method_scores[0].cell and s.trials > 1]
-        if rows and len(blocks) < MAX_COVERAGE_FIGURES:
-            setting_text = f", {cell_descriptions(results)[method_scores[0].cell]}" if len(results.levels) > 1 else ""
-            blocks.append(
-                PictureBlock(
-                    f"Coverage: {method}{setting_text}", partial(coverage_figure, rows), coverage_sentence(rows)
-                )
-            )
-    text = "z: (estimate - truth) / declared sigma; correct sigmas give mean 0 and standard deviation 1."
-    return (
-        [*blocks, *table_block("z-scores of the parameters", results.table("z_scores"), note=text)] if z_scores else []
-    )
-
-
-def coverage_sentence(rows: Sequence[ZScoreSummary]) -> str:
-    """Sentence on the parameters whose interval of coverage lies outside the allowed band."""
-    low, high = (f"{100 * bound:.1f}" for bound in ALLOWED_COVERAGE)
-    outside = [row.parameter for row, out in zip(rows, is_outside_allowed_coverage(rows), strict=True) if out]
-    band = f"the allowed band of {low} to {high} %"
-    if not outside:
-        return f"No parameter is red: each interval overlaps {band}."
-    return f"Red: the interval lies outside {band} for {', '.join(outside)}."
 
 
 def _column_label(column: str) -> str:

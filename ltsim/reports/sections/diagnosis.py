@@ -23,8 +23,8 @@ from ltsim.diagnosis.schema import (
     FindingScope,
     Misfit,
 )
-from ltsim.diagnosis.words import clear_constants_texts, effect_text, parameter_text
-from ltsim.physics.effects import find_effect, title_of
+from ltsim.diagnosis.words import clear_constants_texts, effect_text
+from ltsim.physics.effects import find_effect, parameter_text, title_of
 from ltsim.physics.effects.catalogue import catalogue_entry
 from ltsim.recordings.result_file import require_same_recording
 from ltsim.reports import figures
@@ -187,11 +187,10 @@ def _confirmation(finding: Finding) -> str:
     if not finding.is_catalogued:
         return ""
     try:
-        texts = dict(catalogue_entry(find_effect(finding.effect)).sections())
+        measurement = catalogue_entry(find_effect(finding.effect)).confirming_measurement
     except ModelError:  # an effect of another package, which is not installed here
         return ""
-    measurement = texts["Separate by"].partition(";")[0].partition(":")[0].rstrip(".")
-    return "" if measurement.startswith("nothing") else f"; confirmed by {measurement}"
+    return f"; confirmed by {measurement}" if measurement else ""
 
 
 def _is_name_exchange(finding: Finding) -> bool:

@@ -9,13 +9,11 @@ from ltsim.campaigns.schema import METHOD_DIFFERENCES_TABLE, find_column
 from ltsim.core.notation import number_text
 from ltsim.reports.document import TableBlock, table_block
 from ltsim.reports.figures.campaign_factors import cell_descriptions
-from ltsim.reports.words import listing
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from ltsim.campaigns.paired import PairedDifference
-    from ltsim.campaigns.results import CampaignResults
+    from ltsim.campaigns.results import CampaignResults, PairedDifference
     from ltsim.campaigns.statistics import StatisticSummary
 
 COMPARED_STATISTICS = {
@@ -67,21 +65,11 @@ class MethodComparison:
         return COMPARED_STATISTICS[self.statistic]
 
     def sentence(self) -> str:
-        """Sentence on how much larger the error with each other method is, and in how many settings."""
-        phrases = []
-        for method, entries in self.differences.items():
-            n_decided = sum(entry.low > 0 for entry in entries)
-            low, high = (number_text(limit(entry.difference for entry in entries)) for limit in (min, max))
-            difference_text = f"{low} um" if len(entries) == 1 else f"{low} to {high} um"
-            settings_text = "" if len(entries) == 1 else f" in {n_decided} of {len(entries)} settings"
-            smaller_text, equal_text = (
-                f"smaller than with {method} by {difference_text}{settings_text}",
-                f"not different from that with {method}",
-            )
-            phrases.append(smaller_text if n_decided else equal_text)
+        """Sentence on the settings with a significantly smaller or larger error than with each other method."""
+        clauses = [_difference_text(method, entries) for method, entries in self.differences.items()]
         return (
-            f"On the same draws, the {self.label} with {self.best_method} is {listing(phrases)} "
-            "(paired differences, 95 %)."
+            f"On the same draws, the {self.label} with {self.best_method} is {'; '.join(clauses)} "
+            "(paired differences that are significant at 95 %)."
         )
 
     def blocks(self) -> list[TableBlock]:
@@ -98,6 +86,30 @@ class MethodComparison:
         note = f"{label}: {meaning}. The errors of each trial with both methods are subtracted."
         table = METHOD_DIFFERENCES_TABLE.with_rows(rows)
         return table_block(f"Which method is better: {self.label}", table, note=note)
+
+
+def _difference_text(method: str, entries: Sequence[PairedDifference]) -> str:
+    """Text of the settings in which the error with the best method is smaller or larger than that with another method.
+
+    It gives the range of the significant differences of each sign, and the number of settings without one.
+    """
+    smaller = [entry.difference for entry in entries if entry.low > 0]
+    larger = [-entry.difference for entry in entries if entry.high < 0]
+    n_open, total = len(entries) - len(smaller) - len(larger), len(entries)
+    texts = []
+    for comparison, sizes in (("smaller than with", smaller), ("larger than with", larger)):
+        ends = list(dict.fromkeys(number_text(limit(sizes)) for limit in (min, max))) if sizes else []
+        size = f"by {' to '.join(ends)} um"
+        count = f"all {total} settings" if len(sizes) == total else f"{len(sizes)} of {total} settings"
+        if sizes:
+            texts.append(
+                f"{comparison} {method} {size}" if total == 1 else f"{comparison} {method} in {count} ({size})"
+            )
+    if n_open:
+        texts.append(
+            f"not significantly different from that with {method}" + (f" in {n_open} of {total}" if texts else "")
+        )
+    return ", ".join(texts)
 
 
 def _verdict(entry: PairedDifference) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
-from ltsim.acceptance.files import AcceptanceFile, Judgement
+from ltsim.acceptance.files import AcceptanceFile, Judgement, joint_judgement
 from ltsim.adjustment.fieldcheck.result import Check, item_from_cause
 from ltsim.adjustment.identification.actions import cause_actions
 from ltsim.adjustment.significance import FAMILY_LEVEL
@@ -17,7 +17,8 @@ from ltsim.core.notation import number_text
 from ltsim.core.probability import format_p, p_text
 from ltsim.measurands.comparison import DISPLACEMENTS_TABLE, Comparison
 from ltsim.measurands.uncertainty import Uncertainty
-from ltsim.planning.proposals import NextMeasurement
+from ltsim.physics.effects import parameter_text, title_of
+from ltsim.planning.proposals import PROPOSALS_TABLE, NextMeasurement
 from ltsim.reports import figures
 from ltsim.reports.document import (
     Assessment,
@@ -237,7 +238,7 @@ def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
         title,
         "Uncertainty",
         as_sentence(answer),
-        assessment_of(not result_texts_by_judgement["rejected"]),
+        ASSESSMENT_BY_JUDGEMENT[joint_judgement([r.conformity.judgement for r in judged_results if r.conformity])],
         facts,
         blocks,
         axes=content.frame,
@@ -273,17 +274,21 @@ def next_measurement_section(content: NextMeasurement, _: ReportContext) -> Sect
     reductions = [100 * (1 - factor) for factor in (best.sharper, best.serves_factor)]
     answer = f"Measure next: {best.do} ({duration_text(60 * best.minutes)}); the standard deviations of the "
     answer += (
-        f"instrument's parameters fall by {reductions[0]:.0f} % on average, of {best.serves} by {reductions[1]:.0f} %."
+        f"instrument's parameters fall by {reductions[0]:.0f} % on average, "
+        f"of the {parameter_text(best.serves)} by {reductions[1]:.0f} %."
     )
     answer = as_sentence(content.advice) if content.between and content.advice else answer
     note = (
         "Factors: standard deviation of a parameter after the measurement, divided by that before; mean and smallest."
     )
-    proposals = content.table("proposals").with_columns("do minutes sharper serves serves_factor")
+    in_words = [entry.with_values(serves=parameter_text(entry.serves)) for entry in content.proposals]
+    proposals = PROPOSALS_TABLE.with_rows(in_words).with_columns("do minutes sharper serves serves_factor")
     note = f"{note} {_site_sentence(content)}".rstrip()
     blocks: list[Block] = [*table_block("Further measurements, the best first", proposals, note=note)]
     if content.between:
-        explanation = f"The larger the chi2, the more reliably {content.between[0]} is separated from the alternative."
+        explanation = (
+            f"The larger the chi2, the more reliably {title_of(content.between[0])} is separated from the alternative."
+        )
         blocks += table_block("Separation of the alternatives", content.table("separation"), note=explanation)
     blocks += [NoteBlock("Diagnosis of the recording", content.diagnosis)] if content.diagnosis else []
     facts = [

@@ -13,8 +13,8 @@ from ltsim.core.results import Table, texts
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import Finding
-from ltsim.diagnosis.words import effect_text, parameter_text
-from ltsim.physics.effects import title_of
+from ltsim.diagnosis.words import effect_text
+from ltsim.physics.effects import parameter_text, title_of
 from ltsim.physics.effects.verbs import make_effect
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.reports import figures

@@ -15,7 +15,7 @@ from ltsim.adjustment.evaluation.criteria import (
     distance_differences_to_first,
 )
 from ltsim.core.errors import NetworkError, RecordError
-from ltsim.geometry.rotations import from_rotation_vector
+from ltsim.geometry.rigid import from_rotation_vector
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Setup

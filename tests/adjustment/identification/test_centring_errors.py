@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.identification import CauseSelection, FitInput, cause_tests, select_causes
+from ltsim.adjustment.identification import CauseSelection, FitInput, NetworkFit, cause_tests, select_causes
+from ltsim.adjustment.identification.centring_errors import local_centring_hypotheses
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
 from ltsim.physics.effects.motions import exact_target_change
@@ -141,3 +142,14 @@ def test_repeats_that_share_errors_are_no_motion(scatter: float) -> None:
 def test_independent_repeats_share_no_errors() -> None:
     recording, _ = network(seed=21, stations=5, faces=1, repeats=3)
     assert cause_tests(identified(recording)) == ()
+
+
+def test_displacements_are_fitted_where_a_target_was_not_read() -> None:
+    """The numbers of the occupations then have a gap."""
+    recording = displaced(2e-3 * stream(5, "centring").standard_normal(hall()[1].shape))
+    readings = recording.readings.copy()
+    readings[(recording.station == 1) & (recording.target == 3)] = np.nan
+    fit = NetworkFit.from_start(FitInput(recording.with_readings(readings), misalignment_construction()))
+    assert fit is not None
+    stations = {hypothesis.stations for _, hypothesis in local_centring_hypotheses(fit)}
+    assert (STATION,) in stations

@@ -14,6 +14,7 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.identification import CauseSelection, FitInput, cause_tests, select_causes
 from ltsim.adjustment.identification.evidence import (
     LOG_SIZE_PRIOR_WIDTH,
+    estimate_noise_factors,
     estimate_variance_factor,
     log_occam_factor_of_shift,
     log_occam_factor_of_variance,
@@ -30,8 +31,7 @@ from ltsim.adjustment.stochastic_model import fit_robust_state
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.randomness import stream
 from ltsim.core.units import ARCSECOND
-from ltsim.geometry.alignment import align_robustly
-from ltsim.geometry.rotations import rotation_about_z
+from ltsim.geometry.rigid import align_robustly, rotation_about_z
 from ltsim.physics.effects.motions import exact_station_change, exact_target_change
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.model.construction import declared_construction, misalignment_construction
@@ -370,3 +370,24 @@ def test_misclosures_in_a_network_with_estimated_centring_errors() -> None:
     value = next(v for v in reference_values(fit.problem, fit.state) if v.kind == "point")
     found = replace(fit, network=replace(fit.network, recording=recording)).misclosure_of(value)
     np.testing.assert_allclose(found, fit.misclosure_of(value), atol=1e-15)
+
+
+def test_noise_factors_of_common_readings_are_estimated_together() -> None:
+    """All readings are 2 times as noisy as declared, the distances 0.5 times of that."""
+    squares = np.tile([1.0, 4.0, 4.0], (1000, 1))
+    everything = np.ones(squares.shape, dtype=bool)
+    factors = estimate_noise_factors(squares, np.ones(squares.shape), [everything, everything & (np.arange(3) == 0)])
+    np.testing.assert_allclose(factors, np.tile([1.0, 2.0, 2.0], (1000, 1)), rtol=0.02)
+
+
+def test_noise_of_the_angles_is_reported_with_the_settings_to_declare() -> None:
+    recording = network(faces=2, seed=21)[0]
+    extra = np.sqrt(2.4**2 - 1.0) * recording.sigma() * stream(22, "noise").standard_normal(recording.readings.shape)
+    noisy = recording.with_readings(recording.readings + extra * [0.0, 1.0, 1.0])
+    found = lt.check(noisy)
+    (test,) = (test for test in found.tests if test.accepted)
+    assert (test.kind, test.acts_on) == ("noise-level", "angles")
+    assert test.estimate == pytest.approx(2.4, rel=0.1)
+    noise = noisy.setup.instrument_named(noisy.instruments[0]).noise
+    assert f"azimuth_arcsec to {test.estimate * noise.azimuth_arcsec:.2g}" in found.sentence
+    assert [item.kind for item in found.items if not item.passed] == ["closure"]

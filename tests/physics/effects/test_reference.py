@@ -9,7 +9,7 @@ import pytest
 
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.geometry.polar import to_face, to_polar, wrap_angle
-from ltsim.geometry.rotations import from_rotation_vector
+from ltsim.geometry.rigid import from_rotation_vector
 from ltsim.physics.effects.azimuth_drift import AzimuthDrift
 from ltsim.physics.effects.backlash import Backlash
 from ltsim.physics.effects.dead_path import DeadPath

@@ -136,9 +136,9 @@ def every() -> list[Regressor]:
 def test_every_driver_is_read_as_it_is_told(recording: Recording, clock: bool) -> None:
     assert {*SHORT_LAW_FUNCTIONS, PLAY_FUNCTION} <= {driver.function for driver in every()}
     for driver in every():
-        words = regressor_text(driver, clock=clock)
+        words = regressor_text(driver, has_clock=clock)
         read = parse_regressor(words, recording.replace(has_clock=clock))
-        assert regressor_text(read, clock=clock) == words
+        assert regressor_text(read, has_clock=clock) == words
         assert read.latch_release == pytest.approx(driver.latch_release, rel=6e-3)
         close = replace(read, constant=driver.constant, latch_release=driver.latch_release, factors=driver.factors)
         assert close == driver and read.constant == pytest.approx(driver.constant, rel=6e-3), words
@@ -172,7 +172,7 @@ def test_another_amount_for_each_target_goes_with_targets(recording: Recording) 
     )
     assert len(law.parameters) == 2
     for words in ("the target, another at each", "time times the target, another at each"):
-        with pytest.raises(ModelError, match=r"applies to targets, .*:TARGET,TARGET"):
+        with pytest.raises(ModelError, match=r"needs the names of its targets .*:TARGET,TARGET"):
             parse_law("place of targets", words, recording)
 
 
@@ -193,12 +193,12 @@ def test_examples_are_read(recording: Recording) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("", "expected words such as"),
+        ("", "expected a text such as"),
         ("a smooth function of pressure", "hall_temperature_c"),
         ("exp(-time / 8 deg)", "time in min or in s"),
         ("exp(-time / 0 min)", "above zero"),
-        ("step(hall_temperature_c above 20 s)", "hall_temperature_c alone"),
-        ("a wave in time, 3 periods a turn", "expected words such as"),
+        ("step(hall_temperature_c above 20 s)", "hall_temperature_c without a unit"),
+        ("a wave in time, 3 periods a turn", "expected a text such as"),
         ("face times pressure", "'pressure' is not a regressor"),
     ],
 )

@@ -1,6 +1,6 @@
 """How many of the paper's 78 Denavit-Hartenberg coefficients a network can tell apart.
 
-The numbers stand at the head of `ltsim/geometry/kinematics/dh.py`, derived by hand; here they are counted by rank: of
+The numbers stand below `DH_CHAIN` in `ltsim/geometry/kinematics.py`, derived by hand; here they are counted by rank: of
 the 78 coefficients of eq. 1 to 8 (Sensors 2021, 21, 7479), 14 have no effect on a point, 11 repeat others even with
 known stations and targets, 6 are absorbed by the pose of the station and 1, the range scale, by targets that are free.
 The network is the reference workshop: two walls with 24 reflectors, a gauge of four near the corner, five stations.
@@ -20,7 +20,7 @@ import pytest
 
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
-from ltsim.geometry.rotations import cross_matrix, rotation_about_z
+from ltsim.geometry.rigid import cross_matrix, rotation_about_z
 from ltsim.physics.model.construction import dh_construction
 from ltsim.scene.sightings import Sightings
 
@@ -189,7 +189,7 @@ def test_the_eleven_redundant_ones(lost: str, others: tuple[str, ...]) -> None:
 
 @network
 def test_the_six_that_poses_absorb(faces: tuple[int, ...], seed: int) -> None:
-    """Height, yaw, two for the place on the floor, two for the tilt: names as in `kinematics/dh.py`."""
+    """Height, yaw, two for the place on the floor, two for the tilt: names as in `kinematics.py`."""
     d = design(faces, seed)
     assert share_left(d.column("J1.dY_c", "J1.eY_c"), d.pose) < ROUNDING
     for kind in "de":

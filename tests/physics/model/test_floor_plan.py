@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltsim.geometry.rotations import from_rotation_vector, rotation_about_z
+from ltsim.geometry.rigid import from_rotation_vector, rotation_about_z
 from ltsim.physics.model.measurement import NetworkState, plan_rotation, sightings_of
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Station

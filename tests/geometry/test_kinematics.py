@@ -10,15 +10,15 @@ from hypothesis import given, strategies as st
 
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
-from ltsim.geometry.kinematics.chain import (
+from ltsim.geometry.kinematics import (
+    DH_CHAIN,
+    MISALIGNMENT_CHAIN,
     ElementaryMotion,
     KinematicChain,
     RotationStep,
     point_and_derivatives,
     point_of_readings,
 )
-from ltsim.geometry.kinematics.dh import DH_CHAIN
-from ltsim.geometry.kinematics.misalignment import MISALIGNMENT_CHAIN
 from ltsim.geometry.polar import from_polar, to_face
 
 CHAINS = {"misalignment": MISALIGNMENT_CHAIN, "dh": DH_CHAIN}
@@ -60,7 +60,7 @@ def turn(axis: str, angle: float) -> Floats:
 
 
 def misalignment_twin(raw: Floats, e: Mapping[str, float]) -> Floats:
-    """The formula at the head of `ltsim/geometry/kinematics/misalignment.py`, bearing first."""
+    """The formula of `MISALIGNMENT_CHAIN`, bearing first."""
     head = shift(e["transit-offset"], 0, 0) @ turn("x", e["transit-tilt"])
     head = head @ turn("y", -(raw[2] + e["elevation"])) @ shift(0, e["beam-lateral"], e["beam-vertical"])
     c, range_ = e["beam-tilt"], raw[0] + e["range"]

@@ -9,12 +9,12 @@ from ltsim.calibration.network import calibrate_network
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError
 from ltsim.geometry.polar import from_polar, to_face
-from ltsim.geometry.rotations import from_rotation_vector
+from ltsim.geometry.rigid import from_rotation_vector
 from ltsim.physics.model.construction import declared_construction, make_construction, steering_mirror_construction
 from ltsim.recordings.setup import Instrument
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.simulator import simulate
-from tests.geometry.kinematics.test_chain import readings
+from tests.geometry.test_kinematics import readings
 from tests.networks import network
 
 MIRROR = steering_mirror_construction()

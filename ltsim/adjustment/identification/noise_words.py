@@ -1,0 +1,47 @@
+"""Estimated noise factor of an accepted noise hypothesis, and the sentence on it with the settings to declare."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ltsim.adjustment.identification.fit import NetworkFit
+from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor
+from ltsim.adjustment.stochastic_model import noise_settings
+from ltsim.core.notation import listing
+from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
+
+READING_TEXTS = {"noise": "the readings", "angles": "the azimuths and elevations"}
+"""Texts of the readings that a noise hypothesis acts on, if these are no single observable."""
+
+
+def estimated_noise_factor(fit: NetworkFit, hypothesis: Hypothesis) -> float:
+    """Estimated factor on the declared standard deviations, of an accepted hypothesis about the noise."""
+    assert isinstance(hypothesis.model_change, NoiseFactor)
+    mask = hypothesis.model_change.reading_mask & fit.problem.used_readings
+    return float(np.median(fit.problem.sigma[mask] / fit.network.recording.sigma()[mask]))
+
+
+def noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
+    """Sentence on an accepted hypothesis about the noise, with its factor and the settings to declare."""
+    at = ", ".join((*hypothesis.stations, *hypothesis.targets))
+    what = READING_TEXTS.get(hypothesis.acts_on, f"the readings of the {hypothesis.acts_on}")
+    of = f" {'from' if hypothesis.stations else 'to'} {at}" if at else ""
+    cure = _noise_declaration(fit, hypothesis) if not at else "measure again, or correct the set-up"
+    factor = estimated_noise_factor(fit, hypothesis)
+    return f"The standard deviation of {what}{of} is {factor:.2g} times the declared one: {cure}."
+
+
+def _noise_declaration(fit: NetworkFit, hypothesis: Hypothesis) -> str:
+    """Advice to declare the estimated noise, with its settings for one instrument without noise in its rows."""
+    assert isinstance(hypothesis.model_change, NoiseFactor)
+    recording, mask = fit.network.recording, hypothesis.model_change.reading_mask & fit.problem.used_readings
+    if len(recording.instruments) > 1 or any(column in recording.covariates for column in SIGMA_COLUMNS):
+        return "declare this noise in the set-up"
+    factors = fit.problem.sigma / recording.sigma()
+    settings = [
+        setting
+        for k, observable in enumerate(OBSERVABLES)
+        if mask[:, k].any()
+        for setting in noise_settings(recording, observable, float(np.median(factors[mask[:, k], k])))
+    ]
+    return f"set {listing(settings, len(settings))} in [instrument.noise]"

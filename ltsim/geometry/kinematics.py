@@ -1,0 +1,277 @@
+"""Kinematic chains: a tracker as a sequence of elementary motions, exact, with exact derivatives.
+
+A chain is a list of motions from the base outwards: a turn about z by the azimuth, a shift along x by the transit
+offset, and so on. The target sits at the origin of the last frame. An instrument error is added to the nominal amount
+of a motion. The motion's `slot` is the key of this error in the mapping `errors`. The derivative of the point with
+respect to the error of a translation is the direction of its axis in the base frame. For a rotation it is the cross
+product of the axis and the vector from the axis to the target. There are three constructions: `MISALIGNMENT_CHAIN`,
+`STEERING_MIRROR_CHAIN` and the paper's `DH_CHAIN`.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.core.units import QUARTER_TURN
+
+NominalFunction = Callable[[Floats], Floats]
+"""Function from raw readings (n, 3) to the nominal angle [rad] or length [m] (n,) of a motion."""
+
+
+@dataclass(frozen=True)
+class RotationStep:
+    """Rotation by the angle ``nominal(raw) + error[slot]`` [rad] about a coordinate axis (0, 1, 2)."""
+
+    axis: int
+    """Index of the coordinate axis."""
+    slot: str = ""
+    """Name of the slot for its error; empty for none."""
+    nominal: NominalFunction | None = None
+    """Nominal angle as a function of the readings; None for zero."""
+    sign: float = 1.0
+    """Sign of the angle."""
+
+
+@dataclass(frozen=True)
+class TranslationStep:
+    """Translation by the length ``nominal(raw) + error[slot]`` [m] along a coordinate axis (0, 1, 2)."""
+
+    axis: int
+    """Index of the coordinate axis."""
+    slot: str = ""
+    """Name of the slot for its error; empty for none."""
+    nominal: NominalFunction | None = None
+    """Nominal length as a function of the readings; None for zero."""
+    sign: float = 1.0
+    """Sign of the length."""
+
+
+ElementaryMotion = RotationStep | TranslationStep
+KinematicChain = tuple[ElementaryMotion, ...]
+"""Kinematic chain: elementary motions from the base outwards."""
+
+
+@dataclass(frozen=True)
+class ConstantAmount:
+    """Nominal amount of a motion that does not depend on the readings."""
+
+    value: float
+
+    def __call__(self, raw_readings: Floats) -> Floats:
+        """The constant amount (n,) for raw readings (n, 3)."""
+        return np.full(len(raw_readings), self.value)
+
+
+@dataclass(frozen=True)
+class ReadingAmount:
+    """Nominal amount of a motion that is a raw reading (0 range, 1 azimuth, 2 elevation) plus `offset`."""
+
+    column: int
+    offset: float = 0.0
+
+    def __call__(self, raw_readings: Floats) -> Floats:
+        """The selected reading plus `offset`, (n,), of raw readings (n, 3)."""
+        return raw_readings[:, self.column] + self.offset
+
+
+def _motion_amount(
+    elementary_motion: ElementaryMotion, raw_readings: Floats, errors: Mapping[str, Floats]
+) -> Floats | None:
+    """Signed angle [rad] or length [m] of a motion, nominal amount plus error, (n,) or a number; None for no motion."""
+    amount = None if elementary_motion.nominal is None else elementary_motion.nominal(raw_readings)
+    error = errors.get(elementary_motion.slot)
+    if error is not None:
+        amount = error if amount is None else amount + error
+    return None if amount is None else elementary_motion.sign * amount
+
+
+def _rotate(axis: int, angle: Floats, *vectors: Floats) -> None:
+    """Rotation in place of vectors (..., n, 3) about a coordinate axis by angles (n,)."""
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    c, s = np.cos(angle), np.sin(angle)
+    for v in vectors:
+        v[..., i], v[..., j] = c * v[..., i] - s * v[..., j], s * v[..., i] + c * v[..., j]
+
+
+def point_of_readings(chain: KinematicChain, raw_readings: Floats, errors: Mapping[str, Floats]) -> Floats:
+    """Point (n, 3) [m] of raw readings (n, 3).
+
+    `errors` has the error of each slot [rad or m], as an array (n,) or one number. A missing slot has no error.
+    """
+    p: list[Any] = [0.0, 0.0, 0.0]  # one contiguous array per coordinate
+    for motion in reversed(chain):
+        amount = _motion_amount(motion, raw_readings, errors)
+        if amount is None:
+            continue
+        if isinstance(motion, TranslationStep):
+            p[motion.axis] = p[motion.axis] + amount
+            continue
+        i, j = (motion.axis + 1) % 3, (motion.axis + 2) % 3
+        c, s = np.cos(amount), np.sin(amount)
+        p[i], p[j] = c * p[i] - s * p[j], s * p[i] + c * p[j]
+    points = np.empty((len(raw_readings), 3))
+    points[:, 0], points[:, 1], points[:, 2] = p
+    return points
+
+
+def point_and_derivatives(
+    chain: KinematicChain, raw_readings: Floats, errors: Mapping[str, Floats], error_slots: set[str]
+) -> tuple[Floats, dict[str, Floats]]:
+    """Point (n, 3) [m] of raw readings (n, 3), and its derivative (n, 3) with respect to the error of each slot.
+
+    The dictionary of derivatives has one entry for each slot in `error_slots` that the chain contains. The computation
+    starts at the target and applies the motions towards the base. Point and derivatives are vectors of
+    the current frame: a rotation turns all of them, a translation moves the point alone.
+    """
+    p = np.zeros((len(raw_readings), 3))
+    derivative_buffer, count = np.zeros((len(chain), len(raw_readings), 3)), 0
+    derivatives: dict[str, Floats] = {}
+    for motion in reversed(chain):
+        amount = _motion_amount(motion, raw_readings, errors)
+        if isinstance(motion, TranslationStep):
+            if amount is not None:
+                p[:, motion.axis] += amount
+        elif amount is not None:
+            _rotate(motion.axis, amount, p, derivative_buffer[:count])
+        if motion.slot not in error_slots:
+            continue
+        if motion.slot not in derivatives:
+            derivatives[motion.slot] = derivative_buffer[count]
+            count += 1
+        derivative = derivatives[motion.slot]
+        if isinstance(motion, TranslationStep):
+            derivative[:, motion.axis] += motion.sign
+        else:
+            i, j = (motion.axis + 1) % 3, (motion.axis + 2) % 3
+            derivative[:, i] -= motion.sign * p[:, j]
+            derivative[:, j] += motion.sign * p[:, i]
+    return p, derivatives
+
+
+MISALIGNMENT_CHAIN: KinematicChain = (
+    # Bearing of the standing axis, as functions of the azimuth: tilt and radial run-out in the base frame.
+    TranslationStep(0, "standing-radial-x"),
+    TranslationStep(1, "standing-radial-y"),
+    TranslationStep(2, "standing-axial"),
+    RotationStep(0, "standing-tilt-x"),
+    RotationStep(1, "standing-tilt-y"),
+    RotationStep(2, "azimuth", ReadingAmount(1)),
+    TranslationStep(0, "transit-offset"),
+    RotationStep(0, "transit-tilt"),
+    RotationStep(1, "elevation", ReadingAmount(2), sign=-1.0),
+    TranslationStep(1, "beam-lateral"),
+    TranslationStep(2, "beam-vertical"),
+    RotationStep(2, "beam-tilt"),
+    TranslationStep(0, "range", ReadingAmount(0)),
+)
+"""Geometric-misalignment model of a tracker whose source is in the rotating head.
+
+Source: Muralikrishnan et al., J. Res. NIST 114 (2009) 21-35, the model family of ASME B89.4.19; written here
+in the exact form (not the first-order one), from the base outwards:
+
+    p = Rz(azimuth_t) { [tau, 0, 0] + Rx(kappa) [ Ry(-elevation_t) ( [0, b_y, b_z] + range_t * u ) ] }
+    u = (cos c, sin c, 0)
+
+Signs: every slot is a correction, added to the raw reading or to the nominal zero (truth - reading). Raw face-2
+readings are used unchanged; the signs of the two faces follow from the geometry.
+"""
+
+ZENITH_ROTATION = -0.5 * math.pi
+"""Rotation [rad] of the mirror's normal between the zenith and the horizontal, added to the elevation."""
+HALF_ANGLE_SIGN = -0.5
+"""Ratio of the mirror's rotation to the elevation: one half, because the reflected beam turns twice as far as the
+mirror. It is negative because elevation is counted upwards and a positive turn about y is downwards."""
+
+STEERING_MIRROR_CHAIN: KinematicChain = (
+    # To the mirror: T.
+    RotationStep(2, "azimuth", ReadingAmount(1)),
+    TranslationStep(0, "transit-offset"),
+    RotationStep(0, "transit-tilt"),
+    RotationStep(1, "elevation", ReadingAmount(2, ZENITH_ROTATION), sign=HALF_ANGLE_SIGN),
+    TranslationStep(0, "mirror-offset"),
+    RotationStep(2, "mirror-tilt"),
+    # Its image: T^-1 reflected.
+    RotationStep(2, "mirror-tilt"),
+    TranslationStep(0, "mirror-offset"),
+    RotationStep(1, "elevation", ReadingAmount(2, ZENITH_ROTATION), sign=HALF_ANGLE_SIGN),
+    RotationStep(0, "transit-tilt", sign=-1.0),
+    TranslationStep(0, "transit-offset"),
+    TranslationStep(0, "cover-forward", sign=-1.0),
+    TranslationStep(1, "cover-left"),
+    RotationStep(2, "azimuth", ReadingAmount(1)),
+    # The beam in the base, reflected.
+    TranslationStep(0, "beam-x", sign=-1.0),
+    TranslationStep(1, "beam-y"),
+    RotationStep(0, "beam-tilt-x"),
+    RotationStep(1, "beam-tilt-y", sign=-1.0),
+    TranslationStep(2, "range", ReadingAmount(0)),
+)
+"""Model of a tracker with a beam-steering mirror: fixed source, mirror that turns at half the rate of the beam.
+
+The beam leaves the base upward along the standing axis and meets a plane mirror that turns with the head about the
+transit axis. With V the zenith angle of the target the mirror's normal points V/2 below the horizon, and the
+target is the image of a point straight up the beam:
+
+    p = T F T^-1 C' B (0, 0, range),   F = diag(-1, 1, 1)
+    T = Rz(azimuth) Dx(e) Rx(i) Ry(V/2) Dx(f) Rz(c)               base to mirror, its normal along x
+    C' = Rz(azimuth) Dx(forward) Dy(left) Rz(azimuth)^-1          the cover plate's offset, which turns with the head
+    B = Dx(O_x) Dy(O_y) Rx(I_x) Ry(I_y)                           the beam in the base
+
+with e the transit offset, i the transit tilt, f the mirror offset, c the mirror tilt. A reflection F before a turn or a
+shift is the reflected turn or shift before F, and F leaves the origin, where the target sits, as it is: so F moves
+through T^-1, C' and B to the end and vanishes. Turns about x and shifts along y and z stay, turns about y and z and
+shifts along x change their sign. The result is a chain of turns and shifts like any other, in which each motion of the
+mirror occurs twice.
+
+Source: Loser and Kyle 1998, Alignment and field check procedures for the Leica laser tracker LTD 500, Boeing Large
+Scale Optical Metrology Seminar (the parameters); Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35,
+doi:10.6028/jres.114.003. Written here in the exact form; signs as in `MISALIGNMENT_CHAIN`.
+"""
+
+
+def joint_error_motions(joint_name: str) -> tuple[ElementaryMotion, ...]:
+    """Error matrix E_Rot of a joint as six elementary motions, for joint J1 with slots ``J1.dX`` to ``J1.eZ``."""
+    shifts = tuple(TranslationStep(i, f"{joint_name}.d{axis}") for i, axis in enumerate("XYZ"))
+    turns = tuple(RotationStep(i, f"{joint_name}.e{axis}") for i, axis in enumerate("XYZ"))
+    return shifts + turns
+
+
+DH_CHAIN: KinematicChain = (
+    RotationStep(2, nominal=ConstantAmount(-QUARTER_TURN)),
+    RotationStep(2, nominal=ReadingAmount(1, -QUARTER_TURN)),  # A1 of Table 1: theta - 90, alpha -90
+    RotationStep(0, nominal=ConstantAmount(-QUARTER_TURN)),
+    *joint_error_motions("J1"),
+    RotationStep(2, nominal=ReadingAmount(2, -QUARTER_TURN)),  # A2: phi - 90, alpha +90
+    RotationStep(0, nominal=ConstantAmount(QUARTER_TURN)),
+    *joint_error_motions("J2"),
+    TranslationStep(2, nominal=ReadingAmount(0)),  # A3: d, theta -90
+    RotationStep(2, nominal=ConstantAmount(-QUARTER_TURN)),
+    *joint_error_motions("T"),
+)
+"""The paper's Denavit-Hartenberg chain (Sensors 2021, 21, 7479, eq. 1 to 8) with all its error functions.
+
+    0T3 = A1 E_Rot1 A2 E_Rot2 A3 E_Trans,   A = Tz(d) Rz(theta) Tx(a) Rx(alpha)
+    E_Rot   = T(dX, dY, dZ) Rx(eX) Ry(eY) Rz(eZ)                        (eq. 2; theta_RZ there is our eZ)
+    E_Trans = T(dX, dY, dZ) (I + [e]_x)                                   (eq. 5)
+
+In the printed form E follows the complete A: frame 1 has y along the standing axis and z along the transit axis, so the
+azimuth encoder's error is J1.eY and the elevation encoder's J2.eY; the paper's words "axial" and "radial" do not fit
+these frames. E_Trans is last and acts on a point, so that its rotation has no effect; it is included so that the 78
+coefficients of the paper are complete.
+
+Of the 78 coefficients 64 have an effect on a point: J2.eZ turns about the beam (5), T.eX, T.eY and T.eZ turn the point
+about itself (9). Of these, 53 differ even where stations and targets are known; the others repeat them: J1.dZ_c =
+J2.dY_c = T.dX_0 (lateral beam offset), J2.dX_c = T.dY_0 (vertical beam offset), J2.dZ_c = T.dZ_0 (range zero), J2.eX_c
+= T.dX_1 (beam tilt), J1.eZ_c = J2.eY_c = T.dY_1 (vertical index), J1.eX_c and J2.eX_sin (transit tilt), J1.eY_c and
+J2.eX_cos (azimuth index), J1.dX_c with J2.dZ_cos and J2.dX_sin (transit offset), J1.dY_c with J2.dZ_sin and J2.dX_cos
+(height of the transit axis). The pose of each station takes 6 more (height, yaw, one pair of first harmonics each of
+place and tilt), which leaves 47; the range scale T.dZ_1 is the scale of the network where no length is known, which
+leaves 46. `tests/physics/model/test_dh_count.py` counts them.
+
+The paper's azimuth is zero on +Y. The chain starts with a fixed quarter turn, so that both constructions use
+one instrument frame (azimuth zero on +X); the harmonics are functions of the reading and do not change.
+"""

@@ -1,1 +1,0 @@
-"""Kinematic chains that turn the readings of a tracker into a point, one construction per file."""

@@ -1,0 +1,125 @@
+"""Poses of a recording's stations in the axes of a plan's site, by the adjusted network and the plan's points."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ltsim.adjustment import adjust
+from ltsim.adjustment.remedies.remedy import FloorPlan
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import NetworkError, SetupError, option
+from ltsim.core.units import DEGREE, MILLIMETRE
+from ltsim.geometry.rigid import align_robustly, rotation_about_z
+from ltsim.physics.model.construction import declared_construction
+from ltsim.physics.model.measurement import NetworkState
+from ltsim.planning.site import SearchSpace
+from ltsim.recordings import Recording
+
+MIN_COMMON_POINTS = 3
+"""Smallest number of targets with the name of a point of the plan that determine the axes of the site."""
+MAX_MEDIAN_MISFIT = 0.1
+"""Largest median distance [m] of such targets from the points of the plan. Reflectors are placed within centimetres of
+their planned points; other points are metres away.
+"""
+MAX_NOMINAL_POSITION_ERROR = 0.5
+"""Largest distance [m] of a nominal position of a station from its position on the site. Nominal positions are rounded
+and approximate; those in other axes are metres away.
+"""
+
+
+def with_positions_on_site(recording: Recording, site: SearchSpace, site_name: str) -> Recording:
+    """Recording whose set-up has the adjusted positions and yaws of the stations, in the axes of a site.
+
+    The targets with names of points of the plan determine the axes. With fewer than `MIN_COMMON_POINTS` of them the
+    stated positions of the stations do, and the recording is returned unchanged.
+
+    Raises
+    ------
+    SetupError
+        For a recording without common points and positions, for common points that do not fit, and for stated positions
+        in other axes than those of the site.
+    """
+    nominal = {n: s.position_mm for n, s in recording.setup.stations.items() if s.position_mm is not None}
+    adjustment = adjust(recording, declared_construction(recording))
+    plan = _plan_from_points(recording, adjustment.state, site, adjustment.undetermined_targets, site_name)
+    if plan is None and not nominal:
+        raise SetupError(
+            f"{option('site')} needs positions on the floor plan; set position_mm of the stations in setup.toml, or "
+            "name targets as in the plan"
+        )
+    positions = (plan or FloorPlan.from_recording(recording, adjustment.state)).positions_on_plan(
+        adjustment.state.station_positions
+    )
+    if plan is None:
+        _require_inside(recording, positions, site, site_name)
+        return recording
+    stations = dict(recording.setup.stations)
+    for name, place, rotation in zip(recording.stations, positions, adjustment.state.station_rotations, strict=True):
+        _require_same_axes(name, nominal.get(name), place, site_name)
+        pose = {"position_mm": tuple((place / MILLIMETRE).tolist()), "yaw_deg": plan.yaw_on_plan(rotation) / DEGREE}
+        stations[name] = recording.station_setup(name).model_copy(update=pose)
+    return recording.replace(setup=recording.setup.model_copy(update={"stations": stations}))
+
+
+def _plan_from_points(
+    recording: Recording, state: NetworkState, site: SearchSpace, undetermined: tuple[str, ...], site_name: str
+) -> FloorPlan | None:
+    """Transformation from the network to the site by the points with equal names; None if there are too few.
+
+    The vertical is that of the network.
+    """
+    point_by_name = dict(zip(site.survey.target_names, site.survey.target_points, strict=True))
+    names = [name for name in recording.targets if name in point_by_name and name not in undetermined]
+    if len(names) < MIN_COMMON_POINTS:
+        return None
+    here = state.target_points[[recording.targets.index(name) for name in names]]
+    there = np.array([point_by_name[name] for name in names])
+    try:
+        rotation, _ = align_robustly(here, there)
+    except NetworkError:  # points on a line
+        return None
+    turn = rotation_about_z(float(np.arctan2(rotation[1, 0], rotation[0, 0])))
+    shift = np.median(there - here @ turn.T, axis=0)
+    plan = FloorPlan(turn, shift, has_plan=True)
+    misfit = np.linalg.norm(plan.positions_on_plan(here) - there, axis=1)
+    if np.median(misfit) > MAX_MEDIAN_MISFIT:
+        worst = int(np.argmax(misfit))
+        raise SetupError(
+            f"{site_name}: {len(names)} targets of the recording have names of its points, but do not fit them: "
+            f"{names[worst]} is {misfit[worst]:.2f} m off; name the plan of this hall, or rename its points"
+        )
+    return plan
+
+
+def _require_same_axes(
+    station: str, nominal_mm: tuple[float, float, float] | None, position: Floats, site_name: str
+) -> None:
+    """Check that a station is near its stated position; raises SetupError.
+
+    `position` (3,) [m] is its position on the site.
+    """
+    if nominal_mm is None:
+        return
+    nominal = np.array(nominal_mm) * MILLIMETRE
+    if np.linalg.norm(nominal - position) > MAX_NOMINAL_POSITION_ERROR:
+        raise SetupError(
+            f"setup.toml places station {station} at {_place_text(nominal)}, but the points of {site_name} place it "
+            f"at {_place_text(position)}: the axes differ; set position_mm and yaw_deg in the axes of this plan"
+        )
+
+
+def _require_inside(recording: Recording, positions: Floats, site: SearchSpace, site_name: str) -> None:
+    """Check that a station of the recording stands on the permitted floor of the site; raises SetupError.
+
+    `positions` (S, 3) [m] are the stations on the floor plan of the recording.
+    """
+    if not site.is_allowed(positions).any():
+        raise SetupError(
+            f"no station of the recording stands on the permitted floor of {site_name}: {recording.stations[0]} is at "
+            f"{_place_text(positions[0])}; set position_mm and yaw_deg in the axes of this plan"
+        )
+
+
+def _place_text(position: Floats) -> str:
+    """Text of the horizontal coordinates of a position (3,) [m]."""
+    return f"({position[0]:.2f}, {position[1]:.2f}) m"

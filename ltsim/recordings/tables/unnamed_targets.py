@@ -1,0 +1,117 @@
+"""Targets of a table without point names: positions of a target that moves (a robot, a T-MAC)."""
+
+from itertools import product
+from operator import add, sub
+
+import numpy as np
+
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.errors import RecordError
+from ltsim.core.notation import listing
+from ltsim.geometry.polar import from_polar
+from ltsim.recordings.files import quoted_text
+from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, indices_by_value
+
+MAX_SAME_PLACE_RATIO = 3e-4
+"""Largest distance between rows at one position, relative to the largest range: 1 mm at 3 m, more than the
+repeatability of a robot.
+"""
+MIN_ROWS_FOR_POSITIONS = 3
+"""Smallest number of rows, and of different positions, of one name that is a moving target."""
+MAX_COINCIDENT_M = 1e-3
+"""Largest distance [m] of targets at one position: reflectors have diameters of 12.7 mm and more."""
+MIN_COINCIDENT_POSITIONS = 3
+"""Smallest number of positions with several targets that a note reports."""
+MAX_COINCIDENT_NAMES = 4
+"""Largest number of names that this note lists."""
+UNNAMED_TARGET = "pose"
+"""Name of the targets of a table without names, until their positions are known."""
+
+
+class UnnamedTargetsError(RecordError):
+    """Error for a table of several set-ups whose rows name no targets."""
+
+
+def name_unnamed_targets(table: PointingTable, file: object) -> PointingTable:
+    """Table in which rows without any names have one common name.
+
+    Raises UnnamedTargetsError if several set-ups have no names: nothing then tells which of their targets are the same.
+    """
+    pointings = table.pointings
+    if {*pointings.target} != {""}:
+        return table
+    if len({*pointings.station}) > 1:
+        message = "names no points, so common targets of its set-ups are unknown; add a column target"
+        raise UnnamedTargetsError(message, file=file)
+    pointings.target = [UNNAMED_TARGET] * len(pointings)
+    table.has_unnamed_targets = True
+    return table
+
+
+def name_targets_by_position(table: PointingTable, readings: Floats) -> PointingTable:
+    """Table in which every position is a separate target, if rows have no names or one name has several positions.
+
+    `readings` (n, 3) [m, rad] are raw ones of both faces.
+    """
+    names, stations = {*table.pointings.target}, {*table.pointings.station}
+    if len(names) > 1:
+        table.notes += _coincident_targets_note(table.pointings, readings)
+    if len(names) > 1 or len(stations) > 1:
+        return table
+    is_named = not table.has_unnamed_targets
+    if is_named and len(table.pointings) < MIN_ROWS_FOR_POSITIONS:
+        return table
+    places = _position_numbers(readings)
+    count = int(places.max()) + 1
+    if is_named and count < MIN_ROWS_FOR_POSITIONS:
+        return table
+    table.pointings.target = [f"{UNNAMED_TARGET}-{place + 1}" for place in places.tolist()]
+    called = f"has one name ('{quoted_text(names.pop())}') for all of its rows" if is_named else "names no points"
+    table.notes.append(
+        f"the table {called}: its {len(places)} rows are {count} positions of a target that moves (a robot, a T-MAC), "
+        "each a target named pose-1, pose-2, ...; one set-up alone gives no information about the tracker"
+    )
+    return table
+
+
+def _coincident_targets_note(pointings: PrintedPointings, readings: Floats) -> list[str]:
+    """Note on targets with separate names that one set-up sees at one position, as shots of one point are numbered."""
+    points = from_polar(readings)
+    tolerance = min(MAX_COINCIDENT_M, MAX_SAME_PLACE_RATIO * float(np.nanmax(readings[:, 0], initial=0.0)))
+    targets, target = indices_by_value(pointings.target)
+    sights = np.column_stack([indices_by_value(pointings.station)[1], target])
+    complete = np.isfinite(points).all(axis=1)
+    if not complete.any() or not tolerance:
+        return []
+    sights, first = np.unique(sights[complete], axis=0, return_index=True)
+    boxes = np.column_stack([sights[:, 0], np.round(points[complete][first] / tolerance).astype(np.int64)])
+    _, box, count = np.unique(boxes, axis=0, return_inverse=True, return_counts=True)
+    shared = np.flatnonzero(count > 1)
+    if len(shared) < MIN_COINCIDENT_POSITIONS:
+        return []
+    examples = [targets[i] for i in sights[box == shared[0], 1].tolist()]
+    names = listing([f"'{quoted_text(name)}'" for name in examples], MAX_COINCIDENT_NAMES)
+    return [
+        f"separate targets have one position at one set-up {len(shared)} times, such as {names}: if these are shots of "
+        "one point, give them one name"
+    ]
+
+
+def _position_numbers(readings: Floats) -> Ints:
+    """Number (n,) of the position of each pointing, in the order of their first rows; both faces see one position."""
+    ranges = readings[:, 0]
+    longest = float(np.nanmax(ranges, initial=0.0)) or 1.0
+    points = from_polar(np.stack([np.where(np.isnan(ranges), longest, ranges), *np.nan_to_num(readings[:, 1:]).T], 1))
+    scaled = points / (MAX_SAME_PLACE_RATIO * longest)
+    steps = list(product((0, -1, 1), repeat=scaled.shape[1]))
+    first: list[tuple[float, ...]] = []
+    of_box: dict[tuple[int, ...], int] = {}  # no two places lie in one box of unit size
+    numbers_of_places = []
+    for row, box in zip(scaled.tolist(), np.floor(scaled).astype(np.int64).tolist(), strict=True):
+        around = [of_box[other] for step in steps if (other := tuple(map(add, box, step))) in of_box]
+        near = [i for i in around if max(map(abs, map(sub, row, first[i]))) < 1.0]
+        if not near:
+            of_box[tuple(box)] = len(first)
+            first.append(tuple(row))
+        numbers_of_places.append(min(near, default=len(first) - 1))
+    return np.array(numbers_of_places)

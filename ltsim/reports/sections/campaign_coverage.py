@@ -1,0 +1,68 @@
+"""Coverage of the intervals of a campaign's calibrations: key figures, figures and the table of z-scores."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+from ltsim.campaigns.results import CampaignResults
+from ltsim.campaigns.schema import ManifestFile
+from ltsim.campaigns.statistics import ZScoreSummary
+from ltsim.reports.document import Block, KeyFigure, PictureBlock, table_block
+from ltsim.reports.figures.campaign import ALLOWED_COVERAGE, coverage_figure, is_outside_allowed_coverage
+from ltsim.reports.figures.campaign_factors import cell_descriptions
+
+MAX_COVERAGE_FIGURES = 3
+"""Largest number of figures of the coverage of intervals; one per method is drawn up to this number."""
+DECLARATION_FACTORS = ("noise_factor", "error_factor", "prior_factor")
+"""Keys of an instrument that make its noise or errors differ from the declared ones if they are not 1."""
+
+
+def coverage_key_figures(manifest: ManifestFile, z_scores: Sequence[ZScoreSummary]) -> list[KeyFigure]:
+    """Coverage of the intervals, one key figure for each combination of `DECLARATION_FACTORS` in the settings.
+
+    The intervals are expected to hold only where all of these factors are 1.
+    """
+    trackers = {entry.cell: s.instrument for entry, s in zip(manifest.cells, manifest.scenarios, strict=False)}
+    groups: dict[str, list[ZScoreSummary]] = {}
+    for summary in z_scores:
+        factors = {name: getattr(trackers.get(summary.cell), name, 1.0) for name in DECLARATION_FACTORS}
+        text = ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in factors.items() if value != 1.0)
+        groups.setdefault(text, []).append(summary)
+    facts = []
+    for text, summaries in sorted(groups.items(), key=lambda group: group[0]):
+        shares, n_intervals = [s.coverage_95 for s in summaries], sum(s.trials for s in summaries)
+        mean_share = sum(s.coverage_95 * s.trials for s in summaries) / n_intervals
+        range_text = f"; by parameter and setting {100 * min(shares):.1f} to {100 * max(shares):.1f} %"
+        value = f"{100 * mean_share:.1f} % of {n_intervals} intervals" + (range_text if len(summaries) > 1 else "")
+        facts.append(KeyFigure("coverage of 95 % intervals" + (f" with {text}, not declared" if text else ""), value))
+    return facts
+
+
+def coverage_blocks(results: CampaignResults, z_scores: Sequence[ZScoreSummary]) -> list[Block]:
+    """Figure of the coverage of intervals in the first setting of each method, and table of all z-scores."""
+    blocks: list[Block] = []
+    for method in dict.fromkeys(s.method for s in z_scores):
+        method_scores = [s for s in z_scores if s.method == method]
+        rows = [s for s in method_scores if s.cell == method_scores[0].cell and s.trials > 1]
+        if rows and len(blocks) < MAX_COVERAGE_FIGURES:
+            setting_text = f", {cell_descriptions(results)[method_scores[0].cell]}" if len(results.levels) > 1 else ""
+            blocks.append(
+                PictureBlock(
+                    f"Coverage: {method}{setting_text}", partial(coverage_figure, rows), coverage_sentence(rows)
+                )
+            )
+    text = "z: (estimate - truth) / declared sigma; correct sigmas give mean 0 and standard deviation 1."
+    return (
+        [*blocks, *table_block("z-scores of the parameters", results.table("z_scores"), note=text)] if z_scores else []
+    )
+
+
+def coverage_sentence(rows: Sequence[ZScoreSummary]) -> str:
+    """Sentence on the parameters whose interval of coverage lies outside the allowed band."""
+    low, high = (f"{100 * bound:.1f}" for bound in ALLOWED_COVERAGE)
+    outside = [row.parameter for row, out in zip(rows, is_outside_allowed_coverage(rows), strict=True) if out]
+    band = f"the allowed band of {low} to {high} %"
+    if not outside:
+        return f"No parameter is red: each interval overlaps {band}."
+    return f"Red: the interval lies outside {band} for {', '.join(outside)}."
