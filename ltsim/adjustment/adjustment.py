@@ -35,7 +35,6 @@ from ltsim.scene.sightings import Sightings
 from ltsim.solve.design import to_dense
 from ltsim.solve.elimination import BlockFactor, SingularSystemError
 from ltsim.solve.gauss_newton import Solution, solution_for_plan, solve
-from ltsim.solve.projection import Projection, make_projection
 from ltsim.solve.threads import single_threaded
 
 MAX_SUCCESSIVELY_TESTED_READINGS = 300
@@ -204,11 +203,6 @@ class Adjustment(Result):
         self.require_solution()
         assert self.solution.factor is not None
         return self.solution.factor
-
-    @cached_property
-    def residual_projector(self) -> Projection:
-        """Projector onto the residual space: it maps errors of observations to their part in the residuals."""
-        return make_projection(self.solution.system, self.solution.factor)
 
     @cached_property
     def sightings(self) -> Sightings:

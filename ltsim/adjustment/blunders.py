@@ -7,7 +7,6 @@ before the adjustment, because the shape of their points differs from that of ot
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
@@ -26,8 +25,16 @@ from ltsim.physics.effects.motions import exact_target_change
 from ltsim.physics.effects.wrong_unit import WrongUnit
 from ltsim.physics.model.measurement import plumb_directions
 from ltsim.recordings.recording import OBSERVABLES, Recording
-from ltsim.recordings.transcription_errors import FACE_ERRORS, UNIT_ERRORS
+from ltsim.recordings.transcription_errors import FACE_ERRORS, UNIT_ERRORS, shared_target_counts
 
+MAX_COMPARED_STATIONS = 12
+"""Number of stations with which a station is compared, those that share most targets with it, because a misfit takes a
+millisecond of computing time.
+"""
+MAX_SUSPECTED_STATIONS = 30
+"""Largest number of stations whose units are corrected. If more differ, the whole file is wrong, and the computing time
+would grow with their number.
+"""
 MIN_CLOUD_MISFIT = 5e-3
 """Median misfit [m] between the points of two stations from which another unit or convention is suspected; neither
 tracker errors nor a single blunder cause as much.
@@ -197,12 +204,15 @@ def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
     recording : Recording
         Recording with converted readings.
     findings : list of IdentifiedBlunder
-        Blunders, one for each corrected station; empty if all shapes agree or no blunder explains the difference.
+        Blunders, one for each corrected station; empty if all shapes agree, if no blunder explains the difference, or
+        if more than `MAX_SUSPECTED_STATIONS` stations differ.
     """
     findings: list[IdentifiedBlunder] = []
     suspects = np.flatnonzero(_cloud_misfits(recording) > MIN_CLOUD_MISFIT)
     if len(recording.stations) == 2:
         return recording, _mirrored_pair(recording) if len(suspects) else findings
+    if len(suspects) > MAX_SUSPECTED_STATIONS:
+        return recording, findings
     for s in suspects.tolist():
         name, rows = recording.stations[s], np.flatnonzero(recording.station == s)
         for effect in WrongUnit.blunders_at_station(name):
@@ -269,17 +279,21 @@ def _cloud_misfits(recording: Recording, stations: Collection[int] | None = None
     """Misfit (S,) [m] of the points of each of S stations to those of the other stations; 0 without common targets.
 
     The misfit of two stations is the median distance of their common points after a rigid alignment, that of a station
-    the median over the other stations. With `stations` only pairs that contain one of these are compared.
+    the median over the stations that share most targets with it. With `stations` only pairs that contain one of these
+    are compared.
     """
     pairs, count = StationTargetPairs.from_recording(recording), len(recording.stations)
-    cloud = np.full((count, len(recording.targets), 3), np.nan)
-    cloud[pairs.station_indices, pairs.target_indices] = pairs.local_points
-    has_target, gaps = np.isfinite(cloud[:, :, 0]), np.full((count, count), np.nan)
-    for a, b in combinations(range(count), 2):
-        common = has_target[a] & has_target[b]
-        if common.sum() < 4 or not (stations is None or a in stations or b in stations):
+    n_shared = shared_target_counts(pairs.station_indices, pairs.target_indices, count)
+    np.fill_diagonal(n_shared, 0)
+    neighbours = np.argsort(-n_shared, axis=1, kind="stable")[:, :MAX_COMPARED_STATIONS]
+    is_pair, gaps = np.zeros((count, count), dtype=bool), np.full((count, count), np.nan)
+    np.put_along_axis(is_pair, neighbours, np.take_along_axis(n_shared, neighbours, axis=1) > MIN_RIGID_POINTS, axis=1)
+    for a, b in np.argwhere(np.triu(is_pair | is_pair.T)).tolist():
+        if not (stations is None or a in stations or b in stations):
             continue
-        here, there = cloud[b][common], cloud[a][common]
+        rows = [pairs.slice_of_station(s) for s in (a, b)]
+        _, *common = np.intersect1d(*(pairs.target_indices[part] for part in rows), return_indices=True)
+        there, here = (pairs.local_points[part][at] for part, at in zip(rows, common, strict=True))
         try:
             gaps[a, b] = gaps[b, a] = float(np.median(alignment_distances(here, there, align_robustly(here, there))))
         except NetworkError:

@@ -174,8 +174,11 @@ class InnerDatum:
         """Covariances (c, k, k) of c sets of k unknowns (`columns` (c, k)), transformed to this datum."""
         motion, carried = self.free_motions[columns], self.transformation[columns]
         cross_covariance = motion @ np.swapaxes(carried, 1, 2)
-        motion_part = motion @ self.motion_covariance @ np.swapaxes(motion, 1, 2)
-        return np.asarray(covariance - cross_covariance - np.swapaxes(cross_covariance, 1, 2) + motion_part)
+        transformed = np.asarray(covariance - cross_covariance)
+        transformed -= np.swapaxes(cross_covariance, 1, 2)
+        del cross_covariance  # as large as the covariance
+        transformed += motion @ self.motion_covariance @ np.swapaxes(motion, 1, 2)
+        return transformed
 
 
 def _scale_displacement(problem: NetworkProblem) -> Callable[[Floats], Floats]:

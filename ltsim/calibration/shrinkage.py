@@ -82,8 +82,7 @@ def recommend_correction(
     columns_of_free = adjustment.problem.unknowns.instrument_columns.ravel()[free_indices]
     precision = np.linalg.inv(root @ adjustment.reduced_covariance[np.ix_(columns_of_free, columns_of_free)] @ root.T)
     vector = precision @ root @ (adjustment.state.instrument_parameters.ravel() - mean)[free_indices]
-    used_positions = np.searchsorted(free_indices, used_terms)
-    unit = prior_widening_factor or 1.0
+    used_positions, unit = np.searchsorted(free_indices, used_terms), prior_widening_factor or 1.0
     spread = np.linalg.inv(root)[np.ix_(used_positions, used_positions)] / unit
     scale = noise_factor * unit
     information = (precision[np.ix_(used_positions, used_positions)] - np.eye(len(used_terms))) / scale**2
