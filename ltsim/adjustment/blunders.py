@@ -19,7 +19,7 @@ from ltsim.core.errors import NetworkError
 from ltsim.core.notation import MAX_LISTED_ITEMS
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rigid import align_robustly
+from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_robustly
 from ltsim.physics.effects.face_confusion import FaceConfusion
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.physics.effects.wrong_unit import WrongUnit
