@@ -291,9 +291,9 @@ def _cloud_misfits(recording: Recording, stations: Collection[int] | None = None
     for a, b in np.argwhere(np.triu(is_pair | is_pair.T)).tolist():
         if not (stations is None or a in stations or b in stations):
             continue
-        rows = [pairs.slice_of_station(s) for s in (a, b)]
-        _, *common = np.intersect1d(*(pairs.target_indices[part] for part in rows), return_indices=True)
-        there, here = (pairs.local_points[part][at] for part, at in zip(rows, common, strict=True))
+        of_a, of_b = pairs.slice_of_station(a), pairs.slice_of_station(b)
+        _, in_a, in_b = np.intersect1d(pairs.target_indices[of_a], pairs.target_indices[of_b], return_indices=True)
+        there, here = pairs.local_points[of_a][in_a], pairs.local_points[of_b][in_b]
         try:
             gaps[a, b] = gaps[b, a] = float(np.median(alignment_distances(here, there, align_robustly(here, there))))
         except NetworkError:

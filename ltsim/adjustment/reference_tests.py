@@ -356,8 +356,13 @@ def _largest_error(
     worst = int(np.argmax(np.nan_to_num(np.abs(w))))
     reading = float(np.nan_to_num(w).flat[worst]) / scatter  # two causes are weighed by one noise
     if neg_log_corrected_p(reading**2, 1, int(problem.used_readings.sum())) <= chance:
+        second = _second_setup_over_mark(problem, tests[best])
         likely = [
-            k for k, other in enumerate(chances) if k == best or other >= chance + np.log(MIN_REPORTED_PROBABILITY)
+            k
+            for k, other in enumerate(chances)
+            if k == best
+            or (tests[k].kind, tests[k].name) == ("mark", second)
+            or other >= chance + np.log(MIN_REPORTED_PROBABILITY)
         ]
         if len(likely) > 1 and tests[best].kind == "level":
             return None  # A few levels against each other: nothing that others would not tell better.
@@ -370,6 +375,19 @@ def _largest_error(
     aside = np.zeros(w.shape, dtype=bool)
     aside.flat[worst] = True
     return aside
+
+
+def _second_setup_over_mark(problem: NetworkProblem, test: ReferenceTest) -> str:
+    """Name of the other set-up over a mark that two set-ups and nothing else determine; otherwise empty.
+
+    The exclusion of either set-up from the mark is then the same. Tests of a large error differ only by linearisation.
+    """
+    stations, names = problem.model.recording.stations, problem.marks.mark_names
+    if test.kind != "mark" or problem.marks.target_indices[stations.index(test.name)] >= 0:
+        return ""
+    mark = names[stations.index(test.name)]
+    others = [station for station, name in zip(stations, names, strict=True) if name == mark and station != test.name]
+    return others[0] if len(others) == 1 else ""
 
 
 def _exclude_inconsistent_kind(
