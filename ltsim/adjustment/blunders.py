@@ -27,13 +27,10 @@ from ltsim.physics.model.measurement import plumb_directions
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.transcription_errors import FACE_ERRORS, UNIT_ERRORS, shared_target_counts
 
-MAX_COMPARED_STATIONS = 12
-"""Number of stations with which a station is compared, those that share most targets with it, because a misfit takes a
-millisecond of computing time.
-"""
-MAX_SUSPECTED_STATIONS = 30
-"""Largest number of stations whose units are corrected. If more differ, the whole file is wrong, and the computing time
-would grow with their number.
+MAX_COMPARED_STATIONS = 30
+"""Number of stations with which a station is compared, those that share most targets with it, and largest number of
+stations whose units are corrected. Each comparison takes a millisecond. If more stations differ, the whole file is
+wrong.
 """
 MIN_CLOUD_MISFIT = 5e-3
 """Median misfit [m] between the points of two stations from which another unit or convention is suspected; neither
@@ -205,13 +202,13 @@ def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
         Recording with converted readings.
     findings : list of IdentifiedBlunder
         Blunders, one for each corrected station; empty if all shapes agree, if no blunder explains the difference, or
-        if more than `MAX_SUSPECTED_STATIONS` stations differ.
+        if more than `MAX_COMPARED_STATIONS` stations differ.
     """
     findings: list[IdentifiedBlunder] = []
     suspects = np.flatnonzero(_cloud_misfits(recording) > MIN_CLOUD_MISFIT)
     if len(recording.stations) == 2:
         return recording, _mirrored_pair(recording) if len(suspects) else findings
-    if len(suspects) > MAX_SUSPECTED_STATIONS:
+    if len(suspects) > MAX_COMPARED_STATIONS:
         return recording, findings
     for s in suspects.tolist():
         name, rows = recording.stations[s], np.flatnonzero(recording.station == s)
