@@ -6,7 +6,8 @@ import numpy as np
 from scipy import stats
 
 from experiments.common import Made, Options, Row, campaign, write_figure, write_table
-from ltsim.campaigns.statistics import NORMAL_QUANTILE_95, SolverComparison
+from ltsim.campaigns.statistics import NORMAL_QUANTILE_95
+from ltsim.campaigns.summary import SolverComparison
 from ltsim.core.arrays import Floats
 from ltsim.reports.figures.campaign import SweepPoint, factor_panels_figure
 

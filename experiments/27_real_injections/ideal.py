@@ -15,10 +15,10 @@ from scipy.special import logsumexp
 from experiments.common import Row
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
 from ltsim.calibration.verbs import parse_requested_effect
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
+from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
 from ltsim.physics.effects.effect import Blunder, NoiseEffect
@@ -83,7 +83,7 @@ class Observer:
             rows = self.space.whitened_signature(instance.cause) * instance.cause.size_scales
             projected = self.space.project(rows)
             values, vectors = np.linalg.eigh(projected.T @ projected)
-            visible = values > MIN_NUMERICAL_REDUNDANCY * float(np.max(np.sum(rows**2, axis=0), initial=0.0))
+            visible = values > MAX_SOLUTION_ROUNDING_ERROR * float(np.max(np.sum(rows**2, axis=0), initial=0.0))
             found.append(((projected @ vectors[:, visible]).astype(np.float32), values[visible]))
         return found
 

@@ -15,14 +15,13 @@ from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests_with_constants
 from ltsim.adjustment.reliability import (
-    MIN_DOF_FOR_ESTIMATED_NOISE,
     iterative_snooping,
     noisy_groups,
     p_value_of_tau,
     redundancy_numbers,
     standardised_residuals,
 )
-from ltsim.adjustment.significance import FAMILY_LEVEL
+from ltsim.adjustment.significance import FAMILY_LEVEL, MIN_DOF_FOR_ESTIMATED_NOISE
 from ltsim.adjustment.snooping import drop_undetermined, pose_defect
 from ltsim.adjustment.stochastic_model import VarianceComponent
 from ltsim.core.arrays import Bools, Floats, Ints
@@ -36,7 +35,6 @@ from ltsim.scene.sightings import Sightings
 from ltsim.solve.design import to_dense
 from ltsim.solve.elimination import BlockFactor, SingularSystemError
 from ltsim.solve.gauss_newton import Solution, solution_for_plan, solve
-from ltsim.solve.projection import Projection, make_projection
 from ltsim.solve.threads import single_threaded
 
 MAX_SUCCESSIVELY_TESTED_READINGS = 300
@@ -205,11 +203,6 @@ class Adjustment(Result):
         self.require_solution()
         assert self.solution.factor is not None
         return self.solution.factor
-
-    @cached_property
-    def residual_projector(self) -> Projection:
-        """Projector onto the residual space: it maps errors of observations to their part in the residuals."""
-        return make_projection(self.solution.system, self.solution.factor)
 
     @cached_property
     def sightings(self) -> Sightings:

@@ -15,32 +15,22 @@ from scipy import special
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.frame import alignment_distances
+from ltsim.adjustment.significance import MIN_MISFIT_RATIO, SINGLE_LEVEL
 from ltsim.adjustment.start import initial_network
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, RecordError, option
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.rigid import align_robustly
+from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_robustly
 from ltsim.physics.model.measurement import plumb_directions
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.files import quoted_text
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import MIN_SIGMA, Axes, Target
 
-MIN_MIRROR_MISCLOSURE_RATIO = 10.0
-"""Ratio of the median misclosure of declared coordinates to that of their mirror image, above which the coordinates are
-rejected as left-handed. Correct coordinates have misclosures of the size of the noise, mirrored ones of the size of the
-network.
-"""
 MAX_RELATIVE_MISCLOSURE = 0.05
 """Median misclosure of declared coordinates, relative to the size of the network, from which they are rejected; nominal
 coordinates of a drawing differ less. The same limit applies to the scale.
 """
-SCALE_LEVEL = 1e-3
-"""Significance level of the test whether declared coordinates have another scale than the measured lengths (F-test, one
-degree of freedom).
-"""
-MIN_SCALED_TARGETS = 3
-"""Smallest number of targets with declared coordinates for a test of their scale."""
 NO_AXES: Mapping[str, Axes] = MappingProxyType({})
 """Empty mapping from targets to axes: every declared coordinate is used."""
 
@@ -75,7 +65,7 @@ def scale_of_declared_axes(adjustment: Adjustment) -> tuple[float, float] | None
     if the scale error is not significant.
     """
     used_tests = [test for test in adjustment.axis_tests if not test.is_excluded and len(test.residual) == 3]
-    if len(used_tests) < MIN_SCALED_TARGETS:
+    if len(used_tests) < MIN_RIGID_POINTS:
         return None
     places = adjustment.state.target_points[[adjustment.recording.targets.index(test.name) for test in used_tests]]
     column = (places - places.mean(axis=0)).ravel()
@@ -85,7 +75,7 @@ def scale_of_declared_axes(adjustment: Adjustment) -> tuple[float, float] | None
     dof = residual.size - 7  # six motions and the scale
     variance = float(np.sum((residual - scale * column) ** 2)) / dof
     ratio = scale**2 * float(column @ column) / max(variance, np.finfo(float).tiny)
-    if special.fdtrc(1, dof, ratio) > SCALE_LEVEL:
+    if special.fdtrc(1, dof, ratio) > SINGLE_LEVEL:
         return None
     return scale, float(np.sqrt(variance / (column @ column)))
 
@@ -190,8 +180,7 @@ def _require_network_shape(network_points: Floats, declared_points: Floats, sour
         raise RecordError("its targets lie on one line, expected at least three that do not", file=source) from None
     typical = float(np.median(alignment_distances(network_points, declared_points, motions[0])))
     is_mirrored = (
-        float(np.median(alignment_distances(mirror, declared_points, motions[1]))) * MIN_MIRROR_MISCLOSURE_RATIO
-        < typical
+        float(np.median(alignment_distances(mirror, declared_points, motions[1]))) * MIN_MISFIT_RATIO < typical
     )
     pairs = np.triu_indices(len(network_points), 1)
     lengths, declared = (np.linalg.norm(p[pairs[0]] - p[pairs[1]], axis=1) for p in (network_points, declared_points))

@@ -7,32 +7,31 @@ before the adjustment, because the shape of their points differs from that of ot
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.frame import StationTargetPairs, alignment_distances
+from ltsim.adjustment.reference_tests import MAX_INCLINATION
+from ltsim.adjustment.significance import MAX_TRACKER_ERROR
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
+from ltsim.core.notation import MAX_LISTED_ITEMS
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rigid import align_robustly
+from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_robustly
 from ltsim.physics.effects.face_confusion import FaceConfusion
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.physics.effects.wrong_unit import WrongUnit
 from ltsim.physics.model.measurement import plumb_directions
 from ltsim.recordings.recording import OBSERVABLES, Recording
-from ltsim.recordings.transcription_errors import FACE_ERRORS, UNIT_ERRORS
+from ltsim.recordings.transcription_errors import FACE_ERRORS, UNIT_ERRORS, shared_target_counts
 
-MAX_CORRECTED_DISTANCE = 1e-3
-"""Distance [m] of a corrected pointing from a target, below which the correction counts as the explanation."""
-MAX_RELATIVE_HORIZONTAL_OFFSET = 0.002
-"""Horizontal offset of a pointing from its target, relative to the vertical offset, below which a wrong height is the
-cause.
+MAX_COMPARED_STATIONS = 30
+"""Number of stations with which a station is compared, those that share most targets with it, and largest number of
+stations whose units are corrected. Each comparison takes a millisecond. If more stations differ, the whole file is
+wrong.
 """
-MAX_ROWS_IN_BLUNDER_TEXT = 6
-"""Largest number of rows that a sentence lists."""
 MIN_CLOUD_MISFIT = 5e-3
 """Median misfit [m] between the points of two stations from which another unit or convention is suspected; neither
 tracker errors nor a single blunder cause as much.
@@ -110,7 +109,7 @@ def _swapped_targets(adjustment: Adjustment, is_gross: Bools) -> Iterator[Correc
         _points_from_readings(adjustment, recording.readings[indices], indices)[:, None] - points[None], axis=2
     )
     nearest_targets = np.argmin(gaps, axis=1)
-    lands = gaps[np.arange(len(indices)), nearest_targets] < MAX_CORRECTED_DISTANCE
+    lands = gaps[np.arange(len(indices)), nearest_targets] < MAX_TRACKER_ERROR
     pairs: dict[tuple[int, int, int], list[int]] = {}
     for i in np.flatnonzero(lands & (nearest_targets != recording.target[indices])):
         a, b = sorted((int(recording.target[indices[i]]), int(nearest_targets[i])))
@@ -126,7 +125,7 @@ def _swapped_targets(adjustment: Adjustment, is_gross: Bools) -> Iterator[Correc
             )
         else:
             booked_name, meant = names if booked[0] == a else names[::-1]
-            numbers = ", ".join(str(indices[i] + 1) for i in members[:MAX_ROWS_IN_BLUNDER_TEXT])
+            numbers = ", ".join(str(indices[i] + 1) for i in members[:MAX_LISTED_ITEMS])
             sentence = (
                 f"At station {station} the pointing to {booked_name} (row {numbers}) was to {meant}, {gap:.2f} m away."
             )
@@ -148,23 +147,23 @@ def _wrong_heights(adjustment: Adjustment, is_gross: Bools) -> Iterator[Correcte
     vertical_parts = np.einsum("ni,ni->n", deviations, plumb_lines)
     horizontal_parts = np.linalg.norm(deviations - vertical_parts[:, None] * plumb_lines, axis=1)
     is_vertical = horizontal_parts < np.minimum(
-        np.maximum(MAX_CORRECTED_DISTANCE, MAX_RELATIVE_HORIZONTAL_OFFSET * np.abs(vertical_parts)),
+        np.maximum(MAX_TRACKER_ERROR, MAX_INCLINATION * np.abs(vertical_parts)),
         adjustment.sightings.range_[indices],
     )
     lift = np.zeros((len(recording), 3))
     lift[indices] = vertical_parts[:, None] * plumb_lines
     new_readings = recording.readings - exact_target_change(adjustment.sightings, lift)
     groups: dict[tuple[int, int, int], list[int]] = {}
-    for i in np.flatnonzero((np.abs(vertical_parts) > MAX_CORRECTED_DISTANCE) & is_vertical):
+    for i in np.flatnonzero((np.abs(vertical_parts) > MAX_TRACKER_ERROR) & is_vertical):
         key = (
             int(recording.station[indices[i]]),
             int(recording.target[indices[i]]),
-            round(vertical_parts[i] / (2.0 * MAX_CORRECTED_DISTANCE)),
+            round(vertical_parts[i] / (2.0 * MAX_TRACKER_ERROR)),
         )
         groups.setdefault(key, []).append(int(i))
     for (s, t, _), members in groups.items():
         station, target, size = recording.stations[s], recording.targets[t], float(np.mean(vertical_parts[members]))
-        numbers = ", ".join(str(indices[i] + 1) for i in members[:MAX_ROWS_IN_BLUNDER_TEXT])
+        numbers = ", ".join(str(indices[i] + 1) for i in members[:MAX_LISTED_ITEMS])
         where = "above" if size > 0 else "below"
         sentence = (
             f"From station {station} the pointing to {target} (row {numbers}) is {abs(size) / MILLIMETRE:.1f} mm "
@@ -182,7 +181,7 @@ def _unit_and_face_errors(adjustment: Adjustment, is_gross: Bools) -> Iterator[C
     for effect, slip in ((effect, slip) for effect, slips in kinds for slip in slips):
         readings = slip.without_error(recording.readings)
         at = np.flatnonzero(is_gross & np.isfinite(readings).all(axis=1))
-        at = at[_target_distances(adjustment, readings[at], at) < MAX_CORRECTED_DISTANCE]
+        at = at[_target_distances(adjustment, readings[at], at) < MAX_TRACKER_ERROR]
         if len(at):
             stations = tuple(sorted({recording.stations[s] for s in recording.station[at]}))
             targets = tuple(sorted({recording.targets[t] for t in recording.target[at]}))
@@ -202,12 +201,15 @@ def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
     recording : Recording
         Recording with converted readings.
     findings : list of IdentifiedBlunder
-        Blunders, one for each corrected station; empty if all shapes agree or no blunder explains the difference.
+        Blunders, one for each corrected station; empty if all shapes agree, if no blunder explains the difference, or
+        if more than `MAX_COMPARED_STATIONS` stations differ.
     """
     findings: list[IdentifiedBlunder] = []
     suspects = np.flatnonzero(_cloud_misfits(recording) > MIN_CLOUD_MISFIT)
     if len(recording.stations) == 2:
         return recording, _mirrored_pair(recording) if len(suspects) else findings
+    if len(suspects) > MAX_COMPARED_STATIONS:
+        return recording, findings
     for s in suspects.tolist():
         name, rows = recording.stations[s], np.flatnonzero(recording.station == s)
         for effect in WrongUnit.blunders_at_station(name):
@@ -274,17 +276,21 @@ def _cloud_misfits(recording: Recording, stations: Collection[int] | None = None
     """Misfit (S,) [m] of the points of each of S stations to those of the other stations; 0 without common targets.
 
     The misfit of two stations is the median distance of their common points after a rigid alignment, that of a station
-    the median over the other stations. With `stations` only pairs that contain one of these are compared.
+    the median over the stations that share most targets with it. With `stations` only pairs that contain one of these
+    are compared.
     """
     pairs, count = StationTargetPairs.from_recording(recording), len(recording.stations)
-    cloud = np.full((count, len(recording.targets), 3), np.nan)
-    cloud[pairs.station_indices, pairs.target_indices] = pairs.local_points
-    has_target, gaps = np.isfinite(cloud[:, :, 0]), np.full((count, count), np.nan)
-    for a, b in combinations(range(count), 2):
-        common = has_target[a] & has_target[b]
-        if common.sum() < 4 or not (stations is None or a in stations or b in stations):
+    n_shared = shared_target_counts(pairs.station_indices, pairs.target_indices, count)
+    np.fill_diagonal(n_shared, 0)
+    neighbours = np.argsort(-n_shared, axis=1, kind="stable")[:, :MAX_COMPARED_STATIONS]
+    is_pair, gaps = np.zeros((count, count), dtype=bool), np.full((count, count), np.nan)
+    np.put_along_axis(is_pair, neighbours, np.take_along_axis(n_shared, neighbours, axis=1) > MIN_RIGID_POINTS, axis=1)
+    for a, b in np.argwhere(np.triu(is_pair | is_pair.T)).tolist():
+        if not (stations is None or a in stations or b in stations):
             continue
-        here, there = cloud[b][common], cloud[a][common]
+        of_a, of_b = pairs.slice_of_station(a), pairs.slice_of_station(b)
+        _, in_a, in_b = np.intersect1d(pairs.target_indices[of_a], pairs.target_indices[of_b], return_indices=True)
+        there, here = pairs.local_points[of_a][in_a], pairs.local_points[of_b][in_b]
         try:
             gaps[a, b] = gaps[b, a] = float(np.median(alignment_distances(here, there, align_robustly(here, there))))
         except NetworkError:

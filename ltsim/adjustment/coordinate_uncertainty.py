@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Floats, Ints
+from ltsim.core.arrays import Floats, Ints, batches
 from ltsim.core.units import PPM
 from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.physics.effects.air import reading_changes_per_sigma, turbulence_variance
@@ -167,16 +167,13 @@ def air_covariance(adjustment: Adjustment, columns: Ints, air: AirUncertainty | 
     if counted is None:
         return added_covariance
     unknowns, (common, turbulent) = adjustment.problem.unknowns.n_columns, _air_right_hand_sides(adjustment, counted)
-    step = max(1, MAX_TEMPORARY_ENTRIES // (unknowns * size))
-    for first in range(0, len(columns), step):
-        batch = columns[first : first + step]
+    for part in batches(len(columns), unknowns * size):
+        batch = columns[part]
         spread = _covariance_columns(adjustment, batch.ravel())
         by_station = (common.T @ spread).T.reshape(len(batch), size, -1)
         sets = spread.T.reshape(len(batch), size, unknowns)
         scattered = (turbulent @ spread).T.reshape(sets.shape)
-        added_covariance[first : first + step] = by_station @ np.swapaxes(by_station, 1, 2) + sets @ np.swapaxes(
-            scattered, 1, 2
-        )
+        added_covariance[part] = by_station @ np.swapaxes(by_station, 1, 2) + sets @ np.swapaxes(scattered, 1, 2)
     variance = np.einsum("cii->ci", added_covariance)
     np.maximum(variance, 0.0, out=variance)  # rounding of what the datum holds
     return added_covariance

@@ -20,9 +20,7 @@ from ltsim.geometry.rigid import from_rotation_vector, rigid_motion_design
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.design import NORMAL_RANK_TOLERANCE, scale_to_unit_diagonal
 from ltsim.solve.elimination import BlockFactor
-
-MAX_DATUM_STEPS = 5
-"""Largest number of Gauss-Newton steps of the motion of a network to its datum; convergence is quadratic."""
+from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 
 @dataclass(frozen=True)
@@ -76,7 +74,7 @@ def move_to_datum(problem: NetworkProblem, state: NetworkState, names: Sequence[
     scale.
     """
     rotation_angle = 0.0
-    for _ in range(MAX_DATUM_STEPS):
+    for _ in range(MAX_ITERATIONS):
         tied = DatumPoints.from_names(problem, state, names)
         has_goal = np.isfinite(tied.approximate_points)
         if not has_goal.any():
@@ -176,8 +174,11 @@ class InnerDatum:
         """Covariances (c, k, k) of c sets of k unknowns (`columns` (c, k)), transformed to this datum."""
         motion, carried = self.free_motions[columns], self.transformation[columns]
         cross_covariance = motion @ np.swapaxes(carried, 1, 2)
-        motion_part = motion @ self.motion_covariance @ np.swapaxes(motion, 1, 2)
-        return np.asarray(covariance - cross_covariance - np.swapaxes(cross_covariance, 1, 2) + motion_part)
+        transformed = np.asarray(covariance - cross_covariance)
+        transformed -= np.swapaxes(cross_covariance, 1, 2)
+        del cross_covariance  # as large as the covariance
+        transformed += motion @ self.motion_covariance @ np.swapaxes(motion, 1, 2)
+        return transformed
 
 
 def _scale_displacement(problem: NetworkProblem) -> Callable[[Floats], Floats]:

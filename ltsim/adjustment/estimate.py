@@ -12,36 +12,30 @@ from ltsim.adjustment.frame import alignment_distances
 from ltsim.adjustment.marks import StationMarks
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import WEAK_PRIOR_FACTOR, NetworkProblem
-from ltsim.adjustment.reference_tests import (
-    MAX_NORMALISED_ERROR,
-    TESTED_REFERENCE_KINDS,
-    ReferenceTest,
-    snoop_references,
-)
+from ltsim.adjustment.reference_tests import TESTED_REFERENCE_KINDS, ReferenceTest, snoop_references
 from ltsim.adjustment.reference_values import ReferenceKind
-from ltsim.adjustment.significance import MIN_FAULTY_FRACTION_OF_PLACE, MIN_NUMERICAL_REDUNDANCY
+from ltsim.adjustment.significance import (
+    FAMILY_LEVEL,
+    MAX_TRACKER_ERROR,
+    MIN_CLEAR_SIGMAS,
+    MIN_FAULTY_FRACTION_OF_PLACE,
+    MIN_MISFIT_RATIO,
+)
 from ltsim.adjustment.snooping import drop_undetermined, screen_gross_errors, snoop_readings, without_copied_rows
 from ltsim.adjustment.stochastic_model import NoiseGrouping, VarianceComponent, estimate_variance_components
 from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import ModelError, NetworkError
 from ltsim.core.limits import MAX_ADJUSTED_POINTINGS
+from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.rigid import align_robustly, rigid_motion_design
+from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_robustly, rigid_motion_design
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.model.construction import Construction, ideal_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, smr_radius_offsets, with_plumb_lines
 from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import Solution, solve
 from ltsim.solve.threads import single_threaded
-
-MAX_DATUM_ROTATION = 1e-7
-"""Rotation [rad] of the network to its datum above which the normal equations are computed again."""
-
-MAX_SIDEWAYS_MOTION = 1e-6
-"""Change of the offset of an SMR per radian of an undetermined rotation, relative to the offset, above which the
-network is refused.
-"""
 
 
 @raise_for_singular_network
@@ -193,7 +187,7 @@ def _require_fixed_smr_offsets(problem: NetworkProblem) -> None:
     if offsets is None:
         return
     rotated = np.cross(problem.free_motions[3:].T[:, None], offsets[None])
-    if np.any(np.abs(rotated) > MAX_SIDEWAYS_MOTION * np.abs(offsets).max()):
+    if np.any(np.abs(rotated) > MAX_SOLUTION_ROUNDING_ERROR * np.abs(offsets).max()):
         raise NetworkError(
             "SMRs of several radii are offset along the normals of their nests, and the network has no frame for these "
             "normals: declare three known points (known_mm), or levels where all such normals are vertical"
@@ -221,27 +215,17 @@ def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | Non
             raise ModelError(f"the readings do not determine target {name} of the datum: remove it from the datum")
     if not names or solution.factor is None or not problem.free_motions.shape[1]:
         return adjustment
-    if adjustment.recording.setup.axes and datum_names is None and len(names) >= MIN_AXIS_POINTS:
+    if adjustment.recording.setup.axes and datum_names is None and len(names) >= MIN_RIGID_POINTS:
         fitted, tests = fit_axes(adjustment, names)
         problem = replace(problem, model=replace(problem.model, recording=fitted))
         adjustment, names = replace(adjustment, problem=problem, axis_tests=tests), list(selected_datum_names(problem))
     state, turned = move_to_datum(problem, solution.x, names)
     solution = replace(solution, x=state)
-    if turned > MAX_DATUM_ROTATION:  # The factor belongs to the frame it was computed in.
+    if turned > MAX_ROUNDING_ERROR:  # The factor belongs to the frame it was computed in.
         again = solve(problem, state)
         solution = replace(again, n_iterations=solution.n_iterations, status=solution.status)
     datum = None if solution.factor is None else InnerDatum.from_points(problem, state, solution.factor, names)
     return replace(adjustment, solution=solution, datum=datum)
-
-
-MIN_GROSS_MISCLOSURE = 2e-3
-"""Misclosure [m] of a point that defines axes, up to which it always takes part in the first test."""
-MIN_DATUM_EXCLUSION_RATIO = 10.0
-"""Misclosure of a point relative to the median of all points, up to which the point takes part in the first test."""
-EXCLUSION_LEVEL = 0.02
-"""Significance level of the tests of all points that define axes together (Bonferroni)."""
-MIN_AXIS_POINTS = 3
-"""Smallest number of points that define axes; no point is excluded below it."""
 
 
 def fit_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, tuple[ReferenceTest, ...]]:
@@ -257,7 +241,7 @@ def fit_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, t
     )
     adjusted_points = adjustment.state.target_points[[recording.targets.index(name) for name in names]]
     deviations = alignment_distances(adjusted_points, declared_points, align_robustly(adjusted_points, declared_points))
-    use = deviations <= max(MIN_DATUM_EXCLUSION_RATIO * float(np.median(deviations)), MIN_GROSS_MISCLOSURE)
+    use = deviations <= max(MIN_MISFIT_RATIO * float(np.median(deviations)), MAX_TRACKER_ERROR)
     use |= use.sum() <= len(names) / 2
     for _ in range(2 * len(names)):
         tests = _axes_tests(adjustment, names, declared_points, use)
@@ -268,7 +252,7 @@ def fit_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, t
             k = int(np.argmax(np.where(use, ratio, 0.0)))
         else:
             break
-        if use[k] and use.sum() <= MIN_AXIS_POINTS:
+        if use[k] and use.sum() <= MIN_RIGID_POINTS:
             tests[k] = replace(tests[k], is_excluded=True)
             declared_points[k] -= tests[k].error
             break
@@ -296,7 +280,7 @@ def _axes_tests(
     leverages = motion @ np.linalg.inv(np.linalg.qr(motion[used_mask].reshape(-1, motion.shape[2]))[1])
     hat_blocks = leverages @ np.swapaxes(leverages, 1, 2)
     square = float(np.sum(gap[used_mask] ** 2)) - float(np.trace(covariance[used_mask].sum(axis=0)))
-    test_values = square, 3 * int(used_mask.sum()) - motion.shape[2], EXCLUSION_LEVEL / len(names)
+    test_values = square, 3 * int(used_mask.sum()) - motion.shape[2], FAMILY_LEVEL / len(names)
     return [
         _axis_point_test(name, gap[k], covariance[k], hat_blocks[k], is_used=bool(used_mask[k]), scatter=test_values)
         for k, name in enumerate(names)
@@ -320,7 +304,7 @@ def _axis_point_test(
     misclosures of the points in use, its degrees of freedom, and the significance level of this test.
     """
     share, turned = np.linalg.eigh(np.eye(3) - hat_block if is_used else np.eye(3) + hat_block)
-    is_checked = share > MIN_NUMERICAL_REDUNDANCY
+    is_checked = share > MAX_SOLUTION_ROUNDING_ERROR
     turned, share = turned[:, is_checked], share[is_checked]
     redundancy = share if is_used else np.ones(len(share))
     square, dof, level = scatter
@@ -342,5 +326,5 @@ def _axis_point_test(
         chi2_drop=float(error @ np.linalg.solve(spread, error)),
         rank=len(share),
         is_excluded=not is_used,
-        critical_value=max(MAX_NORMALISED_ERROR, float(np.sqrt(limit))),
+        critical_value=max(MIN_CLEAR_SIGMAS, float(np.sqrt(limit))),
     )

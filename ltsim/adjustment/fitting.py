@@ -14,15 +14,11 @@ import numpy as np
 
 from ltsim.adjustment.sight import FitReadings
 from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rigid import cross_matrix, from_rotation_vector, rotation_about_z
+from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
-MIN_DAMPING = 1e-10
-"""Smallest damping of Levenberg-Marquardt steps, relative to the diagonal of the normal equations, which keeps these
-regular if a direction is undetermined.
-"""
-MAX_FIT_STEPS = 60
-"""Largest number of Levenberg-Marquardt steps of a fit."""
 MAX_SOLUTION_DISTANCE = 1e-3
 """Relative distance of positions plus distance of rotation matrices, up to which two solutions are equal."""
 MIN_SUM_OF_SQUARES_RATIO = 4.0
@@ -140,10 +136,10 @@ def _iterate_best_starts(
         )
         cost, damping = _sum_of_squares(here[2]), np.full(len(best), 1e-3)
         step = np.zeros((len(best), 6))
-        for _ in range(MAX_FIT_STEPS):
+        for _ in range(MAX_ITERATIONS):
             start_positions, rotation, gap, by = here
             normal = np.nan_to_num(np.swapaxes(by, 1, 2) @ by, posinf=0.0)
-            weight = np.maximum(damping, MIN_DAMPING)[:, None] * np.einsum("bii->bi", normal) + 1e-9
+            weight = np.maximum(damping, MAX_ROUNDING_ERROR)[:, None] * np.einsum("bii->bi", normal) + 1e-9
             lifted = normal + weight[:, :, None] * np.eye(normal.shape[1])
             right = np.nan_to_num(np.einsum("bmi,bm->bi", by, gap), posinf=0.0)
             step[:, free_unknowns] = np.linalg.solve(lifted, right[..., None])[..., 0]
@@ -232,8 +228,6 @@ def multilaterate(ranges: Floats) -> tuple[Floats, Floats] | None:
 
 MIN_BEAM_INTERSECTION = 1e-5
 """Smallest eigenvalue of the mean projector perpendicular to the beams, below which beams count as parallel."""
-MIN_PLAN_SINGULAR_VALUE = 1e-6
-"""Singular value of the equations of a plan, relative to the largest, below which its shape is undetermined."""
 
 
 def meeting_point(origin: Floats, beam: Floats) -> Floats | None:
@@ -326,13 +320,13 @@ def lines_without_length(
     if (
         not len(along)
         or not rows.all()
-        or size[-1] >= MIN_PLAN_SINGULAR_VALUE * size[0]
-        or size[-2] < MIN_PLAN_SINGULAR_VALUE * size[0]
+        or size[-1] >= MAX_SOLUTION_ROUNDING_ERROR * size[0]
+        or size[-2] < MAX_SOLUTION_ROUNDING_ERROR * size[0]
     ):
         return []
     motion = np.concatenate([np.zeros((1, 2)), right[-1].reshape(-1, 2)])
     moves = np.linalg.norm(motion[second] - motion[first], axis=1)
-    loose_indices = np.flatnonzero(moves > MIN_PLAN_SINGULAR_VALUE * moves.max())
+    loose_indices = np.flatnonzero(moves > MAX_SOLUTION_ROUNDING_ERROR * moves.max())
     ends = {
         (min(pair), max(pair))
         for pair in zip(used[first[loose_indices]].tolist(), used[second[loose_indices]].tolist(), strict=True)
@@ -372,7 +366,7 @@ def _plan_shape(
     right_side = np.zeros(len(design))
     right_side[len(bearing) : len(bearing) + len(length_rows)] = length
     u, size, rows = np.linalg.svd(design, full_matrices=False)
-    if size[-1 if len(length_rows) else -2] < MIN_PLAN_SINGULAR_VALUE * size[0]:
+    if size[-1 if len(length_rows) else -2] < MAX_SOLUTION_ROUNDING_ERROR * size[0]:
         return None
     plan = rows.T @ ((u.T @ right_side) / size) if len(length_rows) else rows[-1]
     shape = np.concatenate([[0.0], plan.reshape(-1, 2) @ [1.0, 1j]])

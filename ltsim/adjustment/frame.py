@@ -11,20 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.adjustment.marks import StationMarks
-from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.arrays import Bools, Floats, Ints, batches
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rigid import align_rigidly, align_robustly, rotation_about_z, smallest_rotation
+from ltsim.geometry.rigid import VERTICAL, align_rigidly, align_robustly, rotation_about_z, smallest_rotation
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Target
 
-VERTICAL = np.array([0.0, 0.0, 1.0])
-"""Unit vector of the vertical in the network frame."""
 MAX_FLOOR_PLAN_ERROR = 0.5
 """Distance [m] of a station from its position on a floor plan, from which the plan is ignored."""
-MEDIAN_BATCH_SIZE = 4096
-"""Number of targets whose medians are computed together."""
 UNKNOWN_POINT = (np.nan, np.nan, np.nan)
 """Coordinates of a point without declared coordinates."""
 
@@ -357,16 +353,11 @@ class StationTargetPairs:
     def medians_by_target(self, values: Floats, targets: Ints) -> Floats:
         """Medians (k, 3) over the stations of values (m, 3) of the pairs, for k targets; NaN if all values are NaN."""
         medians = np.full((len(targets), 3), np.nan)
-        for low in range(0, len(targets), MEDIAN_BATCH_SIZE):
-            first, end = (
-                self.first_pair_of_target[targets[low : low + MEDIAN_BATCH_SIZE]],
-                self.first_pair_of_target[targets[low : low + MEDIAN_BATCH_SIZE] + 1],
-            )
+        for part in batches(len(targets), 3 * int(np.diff(self.first_pair_of_target).max(initial=1))):
+            first, end = self.first_pair_of_target[targets[part]], self.first_pair_of_target[targets[part] + 1]
             place = first[:, None] + np.arange((end - first).max(initial=0))
             pair = self.target_order[np.minimum(place, len(self) - 1)]
-            medians[low : low + MEDIAN_BATCH_SIZE] = _nan_median(
-                np.where((place < end[:, None])[:, :, None], values[pair], np.nan)
-            )
+            medians[part] = _nan_median(np.where((place < end[:, None])[:, :, None], values[pair], np.nan))
         return medians
 
 

@@ -6,47 +6,37 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.blunders import MAX_CORRECTED_DISTANCE, correct_units, detect_blunders
+from ltsim.adjustment.axes import MAX_RELATIVE_MISCLOSURE
+from ltsim.adjustment.blunders import correct_units, detect_blunders
 from ltsim.adjustment.centring import estimate_centring_errors
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.frame import MAX_FLOOR_PLAN_ERROR, DeclaredFrame, alignment_distances, upright_alignment
 from ltsim.adjustment.reference_values import without_reference_coordinates
-from ltsim.adjustment.significance import MIN_FAULTY_FRACTION_OF_PLACE
+from ltsim.adjustment.significance import (
+    MAX_SINGLE_ERROR_FRACTION,
+    MAX_TRACKER_ERROR,
+    MIN_FAULTY_FRACTION_OF_PLACE,
+    MIN_MISFIT_RATIO,
+)
 from ltsim.adjustment.station_motions import motion_sentences
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import LtsimError, NetworkError
-from ltsim.core.notation import listing
+from ltsim.core.notation import MAX_LISTED_SENTENCES, listing
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.polar import wrap_angle
-from ltsim.geometry.rigid import align_rigidly
+from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_rigidly
 from ltsim.recordings.transcription_errors import GON_PER_DEGREE, UNIT_ERRORS, TranscriptionError
 
-MAX_UNUSED_FRACTION = 0.1
-"""Fraction of unused pointings below which another unit of the readings is reported as the correct one."""
 MAX_CONSISTENT_SIGMA0 = 100.0
 """Value of sigma0 above which observations contradict each other, so that another unit is tried and standard deviations
 are reported as not valid.
 """
-MIN_SIGMA0_RATIO = 0.1
-"""Ratio of sigma0 without control points to that with them, below which the control points are reported as the cause.
-The same ratio of misfits applies to another scale, a mirror image, and another unit.
-"""
-MAX_SENTENCES_PER_KIND = 4
-"""Largest number of sentences of one kind; the number of further ones is reported."""
-MIN_PLAN_STATIONS = 3
-"""Smallest number of stations with approximate positions for a comparison of the network with them."""
-MAX_RELATIVE_PLAN_MISCLOSURE = 0.01
-"""Misclosure of the approximate positions of stations, relative to the extent of the network, below which they fit."""
-MAX_MIRROR_MISCLOSURE_RATIO = 0.3
-"""Ratio of the misclosure of the mirror image to that of the network, below which a mirror image is reported."""
 MIN_COS_MEDIAN_TILT = 0.9
 """Cosine of the median tilt of the stations, from which the network is compared with approximate positions."""
 MAX_CURVATURE = 0.3
 """Curvature of a pose (Bates and Watts), in standard deviations of a reading, above which the linearised standard
 deviations of the pose are reported as too small.
 """
-MIN_CURVATURE_BOUND = 0.03
-"""Upper bound of the curvature of a pose, up to which the curvature itself is not computed and counts as zero."""
 TRIED_UNIT_ERRORS = (
     *(slip for slip in UNIT_ERRORS if slip.name in ("gon", "metre", "inch", "clockwise", "zenith")),
     TranscriptionError("degree", "degrees", "gon", ((1, 1.0 / GON_PER_DEGREE, 0.0), (2, 1.0 / GON_PER_DEGREE, 0.0))),
@@ -81,7 +71,7 @@ def _require_consistent_units(adjustment: Adjustment) -> None:
     if thin or not adjustment.solution.has_converged or adjustment.sigma0 > MAX_CONSISTENT_SIGMA0:
         sentences = [finding.sentence.rstrip(".") for finding in correct_units(adjustment.recording)[1]]
         if sentences:
-            first_sentences = "; ".join(sentences[:MAX_SENTENCES_PER_KIND])
+            first_sentences = "; ".join(sentences[:MAX_LISTED_SENTENCES])
             raise NetworkError(f"{first_sentences}: read the recording again in that unit or convention")
 
 
@@ -96,7 +86,7 @@ def _require_consistent_control(adjustment: Adjustment) -> None:
         )
     except LtsimError:
         return
-    if not (alone.solution.has_converged and alone.sigma0 < MIN_SIGMA0_RATIO * adjustment.sigma0):
+    if not (alone.solution.has_converged and MIN_MISFIT_RATIO * alone.sigma0 < adjustment.sigma0):
         return
     gap = 1e3 * float(np.abs(adjustment.state.target_points[control.place_indices] - control.declared_points).max())
     is_complete = control.declared_components.all(axis=1)
@@ -124,7 +114,7 @@ def _control_difference_text(network_points: Floats, control_points: Floats) -> 
     best = min(ways, key=lambda way: ways[way])
     return (
         best
-        if ways[best] < MIN_SIGMA0_RATIO * _rigid_fit_misfit(network_points, control_points)
+        if MIN_MISFIT_RATIO * ways[best] < _rigid_fit_misfit(network_points, control_points)
         else "check their coordinates and names"
     )
 
@@ -150,7 +140,7 @@ def _consistent_unit_text(adjustment: Adjustment) -> str:
     """Unit that makes the readings consistent, as `gon, not degrees`; empty if there is none."""
     recording, most = adjustment.recording, MAX_CONSISTENT_SIGMA0
     if adjustment.sigma0 > MAX_CONSISTENT_SIGMA0:
-        most = MIN_SIGMA0_RATIO * adjustment.sigma0
+        most = adjustment.sigma0 / MIN_MISFIT_RATIO
     for slip in TRIED_UNIT_ERRORS:
         try:
             adjusted = adjust(recording.with_readings(slip.without_error(recording.readings)))
@@ -159,7 +149,7 @@ def _consistent_unit_text(adjustment: Adjustment) -> str:
         if (
             adjusted.solution.has_converged
             and adjusted.sigma0 < most
-            and _is_unused(adjusted).mean() < MAX_UNUSED_FRACTION
+            and _is_unused(adjusted).mean() < MAX_SINGLE_ERROR_FRACTION
         ):
             return f"{slip.wrong_content}, not {slip.right_content}"
     return ""
@@ -196,9 +186,9 @@ def _reference_sentences(adjustment: Adjustment) -> Iterator[str]:
     sentences = [
         test.sentence for test in candidates if test.is_excluded or test.indistinguishable_from or test.kind == "scale"
     ]
-    yield from sentences[:MAX_SENTENCES_PER_KIND]
-    if len(sentences) > MAX_SENTENCES_PER_KIND:
-        yield f"{len(sentences) - MAX_SENTENCES_PER_KIND} more reference values contradict the other observations"
+    yield from sentences[:MAX_LISTED_SENTENCES]
+    if len(sentences) > MAX_LISTED_SENTENCES:
+        yield f"{len(sentences) - MAX_LISTED_SENTENCES} more reference values contradict the other observations"
 
 
 def _cause_sentences(adjustment: Adjustment) -> Iterator[str]:
@@ -215,7 +205,7 @@ def _plan_sentences(adjustment: Adjustment) -> Iterator[str]:
     """Sentences on approximate positions of upright stations that do not fit the network, or only its mirror image."""
     frame, state = DeclaredFrame.from_recording(adjustment.recording), adjustment.state
     planned_indices = np.flatnonzero(np.isfinite(frame.plan_positions).all(axis=1))
-    if len(planned_indices) < MIN_PLAN_STATIONS or np.median(state.station_rotations[:, 2, 2]) < MIN_COS_MEDIAN_TILT:
+    if len(planned_indices) < MIN_RIGID_POINTS or np.median(state.station_rotations[:, 2, 2]) < MIN_COS_MEDIAN_TILT:
         return
     here, there = (
         state.station_positions[planned_indices] * [1.0, 1.0, 0.0],
@@ -228,10 +218,10 @@ def _plan_sentences(adjustment: Adjustment) -> Iterator[str]:
         float(alignment_distances(places, there, upright_alignment(places, there)).max())
         for places in (here, here * [1.0, -1.0, 1.0])
     )
-    if as_is < max(MAX_FLOOR_PLAN_ERROR, MAX_RELATIVE_PLAN_MISCLOSURE * extent):
+    if as_is < max(MAX_FLOOR_PLAN_ERROR, MAX_RELATIVE_MISCLOSURE * extent):
         return
     names = listing([adjustment.recording.stations[s] for s in planned_indices])
-    if mirrored < min(MAX_FLOOR_PLAN_ERROR, MAX_MIRROR_MISCLOSURE_RATIO * as_is):
+    if mirrored < min(MAX_FLOOR_PLAN_ERROR, as_is / MIN_MISFIT_RATIO):
         yield (
             f"the declared positions of stations {names} fit the mirror image of this network within {mirrored:.2g} m, "
             f"and the network itself within {as_is:.2g} m: the azimuths may be clockwise, and all coordinates mirrored"
@@ -261,11 +251,11 @@ def _blunder_sentences(adjustment: Adjustment) -> Iterator[str]:
     sentences = [finding.sentence.rstrip(".") for finding, *_ in detect_blunders(adjustment)]
     if sentences:
         more = (
-            f"; {len(sentences) - MAX_SENTENCES_PER_KIND} more such mistakes"
-            if len(sentences) > MAX_SENTENCES_PER_KIND
+            f"; {len(sentences) - MAX_LISTED_SENTENCES} more such mistakes"
+            if len(sentences) > MAX_LISTED_SENTENCES
             else ""
         )
-        shown_ones = "; ".join(sentences[:MAX_SENTENCES_PER_KIND])
+        shown_ones = "; ".join(sentences[:MAX_LISTED_SENTENCES])
         yield f"{shown_ones}{more}: these pointings are not used; ltsim diagnose corrects them"
 
 
@@ -276,7 +266,7 @@ def _duplicate_target_sentences(adjustment: Adjustment) -> Iterator[str]:
     placed = adjustment.problem.used_readings.all(axis=1)
     is_sighted[recording.target[placed], recording.station[placed]] = True
     placed_targets = np.flatnonzero(is_sighted.any(axis=1))
-    for a, b in KDTree(points[placed_targets]).query_pairs(MAX_CORRECTED_DISTANCE, output_type="ndarray"):
+    for a, b in KDTree(points[placed_targets]).query_pairs(MAX_TRACKER_ERROR, output_type="ndarray"):
         first, second = placed_targets[[a, b]]
         if not (is_sighted[first] & is_sighted[second]).any():
             gap = float(np.linalg.norm(points[first] - points[second])) / MILLIMETRE
@@ -352,7 +342,7 @@ def pose_curvatures(adjustment: Adjustment) -> Floats:
     np.maximum.at(steepest, station[has_readings], (range_ / min_sigmas)[has_readings])
     bend = np.where(np.isnan(spread).any(axis=(1, 2)), np.nan, 0.0)
     turn = np.trace(np.nan_to_num(spread)[:, 3:, 3:], axis1=1, axis2=2)
-    for s in np.flatnonzero((0.5 * turn * steepest > MIN_CURVATURE_BOUND) & ~np.isnan(bend)):
+    for s in np.flatnonzero((0.5 * turn * steepest > MAX_CURVATURE) & ~np.isnan(bend)):
         columns, size = problem.unknowns.pose_columns[s], np.sqrt(np.diag(spread[s]))
         worst = np.linalg.eigh(spread[s] / np.outer(size, size))[1][:, -1] / size
         direction = np.zeros((problem.unknowns.n_columns, 1))

@@ -29,10 +29,11 @@ from ltsim.adjustment.reliability import (
     redundancy_numbers,
     standardised_residuals,
 )
-from ltsim.adjustment.significance import FAMILY_LEVEL
+from ltsim.adjustment.significance import FAMILY_LEVEL, MIN_CLEAR_SIGMAS, MIN_GROSS_SIGMAS, MIN_REPORTED_PROBABILITY
 from ltsim.adjustment.snooping import snoop_readings
-from ltsim.core.arrays import Bools, Floats
+from ltsim.core.arrays import Bools, Floats, batches
 from ltsim.core.notation import with_sigma
+from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.design import to_dense
@@ -55,28 +56,16 @@ TESTED_REFERENCE_KINDS: tuple[ReferenceKind, ...] = ("point", "difference", "len
 """Kinds of reference values that are tested."""
 SCALE_DEPENDENT_KINDS: tuple[ReferenceKind, ...] = TESTED_REFERENCE_KINDS[:-1]
 """Kinds of values that may be excluded if lengths determine the scale; a common scale error is then only reported."""
-MAX_NORMALISED_ERROR = 5.0
-"""Error of a reference value, in its standard deviations, above which the value is excluded."""
 MIN_TESTED_REDUNDANCY = 1e-3
 """Redundancy up to which the other observations do not test a component of a reference value."""
-MIN_RELATIVE_SIGNATURE = 1e-9
-"""Relative length of a component's signature up to which the component has no influence on the observations."""
-MIN_RESIDUAL = 0.2
-"""Whitened residual below which a reference value is not tested, because an error of 5 sigmas causes a larger one."""
+MIN_RESIDUAL = MIN_CLEAR_SIGMAS * float(np.sqrt(MIN_TESTED_REDUNDANCY))
+"""Whitened residual below which a reference value is not tested: an error of `MIN_CLEAR_SIGMAS` causes a larger one."""
 MAX_INCLINATION = 0.01
 """Ratio of horizontal to vertical error up to which an error of a point counts as a height error."""
-REFERENCE_BATCH_SIZE = 64
-"""Number of reference values whose covariance columns are computed together (memory)."""
-MIN_NORMALISED_ERROR_CERTAIN = 20.0
-"""Error of a reference value, in its standard deviations, from which the value is excluded even if several outliers
-among the readings explain the misfit as well.
-"""
 MIN_VALUES_FOR_TYPICAL_ERROR = 3
 """Number of other reference values of the same kind below which a wrong value is not identified if another one also
 contradicts.
 """
-MIN_LIKELIHOOD_RATIO = 100.0
-"""Likelihood ratio of two hypotheses up to which they are reported as indistinguishable."""
 MAX_CHI2_FRACTION = 1e-6
 """Ratio of chi-square after and before the exclusion of reference values, below which they are certainly wrong."""
 MAX_EXCLUDED_FRACTION = 1 / 3
@@ -97,7 +86,7 @@ class ReferenceTest(ReferenceValue):
     """Number of components that the other observations test."""
     is_excluded: bool = False
     """True if the value contradicts the other observations and is excluded from the adjustment."""
-    critical_value: float = MAX_NORMALISED_ERROR
+    critical_value: float = MIN_CLEAR_SIGMAS
     """Value of `normalised_error` above which the reference value is excluded."""
     indistinguishable_from: tuple[str, ...] = ()
     """Names of other reference values whose error explains the misfit as well; none of these is excluded."""
@@ -111,8 +100,8 @@ class ReferenceTest(ReferenceValue):
     def is_height(self) -> bool:
         """True if the error is significant in the height and not in the horizontal coordinates."""
         *plan, height = np.abs(self.error).tolist()
-        small = [max(MAX_NORMALISED_ERROR * sigma, MAX_INCLINATION * height) for sigma in self.sigma_error[:-1]]
-        is_significant = height > MAX_NORMALISED_ERROR * self.sigma_error[-1]
+        small = [max(MIN_CLEAR_SIGMAS * sigma, MAX_INCLINATION * height) for sigma in self.sigma_error[:-1]]
+        is_significant = height > MIN_CLEAR_SIGMAS * self.sigma_error[-1]
         return bool(plan) and is_significant and all(map(float.__lt__, plan, small))
 
     @property
@@ -177,7 +166,7 @@ def reference_tests(
     declared = reference_values(problem, solution.x)
     values = [v for v in declared if float(np.linalg.norm(residual[v.rows])) >= min_residual]
     values += common_scale(problem, solution.x) if min_residual else []
-    for batch in (values[i : i + REFERENCE_BATCH_SIZE] for i in range(0, len(values), REFERENCE_BATCH_SIZE)):
+    for batch in (values[part] for part in batches(len(values), 3 * solution.system.design.shape[1])):
         inside = np.hstack([to_dense(solution.system.design[value.rows]).T @ value.signature for value in batch])
         response, first = solution.factor.covariance_columns(inside), 0
         for value in batch:
@@ -207,7 +196,7 @@ def _reference_test(value: ReferenceValueRows, gram_matrix: Floats, residual_pro
     `residual_product` (q,) the inner products of these changes with the residuals.
     """
     signature_norms = np.linalg.norm(value.signature, axis=0)
-    acts = signature_norms > MIN_RELATIVE_SIGNATURE * signature_norms.max()  # readings in plan do not depend on heights
+    acts = signature_norms > MAX_ROUNDING_ERROR * signature_norms.max()  # readings in plan do not depend on heights
     signature_norms = np.where(acts, signature_norms, np.inf)
     redundancies, eigenvectors = np.linalg.eigh(gram_matrix / np.outer(signature_norms, signature_norms))
     checked = redundancies > MIN_TESTED_REDUNDANCY
@@ -278,12 +267,12 @@ def snoop_references(
     ended = solve(reduced, solution.x)
     final = reference_tests(reduced, ended)
     others = {kind: [test for test in final if test.kind == kind] for kind in {t.kind for t in gone}}
-    weak = [test for test in gone if test.normalised_error < MAX_NORMALISED_ERROR * _typical_error(others[test.kind])]
+    weak = [test for test in gone if test.normalised_error < MIN_CLEAR_SIGMAS * _typical_error(others[test.kind])]
     if weak:
         contradictory = _contradicting_group(weak, [*weak, *(test for group in others.values() for test in group)])
         again = exempt_values | {(test.kind, test.name) for test in weak}
         return (*given, contradictory) if contradictory else snoop_references(*given, kinds, again)
-    doubtful = min(test.normalised_error for test in gone) < MIN_NORMALISED_ERROR_CERTAIN
+    doubtful = min(test.normalised_error for test in gone) < MIN_GROSS_SIGMAS
     if doubtful and _penalised_chi2(reduced, ended, gone) >= _penalised_chi2(problem, given[1], ()):
         return *given, ()
     return reduced, ended, tuple(_with_final_errors(out, problem, ended.x))
@@ -315,7 +304,7 @@ def _contradicting_group(
     """Test of a value that contradicts others of its kind, if the data do not show which one is wrong; else empty."""
     for test in wrong_values:
         others = [other for other in all_tests if other.kind == test.kind and other.name != test.name]
-        rivals = tuple(other.name for other in others if other.normalised_error > MAX_NORMALISED_ERROR)
+        rivals = tuple(other.name for other in others if other.normalised_error > MIN_CLEAR_SIGMAS)
         if rivals and len(others) < MIN_VALUES_FOR_TYPICAL_ERROR:
             return (replace(test, is_excluded=False, indistinguishable_from=rivals),)
     return ()
@@ -369,12 +358,19 @@ def _largest_error(
     best = int(np.argmax(chances))
     chance, scatter = chances[best], noise(tests[best])
     scaled = tests[best].chi2_drop / scatter**2
-    if scaled < max(MAX_NORMALISED_ERROR, critical_w(count)) ** 2 or chance < -np.log(FAMILY_LEVEL):
+    if scaled < max(MIN_CLEAR_SIGMAS, critical_w(count)) ** 2 or chance < -np.log(FAMILY_LEVEL):
         return None
     worst = int(np.argmax(np.nan_to_num(np.abs(w))))
     reading = float(np.nan_to_num(w).flat[worst]) / scatter  # two causes are weighed by one noise
     if neg_log_corrected_p(reading**2, 1, int(problem.used_readings.sum())) <= chance:
-        likely = [k for k, other in enumerate(chances) if k == best or other >= chance - np.log(MIN_LIKELIHOOD_RATIO)]
+        second = _second_setup_over_mark(problem, tests[best])
+        likely = [
+            k
+            for k, other in enumerate(chances)
+            if k == best
+            or (tests[k].kind, tests[k].name) == ("mark", second)
+            or other >= chance + np.log(MIN_REPORTED_PROBABILITY)
+        ]
         if len(likely) > 1 and tests[best].kind == "level":
             return None  # A few levels against each other: nothing that others would not tell better.
         if tests[best].kind == "scale":
@@ -386,6 +382,19 @@ def _largest_error(
     aside = np.zeros(w.shape, dtype=bool)
     aside.flat[worst] = True
     return aside
+
+
+def _second_setup_over_mark(problem: NetworkProblem, test: ReferenceTest) -> str:
+    """Name of the other set-up over a mark that two set-ups and nothing else determine; otherwise empty.
+
+    The exclusion of either set-up from the mark is then the same. Tests of a large error differ only by linearisation.
+    """
+    stations, names = problem.model.recording.stations, problem.marks.mark_names
+    if test.kind != "mark" or problem.marks.target_indices[stations.index(test.name)] >= 0:
+        return ""
+    mark = names[stations.index(test.name)]
+    others = [station for station, name in zip(stations, names, strict=True) if name == mark and station != test.name]
+    return others[0] if len(others) == 1 else ""
 
 
 def _exclude_inconsistent_kind(

@@ -11,22 +11,18 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.core.arrays import Floats, Ints
+from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.physics.effects.signature import CandidateEffect, Parameter, ShapeParameter, Signature
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.scene.sightings import Sightings
+from ltsim.solve.gauss_newton import MAX_ALTERNATIONS
 
-MAX_SHAPE_STEPS = 4
-"""Largest number of Gauss-Newton steps of the shape constants, which start at the best grid point of a search."""
 MAX_LINEAR_CHANGE = 1e-5
 """Relative change of a shape constant that is used for numerical derivatives, and below which the iteration ends.
 Readings are linear over it: a range of 20 m contains a thousand short waves.
 """
 MAX_HALVINGS = 4
 """Largest number of halvings of a step that increases chi-square, for constants with poor start values."""
-MAX_CHI2_INCREASE = 1e-3
-"""Increase of chi-square up to which a step is accepted: that of a constant at 0.03 standard deviations from its
-optimum.
-"""
 MIN_SHAPE_CHANGE = 1e-3
 """Largest change of a reading per relative change of a shape constant, relative to the largest change by the effect,
 above which the constant is estimated.
@@ -178,7 +174,7 @@ def refit_with_effects(
         current = [FirstOrderEffect.from_effect(effect, sightings) for effect in current]
         fitted = joint = adjustment(effects=current, start_state=start_state)
     directions: list[list[ShapeDirection]] = [[] for _ in current]
-    for _ in range(MAX_SHAPE_STEPS if any(type(e).shape_parameters for e in current) else 0):
+    for _ in range(MAX_ALTERNATIONS if any(type(e).shape_parameters for e in current) else 0):
         values = _values_by_effect(current, fitted.state.extra_parameters)
         each = zip(current, values, fixed_names, strict=True)
         directions = [_shape_directions(effect, sizes, fitted.sightings, out) for effect, sizes, out in each]
@@ -215,7 +211,7 @@ def _damped_step(
     for share in 0.5 ** np.arange(1 + MAX_HALVINGS):
         moved = _effects_with_changed_shapes(effects, directions, share * changes)
         tried = adjustment(effects=moved, start_state=last_adjustment.state)
-        if tried.solution.has_converged and tried.chi2 <= last_adjustment.chi2 + MAX_CHI2_INCREASE:
+        if tried.solution.has_converged and tried.chi2 <= last_adjustment.chi2 * (1.0 + MAX_SOLUTION_ROUNDING_ERROR):
             return moved, tried
     return None
 

@@ -6,21 +6,23 @@ import numpy as np
 from scipy import special
 
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.adjustment.significance import FAMILY_LEVEL, MIN_NUMERICAL_REDUNDANCY, SINGLE_LEVEL, TEST_POWER
+from ltsim.adjustment.significance import (
+    FAMILY_LEVEL,
+    MIN_CHECKED_REDUNDANCY,
+    MIN_DOF_FOR_ESTIMATED_NOISE,
+    MIN_EQUIVALENT_CORRELATION,
+    SINGLE_LEVEL,
+    TEST_POWER,
+)
 from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.solve.design import robust_sigma
 from ltsim.solve.elimination import BlockFactor
 
 MAX_SIGMA0_DECLARED_NOISE = 1.25
 """Robust sigma0 up to which residuals are tested with the declared noise; above it the estimated noise is used."""
-MIN_REDUNDANCY_FOR_NOISE = 0.1
-"""Redundancy number of a reading above which its residual is used to estimate the noise."""
-MIN_DOF_FOR_ESTIMATED_NOISE = 15
-"""Degrees of freedom below which an estimated sigma0 is too uncertain to replace the declared noise."""
 MIN_NOISY_SCATTER_RATIO = 2.0
 """Ratio of a target's scatter to that of the others above which the target counts as noisy."""
-MIN_EQUIVALENT_CORRELATION = 0.9
-"""Squared correlation of two residuals above which errors of their readings count as indistinguishable."""
 
 
 def redundancy_numbers(problem: NetworkProblem, factor: BlockFactor) -> Floats:
@@ -38,7 +40,7 @@ def standardised_residuals(problem: NetworkProblem, residuals: Floats, redundanc
 
     They are 0 for readings that no other observation checks, and NaN for unused readings.
     """
-    is_checked = problem.used_readings & (redundancy > MIN_NUMERICAL_REDUNDANCY)
+    is_checked = problem.used_readings & (redundancy > MAX_SOLUTION_ROUNDING_ERROR)
     w = np.where(problem.used_readings, 0.0, np.nan)
     w[is_checked] = residuals[is_checked] / (problem.sigma[is_checked] * np.sqrt(redundancy[is_checked]))
     return w
@@ -49,7 +51,7 @@ def noise_scale(normalised_residuals: Floats, redundancy: Floats) -> float:
 
     The noise is never reduced, so that a reading that the declared noise permits is no outlier.
     """
-    scale = robust_sigma(normalised_residuals[np.nan_to_num(redundancy) > MIN_REDUNDANCY_FOR_NOISE])
+    scale = robust_sigma(normalised_residuals[np.nan_to_num(redundancy) > MIN_CHECKED_REDUNDANCY])
     return scale if scale > MAX_SIGMA0_DECLARED_NOISE else 1.0
 
 
@@ -59,7 +61,7 @@ def noisy_groups(normalised_residuals: Floats, redundancy: Floats, target: Ints)
     A target is noisy if its readings scatter `MIN_NOISY_SCATTER_RATIO` times more than those of the other targets.
     Scatters are robust standard deviations of normalised residuals (n, 3). `target` (n,) is that of each pointing.
     """
-    testable = np.where(np.nan_to_num(redundancy) > MIN_REDUNDANCY_FOR_NOISE, normalised_residuals, np.nan)
+    testable = np.where(np.nan_to_num(redundancy) > MIN_CHECKED_REDUNDANCY, normalised_residuals, np.nan)
 
     def noise(rows: Bools) -> float:
         return robust_sigma(testable[rows][np.isfinite(testable[rows])])
@@ -108,10 +110,10 @@ def iterative_snooping(
     noise factor and its degrees of freedom, `n_readings` is the number of tested readings, `alpha` their joint level.
     """
     outliers, redundancy = list[tuple[int, float, float, float]](), np.diag(redundancy_matrix).copy()
-    while (redundancy > MIN_NUMERICAL_REDUNDANCY).any():
+    while (redundancy > MAX_SOLUTION_ROUNDING_ERROR).any():
         w = np.where(
-            redundancy > MIN_NUMERICAL_REDUNDANCY,
-            residuals / np.sqrt(np.maximum(redundancy, MIN_NUMERICAL_REDUNDANCY)),
+            redundancy > MAX_SOLUTION_ROUNDING_ERROR,
+            residuals / np.sqrt(np.maximum(redundancy, MAX_SOLUTION_ROUNDING_ERROR)),
             0.0,
         )
         chance, k = p_value_of_tau(np.abs(w) / scale, dof, n_readings), int(np.argmax(np.abs(w) / scale))
@@ -120,14 +122,16 @@ def iterative_snooping(
         is_equivalent = (
             redundancy_matrix[k] ** 2
             > MIN_EQUIVALENT_CORRELATION * redundancy_matrix[k, k] * np.diag(redundancy_matrix)
-        ) & (redundancy > MIN_NUMERICAL_REDUNDANCY)
+        ) & (redundancy > MAX_SOLUTION_ROUNDING_ERROR)
         equivalents = [i for i in np.flatnonzero(is_equivalent & (chance < alpha)).tolist() if i != k]
         outliers += [(i, float(residuals[i] / redundancy[i]), float(w[i]), float(chance[i])) for i in (k, *equivalents)]
         residuals, redundancy_matrix = (
             residuals - redundancy_matrix[k] * residuals[k] / redundancy[k],
             redundancy_matrix - np.outer(redundancy_matrix[k], redundancy_matrix[k]) / redundancy[k],
         )
-        redundancy = np.where(is_equivalent | (redundancy <= MIN_NUMERICAL_REDUNDANCY), 0.0, np.diag(redundancy_matrix))
+        redundancy = np.where(
+            is_equivalent | (redundancy <= MAX_SOLUTION_ROUNDING_ERROR), 0.0, np.diag(redundancy_matrix)
+        )
     return outliers
 
 

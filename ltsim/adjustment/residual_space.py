@@ -14,11 +14,16 @@ from typing import Self
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
 from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.physics.effects.signature import Signature
 from ltsim.scene.sightings import Sightings
-from ltsim.solve.projection import Projection
+from ltsim.solve.projection import Projection, make_projection
+
+MAX_SCREENED_ENTRIES = 3_000_000
+"""Largest number of matrix entries of all signatures that a screening projects (processor time); only the most
+promising hypotheses are projected beyond it.
+"""
 
 
 @dataclass(frozen=True)
@@ -33,9 +38,10 @@ class ResidualSpace:
 
     @classmethod
     def from_adjustment(cls, adjustment: Adjustment) -> Self:
-        """Residual space at the solution of an adjustment."""
-        projection = adjustment.residual_projector
-        residual = projection.project(adjustment.solution.system.whitened_residuals[:, None])[:, 0]
+        """Residual space at the solution of an adjustment, which does not keep the projector: a basis takes 32 MB."""
+        solution = adjustment.solution
+        projection = make_projection(solution.system, solution.factor)
+        residual = projection.project(solution.system.whitened_residuals[:, None])[:, 0]
         return cls(projection, residual, adjustment)
 
     @property
@@ -134,6 +140,6 @@ def orthonormal_columns(projected_columns: Floats, norms: Floats) -> Floats:
     """
     unit = projected_columns / np.where(norms > 0, norms, 1.0)
     strength, turn = np.linalg.eigh(unit.T @ unit)
-    is_visible = strength > MIN_NUMERICAL_REDUNDANCY
+    is_visible = strength > MAX_SOLUTION_ROUNDING_ERROR
     basis: Floats = unit @ (turn[:, is_visible] / np.sqrt(strength[is_visible]))
     return basis

@@ -13,14 +13,11 @@ from ltsim.adjustment.marks import StationMarks
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE
 from ltsim.geometry.polar import wrap_angle
-from ltsim.geometry.rigid import MAX_COLLINEAR_RATIO, cross_matrix, perpendicular_vectors, rigid_motion_design
+from ltsim.geometry.rigid import MAX_COLLINEAR_RATIO, VERTICAL, cross_matrix, perpendicular_vectors, rigid_motion_design
 from ltsim.physics.model.measurement import plumb_directions
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths, mark_indices
 from ltsim.recordings.setup import ReferenceDifference, Target, symmetric_matrix
-
-VERTICAL = np.array([0.0, 0.0, 1.0])
-"""Unit vector of the vertical in the network frame."""
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,17 @@ import numpy as np
 
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import critical_w, noise_scale, redundancy_numbers, standardised_residuals
-from ltsim.adjustment.significance import MIN_FAULTY_FRACTION_OF_PLACE, MIN_NUMERICAL_REDUNDANCY
+from ltsim.adjustment.significance import (
+    MAX_TRACKER_ERROR,
+    MAX_WORKSHOP_RANGE,
+    MIN_FAULTY_FRACTION_OF_PLACE,
+    MIN_GROSS_SIGMAS,
+)
 from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import iterate_reweighted
 from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.core.arrays import Bools, Floats
+from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.geometry.polar import wrap_angle
 from ltsim.geometry.rigid import determines_pose
 from ltsim.physics.model.construction import ideal_construction
@@ -22,25 +28,12 @@ from ltsim.physics.model.measurement import MeasurementModel, NetworkState, Pred
 from ltsim.recordings.recording import Recording
 from ltsim.solve.design import POINT_RANK_TOLERANCE, robust_sigma, scale_to_unit_diagonal, to_dense
 from ltsim.solve.elimination import BlockFactor, SingularSystemError
-from ltsim.solve.gauss_newton import Solution, solve
+from ltsim.solve.gauss_newton import MAX_CONVERGENCE_RATIO, MAX_ITERATIONS, Solution, solve
 
 MIN_COPIED_ROWS = 10
 """Number of equal rows in a recording without a clock, from which they count as copies. All repeated pointings must
 then be equal.
 """
-MAX_TRACKER_ERROR = 1e-3
-"""Displacement [m] of a measured point above which its pointing is a gross error, for ranges up to
-`MAX_WORKSHOP_RANGE`.
-"""
-MAX_WORKSHOP_RANGE = 10.0
-"""Range [m] above which the limit `MAX_TRACKER_ERROR` grows in proportion to the range."""
-MIN_GROSS_MISCLOSURE_RATIO = 30.0
-"""Ratio of a misclosure to the robust standard deviation of all misclosures, above which a pointing is a gross error.
-"""
-MAX_LINEAR_STEPS = 20
-"""Largest number of linear steps from approximate coordinates before gross errors are determined."""
-MAX_MISCLOSURE_RATIO = 0.9
-"""Ratio of a gross misclosure to that before the last linear step, below which a further step is made."""
 MAX_REWEIGHTINGS = 8
 """Number of iterations of reweighted least squares before data snooping."""
 MAX_SNOOPING_PASSES = 20
@@ -197,11 +190,11 @@ def screen_gross_errors(recording: Recording) -> ScreenedNetwork:
     model = MeasurementModel(recording, ideal_construction())
     state = NetworkState(*reached, np.zeros((len(recording.instruments), 0)), np.zeros(model.n_extra_parameters))
     excess = _relative_misclosure(model, state)
-    for _ in range(MAX_LINEAR_STEPS if np.any(excess > 1.0) else 0):
+    for _ in range(MAX_ITERATIONS if np.any(excess > 1.0) else 0):
         problem = drop_undetermined(NetworkProblem.from_model(model), state)
         state, length = _relaxed_step(problem, state, model.linearise(state), np.maximum(excess, 1.0)[:, None])
         before, excess = excess, _relative_misclosure(model, state)
-        if not length or not np.any((excess > 1.0) & (excess < MAX_MISCLOSURE_RATIO * before)):
+        if not length or not np.any((excess > 1.0) & (excess < MAX_CONVERGENCE_RATIO * before)):
             break
     return ScreenedNetwork(
         recording, (state.station_positions, state.station_rotations, state.target_points), excess > 1.0, lost
@@ -219,7 +212,7 @@ def _relative_misclosure(model: MeasurementModel, state: NetworkState) -> Floats
     miss = np.linalg.norm(np.nan_to_num(gap), axis=1)
     limit = np.maximum(
         MAX_TRACKER_ERROR * np.maximum(1.0, range_ / MAX_WORKSHOP_RANGE),
-        MIN_GROSS_MISCLOSURE_RATIO * robust_sigma(miss),
+        MIN_GROSS_SIGMAS * robust_sigma(miss),
     )
     return miss / limit
 
@@ -364,7 +357,7 @@ def _test_rejected_again(
     prediction = problem.model.linearise(solution.x) if out.any() else None
     readings = problem.model.predict(solution.x) if prediction is None else prediction.readings
     w, scale, redundancy = _test_readings(problem, reduced, readings, solution.factor)
-    new: Bools = (w > limit * scale) & (redundancy > MIN_NUMERICAL_REDUNDANCY)
+    new: Bools = (w > limit * scale) & (redundancy > MAX_SOLUTION_ROUNDING_ERROR)
     if new.any():
         new &= w > 0.5 * w.max()
     if prediction is not None:

@@ -14,14 +14,13 @@ from ltsim.adjustment.fitting import (
     multilaterate,
 )
 from ltsim.adjustment.frame import DeclaredFrame, StationTargetPairs, points_with_slope_distances, upright_alignment
-from ltsim.adjustment.rows import VERTICAL
 from ltsim.adjustment.sight import FitReadings
 from ltsim.adjustment.start_errors import require_connected_stations, require_located_target
 from ltsim.core.arrays import Bools, Floats, Ints, group_rows
 from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rigid import align_robustly, rotation_about_z, smallest_rotation
+from ltsim.geometry.rigid import VERTICAL, align_robustly, rotation_about_z, smallest_rotation
 from ltsim.recordings.recording import Recording
 
 INITIALISATION_METHODS = ("frame", "cloud", "ranges", "places", "bearings")

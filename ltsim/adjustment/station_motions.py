@@ -18,11 +18,6 @@ from ltsim.physics.effects.motions import StationMotion
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.scene.sightings import Sightings
 
-MIN_SUPPORTING_TARGETS = 3
-"""Number of targets measured before and after a motion, from which it is a motion of the station; with fewer the
-targets may have moved.
-"""
-
 
 @dataclass(frozen=True)
 class UniformMotion(StationMotion):

@@ -16,7 +16,7 @@ from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.solve.design import robust_sigma, weight_rows
 from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
-from ltsim.solve.gauss_newton import Solution, solve
+from ltsim.solve.gauss_newton import MAX_ALTERNATIONS, MAX_CONVERGENCE_RATIO, MAX_ITERATIONS, Solution, solve
 
 HUBER_LIMIT = 2.0
 """Residual, in robust standard deviations, above which Huber's weights decrease; the efficiency for normal residuals is
@@ -29,7 +29,9 @@ MAX_FAR_FRACTION = 0.02
 too: more than single errors explain.
 """
 MAX_ROBUST_STEPS = 25
-"""Largest number of reweightings, each with a linear step."""
+"""Largest number of reweightings, each with a linear step. It bounds how far many large errors of one target can pull
+the network: with 60, a target that is displaced at random at every set-up is found as three motions in place of one.
+"""
 NOISE_KEYS = {
     "distance": ("distance_mm", "distance_ppm"),
     "azimuth": ("azimuth_arcsec",),
@@ -148,14 +150,6 @@ VARIANCE_FACTOR_TOLERANCE = 2e-3
 """Relative change of the noise factors below which their estimation ends: a tenth of the standard deviation of a factor
 from 1,250 readings.
 """
-MAX_VARIANCE_ESTIMATES = 30
-"""Largest number of estimates of the noise factors for a given set of outliers."""
-MAX_CONVERGENCE_RATIO = 0.9
-"""Upper limit of the estimated ratio of successive changes of the noise factors, so that a secant step is at most ten
-times the change.
-"""
-MAX_OUTLIER_ESTIMATES = 6
-"""Largest number of searches for outliers, each with new noise factors; the set of outliers may alternate."""
 MIN_GROUP_REDUNDANCY = 3.0
 """Redundancy below which a group keeps its declared noise."""
 
@@ -199,9 +193,9 @@ def estimate_variance_components(
     names = recording.instruments if several else ("",)
     factor, redundancy = np.ones(3 * len(names) + 1), np.zeros(3 * len(names) + 1)
     declared, available = problem, problem.used_readings if reading_mask is None else reading_mask
-    for _ in range(MAX_OUTLIER_ESTIMATES):
+    for _ in range(MAX_ALTERNATIONS):
         last_change, last_step = np.zeros(len(factor)), np.zeros(len(factor))
-        for _ in range(MAX_VARIANCE_ESTIMATES):
+        for _ in range(MAX_ITERATIONS):
             if solution.factor is None:
                 return problem, solution, ()
             square, redundancy = _sums_by_group(problem, solution, group, len(factor))

@@ -10,9 +10,10 @@ from typing import Concatenate, ParamSpec, TypeVar
 import numpy as np
 
 from ltsim.adjustment.marks import StationMarks
-from ltsim.adjustment.rows import VERTICAL, ControlRows, DifferenceRows, GaugeRows, LevelRows, YawRows
+from ltsim.adjustment.rows import ControlRows, DifferenceRows, GaugeRows, LevelRows, YawRows
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
+from ltsim.geometry.rigid import VERTICAL
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 

@@ -8,14 +8,10 @@ from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.quality import adjustment_warnings
-from ltsim.adjustment.reliability import MIN_DOF_FOR_ESTIMATED_NOISE
-from ltsim.adjustment.significance import GLOBAL_LEVEL
+from ltsim.adjustment.significance import GLOBAL_LEVEL, MAX_SINGLE_ERROR_FRACTION, MIN_DOF_FOR_ESTIMATED_NOISE
 from ltsim.adjustment.stochastic_model import noise_settings
 from ltsim.core.notation import listing
 from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
-
-MAX_SINGLE_ERROR_FRACTION = 0.05
-"""Fraction of outliers among the readings up to which they count as single errors; above it the noise is wrong."""
 
 
 class VerdictCase(Enum):

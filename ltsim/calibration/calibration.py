@@ -41,6 +41,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.probability import format_p, two_sided
 from ltsim.core.results import Table
+from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.physics.effects.signature import Parameter
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction
@@ -51,8 +52,6 @@ EntryType = TypeVar("EntryType", DeterminedEntry, HarmonicEntry)
 MAX_SIGMA_RATIO_DETERMINED = 0.975
 """Ratio of sigma to prior sigma below which the readings determine a parameter: they removed at least 5 % of the prior
 variance (0.975 squared is 0.95)."""
-MIN_RELATIVE_DIFFERENCE_APPLIED = 1e-9
-"""Relative difference of an applied value from its estimate above which the file contains it (above rounding)."""
 MAX_ESTIMATED_NOISE_FRACTION = 0.9
 """Fraction of the redundancy with estimated noise above which the global test is not valid: chi-square is then equal to
 the redundancy by construction."""
@@ -358,7 +357,7 @@ def _parameter_entries(arrays: CalibrationArrays, applied_values: Floats) -> tup
     for i, instrument in enumerate(arrays.instruments):
         for k, parameter in enumerate(arrays.construction.parameters):
             value, sigma, factor = arrays.estimates[i, k], arrays.sigma[i, k], parameter.si_per_display_unit
-            differs = abs(applied_values[i, k] - value) > MIN_RELATIVE_DIFFERENCE_APPLIED * max(abs(value), sigma)
+            differs = abs(applied_values[i, k] - value) > MAX_ROUNDING_ERROR * max(abs(value), sigma)
             entry = ParameterEntry(
                 name=parameter.name,
                 value=float(value / factor),

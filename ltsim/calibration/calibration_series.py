@@ -26,10 +26,8 @@ from ltsim.core.errors import RecordError, option
 from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.result_file import Entry, Finite
+from ltsim.solve.design import NORMAL_RANK_TOLERANCE
 
-SINGULARITY_TOLERANCE = 1e-12
-"""Eigenvalue of a covariance, relative to the largest, below which its combination counts as exactly known (rounding).
-It is also the smallest variance of a parameter, in prior variances."""
 MAX_EM_STEPS = 2000
 """Largest number of expectation-maximisation steps, which converge linearly."""
 EM_TOLERANCE = 1e-4
@@ -296,7 +294,7 @@ class CalibrationSeries(ValueEquality):
             deviation = keeps - identity
             remaining = keeps * variance + deviation @ of_mean @ np.swapaxes(deviation, 1, 2)
             spread = np.mean((single - mean) ** 2 + np.einsum("kaa->ka", remaining), axis=0)
-            spread = np.maximum(spread, SINGULARITY_TOLERANCE)
+            spread = np.maximum(spread, NORMAL_RANK_TOLERANCE)
             settled = np.max(np.abs(np.log(spread / variance))) < EM_TOLERANCE
             variance = spread
             if settled:
@@ -364,7 +362,7 @@ def _chi_square_test(difference: Floats, covariance: Floats) -> ChiSquareEntry:
     `difference` has the shape (m,), `covariance` the shape (m, m).
     """
     values, vectors = linalg.eigh(0.5 * (covariance + covariance.T))
-    is_resolved = values > SINGULARITY_TOLERANCE * max(float(values[-1]), 0.0)
+    is_resolved = values > NORMAL_RANK_TOLERANCE * max(float(values[-1]), 0.0)
     z = (vectors[:, is_resolved].T @ difference) / np.sqrt(values[is_resolved])
     return ChiSquareEntry.from_statistic(float(z @ z), int(is_resolved.sum()))
 

@@ -26,20 +26,9 @@ from ltsim.adjustment.remedies.undetermined import MIN_DETERMINED_GAIN, Paramete
 from ltsim.calibration.objective import DistanceProblem, SetDistances, centring_matrix, set_pairs
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError
+from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.solve.absolute import solve_least_absolute
-
-MAX_GAUSS_NEWTON_STEPS = 30
-"""Largest number of Gauss-Newton steps of the distance methods."""
-DISTANCE_STEP_TOLERANCE = 1e-7
-"""Largest step of an unknown, in prior standard deviations, at which the iteration has converged."""
-MAX_EQUATION_9_STEPS = 60
-"""Largest number of steps to the minimum of eq. 9 over all combinations."""
-EQUATION_9_TOLERANCE = 1e-9
-"""Largest step of an unknown (in prior standard deviations), or largest relative decrease of the objective in one step,
-at which the iteration to the minimum of eq. 9 has converged."""
-MIN_DISTANCE_SINGULAR_VALUE = 1e-9
-"""Singular value of the design matrix, relative to the largest, below which a combination of parameters is taken to
-change no distance. The value is above rounding."""
+from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 ObjectiveNorm = Literal["squares", "absolute"]
 """Norm of the objective: sum of squares, or sum of absolute values."""
@@ -151,13 +140,13 @@ def solve_distances(
     _require_compared_distances(rows, np.ones_like(free))
     estimated, undetermined = determined_combinations(rows, free)
     moved, iterations = np.inf, 0
-    while iterations < MAX_GAUSS_NEWTON_STEPS and not moved < DISTANCE_STEP_TOLERANCE:
+    while iterations < MAX_ITERATIONS and not moved < MAX_ROUNDING_ERROR:
         iterations += 1
         rows = compared_rows(problem, unknowns, norm)
         step = estimated @ _unbounded_step(rows.unknown_derivatives @ estimated, rows.residuals, norm)
         unknowns = unknowns + step
         moved = float(np.max(np.abs(step), initial=0.0))
-    return _make_estimate(rows, norm, (unknowns, estimated, undetermined), iterations, moved < DISTANCE_STEP_TOLERANCE)
+    return _make_estimate(rows, norm, (unknowns, estimated, undetermined), iterations, moved < MAX_ROUNDING_ERROR)
 
 
 def solve_equation_9(
@@ -185,7 +174,7 @@ def solve_equation_9(
     unknowns, free = _start_values(problem, start_values, fixed_mask)
     rows, iterations, moved = compared_rows(problem, unknowns, norm), 0, np.inf
     _require_compared_distances(rows, free)
-    while iterations < MAX_EQUATION_9_STEPS and not moved < EQUATION_9_TOLERANCE:
+    while iterations < MAX_ITERATIONS and not moved < MAX_ROUNDING_ERROR:
         iterations += 1
         step = np.zeros(len(unknowns))
         step[free] = _bounded_step(rows, unknowns[free], free, norm, bound_in_prior_sigmas)
@@ -193,7 +182,7 @@ def solve_equation_9(
         moved = min(float(np.max(np.abs(step))), fallen)
     visible, invisible = _split_observable_combinations(rows, free)
     combinations = tuple(ParameterCombination(vector, 0.0) for vector in invisible.T)
-    return _make_estimate(rows, norm, (unknowns, visible, combinations), iterations, moved < EQUATION_9_TOLERANCE)
+    return _make_estimate(rows, norm, (unknowns, visible, combinations), iterations, moved < MAX_ROUNDING_ERROR)
 
 
 def _start_values(
@@ -279,7 +268,7 @@ def _split_observable_combinations(rows: ComparedDistances, free_unknowns: Bools
     _, strength, right_vectors = np.linalg.svd(rows.unknown_derivatives[:, free_unknowns], full_matrices=False)
     vectors = np.zeros((len(free_unknowns), len(right_vectors)))
     vectors[free_unknowns] = right_vectors.T
-    nonzero = strength > MIN_DISTANCE_SINGULAR_VALUE * strength[0]
+    nonzero = strength > MAX_ROUNDING_ERROR * strength[0]
     return vectors[:, nonzero], vectors[:, ~nonzero]
 
 

@@ -16,6 +16,7 @@ from scipy import special
 from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.calibration.calibration_series import CalibrationSeries
 from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.recordings.result_file import Entry, Finite, NotNegative
 
 MIN_STEPS_FOR_TEST = 3
@@ -149,12 +150,7 @@ def _moment_variance(difference: Floats, sigma: Floats, relative_variances: Floa
         return 0.0
     upper_bound = float(np.sum(difference**2))
     while excess(upper_bound) > 0:  # steps without time between them have no growing variance
-        if upper_bound > MAX_RELATIVE_VARIANCE * float(np.sum(difference**2)):
-            return upper_bound
+        if MAX_SOLUTION_ROUNDING_ERROR * upper_bound > float(np.sum(difference**2)):
+            return upper_bound  # no finite variance gives the expected chi-square
         upper_bound *= 10.0
-    return float(brentq(excess, 0.0, upper_bound, rtol=1e-6))
-
-
-MAX_RELATIVE_VARIANCE = 1e6
-"""Largest tested variance of usual steps, relative to the sum of squared steps. The search ends there if no finite
-variance gives the expected chi-square."""
+    return float(brentq(excess, 0.0, upper_bound, rtol=MAX_SOLUTION_ROUNDING_ERROR))

@@ -8,6 +8,7 @@ import numpy as np
 from scipy import linalg
 
 from ltsim.adjustment.remedies.undetermined import MAX_UNINFORMATIVE_GAIN
+from ltsim.adjustment.significance import MIN_SIGNIFICANT_SIGMAS
 from ltsim.calibration.combinations import DeterminedEntry
 from ltsim.calibration.schema import HarmonicEntry
 from ltsim.core import probability
@@ -24,8 +25,6 @@ ratio."""
 MIN_LEADING_WEIGHT = 0.5
 """Coefficient, relative to the largest of a combination, above which a member can be the reference with coefficient 1.
 The first such member is used: the vertical index before the harmonics of the circle, in the order of the model."""
-MIN_AMPLITUDE_FOR_PHASE = 2.0
-"""Ratio of a harmonic's amplitude to its standard deviation above which a phase is reported."""
 EVIDENCE_SIZES = np.array(list(probability.SIZE_PRIOR))
 """Sizes of an effect over which the evidence is averaged, relative to its plausible size."""
 LOG_SIZE_PRIOR = np.log(np.array(list(probability.SIZE_PRIOR.values())))
@@ -179,7 +178,7 @@ def amplitude_and_phase(coefficients: Floats, covariance: Floats) -> tuple[float
     if amplitude > 0:
         along = coefficients / amplitude
         sigma = float(np.sqrt(along @ covariance @ along))
-        if amplitude > MIN_AMPLITUDE_FOR_PHASE * sigma:
+        if amplitude > MIN_SIGNIFICANT_SIGMAS * sigma:
             across = np.array([-along[1], along[0]])
             phase_sigma = float(np.sqrt(across @ covariance @ across)) / amplitude
             return amplitude, sigma, float(np.arctan2(coefficients[1], coefficients[0])), phase_sigma

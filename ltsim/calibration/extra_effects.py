@@ -24,11 +24,10 @@ from ltsim.physics.laws.sizes import displayed_sizes
 from ltsim.physics.laws.words import law_suffix, regressor_text
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import Recording
+from ltsim.solve.gauss_newton import MAX_ALTERNATIONS
 
 PLACE_FIELDS = ("stations", "targets")
 """Fields of an effect that contain the stations and targets where it acts."""
-MAX_REFIT_PASSES = 3
-"""Largest number of repetitions in which outliers and noise are determined again with the newly estimated constants."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +121,7 @@ def _refit_with_best_constants(
     fixed_fields: Sequence[frozenset[str]],
 ) -> tuple[Adjustment, Refit]:
     """Adjustment with effects at their best constants, and the last refit of these constants."""
-    for _ in range(MAX_REFIT_PASSES):
+    for _ in range(MAX_ALTERNATIONS):
         adjustment = adjust_with(effects)
         near = adjustment.with_effects
         fit = refit_with_effects(near, effects, start_state=adjustment.state, fixed_constants=fixed_fields)

@@ -37,9 +37,7 @@ from ltsim.physics.model.construction import Construction, declared_construction
 from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.recordings.recording import MODE_COLUMN, Recording
 from ltsim.recordings.result_file import SourceEntry
-
-MAX_ADJUSTMENTS = 5
-"""Largest number of adjustments before the noise and the set of widened priors must be final."""
+from ltsim.solve.gauss_newton import MAX_ALTERNATIONS
 
 
 def calibrate_network(
@@ -82,7 +80,7 @@ def calibrate_network(
     quiet_by, noise_may_differ = "", True
     # A single cause of a misfit could absorb an effect that the user requests.
     selection = identify_causes(recording, model, prior) if choose_correction and not extra_effects else None
-    for remaining in reversed(range(MAX_ADJUSTMENTS if choose_correction else 1)):
+    for remaining in reversed(range(MAX_ALTERNATIONS if choose_correction else 1)):
         adjusted = partial(
             _adjust_with_options,
             recording,

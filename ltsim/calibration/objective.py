@@ -16,13 +16,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from ltsim.adjustment.rows import GaugeRows
-from ltsim.core.arrays import Floats, Ints
+from ltsim.core.arrays import MAX_MATRIX_ENTRIES, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import Recording
-
-MAX_MATRIX_ENTRIES = 2e8
-"""Number of entries of one matrix above which the distance objective is refused, to limit the memory."""
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,12 @@ from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.prior import WIDENED_SIGMA_FACTOR, ParameterPrior
-from ltsim.adjustment.reliability import MIN_DOF_FOR_ESTIMATED_NOISE
 from ltsim.adjustment.remedies.undetermined import MAX_UNINFORMATIVE_GAIN, ParameterCombination
-from ltsim.adjustment.significance import FAMILY_LEVEL, SINGLE_LEVEL
+from ltsim.adjustment.significance import FAMILY_LEVEL, MIN_DOF_FOR_ESTIMATED_NOISE, SINGLE_LEVEL
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.evidence import forward_select, likelihood_information, log_evidence, score_test
 from ltsim.core.arrays import Bools, Floats
-from ltsim.core.notation import with_sigma
+from ltsim.core.notation import MAX_LISTED_ITEMS, MAX_LISTED_SENTENCES, with_sigma
 from ltsim.core.probability import P_CONSTANT
 
 MAX_NOISE_FREE_SIGMA0 = 0.1
@@ -25,10 +24,6 @@ MAX_WIDENED_FRACTION = 0.25
 contradict their prior, the scale of all priors is wrong, and `shrinkage` estimates this scale."""
 CORRECTED_INSTRUMENT_TEXT = "its declared correction, which leaves"
 """Text in a sentence for the prior of an instrument that the set-up declares corrected."""
-MAX_SENTENCES = 3
-"""Largest number of parameters for which a report has a sentence on the contradiction."""
-MAX_COMBINATION_TERMS = 6
-"""Largest number of parameters in the text of a combination."""
 
 
 def sigma0_of_readings(adjustment: Adjustment) -> float:
@@ -112,15 +107,15 @@ def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
     contradictions = [int(k) for k in np.argsort(-odds) if odds[k] > 0.0]
     if not contradictions:
         return (*sentences, *_combination_sentence(calibration, prior, scale))
-    for k in contradictions[:MAX_SENTENCES]:
+    for k in contradictions[:MAX_LISTED_SENTENCES]:
         name, p = rows[k]
         sentences.append(
             f"{name}: the readings contradict its prior of {p.prior_sigma:.3g} {p.unit} "
             f"(w = {w[k]:.1f}, estimate {p.value:.3g}); if such a value is plausible, declare a larger sigma in "
             "[instrument.prior.parameters]"
         )
-    if len(contradictions) > MAX_SENTENCES:
-        sentences.append(f"{len(contradictions) - MAX_SENTENCES} further parameters contradict their prior")
+    if len(contradictions) > MAX_LISTED_SENTENCES:
+        sentences.append(f"{len(contradictions) - MAX_LISTED_SENTENCES} further parameters contradict their prior")
     return tuple(sentences)
 
 
@@ -167,8 +162,6 @@ def _combination_sentence(calibration: Calibration, prior: ParameterPrior, scale
             combination = ParameterCombination(vectors[:, k], float(gain[k])).coefficients(
                 [calibration.instrument_parameter_names[i * n_parameters + j] for j in free_parameters]
             )
-            terms = " ".join(
-                f"{value:+.2f} {name}" for name, value in list(combination.items())[:MAX_COMBINATION_TERMS]
-            )
+            terms = " ".join(f"{value:+.2f} {name}" for name, value in list(combination.items())[:MAX_LISTED_ITEMS])
             return (f"the readings contradict the prior of a combination (w = {w[k]:.1f}): {terms}",)
     return ()

@@ -16,6 +16,7 @@ from ltsim.adjustment.remedies.undetermined import (
     determining_measurements,
     undetermined_combinations,
 )
+from ltsim.adjustment.significance import MAX_CHANCE_SIGMAS
 from ltsim.adjustment.verdict import Verdict, verdict_on
 from ltsim.calibration.combinations import UndeterminedEntry
 from ltsim.calibration.schema import (
@@ -42,9 +43,6 @@ from ltsim.physics.model.construction import Construction
 from ltsim.physics.model.measurement import smr_radius_offsets
 from ltsim.recordings.recording import MODE_COLUMN, OBSERVABLES, Recording
 
-MIN_CONTRADICTION_SIGMAS = 3.0
-"""Deviation of a reading of an undetermined target from its last position, in standard deviations, above which it is an
-outlier."""
 HEIGHT_COMPONENT = np.array([False, False, True])
 """Mask (3,) that selects the height of a point."""
 
@@ -138,7 +136,7 @@ def _has_estimated_error(adjustment: Adjustment, scaled_residuals: Floats) -> Bo
     recording = adjustment.recording
     lost = np.isin(recording.targets, adjustment.undetermined_targets)[recording.target]
     untied = np.isin(recording.targets, adjustment.unconnected_targets)[recording.target]
-    return ~untied[:, None] & (~lost[:, None] | (np.abs(scaled_residuals) > MIN_CONTRADICTION_SIGMAS))
+    return ~untied[:, None] & (~lost[:, None] | (np.abs(scaled_residuals) > MAX_CHANCE_SIGMAS))
 
 
 def verdict_entry(adjustment: Adjustment, fit: FitEntry | None = None) -> Verdict:

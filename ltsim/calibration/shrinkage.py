@@ -22,6 +22,7 @@ from scipy import special
 from scipy.linalg import block_diag
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.remedies.detectability import MAX_EXAMINED_PLACES
 from ltsim.adjustment.remedies.undetermined import MAX_UNINFORMATIVE_GAIN
 from ltsim.adjustment.significance import FAMILY_LEVEL, GLOBAL_LEVEL
 from ltsim.calibration.evidence import cosine_sine_pairs
@@ -49,10 +50,10 @@ MIN_RELATIVE_CORRECTION = 0.02
 """Ratio of the applied to the estimated correction (rms effect on a point) below which no correction is applied."""
 MIN_HELD_OUT_IMPROVEMENT = 2.0
 """Decrease of the held-out sum of squares above which a parameter is not applied: Akaike's penalty of one parameter."""
-MAX_DENSE_UNKNOWNS = 400
-"""Number of poses and parameters up to which held-out targets are tested; the cost is that of a dense inverse."""
-MAX_HELD_OUT_TARGETS = 150
-"""Largest number of held-out targets (run time); of more targets, an evenly distributed selection is held out."""
+MAX_DENSE_UNKNOWNS = 500
+"""Number of unknowns up to which a dense inverse, or an orthonormal basis of the unknowns, is computed (processor
+time): for held-out targets, and for Gram matrices of simulated recordings.
+"""
 MIN_PREDICTED_TARGETS = 5
 """Smallest number of targets that other targets predict, for a test with held-out targets."""
 
@@ -81,8 +82,7 @@ def recommend_correction(
     columns_of_free = adjustment.problem.unknowns.instrument_columns.ravel()[free_indices]
     precision = np.linalg.inv(root @ adjustment.reduced_covariance[np.ix_(columns_of_free, columns_of_free)] @ root.T)
     vector = precision @ root @ (adjustment.state.instrument_parameters.ravel() - mean)[free_indices]
-    used_positions = np.searchsorted(free_indices, used_terms)
-    unit = prior_widening_factor or 1.0
+    used_positions, unit = np.searchsorted(free_indices, used_terms), prior_widening_factor or 1.0
     spread = np.linalg.inv(root)[np.ix_(used_positions, used_positions)] / unit
     scale = noise_factor * unit
     information = (precision[np.ix_(used_positions, used_positions)] - np.eye(len(used_terms))) / scale**2
@@ -370,7 +370,7 @@ def held_out_targets(adjustment: Adjustment) -> list[HeldOutTarget]:
         [adjustment.recording.target[np.nonzero(problem.used_readings)[0]], lengths, control_targets]
     )
     target_indices = np.flatnonzero(unknowns.target_columns[:, 0] >= n_reduced)
-    target_indices = target_indices[:: max(1, -(-len(target_indices) // MAX_HELD_OUT_TARGETS))]
+    target_indices = target_indices[:: max(1, -(-len(target_indices) // MAX_EXAMINED_PLACES))]
     held_out = []
     for target in target_indices.tolist():
         rows = np.flatnonzero(row_target == target)

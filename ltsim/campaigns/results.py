@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ltsim.campaigns.schema import DIFFERENCE_COLUMN, RATIO_STATISTICS, find_column, sql_terms
-from ltsim.campaigns.statistics import CampaignStatistics, StatisticSummary
+from ltsim.campaigns.statistics import CampaignStatistics
+from ltsim.campaigns.summary import StatisticSummary
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, missing_extra, unknown_name
 from ltsim.core.plotting import plotting_module
@@ -94,9 +95,8 @@ class CampaignResults(CampaignStatistics, Result):
                 value = _checked_number(function, values)
                 again = [_checked_number(function, values[:, draw]) for draw in draws]
                 low, high = np.nanquantile(again, [0.025, 0.975]).tolist()
-                spreads.append(
-                    StatisticSummary(cell, method, name, count, value, low, high, float(np.nanstd(again, ddof=1)))
-                )
+                interval = {"mean": value, "low": low, "high": high, "deviation": float(np.nanstd(again, ddof=1))}
+                spreads.append(StatisticSummary(cell=cell, method=method, column=name, trials=count, **interval))
         return spreads
 
     def plot(self, statistic: str = "", along: str = "", *, panel: str = "", **levels: Any) -> Figure:

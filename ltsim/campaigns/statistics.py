@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,10 +28,12 @@ from ltsim.campaigns.schema import (
 )
 from ltsim.campaigns.stopping import interval_error_rate, student_quantile
 from ltsim.campaigns.store import CampaignFolder, sql_path
+from ltsim.campaigns.summary import CampaignSummary, SolverComparison, StatisticSummary, ZScoreSummary
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, SetupError, option, unknown_name
 from ltsim.core.results import ColumnValues, Table, columns_from_rows
 from ltsim.recordings.files import quoted_text
+from ltsim.recordings.result_file import Entry
 
 NORMAL_QUANTILE_95 = 1.959963984540054
 """Two-sided 95 % quantile of the standard normal distribution."""
@@ -49,56 +50,6 @@ this number they are approximated by a t-digest.
 """
 IMPROVED_CRITERIA = ("distance", "coordinate")
 """Disagreements of stations (in distances, in coordinates of targets) whose reduction [%] a campaign reports."""
-
-
-@dataclass(frozen=True)
-class StatisticSummary:
-    """Statistic over the trials of one cell and method.
-
-    `low` and `high` are the 95 % confidence limits of the mean, valid also with adaptive stopping; `quantiles` belong
-    to the probabilities `QUANTILE_LEVELS`. A ratio over all trials has only a mean and an interval.
-    """
-
-    cell: int
-    method: str
-    column: str
-    trials: int
-    mean: float
-    low: float
-    high: float
-    deviation: float = math.nan
-    least: float = math.nan
-    largest: float = math.nan
-    quantiles: tuple[float, ...] = (math.nan,) * len(QUANTILE_LEVELS)
-
-
-@dataclass(frozen=True)
-class ZScoreSummary:
-    """Summary of the z-scores of one parameter, (estimate - truth) / sigma.
-
-    The z-scores are standard normal if the truth is drawn from the prior and the covariance is correct.
-    """
-
-    cell: int
-    method: str
-    parameter: str
-    trials: int
-    mean: float
-    deviation: float
-    coverage_95: float
-
-
-@dataclass(frozen=True)
-class SolverComparison:
-    """Numbers of trials that the batch and the full solver solved for one cell and method, and their difference."""
-
-    cell: int
-    method: str
-    trials: int
-    failed: int
-    by_full_solver: int
-    checked: int
-    largest_difference_sigma: float | None
 
 
 class CampaignStatistics:
@@ -195,19 +146,18 @@ class CampaignStatistics:
         ]
 
     def _tables(self) -> Mapping[str, Callable[[], Table | ColumnValues]]:
-        summary = self.summary
         return {
             "summary": self._summary,
             "cells": self._cells,
-            "ends": lambda: columns_from_rows(self._with_settings(summary()["ends"])),
-            "z_scores": lambda: columns_from_rows(self._with_settings(summary()["z_scores"])),
+            "ends": lambda: columns_from_rows(self._with_settings(self.solver_comparisons())),
+            "z_scores": lambda: columns_from_rows(self._with_settings(self.z_score_summaries())),
             "rows": self._rows,
         }
 
     def _summary(self) -> Table:
         table = summary_table({factor.name: factor.kind for factor in self.factors})
         quantiles = table.header[-len(QUANTILE_LEVELS) :]
-        rows = self._with_settings(self.summary()["columns"])
+        rows = self._with_settings(self.summary().columns)
         return table.with_rows(row | dict(zip(quantiles, row["quantiles"], strict=True)) for row in rows)
 
     def _rows(self) -> ColumnValues:
@@ -216,8 +166,9 @@ class CampaignStatistics:
             names = [column[0] for column in rows.description]
             return dict(zip(names, zip(*rows.fetchall(), strict=True), strict=True))
 
-    def _with_settings(self, entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
-        return [{"cell": entry["cell"]} | self.levels[entry["cell"]] | entry for entry in entries]
+    def _with_settings(self, entries: Sequence[Entry]) -> list[dict[str, Any]]:
+        rows = [entry.model_dump(mode="json") for entry in entries]
+        return [{"cell": row["cell"]} | self.levels[row["cell"]] | row for row in rows]
 
     def query(self, sql: str) -> list[tuple[Any, ...]]:
         """Result rows of any query over `rows` and `cells`.
@@ -263,11 +214,23 @@ class CampaignStatistics:
         for cell, method, count, mean, deviation, low, high, quantiles in self._query_each_cell(
             what, f"isfinite({name})"
         ):
-            half, numbers = (
-                self.half_interval(count, _finite_or_none(deviation)),
-                (_finite_or_none(deviation), low, high, tuple(quantiles)),
+            half = self.half_interval(count, _nan_if_none(deviation))
+            summaries.append(
+                StatisticSummary(
+                    cell=cell,
+                    method=method,
+                    column=column,
+                    trials=count,
+                    mean=mean,
+                    low=mean - half,
+                    high=mean + half,
+                    deviation=_nan_if_none(deviation),
+                    least=low,
+                    largest=high,
+                    quantiles=tuple(quantiles),
+                    unit=self.units.get(column, ""),
+                )
             )
-            summaries.append(StatisticSummary(cell, method, column, count, mean, mean - half, mean + half, *numbers))
         return summaries
 
     def _query_each_cell(self, expressions: str, condition: str = "true", rows: str = "rows") -> list[tuple[Any, ...]]:
@@ -288,9 +251,10 @@ class CampaignStatistics:
         ):
             value = half = math.nan
             if below > 0:
-                value, (aa, ab, bb) = above / below, map(_finite_or_none, moments)
+                value, (aa, ab, bb) = above / below, map(_nan_if_none, moments)
                 half = self.half_interval(count, math.sqrt(max(aa - 2 * value * ab + value**2 * bb, 0.0)) / below)
-            shares.append(StatisticSummary(cell, method, column, count, value, value - half, value + half))
+            low, high, place = value - half, value + half, {"cell": cell, "method": method}
+            shares.append(StatisticSummary(**place, column=column, trials=count, mean=value, low=low, high=high))
         return shares
 
     def column_values(self, column: str, cell: int, method: str, *, max_trials: int) -> Floats:
@@ -314,43 +278,32 @@ class CampaignStatistics:
             name, parameter = self._sql_column(column), column.removeprefix("z:")
             what = f"count({name}), avg({name}), stddev_samp({name}), avg((abs({name}) <= {NORMAL_QUANTILE_95})::INT)"
             for cell, method, count, mean, deviation, coverage in self._query_each_cell(what, f"isfinite({name})"):
-                summaries.append(
-                    ZScoreSummary(cell, method, parameter, count, mean, _finite_or_none(deviation), coverage)
-                )
+                values = {"mean": mean, "deviation": _nan_if_none(deviation), "coverage_95": coverage}
+                summaries.append(ZScoreSummary(cell=cell, method=method, parameter=parameter, trials=count, **values))
         return sorted(summaries, key=lambda s: (s.cell, s.method))
 
     def solver_comparisons(self) -> list[SolverComparison]:
         """Numbers of trials by solver, and largest difference between the solvers in the verified sample."""
         ended = f"count(*) FILTER (status = '{WITHOUT_RESULT}'), count(*) FILTER (status = '{FULL_SOLVER}')"
-        return [
-            SolverComparison(*row)
-            for row in self._query_each_cell(f"count(*), {ended}, count({DIFFERENCE_COLUMN}), max({DIFFERENCE_COLUMN})")
-        ]
+        rows = self._query_each_cell(f"count(*), {ended}, count({DIFFERENCE_COLUMN}), max({DIFFERENCE_COLUMN})")
+        return [SolverComparison(**dict(zip(SolverComparison.model_fields, row, strict=True))) for row in rows]
 
-    def summary(self) -> dict[str, Any]:
-        """Content of the report as plain data."""
+    def summary(self) -> CampaignSummary:
+        """Statistics of all columns, cells and methods."""
         columns_used = [
             c for c in self.columns if not c.startswith(("z:", "estimate:", "true:")) and c != DIFFERENCE_COLUMN
         ]
-        return {
-            "format": "ltsim-campaign-summary/1",
-            "title": self.manifest.title,
-            "trials": self.manifest.trials,
-            "factors": [factor.model_dump() for factor in self.factors],
-            "cells": [
-                cell.model_dump() | {"levels": levels}
-                for cell, levels in zip(self.manifest.cells, self.levels, strict=True)
-            ],
-            "ends": [_without_nan(asdict(entry)) for entry in self.solver_comparisons()],
-            "levels": QUANTILE_LEVELS,
-            "meanings": {c: described.meaning for c in columns_used if (described := find_column(c))},
-            "columns": [
-                _without_nan(asdict(entry)) | {"unit": self.units.get(column, "")}
-                for column in columns_used
-                for entry in self.distribution(column)
-            ],
-            "z_scores": [_without_nan(asdict(entry)) for entry in self.z_score_summaries()],
-        }
+        cells = zip(self.manifest.cells, self.levels, strict=True)
+        return CampaignSummary(
+            title=self.manifest.title,
+            trials=self.manifest.trials,
+            factors=tuple(self.factors),
+            cells=tuple(cell.model_copy(update={"levels": levels}) for cell, levels in cells),
+            ends=tuple(self.solver_comparisons()),
+            meanings={c: described.meaning for c in columns_used if (described := find_column(c))},
+            columns=tuple(entry for column in columns_used for entry in self.distribution(column)),
+            z_scores=tuple(self.z_score_summaries()),
+        )
 
 
 @contextmanager
@@ -362,15 +315,6 @@ def _interruptible() -> Iterator[None]:
         if str(problem) != "Query interrupted":
             raise
         raise KeyboardInterrupt from None
-
-
-def _without_nan(value: Any) -> Any:
-    """Value with None in place of NaN, for JSON."""
-    if isinstance(value, dict):
-        return {key: _without_nan(entry) for key, entry in value.items()}
-    if isinstance(value, tuple):
-        return tuple(_without_nan(entry) for entry in value)
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _column_units(schema: pa.Schema) -> dict[str, str]:
@@ -390,7 +334,7 @@ def _improvement_sql(names: list[str]) -> str:
     return "".join(added)
 
 
-def _finite_or_none(value: float | None) -> float:
+def _nan_if_none(value: float | None) -> float:
     return math.nan if value is None else float(value)
 
 

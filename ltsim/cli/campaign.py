@@ -24,6 +24,7 @@ from ltsim.recordings.files import write_text
 if TYPE_CHECKING:
     from ltsim.campaigns.recovery import Recovery
     from ltsim.campaigns.results import CampaignResults
+    from ltsim.campaigns.summary import SolverComparison
 
 
 MAX_BATCH_SOLVER_DIFFERENCE = 1e-3
@@ -98,7 +99,7 @@ def campaign(
     write_text(folder / "summary.csv", results.table("summary").csv())
     for note in outcome.notes:
         terminal.print_note(note)
-    terminal.print_json(summary)
+    terminal.print_json(summary.model_dump(mode="json"))
     existing_text = f", {outcome.n_existing_shards} existed already" if outcome.n_existing_shards else ""
     terminal.print_text(f"{outcome.n_computed_shards} files of rows written to {folder}{existing_text}\n")
     if not terminal.is_silent:
@@ -106,20 +107,20 @@ def campaign(
         terminal.print_text(f"\nall statistics: {folder / 'summary.csv'}; a page: ltsim report {folder}")
     failures = [
         solver_difference_sentence(e, results)
-        for e in summary["ends"]
-        if (e["largest_difference_sigma"] or 0.0) > MAX_BATCH_SOLVER_DIFFERENCE
+        for e in summary.ends
+        if (e.largest_difference_sigma or 0.0) > MAX_BATCH_SOLVER_DIFFERENCE
     ]
     for failure in failures:
         write_line(failure, sys.stderr)
     return 1 if failures else 0
 
 
-def solver_difference_sentence(cell_end: dict[str, Any], results: CampaignResults) -> str:
+def solver_difference_sentence(comparison: SolverComparison, results: CampaignResults) -> str:
     """Sentence on a cell whose batch solver differs too much from the full solver: cell, difference and limit."""
-    cell = results.manifest.cells[cell_end["cell"]].label
+    cell = results.manifest.cells[comparison.cell].label
     return (
-        f"cell {cell_end['cell'] + 1} ({cell}), {cell_end['method']}: the batch solver differs from the full solver by "
-        f"up to {cell_end['largest_difference_sigma']:.2g} sigma on {cell_end['checked']} verified trials, "
+        f"cell {comparison.cell + 1} ({cell}), {comparison.method}: the batch solver differs from the full solver by "
+        f"up to {comparison.largest_difference_sigma:.2g} sigma on {comparison.checked} verified trials, "
         f"limit {MAX_BATCH_SOLVER_DIFFERENCE:g}; "
         'set solver = "single" for the method to use the full solver'
     )

@@ -15,8 +15,18 @@ Ints = NDArray[np.int64]
 """Array of 64-bit integers."""
 Bools = NDArray[np.bool_]
 """Array of truth values."""
-MAX_TEMPORARY_ENTRIES = 4_000_000
-"""Number of entries up to which a temporary array is allocated as a whole: 32 MB."""
+MAX_TEMPORARY_ENTRIES = 2_000_000
+"""Number of entries up to which a temporary array is allocated as a whole, 16 MB. Larger ones are computed in batches,
+so that memory does not grow with a recording; smaller batches cost time for calls.
+"""
+MAX_MATRIX_ENTRIES = 100_000_000
+"""Number of entries of a matrix above which a method that needs it as a whole is refused: 0.8 GB."""
+
+
+def batches(n_items: int, n_entries_per_item: int) -> Iterator[slice]:
+    """Slices of consecutive items whose arrays have at most `MAX_TEMPORARY_ENTRIES` entries in all, or of one item."""
+    step = max(1, MAX_TEMPORARY_ENTRIES // max(n_entries_per_item, 1))
+    return (slice(first, min(first + step, n_items)) for first in range(0, n_items, step))
 
 
 def stack_columns(*columns: Floats) -> Floats:

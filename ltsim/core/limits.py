@@ -36,6 +36,10 @@ libraries take 130 MB, or 480 MB with pictures."""
 MAX_CALIBRATED_POINTINGS = 30_000
 """Largest number of pointings of a network that is calibrated: proposals for further measurements are evaluated on
 networks up to three times as large."""
+MAX_NETWORK_SETUPS = 500
+"""Largest number of set-ups of a network that is adjusted, checked, calibrated or diagnosed: flags of all pairs of a
+set-up and a target are in memory, and set-ups are compared in pairs. The largest measured networks have hundreds.
+"""
 MAX_DIAGNOSED_POINTINGS = 8_000
 """Largest number of pointings of a network that is diagnosed. With a cause, 2,000 take 24 s of processor time and
 310 MB, a ring of 3,360 takes 30 to 95 s and 450 to 530 MB, and 8,000 take 115 s and 0.85 GB (measured with other

@@ -12,6 +12,10 @@ from ltsim.core.errors import ModelError
 
 MISSING_TEXT = "-"
 """Text for a missing number, in place of `nan`."""
+MAX_LISTED_ITEMS = 6
+"""Largest number of names or numbers that a sentence lists."""
+MAX_LISTED_SENTENCES = 4
+"""Largest number of sentences of one kind; the number of further ones is reported."""
 MAX_DECIMALS = 12
 """Largest number of decimals in a displayed standard deviation; one below 1e-12 is displayed as 0."""
 
@@ -75,7 +79,7 @@ def align_columns(header: Sequence[str], rows: Sequence[Sequence[str]], n_text_c
     )
 
 
-def listing(items: Sequence[str], max_items: int = 6) -> str:
+def listing(items: Sequence[str], max_items: int = MAX_LISTED_ITEMS) -> str:
     """List of names as text; names beyond `max_items` are only counted: `a, b and 3 more`."""
     if len(items) <= max_items:
         return ", ".join(items)

@@ -12,13 +12,11 @@ from ltsim.diagnosis.diagnosis import AveragedTargets, Diagnosis, DiagnosisArray
 from ltsim.diagnosis.findings import ExplainedRecording, noise_finding
 from ltsim.diagnosis.held_out import HeldOutErrors
 from ltsim.diagnosis.instruments import instrument_entries
+from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS
 from ltsim.diagnosis.schema import BeforeAfter, DetectableEntry, Finding, GlobalTest, Misfit
 from ltsim.diagnosis.words import MIN_PROBABLE, diagnosis_summary
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.recordings.result_file import SourceEntry
-
-MAX_REPORTED_FINDINGS = 5
-"""Largest number of reported findings. Blunders and constants are counted first, then effects by their significance."""
 
 
 def assemble_diagnosis(
@@ -51,7 +49,7 @@ def assemble_diagnosis(
         (certain + [finding for finding in shifts if finding not in certain] or noises) if is_noise_only else certain
     )
     likely = sorted(likely, key=lambda finding: -finding.evidence.chi2_drop)
-    room = max(MAX_REPORTED_FINDINGS - len(certain_findings), 0)
+    room = max(MAX_MODEL_MEMBERS - len(certain_findings), 0)
     findings = sorted([*certain_findings, *likely[:room]], key=lambda finding: -finding.evidence.chi2_drop)
     before = after = Misfit(chi2=baseline.chi2, dof=baseline.dof, held_out_rms=errors.before)
     if model.members or case.noise:

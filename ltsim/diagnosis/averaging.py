@@ -21,7 +21,12 @@ from ltsim.adjustment.coordinate_uncertainty import air_covariance
 from ltsim.adjustment.refit import Refit
 from ltsim.core.arrays import Floats
 from ltsim.diagnosis.diagnosis import AveragedTargets
-from ltsim.diagnosis.evidence import coefficient_posterior, normalised_probabilities, wide_prior_posterior
+from ltsim.diagnosis.evidence import (
+    MAX_AVERAGED_HYPOTHESES,
+    coefficient_posterior,
+    normalised_probabilities,
+    wide_prior_posterior,
+)
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking
 from ltsim.diagnosis.search import Searcher
 from ltsim.diagnosis.shapes import shape_nodes
@@ -35,8 +40,6 @@ MAX_ERROR_INCREASE = 0.05
 exceeds it is at most `P_ERROR_INCREASE_EXCEEDED`."""
 P_ERROR_INCREASE_EXCEEDED = 0.03
 """Largest permitted probability that the relative increase of the coordinate error exceeds `MAX_ERROR_INCREASE`."""
-MAX_AVERAGED_EXPLANATIONS = 12
-"""Largest number of explanations in the average, which limits the computing time."""
 MIN_AVERAGED_PROBABILITY = 0.003
 """Smallest probability of an explanation in the average. Less probable ones are left out, to limit the computing time.
 """
@@ -135,7 +138,7 @@ def model_weights(
     ).tolist()
     probable = [(h, p) for h, p in zip(ranking.entries, rest_of, strict=True) if p > MIN_AVERAGED_PROBABILITY]
     entries = [(h, p) for h, p in probable if not _is_noise_hypothesis(h)]
-    entries = [(h, p) for h, p in entries[:MAX_AVERAGED_EXPLANATIONS] if h.key != selected.key]
+    entries = [(h, p) for h, p in entries[:MAX_AVERAGED_HYPOTHESES] if h.key != selected.key]
     none += sum(p for h, p in zip(ranking.entries, rest_of, strict=True) if _is_noise_hypothesis(h))
     p_rest = max(1.0 - none - sum(p for _, p in entries), 0.0)
     instances = _instances_at_probable_shapes(searcher, other_effects, selected)
@@ -162,7 +165,7 @@ def _instances_at_probable_shapes(
     if not shapes:
         return [(selected, 1.0)]
     weights = normalised_probabilities(np.array([node.log_weight for node in shapes]))
-    ranked = sorted(zip(shapes, weights, strict=True), key=lambda pair: -pair[1])[:MAX_AVERAGED_EXPLANATIONS]
+    ranked = sorted(zip(shapes, weights, strict=True), key=lambda pair: -pair[1])[:MAX_AVERAGED_HYPOTHESES]
     return [(replace(selected, effect=node.effect), float(p)) for node, p in ranked if p > MIN_AVERAGED_PROBABILITY]
 
 

@@ -15,7 +15,7 @@ import scipy.sparse as sp
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_evidence
-from ltsim.core.arrays import Floats, Ints, Singles, stack_and_release
+from ltsim.core.arrays import Floats, Ints, Singles, batches, stack_and_release
 from ltsim.diagnosis.evidence import log_means_by_group, noise_level_factor, simulated_log_evidence
 from ltsim.diagnosis.null_ensemble import NullEnsemble, row_gram
 from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
@@ -28,10 +28,6 @@ from ltsim.scene.sightings import Sightings
 
 MAX_SPARSE_FRACTION = 0.15
 """Fraction of nonzero rows below which a signature is stored as a sparse matrix. It affects only the computing time."""
-MAX_SIGNATURE_PRODUCTS = 2_000_000
-"""Largest number of products of signatures and vectors in memory at a time: some tens of MB."""
-N_VECTORS_PER_PART = 128
-"""Number of vectors of the null ensemble that are multiplied by the row weights at a time, to limit the memory."""
 
 
 ORDINARY_CALIBRATION_TYPES = {type(effect) for effect in BASELINE_EFFECTS}
@@ -76,8 +72,7 @@ class SignatureGroup:
 
     def parts(self, n_vectors: int) -> Iterator[slice]:
         """Ranges of members whose products with `n_vectors` vectors are in memory at a time."""
-        step = max(1, MAX_SIGNATURE_PRODUCTS // (self.n_parameters * max(n_vectors, 1)))
-        yield from (slice(i, min(i + step, len(self.effect_indices))) for i in range(0, len(self.effect_indices), step))
+        return batches(len(self.effect_indices), self.n_parameters * n_vectors)
 
     def weighted_products(self, member_range: slice, vectors: Floats | Singles) -> Floats:
         """Products (h, k, v) of the weighted signatures of a range of h members with `vectors` (m, v)."""
@@ -86,10 +81,9 @@ class SignatureGroup:
             vectors.shape[1],
         )
         products = np.empty((signature_rows.shape[0], count))
-        for i in range(0, count, N_VECTORS_PER_PART):
-            few = slice(i, i + N_VECTORS_PER_PART)
-            products[:, few] = signature_rows @ np.multiply(
-                vectors[self.row_indices, few], self.row_weights[:, None], dtype=np.float32
+        for part in batches(count, len(self.row_weights)):
+            products[:, part] = signature_rows @ np.multiply(
+                vectors[self.row_indices, part], self.row_weights[:, None], dtype=np.float32
             )
         return products.reshape(member_range.stop - member_range.start, self.n_parameters, count)
 

@@ -12,12 +12,9 @@ from scipy import special
 
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
+from ltsim.core.rounding import MAX_SINGLE_ROUNDING_ERROR
 from ltsim.diagnosis.noise import NoiseBank
 from ltsim.diagnosis.search import Searcher
-
-EVIDENCE_ROUNDING_ERROR = 1e-3
-"""Largest error of the log evidence of simulated recordings, which is computed in single precision. A simulated
-recording counts as reaching the statistic of the recording if it is smaller by this error."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +43,7 @@ class Detection:
         A recording without effects is exchangeable with the simulated recordings. Its p-value is therefore at most p
         with a probability of at most p. The smallest p-value is 1 / (n + 1).
         """
-        return (int(np.sum(self.null_statistics >= statistic - EVIDENCE_ROUNDING_ERROR)) + 1) / (
+        return (int(np.sum(self.null_statistics >= statistic - MAX_SINGLE_ROUNDING_ERROR)) + 1) / (
             len(self.null_statistics) + 1
         )
 

@@ -16,9 +16,9 @@ from ltsim.adjustment.remedies.detectability import (
 from ltsim.adjustment.remedies.next_measurement import best_explanation, rank_deciding_measurements, residual_space_of
 from ltsim.adjustment.remedies.remedy import advice_sentence
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
-from ltsim.core.arrays import Floats
+from ltsim.core.arrays import Floats, batches
 from ltsim.core.errors import ModelError
+from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import Undetectable
@@ -27,14 +27,9 @@ from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.effects.signature import Signature
 
-MAX_PROJECTED_ENTRIES = 1_000_000
-"""Largest number of entries of signatures in memory at a time: 8 MB. Their projections take several times as much."""
 MAX_DETECTABLE_SIZE_RATIO = 10.0
 """Smallest detectable size of an effect, as a multiple of a large but plausible size, from which the effect is reported
 as not detectable."""
-MAX_EQUAL_SIZE_DIFFERENCE = 1e-6
-"""Relative difference up to which detectable sizes count as equal, so that rounding does not decide which is reported.
-"""
 DISTORTION_DECIMALS = 6
 """Number of decimals to which a distortion of the targets [um] is rounded."""
 DetectabilityReport = tuple[tuple[MinimalSize, ...], tuple[Undetectable, ...]]
@@ -51,7 +46,7 @@ def detectability_report(space: ResidualSpace, catalogue_signatures: CatalogueSi
     for effects in catalogue_signatures.effects_by_family():
         rows = _detectability_of_effects(space, effects).table()
         size_ratios = np.array([row.median_size / row.prior_sigma for row in rows])
-        best = int(np.flatnonzero(size_ratios <= size_ratios.min() * (1.0 + MAX_EQUAL_SIZE_DIFFERENCE))[0])
+        best = int(np.flatnonzero(size_ratios <= size_ratios.min() * (1.0 + MAX_SOLUTION_ROUNDING_ERROR))[0])
         if size_ratios[best] < MAX_DETECTABLE_SIZE_RATIO:
             detectable.append(rows[best])
         else:
@@ -67,15 +62,14 @@ def _detectability_of_effects(space: ResidualSpace, effects: Sequence[Effect]) -
     entries: list[tuple[Effect, Floats, float, int, Floats]] = []
     for size, same in groupby(select_places(effects), key=lambda effect: len(effect.parameters)):
         sample = list(same)
-        step = max(1, MAX_PROJECTED_ENTRIES // (space.n_rows * size))
-        for batch in (sample[i : i + step] for i in range(0, len(sample), step)):
+        for batch in (sample[part] for part in batches(len(sample), space.n_rows * size)):
             signatures = np.hstack([space.whitened_signature(effect) for effect in batch])
             edges = np.arange(0, signatures.shape[1] + 1, size)
             grams = np.stack(space.projector.gram_matrices(signatures, edges, slice(None)))
             norm = np.linalg.norm(signatures, axis=0).reshape(-1, size)
             unit = np.where(norm > 0, norm, 1.0)
             information, share, rank = visible_information(
-                grams / (unit[:, :, None] * unit[:, None, :]), norm, MIN_NUMERICAL_REDUNDANCY
+                grams / (unit[:, :, None] * unit[:, None, :]), norm, MAX_SOLUTION_ROUNDING_ERROR
             )
             entries += zip(batch, information, share.tolist(), rank.tolist(), repeat(np.zeros((0, 0))))
     return effect_detectability(entries, len(effects))

@@ -9,6 +9,7 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.identification import identify_causes
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.significance import SINGLE_LEVEL
 from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.calibration.prior_information import EarlierCalibrations
@@ -32,8 +33,8 @@ from ltsim.diagnosis.instruments import (
 )
 from ltsim.diagnosis.noise import NoiseHypothesis, most_likely_sizes
 from ltsim.diagnosis.preprocessing import adapted_baseline, is_consistent_when_omitted
+from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS
 from ltsim.diagnosis.schema import Finding
-from ltsim.diagnosis.search import MAX_MODEL_MEMBERS
 from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.effects.signature import CandidateEffect
@@ -44,10 +45,8 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.threads import single_threaded
 
-MAX_ALTERNATIONS = 3
-"""Largest number of alternations between the selection of changes of the noise and that of effects."""
-MIN_FALSE_ALARM_RATE = 1e-3
-"""Smallest permitted false-alarm rate. A p-value of 1 / (n + 1) needs n simulated recordings."""
+MAX_NOISE_CHANGES = 3
+"""Largest number of changes of the noise that are added to a model, each alternating with a selection of effects."""
 MIN_REMAINING_OFFSET = 0.5
 """Smallest ratio of the difference of a constant from its reference with the selected effects in the model to that
 without them. With a smaller ratio the effects explain the difference, and it is not reported."""
@@ -74,13 +73,13 @@ def diagnose(
     seed : int
         Root of the random draws of simulated recordings.
     level : float
-        False-alarm rate of the whole search, at least `MIN_FALSE_ALARM_RATE`.
+        False-alarm rate of the whole search, at least `SINGLE_LEVEL`.
     history : EarlierCalibrations, optional
         Earlier calibrations with which each constant of the instruments is compared.
     held_out : bool, optional
         True for 5-fold cross-validation. The search is repeated without each fold of the readings, which is then
         predicted; this takes five more searches if the model is not empty. None for cross-validation only in networks
-        with up to `null_ensemble.MAX_EXACT_UNKNOWNS` unknowns.
+        with up to `calibration.shrinkage.MAX_DENSE_UNKNOWNS` unknowns.
 
     Returns
     -------
@@ -92,8 +91,8 @@ def diagnose(
     RecordError
         When the history is of other instruments or another construction, or `level` is not a false-alarm rate.
     """
-    if not MIN_FALSE_ALARM_RATE <= level < 1.0:
-        raise RecordError(f"the level is {level:g}; expected a false-alarm rate from {MIN_FALSE_ALARM_RATE:g} to 1")
+    if not SINGLE_LEVEL <= level < 1.0:
+        raise RecordError(f"the level is {level:g}; expected a false-alarm rate from {SINGLE_LEVEL:g} to 1")
     recording.require_at_most(MAX_DIAGNOSED_POINTINGS, "a diagnosis")
     construction = declared_construction(recording)
     comparison = (
@@ -224,7 +223,7 @@ def _select_noise(case: SelectionState, threshold: float, log_evidence_of_effect
     `log_evidence_of_effects` count among its alternatives. Each further change must increase the log evidence by
     `threshold`.
     """
-    for further in range(MAX_ALTERNATIONS):
+    for further in range(MAX_NOISE_CHANGES):
         ranked = case.ranked_noise(case.empty_model)
         if further and ranked[0][0] < threshold:
             break
@@ -262,7 +261,7 @@ def _alternate_noise_and_effects(case: SelectionState, model: Model, threshold: 
     Each change of the noise is tried in addition to `model`, in place of one effect in the model, and in place of all
     of them.
     """
-    for _ in range(MAX_ALTERNATIONS):
+    for _ in range(MAX_NOISE_CHANGES):
         searcher, members = case.searcher, model.members
         bases = [model, *(searcher.model_without(model, i) for i in range(len(members)))]
         bases += [searcher.empty_model] if len(members) > 1 else []

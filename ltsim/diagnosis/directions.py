@@ -11,10 +11,10 @@ import numpy as np
 from scipy.special import gammaln
 
 from ltsim.core.arrays import Floats
+from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.diagnosis.evidence import coefficient_posterior, log_evidence_of_coefficients
+from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
-N_RATIO_ITERATIONS = 10
-"""Number of iterations, each of which estimates the coefficients given the ratio, and then the ratio."""
 RATIO_DECIMALS = 4
 """Number of decimals to which a ratio is rounded, so that a law equals the law that is read from its text form."""
 
@@ -41,7 +41,7 @@ def best_ratio(
     common_spread = plausible_sizes[:k] * np.sqrt(n_components)
     coefficients = coefficient_posterior(gram, score, plausible_sizes)[0].reshape(n_components, k)
     ratio = np.linalg.svd(coefficients / plausible_sizes[:k], full_matrices=False)[0][:, 0]
-    for _ in range(N_RATIO_ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         mean = coefficient_posterior(np.einsum("i,iajb,j->ab", ratio, products, ratio), ratio @ scores, common_spread)[
             0
         ]
@@ -49,7 +49,9 @@ def best_ratio(
         step = np.linalg.lstsq(normal, scores @ mean, rcond=1e-9)[0]
         if not step.any():
             break
-        ratio = step / np.linalg.norm(step)
+        previous, ratio = ratio, step / np.linalg.norm(step)
+        if np.abs(ratio - previous).max() < MAX_ROUNDING_ERROR:
+            break
     ratio = np.round(ratio * np.sign(ratio[np.argmax(np.abs(ratio))]), RATIO_DECIMALS)
     inner = np.einsum("i,iajb,j->ab", ratio, products, ratio)
     mean = coefficient_posterior(inner, ratio @ scores, common_spread)[0]

@@ -31,25 +31,20 @@ from ltsim.calibration.evidence import (
     log_sum_exp,
     size_weights_and_constants,
 )
-from ltsim.core.arrays import Bools, Floats, Ints, Singles
+from ltsim.core.arrays import Bools, Floats, Ints, Singles, batches
+from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.physics.effects.outlier import OBSERVABLE_COLUMN, Outlier
 from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.recordings.recording import OBSERVABLES
 
-MAX_EVIDENCE_TIE = 1e-6
-"""Difference of log evidences up to which they count as equal, so that the rounding of sums, which depends on the
-processor, does not decide."""
-MAX_SCREENED_EVIDENCE_TIE = 1e-4
-"""Difference of log evidences up to which they count as equal if they were computed in single precision."""
-
 
 def index_of_best(values: Floats) -> int:
     """Index of the largest value. If several values are equal, as on a plateau, it is the middle index of these."""
-    ties = np.flatnonzero(values >= np.max(values) - MAX_EVIDENCE_TIE)
+    ties = np.flatnonzero(values >= np.max(values) - MAX_SOLUTION_ROUNDING_ERROR)
     return int(ties[(len(ties) - 1) // 2])
 
 
-def ranked_indices(values: Floats, max_difference: float = MAX_EVIDENCE_TIE) -> Ints:
+def ranked_indices(values: Floats, max_difference: float = MAX_SOLUTION_ROUNDING_ERROR) -> Ints:
     """Indices in the order of decreasing values. Values within `max_difference` keep their order."""
     falling = np.nan_to_num(-values)
     order = np.argsort(falling, kind="stable")
@@ -61,10 +56,6 @@ def normalised_probabilities(log_probabilities: Floats) -> Floats:
     """Probabilities (k,) that add up to one, from k unnormalised log probabilities."""
     probabilities: Floats = np.exp(log_probabilities - log_sum_exp(log_probabilities))
     return probabilities
-
-
-MAX_SIMULATED_SCORES = 500_000
-"""Largest number of simulated scores in memory at a time, some tens of MB."""
 
 
 def simulated_log_evidence(scores: Floats, eigenvalues: Floats) -> Floats:
@@ -88,11 +79,10 @@ def simulated_log_total(scores: Singles, eigenvalues: Floats, log_prior: Floats)
 
 def _simulated_log_evidence(scores: Floats | Singles, eigenvalues: Floats, log_prior: Floats) -> Iterator[Singles]:
     """Iterator over batches of hypotheses: log evidence with priors, (h, size factors, trials)."""
-    step = max(1, MAX_SIMULATED_SCORES * len(scores) // max(scores.size, 1))
-    for i in range(0, len(scores), step):
-        weights, constants = size_weights_and_constants(eigenvalues[i : i + step])
-        constants += log_prior[i : i + step, None]
-        logs = np.swapaxes(weights, -1, -2).astype(np.float32) @ np.square(scores[i : i + step], dtype=np.float32)
+    for part in batches(len(scores), scores.size // max(len(scores), 1)):
+        weights, constants = size_weights_and_constants(eigenvalues[part])
+        constants += log_prior[part, None]
+        logs = np.swapaxes(weights, -1, -2).astype(np.float32) @ np.square(scores[part], dtype=np.float32)
         logs += constants[..., None].astype(np.float32)
         yield logs
 
@@ -199,6 +189,16 @@ def _eigen_decomposition(gram: Floats, plausible_sizes: Floats) -> tuple[Floats,
     return np.maximum(eigenvalues, 0.0), plausible_sizes[..., None] * vectors
 
 
+MAX_AVERAGED_HYPOTHESES = 12
+"""Largest number of hypotheses, the most probable first, over which an estimate is averaged (processor time)."""
+N_REFINED = 7
+"""Number of hypotheses of a kind (families of effects, of noise, and laws, also at each place), the best ones of an
+approximation, that are evaluated without it (processor time).
+"""
+MAX_REFINED_DEFICIT = 10.0
+"""Largest deficit of approximate log evidence of a hypothesis that is evaluated again without approximation: a local
+optimum of a family, or a product of a law and a second factor.
+"""
 WIDE_PRIOR_SIZES = 30.0
 """Prior standard deviation of reported sizes, as a multiple of their plausible sizes. It hardly shrinks the estimates,
 but keeps undetermined combinations finite."""

@@ -11,25 +11,18 @@ import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
-from ltsim.core.arrays import Floats, Ints
-from ltsim.diagnosis.evidence import (
-    MAX_EVIDENCE_TIE,
-    index_of_best,
-    log_evidence_of_coefficients,
-    log_evidence_of_effect,
-)
+from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Floats, Ints
+from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.diagnosis.evidence import index_of_best, log_evidence_of_coefficients, log_evidence_of_effect
 from ltsim.diagnosis.hypotheses import Model
 from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.responses import RESPONSES_BY_NAME
+from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 CachedType = TypeVar("CachedType", bound=CandidateEffect)
 PlaceKey = tuple[tuple[str, ...], tuple[str, ...]]
 """Place of an effect: the names of its stations, and of its targets."""
-MAX_SEARCH_STEPS = 12
-"""Largest number of steps of the local search for the constants of an effect."""
-MAX_SIGNATURE_ENTRIES = 3_000_000
-"""Largest number of entries of signatures in memory at a time, some tens of MB."""
 
 
 class ResidualRows(NamedTuple):
@@ -90,7 +83,7 @@ class EvidenceCalculator:
         """
         best, values = list(effects), self.log_evidence(effects, base_model)
         means, moving_indices = values.copy(), list(range(len(best)))
-        for _ in range(MAX_SEARCH_STEPS):
+        for _ in range(MAX_ITERATIONS):
             candidates = {
                 i: neighbours for i in moving_indices if (neighbours := best[i].neighbours(self.space.sightings))
             }
@@ -105,7 +98,7 @@ class EvidenceCalculator:
             for (i, neighbours), parts in zip(candidates.items(), np.split(logs, edges), strict=True):
                 means[i] = log_sum_exp(np.append(parts, values[i])) - np.log(len(parts) + 1)
                 top = index_of_best(parts)
-                if parts[top] > values[i] + MAX_EVIDENCE_TIE:
+                if parts[top] > values[i] + MAX_SOLUTION_ROUNDING_ERROR:
                     best[i], values[i] = neighbours[top], parts[top]
                     moving_indices.append(i)
         return list(zip(best, means.tolist(), strict=True))
@@ -120,7 +113,7 @@ class EvidenceCalculator:
     def _batches(self, effects: Sequence[CandidateEffect]) -> Iterator[tuple[ResidualRows, list[int]]]:
         """Batches of effects that act on the same rows, as pairs of the rows and the indices of the effects.
 
-        A batch has at most `MAX_SIGNATURE_ENTRIES` entries.
+        A batch has at most `MAX_TEMPORARY_ENTRIES` entries.
         """
         by_rows: dict[int, tuple[ResidualRows, list[int]]] = {}
         for i, effect in enumerate(effects):
@@ -128,7 +121,7 @@ class EvidenceCalculator:
             by_rows.setdefault(id(rows), (rows, []))[1].append(i)
         for rows, members in by_rows.values():
             ends = np.cumsum([len(effects[i].parameters) for i in members]) * len(rows.pointing)
-            parts = np.split(members, np.flatnonzero(np.diff(ends // MAX_SIGNATURE_ENTRIES)) + 1)
+            parts = np.split(members, np.flatnonzero(np.diff(ends // MAX_TEMPORARY_ENTRIES)) + 1)
             yield from ((rows, part.tolist()) for part in parts)
 
     def _rows_of(self, effect: CandidateEffect) -> ResidualRows:

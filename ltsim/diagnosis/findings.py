@@ -10,11 +10,12 @@ from scipy.special import expit
 
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.refit import Refit
-from ltsim.adjustment.significance import FAMILY_LEVEL
+from ltsim.adjustment.significance import FAMILY_LEVEL, MIN_SIGNIFICANT_SIGMAS
 from ltsim.core.arrays import Floats
-from ltsim.core.notation import number_text, with_sigma
+from ltsim.core.notation import MAX_LISTED_ITEMS, number_text, with_sigma
+from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.diagnosis.detect import Detection
-from ltsim.diagnosis.detectability import separating_measurement, target_distortion
+from ltsim.diagnosis.detectability import MAX_DETECTABLE_SIZE_RATIO, separating_measurement, target_distortion
 from ltsim.diagnosis.evidence import (
     active_observables,
     coefficient_posterior,
@@ -23,9 +24,8 @@ from ltsim.diagnosis.evidence import (
 )
 from ltsim.diagnosis.forms import response_curve
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking, name_probabilities
-from ltsim.diagnosis.instruments import MIN_TESTED_INFORMATION
 from ltsim.diagnosis.noise import NoiseHypothesis
-from ltsim.diagnosis.prior import P_SAME_OBSERVABLE, log_prior_share
+from ltsim.diagnosis.prior import P_EVEN, log_prior_share
 from ltsim.diagnosis.schema import Finding, FindingEvidence, FindingScope, ParameterEstimate
 from ltsim.diagnosis.scopes import effect_scope
 from ltsim.diagnosis.selection_state import SelectionState
@@ -51,16 +51,10 @@ from ltsim.scene.sightings import Sightings
 
 MAX_REPORTED_NOISE_SIZES = 12
 """Largest number of targets, set-ups or readings whose sizes a finding on separate noise reports."""
-MAX_LISTED_READINGS = 4
-"""Largest number of readings that a sentence lists. With more readings, the sentence lists none."""
 MIN_LISTED_CHI2_FRACTION = 0.8
 """Smallest fraction of the chi-square decrease of a finding that the listed readings have together."""
-MIN_SIGNIFICANT_SIGMAS = 2.0
-"""Number of standard deviations above which a size is significant (two-sided 5 %)."""
 BASELINE_EFFECT_TYPES = tuple(type(effect) for effect in BASELINE_EFFECTS)
 """Effects of the ordinary calibration, which are findings only if they exceed their prior."""
-MIN_IMPLAUSIBLE_SIZE_RATIO = 5.0
-"""Multiple of a large but plausible size, above which a size minus two standard deviations counts as implausible."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +98,7 @@ class ExplainedRecording:
             return ranking.probabilities_by_name().get(hypothesis.name, 0.0)
         acts = set(hypothesis.effect.observables)
         p_same = ranking.posterior_probability_of(lambda h: not h.is_catalogued and set(h.effect.observables) == acts)
-        return p_same + P_SAME_OBSERVABLE * ranking.p_unmodelled
+        return p_same + P_EVEN * ranking.p_unmodelled
 
     @cached_property
     def rankings(self) -> list[Ranking]:
@@ -230,9 +224,9 @@ class ExplainedRecording:
         use, recording = self.state.searcher.space.used_readings, self.state.recording
         reading_gain = chi2_decreases[: int(use.sum())]
         order = np.argsort(-reading_gain)
-        min_sum = MIN_LISTED_CHI2_FRACTION * max(float(chi2_decreases.sum()), MIN_TESTED_INFORMATION)
+        min_sum = MIN_LISTED_CHI2_FRACTION * max(float(chi2_decreases.sum()), MAX_ROUNDING_ERROR)
         count = int(np.searchsorted(np.cumsum(reading_gain[order]), min_sum)) + 1
-        if count > MAX_LISTED_READINGS:
+        if count > MAX_LISTED_ITEMS:
             return ""
         at = [
             (int(row), int(kind)) for row, kind in zip(*(part[order[:count]] for part in np.nonzero(use)), strict=True)
@@ -289,7 +283,7 @@ class ExplainedRecording:
         adjustment, which = self.state.baseline, self._instrument_index(effect)
         prior = prior_sigmas(self.state.recording, adjustment.construction)[which]
         variance = np.diag(adjustment.instrument_covariance_of(which))
-        factors = 1.0 / np.maximum(1.0 - variance / prior**2, MIN_TESTED_INFORMATION)
+        factors = 1.0 / np.maximum(1.0 - variance / prior**2, MAX_ROUNDING_ERROR)
         value, sigma = adjustment.state.instrument_parameters[which] * factors, np.sqrt(variance * factors)
         indices = (adjustment.construction.parameter_names.index(p.name) for p in effect.parameters)
         return tuple(
@@ -394,6 +388,6 @@ def _is_implausible_size(effect: CandidateEffect, estimates: Sequence[ParameterE
     sizes = zip(effect.parameters, effect.size_scales.tolist(), strict=True)
     matches = [(e, p, size) for p, size in sizes for e in estimates if e.name == p.name]
     is_large = any(
-        abs(e.value) - 2 * e.sigma > MIN_IMPLAUSIBLE_SIZE_RATIO * size / p.si_per_display_unit for e, p, size in matches
+        abs(e.value) - 2 * e.sigma > MAX_DETECTABLE_SIZE_RATIO * size / p.si_per_display_unit for e, p, size in matches
     )
     return is_large or any(p.is_positive and e.value + 2 * e.sigma < 0.0 for e, p, _ in matches)

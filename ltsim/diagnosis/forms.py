@@ -11,23 +11,16 @@ import numpy as np
 
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
+from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.directions import best_ratio
-from ltsim.diagnosis.evidence import MAX_EVIDENCE_TIE, index_of_best, log_evidence_of_coefficients
+from ltsim.diagnosis.evidence import index_of_best, log_evidence_of_coefficients
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
-from ltsim.diagnosis.prior import (
-    FORM_WEIGHTS,
-    P_FIXED_RATIO,
-    P_PER_SETUP,
-    P_PIECEWISE,
-    P_SINGLE_SET_UP,
-    P_SINGLE_SET_UP_OTHERS,
-    P_SWITCHED,
-)
+from ltsim.diagnosis.prior import FORM_WEIGHTS, P_EVEN, P_RARE_FORM, P_SINGLE_SET_UP
 from ltsim.diagnosis.products import may_have_a_second_factor, product_forms
 from ltsim.diagnosis.schema import ResponseCurve
 from ltsim.diagnosis.space import MIN_POINTINGS_PER_COEFFICIENT
-from ltsim.diagnosis.switches import N_INTERVALS_AFTER_MAXIMUM, n_resembling_waves, switched_forms
+from ltsim.diagnosis.switches import MAX_PIECES, N_INTERVALS_AFTER_MAXIMUM, n_resembling_waves, switched_forms
 from ltsim.physics.laws.columns import fourier_columns
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.names import catalogue_name
@@ -39,8 +32,6 @@ TILT_REGRESSOR = Regressor("field", COORDINATE_COVARIATES, constant=1.0)
 MAX_ABSORBED_EVIDENCE_DIFFERENCE = 0.5
 """Difference of log evidence up to which a law at all set-ups counts as equal to the same law at one set-up. The poses
 of the other set-ups then absorb it, and only the law at the one set-up is kept."""
-MAX_PIECES = 10
-"""Largest number of steps and ramps in the sum that forms a law."""
 
 
 def min_promising_evidence(best_evidence: float) -> float:
@@ -62,19 +53,19 @@ def evaluate_forms(
     law = law.equivalent_index_law(sightings)
     base_evidence = log_prior + float(np.log(len(law.regressor.coefficient_sigmas)))
     hypotheses = (
-        _piecewise_forms(calculator, law, base_evidence + float(np.log(P_PIECEWISE)), base_model) if pieces else []
+        _piecewise_forms(calculator, law, base_evidence + float(np.log(P_RARE_FORM)), base_model) if pieces else []
     )
-    base_evidence += float(np.log(1.0 - P_PIECEWISE)) if hypotheses else 0.0
-    permanent_law, share = law.without_switch(), float(np.log(P_SWITCHED * n_resembling_waves(law, sightings)))
+    base_evidence += float(np.log(1.0 - P_RARE_FORM)) if hypotheses else 0.0
+    permanent_law, share = law.without_switch(), float(np.log(P_RARE_FORM * n_resembling_waves(law, sightings)))
     switch_hypotheses = switched_forms(calculator, permanent_law, base_evidence + share, base_model) if pieces else []
-    base_evidence += float(np.log(1.0 - P_SWITCHED)) if switch_hypotheses else 0.0
+    base_evidence += float(np.log(1.0 - P_RARE_FORM)) if switch_hypotheses else 0.0
     hypotheses += switch_hypotheses
     setup_laws = law.per_setup(sightings)
     hypotheses += _functional_forms(
-        calculator, law, base_evidence + (np.log(1.0 - P_PER_SETUP) if setup_laws else 0.0), base_model
+        calculator, law, base_evidence + (np.log(1.0 - P_RARE_FORM) if setup_laws else 0.0), base_model
     )
     hypotheses += (
-        _functional_forms(calculator, setup_laws, base_evidence + np.log(P_PER_SETUP), base_model) if setup_laws else []
+        _functional_forms(calculator, setup_laws, base_evidence + np.log(P_RARE_FORM), base_model) if setup_laws else []
     )
     hypotheses += (
         _functional_forms(calculator, permanent_law, base_evidence, base_model) if permanent_law != law else []
@@ -133,7 +124,7 @@ def _forms_with_ratio(calculator: EvidenceCalculator, form: Hypothesis, base_mod
     gram, score = calculator.gram_and_score([law], base_model)[0]
     ratio, evidence, log_share = best_ratio(gram, score, law.size_scales, law.n_components)
     gain = evidence - float(log_evidence_of_coefficients(gram, score, law.size_scales))
-    share, other = np.log(P_FIXED_RATIO) + log_share, np.log(1.0 - P_FIXED_RATIO)
+    share, other = np.log(P_EVEN) + log_share, np.log(1.0 - P_EVEN)
     return [
         replace(form, log_prior=form.log_prior + other, log_evidence=form.log_evidence + other),
         replace(
@@ -167,7 +158,7 @@ def _forms_at_set_ups(calculator: EvidenceCalculator, form: Hypothesis, base_mod
     ]
     n_pointings = [law.row_weights(calculator.space.sightings).sum() for law in laws]
     laws = [x for x, n in zip(laws, n_pointings, strict=True) if n >= MIN_POINTINGS_PER_COEFFICIENT * len(x.parameters)]
-    share = P_SINGLE_SET_UP.get(law.response.kind, P_SINGLE_SET_UP_OTHERS)
+    share = P_SINGLE_SET_UP.get(law.response.kind, P_RARE_FORM)
     log_prior = form.log_prior + float(np.log(share / max(len(laws), 1)))
     values = calculator.log_evidence(laws, base_model)
     hypotheses = [
@@ -217,7 +208,7 @@ def _piecewise_forms(
         )
         atom_indices.append(index_of_best(values))
         value = float(log_sum_exp(values)) - len(atom_indices) * log_price
-        if value > best + MAX_EVIDENCE_TIE:
+        if value > best + MAX_SOLUTION_ROUNDING_ERROR:
             best, n_selected = value, len(atom_indices)
     refined, value = calculator.refine_locally(
         [law.with_pieces([atoms[i] for i in sorted(atom_indices[:n_selected])])], base_model

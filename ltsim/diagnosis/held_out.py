@@ -17,9 +17,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.randomness import stream
+from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.evidence import wide_prior_posterior
 from ltsim.diagnosis.search import Searcher
 
@@ -56,7 +56,7 @@ def cross_validated_errors(
     groups = fold_rows(space, seed)
     for rows, (values, vectors) in zip(groups, space.projector.hat_matrix_spectra(groups), strict=True):
         before += _quadratic_form_on_fold(space.residuals[rows], values, vectors)
-        count += len(rows) - int(np.sum(values >= 1.0 - MIN_NUMERICAL_REDUNDANCY))
+        count += len(rows) - int(np.sum(values >= 1.0 - MAX_SOLUTION_ROUNDING_ERROR))
         if searcher is not None:
             fold_search = searcher.without_rows(rows)
             remaining = space.residuals - space.project(_selected_model_shift(space, fold_search, threshold))
@@ -82,7 +82,7 @@ def _quadratic_form_on_fold(residual: Floats, eigenvalues: Floats, eigenvectors:
     with the fold are left out.
     """
     along = (eigenvectors.T @ residual) ** 2
-    is_predicted = eigenvalues < 1.0 - MIN_NUMERICAL_REDUNDANCY
+    is_predicted = eigenvalues < 1.0 - MAX_SOLUTION_ROUNDING_ERROR
     predicted = np.sum(along[is_predicted] / (1.0 - eigenvalues[is_predicted]))
     return float(residual @ residual - along.sum() + predicted)
 

@@ -10,9 +10,10 @@ from itertools import product
 import numpy as np
 
 from ltsim.adjustment.residual_space import orthonormal_columns
-from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY, MIN_REPORTED_PROBABILITY
+from ltsim.adjustment.significance import MIN_LOG_EVIDENCE_CERTAIN, MIN_REPORTED_PROBABILITY
 from ltsim.calibration.evidence import EVIDENCE_SIZES, LOG_SIZE_PRIOR, log_sum_exp
 from ltsim.core.arrays import Floats, Ints
+from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.evidence import index_of_best
 from ltsim.diagnosis.prior import LOG_ODDS_REPEATED, P_UNMODELLED
 from ltsim.diagnosis.schema import Equivalent
@@ -101,7 +102,7 @@ class Model:
         unit = 1.0 / np.where(norms > 0, norms, 1.0)
         gram, score = self.gram_and_scores
         strength, turn = np.linalg.eigh(gram * np.outer(unit, unit))
-        is_visible = strength > MIN_NUMERICAL_REDUNDANCY
+        is_visible = strength > MAX_SOLUTION_ROUNDING_ERROR
         return (
             0.5
             * RELATIVE_MODEL_ERROR
@@ -214,11 +215,6 @@ def name_probabilities(probabilities: Mapping[str, float], name: str) -> tuple[f
     return probabilities.get(name, 0.0), tuple(sorted(others, key=lambda other: -other.probability)[:MAX_EQUIVALENTS])
 
 
-MAX_EVIDENCE_DEFICIT = 6.0
-"""Difference from the largest log evidence, above which a size of the grid is left out of the sum. The relative error
-is e^-6 for each."""
-
-
 def _log_evidence_over_sizes(model: Model) -> float:
     """Log evidence of a model, averaged over the size factors t of its effects.
 
@@ -248,7 +244,7 @@ def _log_evidence_over_sizes(model: Model) -> float:
             tried[:, i] = every
             values = evidence(tried)
             best[i] = index_of_best(values)
-            neighbours[i] = every[values > values.max() - MAX_EVIDENCE_DEFICIT]
+            neighbours[i] = every[values > values.max() - MIN_LOG_EVIDENCE_CERTAIN]
     return float(log_sum_exp(evidence(np.array(list(product(*neighbours))))))
 
 

@@ -26,6 +26,7 @@ from ltsim.calibration.prior_information import EarlierCalibrations
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
 from ltsim.core.probability import SIZE_PRIOR
+from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.evidence import normalised_probabilities
 from ltsim.diagnosis.prior import log_prior_share
 from ltsim.diagnosis.schema import InstrumentEntry, ParameterEstimate
@@ -36,13 +37,6 @@ from ltsim.solve.design import scale_to_unit_diagonal
 
 CHANGED_PRIOR_VARIANCE = sum(share * size**2 for size, share in SIZE_PRIOR.items())
 """Prior variance of a constant that is already selected as changed, in squares of the specification."""
-MIN_EIGENVALUE = 1e-6
-"""Smallest eigenvalue of the correlation matrix of changes that are reported together. Changes that the readings cannot
-distinguish have a smaller one, and only the more probable change is reported.
-"""
-MIN_TESTED_INFORMATION = 1e-12
-"""Information of the readings on a constant up to which it counts as zero except for rounding. The constant is then not
-tested."""
 CONSTANT_REFERENCE_PHRASES = {True: "its declared correction", False: "the other instruments"}
 """Text of the reference of a constant: of an instrument with a declared correction (True), and of others (False)."""
 
@@ -194,7 +188,7 @@ def compare_constants(
         )
         values = np.full(len(change_directions), -np.inf)
         for k in np.flatnonzero(
-            (strength > MIN_TESTED_INFORMATION) & ~np.isin(np.arange(len(change_directions)), list(other_changes))
+            (strength > MAX_ROUNDING_ERROR) & ~np.isin(np.arange(len(change_directions)), list(other_changes))
         ):
             change = expectation.changes[k]
             values[k] = log_prior + _change_log_evidence(
@@ -210,7 +204,7 @@ def compare_constants(
         (k for k in odds_by_change if odds_by_change[k][k] > min_log_evidence), key=lambda k: -odds_by_change[k][k]
     ):
         square = information[np.ix_([*contradictions, k], [*contradictions, k])]
-        if np.linalg.eigvalsh(scale_to_unit_diagonal(square, np.diag(square))[0])[0] > MIN_EIGENVALUE:
+        if np.linalg.eigvalsh(scale_to_unit_diagonal(square, np.diag(square))[0])[0] > MAX_SOLUTION_ROUNDING_ERROR:
             contradictions.append(k)
     if not contradictions:
         return ContradictingConstants()
@@ -277,9 +271,6 @@ def _change_log_evidence(difference: float, variances: Floats | float, log_weigh
     return float(log_sum_exp(log_changed) - log_sum_exp(log_unchanged))
 
 
-MIN_INFORMATION = 1e-3
-"""Smallest information of earlier calibrations on a constant, in units of the specification. Smaller values are raised
-to it, to avoid a division by zero."""
 VARIANCE_RATIO_GRID = np.geomspace(0.05, 1e4, 80)
 """Grid of the ratio of the true variance of a constant between calibrations to the sample variance of a few of them."""
 PRIOR_DOF = 4
@@ -352,7 +343,7 @@ class HistoryExpectation:
         precision = (
             np.diag(np.linalg.inv(variance - np.diag(spread))) - 1.0
         )  # of the mean, without the maker's guarantee
-        variances = count / np.maximum(precision, MIN_INFORMATION)
+        variances = count / np.maximum(precision, MAX_ROUNDING_ERROR)
         usual_variance = variances + np.median(spread) - spread
         added_variance = np.minimum(
             np.outer(variances, VARIANCE_RATIO_GRID - 1.0), np.maximum(1.0 - spread, 0.0)[:, None]

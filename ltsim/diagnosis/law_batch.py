@@ -20,27 +20,19 @@ import numpy as np
 import scipy.sparse as sp
 
 from ltsim.calibration.evidence import log_evidence, log_sum_exp
-from ltsim.core.arrays import Floats, Ints, Singles
-from ltsim.diagnosis.evidence import MAX_SCREENED_EVIDENCE_TIE, simulated_log_total
-from ltsim.diagnosis.null_ensemble import NullEnsemble
+from ltsim.core.arrays import Floats, Ints, Singles, batches
+from ltsim.core.rounding import MAX_SINGLE_ROUNDING_ERROR
+from ltsim.diagnosis.evidence import N_REFINED, simulated_log_total
+from ltsim.diagnosis.null_ensemble import MIN_SIMULATED_RECORDINGS, NullEnsemble
 from ltsim.physics.laws.places import LawPlace
 from ltsim.physics.laws.regressors import Regressor
 from ltsim.physics.laws.responses import Response
 from ltsim.scene.sightings import Sightings
 
-N_POINTINGS_PER_CHUNK = 1000
-"""Largest number of pointings whose products are in memory at a time."""
-MAX_COLUMN_PRODUCTS = 500_000
-"""Largest number of products of two columns in memory at a time, so that they fit into the processor's cache."""
-MAX_COLUMNS_AT_PLACES = 10_000
-"""Largest number of columns, counted at each place, whose products with all vectors are in memory at a time: some tens
-of MB."""
-MAX_COLUMN_ENTRIES = 5_000_000
-"""Largest number of entries of columns of regressors that are computed at a time: 20 MB."""
-MAX_SHARED_COLUMN_ENTRIES = 16_000_000
-"""Largest number of entries of columns that batches with the same regressors share in memory: 64 MB."""
-MAX_HITS_PER_PLACE = 6
-"""Largest number of laws per place that a screening returns, for evaluation without approximation."""
+MAX_CACHED_COLUMN_ENTRIES = 16_000_000
+"""Largest number of entries of columns of regressors that stay in memory, 64 MB: those that several batches share
+during a screening, and those of all batches between screenings. Computing them anew takes a sixth of a screening.
+"""
 
 
 @dataclass(frozen=True)
@@ -84,18 +76,17 @@ class RowPartition:
         edges = np.append(0, np.cumsum(np.bincount(cell.ravel())))
         return cls(order, edges, sp.csr_array(is_inside[:, first].astype(np.float32)))
 
-    def chunks(self, max_pointings: int) -> Iterator[tuple[slice, Ints, list[tuple[int, slice]]]]:
-        """Parts of at most `max_pointings` pointings.
+    def chunks(self, n_entries_per_pointing: int) -> Iterator[tuple[slice, Ints, list[tuple[int, slice]]]]:
+        """Batches of pointings for temporary arrays with `n_entries_per_pointing` entries per pointing.
 
-        Each part is a tuple: its slice of `order`, the indices of its pointings, and for each of its cells the index of
-        the cell and its slice in the part.
+        Each batch is a tuple: its slice of `order`, the indices of its pointings, and for each of its cells the index
+        of the cell and its slice in the batch.
         """
-        for start in range(0, len(self.order), max_pointings):
-            end = min(start + max_pointings, len(self.order))
-            first, last = np.searchsorted(self.cell_edges, [start, end - 1], side="right") - 1
-            cuts = np.clip(self.cell_edges[first : last + 2] - start, 0, end - start).tolist()
+        for part in batches(len(self.order), n_entries_per_pointing):
+            first, last = np.searchsorted(self.cell_edges, [part.start, part.stop - 1], side="right") - 1
+            cuts = np.clip(self.cell_edges[first : last + 2] - part.start, 0, part.stop - part.start).tolist()
             here = [(first + i, slice(*cut)) for i, cut in enumerate(pairwise(cuts))]
-            yield slice(start, end), self.order[start:end], here
+            yield part, self.order[part], here
 
     def sums_over_places(self, cell_sums: Any) -> Any:
         """Sums over places, (P, ...), from the sums over cells, `cell_sums` (cells, ...)."""
@@ -123,7 +114,7 @@ class RegressorColumns:
 
     def columns_of(self, regressor_range: slice) -> Singles:
         """Columns (n, d k) of a range of d regressors, with the pointings in the order of the cells."""
-        if self.n_entries_per_regressor * len(self._regressors) > MAX_SHARED_COLUMN_ENTRIES:
+        if self.n_entries_per_regressor * len(self._regressors) > MAX_CACHED_COLUMN_ENTRIES:
             return self._compute_columns(self._regressors[regressor_range])
         if self._all_columns is None:
             self._all_columns = self._compute_columns(self._regressors)
@@ -182,17 +173,11 @@ class LawBatch:
         """
         count, size = len(self.regressors), self.regressors[0].n_columns
         products = size * self.weights[0, 0].size * len(self.places)
-        step = max(
-            1, min(MAX_COLUMNS_AT_PLACES // products, MAX_COLUMN_ENTRIES // self.columns.n_entries_per_regressor)
-        )
-        batch_results = [
-            self._log_evidence_at_places(null_ensemble, slice(i, min(i + step, count))) for i in range(0, count, step)
-        ]
+        entries = max(products * MIN_SIMULATED_RECORDINGS, self.columns.n_entries_per_regressor)
+        batch_results = [self._log_evidence_at_places(null_ensemble, part) for part in batches(count, entries)]
         values = np.concatenate([values for values, _ in batch_results], axis=2).reshape(len(self.places), -1)
         null = log_sum_exp(np.stack([null for _, null in batch_results]))
-        best_index = np.argsort(-np.round(values / MAX_SCREENED_EVIDENCE_TIE), axis=1, kind="stable")[
-            :, :MAX_HITS_PER_PLACE
-        ]
+        best_index = np.argsort(-np.round(values / MAX_SINGLE_ROUNDING_ERROR), axis=1, kind="stable")[:, :N_REFINED]
         hits = [
             ScreenedLaw(self.responses[i // count], self.regressors[i % count], place, v, prior)
             for place, prior, indices, here in zip(
@@ -249,7 +234,7 @@ class LawBatch:
         sums = np.zeros(
             (len(self.partition.cell_edges) - 1, columns.shape[1], count * ways * vectors), dtype=np.float32
         )
-        for part, rows, cells in self.partition.chunks(N_POINTINGS_PER_CHUNK):
+        for part, rows, cells in self.partition.chunks(count * ways * vectors):
             weights = self.weights[rows].reshape(len(rows), 3, -1)
             moved = (np.swapaxes(weights, 1, 2) @ null_ensemble.vectors_at(rows)).reshape(len(rows), -1)
             turned = columns[part].T
@@ -264,9 +249,7 @@ class LawBatch:
         k = self.regressors[0].n_columns
         d = columns.shape[1] // k
         sums = np.zeros((len(self.partition.cell_edges) - 1, count * ways * ways, d * k * k))
-        for part, rows, cells in self.partition.chunks(
-            max(1, min(N_POINTINGS_PER_CHUNK, MAX_COLUMN_PRODUCTS // (d * k * k)))
-        ):
+        for part, rows, cells in self.partition.chunks(d * k * k):
             blocks, weights = columns[part].reshape(len(rows), d, k), self.weights[rows]
             pairs = (blocks[:, :, :, None] * blocks[:, :, None, :]).reshape(len(rows), -1)
             turned = np.einsum("nica,nicb->ncab", weights, weights).reshape(len(rows), -1).T

@@ -23,12 +23,20 @@ import scipy.sparse as sp
 from scipy.special import expit
 
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.significance import MAX_CHANCE_SIGMAS
 from ltsim.calibration.evidence import log_sum_exp
-from ltsim.core.arrays import Floats, Ints, Singles
-from ltsim.diagnosis.evidence import log_means_by_group, log_restricted_likelihood_ratio, normalised_probabilities
+from ltsim.core.arrays import Floats, Ints, Singles, batches
+from ltsim.diagnosis.evidence import (
+    MAX_AVERAGED_HYPOTHESES,
+    N_REFINED,
+    log_means_by_group,
+    log_restricted_likelihood_ratio,
+    normalised_probabilities,
+)
 from ltsim.diagnosis.noise_centring import estimate_centring
 from ltsim.diagnosis.noise_factors import NoiseFactors, VariancePattern
 from ltsim.diagnosis.noise_groups import (
+    GROUP_VARIANCE_FACTORS,
     NOISY_GROUP_FRACTIONS,
     TAIL_VARIANCE_FACTORS,
     GroupNoise,
@@ -51,22 +59,12 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.projection import BasisProjection
 
-N_EVALUATED_FAMILIES = 6
-"""Number of families of noise hypotheses that are evaluated without approximation, the most probable first."""
-MAX_AVERAGED_PATTERNS = 12
-"""Largest number of patterns of noise over which the variance of a reading is averaged, the most probable first."""
-MAX_RESIDUAL_ENTRIES = 1_500_000
-"""Largest number of entries of residuals that are evaluated at a time: some tens of MB."""
 MIN_COMPARABLE_EVIDENCE_FRACTION = 0.2
 """Fraction of the largest log evidence. Noise in windows of time with more evidence is also sought at single places."""
 N_FINE_SIZES = 48
 """Number of sizes of the fine grid over which the evidence of the best hypotheses is averaged."""
-MAX_NOISE_SIZE = 400.0
-"""Largest size of an estimated change of the noise, as a multiple of its plausible size."""
 N_VARIANCE_GRID_VALUES = 7
 """Number of points of each grid on which the posterior distribution of a size is summed."""
-VARIANCE_GRID_HALF_WIDTH = 4.0
-"""Half-width of the next grid on which the posterior of a size is summed, in standard deviations of the posterior."""
 N_GRID_ZOOMS = 9
 """Number of grids, each narrower, on which the posterior of a size is summed. The sum over a normal density is accurate
 for spacings of up to 1.5 standard deviations."""
@@ -144,9 +142,8 @@ class NoiseBank:
 
     def family_evidence(self, residual: Floats | Singles, redundancy: Floats) -> Floats:
         """Log evidence (families, trials) with priors in the diagonal form, of `families`, then of `group_noises`."""
-        step = max(1, MAX_RESIDUAL_ENTRIES // len(residual))
-        batches = (residual[:, i : i + step].astype(np.float64) for i in range(0, residual.shape[1], step))
-        return np.hstack([self._family_evidence(part, redundancy) for part in batches])
+        parts = batches(residual.shape[1], len(residual))
+        return np.hstack([self._family_evidence(residual[:, part].astype(np.float64), redundancy) for part in parts])
 
     def _family_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         patterns = self._log_evidence_by_family(self.log_likelihood_ratio(residual, redundancy))
@@ -223,7 +220,7 @@ class NoiseBank:
             members = np.flatnonzero(self.family_index == family)
             likeliest = int(members[int(np.argmax(ratio[members, 0]))])
             value = float(evidence[family])
-            if rank < N_EVALUATED_FAMILIES:
+            if rank < N_REFINED:
                 value = self._fine_log_evidence(members, likeliest, ratio[members, 0], residual, redundancy)
                 value += self.log_prior_of_family(self.families[family])
                 value += self._excess_over_diagonal_form(likeliest, float(ratio[likeliest, 0]), residual, model_basis)
@@ -263,7 +260,7 @@ class NoiseBank:
         logs = ratio + prior[self.family_index]
         evidence = np.array([float(log_sum_exp(logs[same])) for same in members.values()])
         none, groups, ranked = np.zeros((len(residual), 0)), list(members.values()), []
-        for i in np.argsort(-evidence)[:MAX_AVERAGED_PATTERNS]:
+        for i in np.argsort(-evidence)[:MAX_AVERAGED_HYPOTHESES]:
             best = groups[i][int(np.argmax(ratio[groups[i]]))]
             excess = self._excess_over_diagonal_form(best, float(ratio[best]), residual, none)
             ranked.append((self.hypotheses[best], float(evidence[i]) + excess))
@@ -376,7 +373,10 @@ def most_likely_sizes(space: ResidualSpace, nominal_sigma: Floats, hypothesis: N
     reml_gain = reml_gain_function(space, nominal_sigma, effect, space.residuals, space.redundancy)
     if getattr(effect, "group_kind", "") == "reading":
         return _tail_with_variances(hypothesis, reml_gain)
-    least, most = np.full(len(scale), np.log1p(effect.min_relative_size)), np.full(len(scale), np.log1p(MAX_NOISE_SIZE))
+    least, most = (
+        np.full(len(scale), np.log1p(effect.min_relative_size)),
+        np.full(len(scale), np.log1p(GROUP_VARIANCE_FACTORS.max())),
+    )
     low, high = least, most
     for _ in range(N_GRID_ZOOMS):
         points = np.linspace(low, high, N_VARIANCE_GRID_VALUES)
@@ -387,8 +387,8 @@ def most_likely_sizes(space: ResidualSpace, nominal_sigma: Floats, hypothesis: N
         spread = np.sqrt(np.sum(weight * (points - mean) ** 2, axis=0))
         spread = np.maximum(spread, 0.4 * (high - low) / (N_VARIANCE_GRID_VALUES - 1))
         low, high = (
-            np.maximum(least, mean - VARIANCE_GRID_HALF_WIDTH * spread),
-            np.minimum(most, mean + VARIANCE_GRID_HALF_WIDTH * spread),
+            np.maximum(least, mean - MAX_CHANCE_SIGMAS * spread),
+            np.minimum(most, mean + MAX_CHANCE_SIGMAS * spread),
         )
     values = np.where(felt, np.sum(weight * sizes, axis=0), 0.0)
     sigma = np.where(felt, np.sqrt(np.sum(weight * (sizes - values) ** 2, axis=0)), np.inf)

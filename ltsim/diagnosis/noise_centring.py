@@ -14,8 +14,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ltsim.adjustment.identification.centring_errors import MIN_POINTINGS_PER_OCCUPATION, best_centring_sigma
+from ltsim.adjustment.identification.centring_errors import best_centring_sigma
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.significance import MIN_MEAN_REPEATS
 from ltsim.core.arrays import Ints
 from ltsim.core.units import MILLIMETRE
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
@@ -27,9 +28,6 @@ from ltsim.recordings.recording import Recording
 MAX_CENTRING_OCCUPATIONS = 200
 """Largest number of occupations for which centring errors are a hypothesis, to limit the computing time. They have 600
 columns in the residual space."""
-MIN_OCCUPATIONS_PER_TARGET = 1.5
-"""Smallest mean number of occupations of a target for which centring errors are a hypothesis. With one occupation the
-displacement is part of the target's coordinates."""
 
 
 def centring_hypotheses_of_occupations(space: ResidualSpace) -> list[tuple[float, NoiseHypothesis]]:
@@ -103,6 +101,6 @@ def _shows_centring(recording: Recording, occupation: Ints, *, by_face: bool) ->
     n_visits = len(np.unique(np.stack([occupation[rows], recording.face[rows] * by_face]), axis=1).T)
     return (
         count <= MAX_CENTRING_OCCUPATIONS
-        and count >= MIN_OCCUPATIONS_PER_TARGET * targets
-        and len(rows) >= MIN_POINTINGS_PER_OCCUPATION * n_visits
+        and count >= MIN_MEAN_REPEATS * targets
+        and len(rows) >= MIN_MEAN_REPEATS * n_visits
     )

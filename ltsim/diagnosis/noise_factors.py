@@ -11,13 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from ltsim.core.arrays import Floats, Ints, Singles, stack_and_release
+from ltsim.core.arrays import Floats, Ints, Singles, batches, stack_and_release
 
 MIN_DENSE_FRACTION = 0.5
 """Fraction of nonzero elements from which a pattern is stored as a dense row, which limits the memory. The fraction
 refers to the rows of the kinds of observations that the pattern changes."""
-MAX_VARIANCE_FACTORS = 2_000_000
-"""Largest number of variance factors that are computed at a time: some tens of MB."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +50,7 @@ class PatternGroup:
         """
         squares, redundancy = squares[self.row_indices], redundancy[self.row_indices]
         count = self.added_variance.size if isinstance(self.added_variance, np.ndarray) else self.added_variance.nnz
-        step = max(1, MAX_VARIANCE_FACTORS * self.added_variance.shape[0] // max(count, 1))
-        for start in range(0, len(self.members), step):
-            part = slice(start, start + step)
+        for part in batches(len(self.members), count // max(self.added_variance.shape[0], 1)):
             logs = self._log_variance_factors_of(part)
             fit = (_precision_loss(logs) @ squares).astype(np.float64)
             yield self.members[part], 0.5 * (fit - (logs @ redundancy)[:, None])

@@ -14,6 +14,7 @@ import scipy.sparse as sp
 from scipy.special import expit, log_expit, logit
 
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.significance import MIN_REPEATS_FOR_VARIANCE
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
 from ltsim.diagnosis.evidence import log_restricted_likelihood_ratio, normalised_probabilities
@@ -38,8 +39,6 @@ TAIL_VARIANCE_FACTORS = np.array([4.0, 12.0, 36.0, 100.0])
 to ten times the declared one."""
 NOISY_OBSERVABLE_SETS: tuple[tuple[str, ...], ...] = (*((name,) for name in OBSERVABLES), OBSERVABLES[1:], OBSERVABLES)
 """Sets of observables that may have larger noise together."""
-MIN_GROUPS = 4
-"""Smallest number of targets, or of stations, in a recording for which the search tries separate noise of each."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +161,7 @@ class NoiseByGroup(GroupNoise):
         banks, kinds = [], len(OBSERVABLES)
         for each, per_observable in product(("target", "station"), (False, True)):
             names, of = noise_groups(space.sightings, each)
-            if len(names) < MIN_GROUPS:
+            if len(names) < MIN_REPEATS_FOR_VARIANCE:
                 continue
             key = of[:, None] * kinds + np.arange(kinds) if per_observable else np.repeat(of[:, None], kinds, axis=1)
             rows = key[space.used_readings]

@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.diagnosis.noise_groups import NOISY_OBSERVABLE_SETS
 from ltsim.physics.laws.places import LawPlace, target_clusters
-from ltsim.physics.laws.regressor_library import additional_columns
+from ltsim.physics.laws.regressor_library import MAX_SEPARATE_TARGETS, additional_columns
 from ltsim.physics.laws.variance import REPETITION_KINDS, VarianceFunction, noise_covariate
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.regions import candidate_regions
@@ -20,9 +20,6 @@ ADDED_VARIANCES_AT_MAXIMUM = (2.0, 6.0, 20.0)
 """Added variances at the maximum of a pattern that a search tries, divided by the declared variance."""
 ADDED_VARIANCES_OF_TARGETS = (3.0, 15.0, 75.0)
 """Added variances of the readings to a target that a search tries, divided by the declared variance."""
-MAX_SEPARATE_TARGETS = 60
-"""Largest number of targets in a network for which a search tries larger noise of single targets and clusters of
-targets."""
 MAX_POINTINGS_WITH_BANDS = 2000
 """Largest number of pointings for which a search tries larger noise in bands of a covariate, to limit the computing
 time."""

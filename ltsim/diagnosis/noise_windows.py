@@ -29,12 +29,14 @@ DENSE_FACTORS = np.geomspace(1.5, 150.0, 33)
 """Factors on the variance in the noisy state, in steps of 15 %, over which its posterior mean is computed."""
 MEAN_WINDOW_COUNTS = np.array([1.5, 6.0])
 """Expected numbers of noisy windows in a recording over which the evidence is averaged."""
+MAX_LOG_RATIO = float(np.log(np.sqrt(np.finfo(np.float64).max)))
+"""Limit to which the log likelihood ratio of a step is clipped, 355, so that the product of two is a floating-point
+number.
+"""
 MAX_CHAIN_STEPS = 200
 """Largest number of steps of the chain. In a recording with more pointings a step contains several of them."""
 WINDOW_REGION_SHAPES = ("x", "y", "z", "xy")
 """Shapes of the regions of the hall in which noise may be larger for a time."""
-MAX_LOG_RATIO = 500.0
-"""Limit to which the log likelihood ratio of a step is clipped, so that its exponential is a floating-point number."""
 OBSERVABLE_FLAGS = np.array(
     [[name in acts for name in OBSERVABLES] for acts in NOISY_OBSERVABLE_SETS], dtype=np.float64
 )

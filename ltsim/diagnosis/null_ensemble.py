@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.core.arrays import Floats, Ints, Singles
+from ltsim.calibration.shrinkage import MAX_DENSE_UNKNOWNS
+from ltsim.core.arrays import Floats, Ints, Singles, batches
 from ltsim.core.randomness import stream
 from ltsim.solve.projection import BasisProjection
 
@@ -29,11 +30,6 @@ then 1 / 100."""
 N_GRAM_DRAWS = 200
 """Number of simulated residuals for Monte-Carlo Gram matrices. Their relative standard deviation is sqrt(2 / 200), 10
 %."""
-MAX_EXACT_UNKNOWNS = 500
-"""Largest number of unknowns of a network whose Gram matrices are computed with a basis. In networks with more unknowns
-they are Monte-Carlo estimates, to limit the computing time."""
-N_RESIDUALS_PER_PROJECTION = 50
-"""Number of simulated residuals that are projected at a time."""
 
 
 @dataclass(frozen=True)
@@ -124,9 +120,9 @@ class NullEnsemble:
 
 
 def exact_basis(space: ResidualSpace) -> Floats | None:
-    """Orthonormal basis (m, u) of u estimated parameters; None for more than `MAX_EXACT_UNKNOWNS` parameters."""
+    """Orthonormal basis (m, u) of u estimated parameters; None for more than `MAX_DENSE_UNKNOWNS` parameters."""
     projection = space.projector
-    is_small = isinstance(projection, BasisProjection) and projection.basis.shape[1] <= MAX_EXACT_UNKNOWNS
+    is_small = isinstance(projection, BasisProjection) and projection.basis.shape[1] <= MAX_DENSE_UNKNOWNS
     return projection.basis if isinstance(projection, BasisProjection) and is_small else None
 
 
@@ -139,8 +135,7 @@ def n_simulated_recordings(space: ResidualSpace, level: float) -> int:
 def _simulate_residuals(space: ResidualSpace, rng: np.random.Generator, residuals: Singles) -> None:
     """Simulation of recordings without any effect; their residuals are written to `residuals` (m, recordings)."""
     white = rng.standard_normal(residuals.shape)
-    for start in range(0, white.shape[1], N_RESIDUALS_PER_PROJECTION):
-        part = slice(start, start + N_RESIDUALS_PER_PROJECTION)
+    for part in batches(white.shape[1], len(white)):
         residuals[:, part] = space.project(white[:, part])
 
 

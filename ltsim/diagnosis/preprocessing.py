@@ -7,7 +7,7 @@ import numpy as np
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.centring import correct_centring
 from ltsim.adjustment.identification import CauseSelection, NetworkFit, adjust_with_causes, cause_tests
-from ltsim.adjustment.identification.cause_selection import MIN_LOG_EVIDENCE_CERTAIN, largest_displacement
+from ltsim.adjustment.identification.cause_selection import largest_displacement
 from ltsim.adjustment.identification.hypothesis import (
     CentringChange,
     Hypothesis,
@@ -15,7 +15,12 @@ from ltsim.adjustment.identification.hypothesis import (
     ReadingShiftChange,
 )
 from ltsim.adjustment.identification.tests import reported_kind
-from ltsim.adjustment.snooping import MAX_TRACKER_ERROR
+from ltsim.adjustment.significance import (
+    MAX_CHANCE_SIGMAS,
+    MAX_TRACKER_ERROR,
+    MIN_GROSS_SIGMAS,
+    MIN_LOG_EVIDENCE_CERTAIN,
+)
 from ltsim.core.arrays import Bools
 from ltsim.diagnosis.findings_from_tests import axis_finding, finding_of_test, gross_error_finding
 from ltsim.diagnosis.schema import Finding
@@ -26,11 +31,6 @@ MIN_FAR_OUTLIER_SIGMAS = 8.0
 """Difference of an outlier from its prediction, in standard deviations, above which it may be a single error. Readings
 with twice the declared noise do not reach it.
 """
-MAX_CONSISTENT_W = 4.0
-"""Normalised residual up to which a reading that was left out is consistent with the effects of a model."""
-MIN_GROSS_W = 30.0
-"""Smallest normalised residual of a gross error. That an error exceeds any error of a tracker is not enough, because
-the noise of long ranges does so too."""
 MAX_SINGLE_OUTLIERS = 2
 """Largest number of outliers of one observable at a station, and at a target, that count as single errors."""
 
@@ -48,7 +48,7 @@ def corrected_mistakes(selection: CauseSelection) -> list[Hypothesis]:
     )
     shifts = [h for h in chosen if isinstance(h.model_change, ReadingShiftChange | CentringChange)]
     gross = any(
-        largest_displacement(fit, h) > MAX_TRACKER_ERROR and fit.length_in_sigmas(h) > MIN_GROSS_W for h in shifts
+        largest_displacement(fit, h) > MAX_TRACKER_ERROR and fit.length_in_sigmas(h) > MIN_GROSS_SIGMAS for h in shifts
     )
     return [h for h in chosen if not isinstance(h.model_change, NoiseFactor) and (gross or h not in shifts)]
 
@@ -59,7 +59,7 @@ def is_single_error(fit: NetworkFit) -> Bools:
     If several readings of an observable are wrong at one station or at one target, an effect may be the cause.
     """
     error = np.where(fit.is_outlier, np.abs(fit.whitened_residuals), 0.0) / fit.outlier_prediction_sigmas
-    far, single = error > MIN_FAR_OUTLIER_SIGMAS, fit.is_gross_reading & (error > MIN_GROSS_W)
+    far, single = error > MIN_FAR_OUTLIER_SIGMAS, fit.is_gross_reading & (error > MIN_GROSS_SIGMAS)
     for place in (fit.recording.station, fit.recording.target):
         count = np.stack([np.bincount(place, fit.is_outlier[:, k], place.max() + 1) for k in range(3)], axis=1)
         far &= count[place] <= MAX_SINGLE_OUTLIERS
@@ -69,7 +69,7 @@ def is_single_error(fit: NetworkFit) -> Bools:
 def is_consistent_when_omitted(adjustment: Adjustment, is_omitted: Bools) -> Bools:
     """Flags (n, 3) of the readings `is_omitted` whose residuals are small in an adjustment with effects."""
     whitened_residual = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma), nan=np.inf)
-    return is_omitted & (whitened_residual < MAX_CONSISTENT_W)
+    return is_omitted & (whitened_residual < MAX_CHANCE_SIGMAS)
 
 
 def adapted_baseline(

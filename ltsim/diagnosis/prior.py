@@ -28,9 +28,11 @@ CAUSE_TEXTS = {
 """Texts for users of the kinds of causes in `CAUSE_PRIOR`."""
 P_UNMODELLED = 0.2
 """Prior probability that a cause is neither in the catalogue nor a law, but resembles one of these."""
-P_SAME_OBSERVABLE = 0.5
-"""Prior probability that such a cause acts on the same observable as the effect or law that it resembles."""
-P_CAP_TESTS = 1.0 - P_UNMODELLED * P_SAME_OBSERVABLE
+P_EVEN = 0.5
+"""Probability of one of two alternatives between which nothing decides beforehand: an unmodelled cause acts on the
+observable of the effect or law that it resembles; the components of a law have a fixed ratio.
+"""
+P_CAP_TESTS = 1.0 - P_UNMODELLED * P_EVEN
 """Largest probability that is reported for findings of tests, whose probabilities do not include an unmodelled cause.
 """
 PLACE_PRIOR = {"everywhere": 0.5, "set-up": 0.2, "instrument": 0.1, "target": 0.1, "group": 0.1}
@@ -52,19 +54,15 @@ because an error of the instrument does not depend on the target."""
 FORM_WEIGHTS = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2, "members": 0.2}
 """Prior weights of the forms that a law may have. They are divided by their sum over the forms that are possible for
 the law. The most probable forms are a curve and a formula."""
-P_PIECEWISE = 0.1
-"""Prior probability that a law is a sum of a few steps and ramps."""
-P_SWITCHED = 0.1
-"""Prior probability that a law is constant and switched on and off, in time or in another covariate."""
-P_PER_SETUP = 0.1
-"""Prior probability that a law has separate coefficients at each set-up."""
-P_FIXED_RATIO = 0.5
-"""Prior probability that the components of a law have a fixed ratio."""
+P_RARE_FORM = 0.1
+"""Prior probability of each rarer form of a law: a few steps and ramps; a law that is switched on and off; separate
+coefficients at each set-up; a law at one set-up alone, except for the kinds of responses in `P_SINGLE_SET_UP`.
+"""
 P_SINGLE_SET_UP = {"stand": 0.5}
 """Prior probability that a law acts at only one set-up, by kind of response. It is large for stands, which differ
 between set-ups more than instruments do."""
-P_SINGLE_SET_UP_OTHERS = 0.1
-"""Prior probability that a law acts at only one set-up, for kinds of responses not in `P_SINGLE_SET_UP`."""
+MAX_MODEL_MEMBERS = 5
+"""Largest number of members of a model, of reported findings, and of reported constants of instruments."""
 LOG_ODDS_REPEATED = float(np.log(0.03))
 """Log prior odds of a second effect with the same name (two windows, two unknown laws), relative to a second effect
 with another name. They apply to effects that rarely occur twice."""

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ltsim.diagnosis.evidence import index_of_best
+from ltsim.diagnosis.evidence import MAX_REFINED_DEFICIT, index_of_best
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.diagnosis.switches import switched_forms
@@ -33,9 +33,6 @@ FACTOR_REGION_SHAPES = ("z", "x", "y", "xy")
 """Shapes of the regions of the hall to which a law may be confined, as the axes along which they are bounded."""
 MAX_FACTOR_COEFFICIENTS = 2
 """Largest number of coefficients of a law for which a second factor is tried. A wave has two."""
-MAX_REFINED_DEFICIT = 10.0
-"""Difference by which the log evidence of a product may be smaller than that of the law before a local search. With a
-larger difference the product is dropped without a local search."""
 
 
 def may_have_a_second_factor(law: EmpiricalLaw) -> bool:

@@ -4,11 +4,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.significance import MIN_CHECKED_REDUNDANCY
 from ltsim.core.arrays import Floats
 from ltsim.physics.laws.variance import REPEATS_PER_FACE
-
-MIN_MEAN_REDUNDANCY = 0.05
-"""Smallest redundancy of a mean of repeated readings. Its approximation by a sum over the readings may be negative."""
 
 
 def repeat_means(space: ResidualSpace, faces: str = REPEATS_PER_FACE) -> sp.csr_array:
@@ -34,7 +32,7 @@ def redundancy_of_means(means: sp.csr_array, redundancy: Floats) -> Floats:
     The adjustment absorbs a common error of repeated readings in proportion to the sum of their leverages.
     """
     lost = (means > 0).astype(np.float64) @ (1.0 - redundancy)
-    return np.maximum(1.0 - lost, MIN_MEAN_REDUNDANCY)
+    return np.maximum(1.0 - lost, MIN_CHECKED_REDUNDANCY)
 
 
 def relative_variance_of_means(means: sp.csr_array, added_variance: Floats) -> Floats:

@@ -19,11 +19,12 @@ import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
-from ltsim.core.arrays import Floats, Ints
+from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Floats, Ints
+from ltsim.core.rounding import MAX_SINGLE_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.catalogue_signatures import ORDINARY_CALIBRATION_TYPES, CatalogueSignatures, catalogue_hypotheses
 from ltsim.diagnosis.evidence import (
-    MAX_EVIDENCE_TIE,
-    MAX_SCREENED_EVIDENCE_TIE,
+    MAX_REFINED_DEFICIT,
+    N_REFINED,
     coefficient_posterior,
     index_of_best,
     ranked_indices,
@@ -33,7 +34,7 @@ from ltsim.diagnosis.forms import evaluate_forms, min_promising_evidence
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking, log_odds_repeated
 from ltsim.diagnosis.law_batch import LawBatch, ScreenedLaw, score_batches
 from ltsim.diagnosis.null_ensemble import NullEnsemble
-from ltsim.diagnosis.prior import log_prior_share
+from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS, log_prior_share
 from ltsim.diagnosis.schema import ParameterEstimate
 from ltsim.diagnosis.shapes import are_distinct, centre_estimates, interpolate_shape, shape_posterior
 from ltsim.diagnosis.space import law_batches
@@ -42,14 +43,10 @@ from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.names import catalogue_name
 from ltsim.physics.laws.sizes import displayed_sizes
 
-MAX_MODEL_MEMBERS = 5
-"""Largest number of effects in a model, and of reported constants of instruments."""
 MAX_RIGID_COEFFICIENTS = 10
 """Number of coefficients above which an effect may imitate several effects. If the selected model has such an effect, a
 second search starts from the best hypothesis with fewer coefficients. A curve in one covariate has this number: a slope
 and `N_MODES_DEFAULT` eigenfunctions."""
-N_REFINED = 7
-"""Number of families of the catalogue, and of laws, that a step of the search evaluates without approximation."""
 N_REFINED_IN_LARGE_NETWORK = 3
 """Number of families, and of laws, that a step evaluates without approximation in a large network."""
 N_SHAPE_GRID_POINTS = 11
@@ -62,10 +59,6 @@ MAX_LOCAL_OPTIMA = 3
 """Largest number of local optima of a family (an effect at all places and shapes) that are evaluated."""
 MAX_COMPARED_MEMBERS = 40
 """Number of members of a family, the best first, among which local optima are sought."""
-MAX_OPTIMUM_DEFICIT = 10.0
-"""Largest difference of log evidence between the best member of a family and a local optimum that is evaluated."""
-MAX_CACHED_SIGNATURES = 16
-"""Largest number of projected signatures in the cache."""
 MAX_RANKED_LAWS = 400
 """Largest number of screened laws in a ranking."""
 MIN_SIGMA_INCREASE = 1.15
@@ -172,7 +165,7 @@ class Searcher:
     def _compute_ranking(self, base_model: Model) -> Ranking:
         values, families, laws, _, _ = self._screening(base_model) if base_model.members else self.empty_model_screening
         entries = self._law_hypotheses(laws, base_model)
-        for i, family in enumerate(ranked_indices(families, MAX_SCREENED_EVIDENCE_TIE)):
+        for i, family in enumerate(ranked_indices(families, MAX_SINGLE_ROUNDING_ERROR)):
             entries.append(
                 self._best_of_family(
                     int(family), values, float(families[family]), base_model, refine=i < self._n_refined
@@ -188,7 +181,7 @@ class Searcher:
         """Best member of a family, with the log evidence of the whole family; evaluated exactly only if `refine`."""
         signatures = self.catalogue_signatures
         members = np.flatnonzero(signatures.family_of_effect == family)
-        members = members[ranked_indices(effect_log_evidence[members], MAX_SCREENED_EVIDENCE_TIE)]
+        members = members[ranked_indices(effect_log_evidence[members], MAX_SINGLE_ROUNDING_ERROR)]
         prior = self._log_family_prior - float(np.log(len(members)))
         best = Hypothesis(signatures.effects[members[0]], prior, family_log_evidence, signatures.families[family])
         if not refine:
@@ -205,7 +198,7 @@ class Searcher:
         """Indices of the best member of a family, and of others nearly as good at another place or shape."""
         chosen = [int(members[0])]
         for i in members[1:MAX_COMPARED_MEMBERS]:
-            if len(chosen) == MAX_LOCAL_OPTIMA or values[i] < values[chosen[0]] - MAX_OPTIMUM_DEFICIT:
+            if len(chosen) == MAX_LOCAL_OPTIMA or values[i] < values[chosen[0]] - MAX_REFINED_DEFICIT:
                 break
             if all(
                 are_distinct(self.catalogue_signatures.effects[int(i)], self.catalogue_signatures.effects[j])
@@ -258,7 +251,7 @@ class Searcher:
         """
         entries, evaluated = [], set[tuple[object, ...]]()
         kinds = set[tuple[str, str, bool]]()
-        order = ranked_indices(np.array([h.log_evidence for h in laws]), MAX_SCREENED_EVIDENCE_TIE)
+        order = ranked_indices(np.array([h.log_evidence for h in laws]), MAX_SINGLE_ROUNDING_ERROR)
         laws = [laws[i] for i in order[:MAX_RANKED_LAWS]]
         for hit in laws:
             place, driver = hit.place, hit.regressor.centred_on(hit.place.targets)
@@ -317,7 +310,7 @@ class Searcher:
             whole = self.evidence_calculator.whitened_signature(hypothesis.effect)
             self._projected_signatures[key] = self.space.project(whole), np.linalg.norm(whole, axis=0)
         self._projected_signatures.move_to_end(key)
-        if len(self._projected_signatures) > MAX_CACHED_SIGNATURES:
+        while sum(rows.size for rows, _ in self._projected_signatures.values()) > MAX_TEMPORARY_ENTRIES:
             self._projected_signatures.popitem(last=False)
         return self._projected_signatures[key]
 
@@ -397,4 +390,4 @@ class Searcher:
 def _best_model(models: Sequence[Model]) -> Model:
     """Model with the largest log evidence, the first of several equal ones."""
     most = max(model.score for model in models)
-    return next(model for model in models if model.score >= most - MAX_EVIDENCE_TIE)
+    return next(model for model in models if model.score >= most - MAX_SOLUTION_ROUNDING_ERROR)

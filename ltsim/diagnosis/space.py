@@ -13,7 +13,7 @@ import numpy as np
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats, Singles
 from ltsim.diagnosis.evidence import noise_level_factor
-from ltsim.diagnosis.law_batch import LawBatch, RegressorColumns, RowPartition
+from ltsim.diagnosis.law_batch import MAX_CACHED_COLUMN_ENTRIES, LawBatch, RegressorColumns, RowPartition
 from ltsim.diagnosis.prior import CAUSE_PRIOR, PLACE_PRIOR, RESPONSE_PRIOR, RESPONSE_PRIOR_AT_TARGETS
 from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_FACTOR
 from ltsim.physics.laws.places import (
@@ -63,9 +63,6 @@ WAVE_COVARIATES = (*CLOCK_COVARIATES, *ACCUMULATED_ROTATIONS)
 """Covariates of waves for responses that are not readings: times, and accumulated rotations of the axes."""
 JOINT_REGRESSOR_KINDS = ("constant", "sign", "curve", "decay", "wave", "memory", "lag", "shape", "passage", "lever")
 """Kinds of regressors for responses of several observables together. Others would have too many coefficients."""
-MAX_CACHED_COLUMN_ENTRIES = 10_000_000
-"""Largest number of entries, 40 MB, of the columns of all regressors for which these remain in memory. Computing them
-again takes a sixth of the time in which all laws are scored."""
 RegressorsByKind = Mapping[str, Sequence[Regressor]]
 """Regressors by kind, such as `curve` or `wave`."""
 

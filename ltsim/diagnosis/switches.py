@@ -13,7 +13,8 @@ import numpy as np
 
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Bools, Floats
-from ltsim.diagnosis.evidence import MAX_EVIDENCE_TIE, index_of_best, log_evidence_of_coefficients
+from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.diagnosis.evidence import index_of_best, log_evidence_of_coefficients
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.physics.laws.law import EmpiricalLaw
@@ -28,8 +29,8 @@ and for other laws (False). A single step without a region is an effect of the c
 MIN_TARGET_SWITCH_EDGES = 3
 """Smallest number of times at which a law of a single target turns on or off. One or two steps of a target are effects
 of the catalogue."""
-MAX_TOGGLED_INTERVALS = 10
-"""Largest number of intervals that a search toggles, one after the other."""
+MAX_PIECES = 10
+"""Largest number of steps and ramps of a law, and of intervals whose state is toggled."""
 N_INTERVALS_AFTER_MAXIMUM = 3
 """Number of intervals that a search still toggles after the evidence has last increased, before it stops."""
 
@@ -142,7 +143,7 @@ def _best_span_states(spans: SpanMoments, plausible_sizes: Floats) -> tuple[Bool
     price = float(np.log(len(first)))
     state = best = np.zeros(count, dtype=bool)
     value, taken, turn = -np.inf, 0, 0
-    while turn < min(taken + N_INTERVALS_AFTER_MAXIMUM, MAX_TOGGLED_INTERVALS):
+    while turn < min(taken + N_INTERVALS_AFTER_MAXIMUM, MAX_PIECES):
         turn += 1
         sign = 1.0 - 2.0 * state
         within = sign[:, None, None, None] * spans.gram * sign[:, None]
@@ -166,7 +167,7 @@ def _best_span_states(spans: SpanMoments, plausible_sizes: Floats) -> tuple[Bool
         values[square < MIN_SWITCHED_MEAN_SQUARE] = -np.inf
         state = states[index_of_best(values)]
         total = float(log_sum_exp(values)) - turn * price
-        if total > value + MAX_EVIDENCE_TIE:
+        if total > value + MAX_SOLUTION_ROUNDING_ERROR:
             best, value, taken = state, total, turn
     return best, value, taken
 

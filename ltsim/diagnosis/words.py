@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ltsim.core.notation import listing, with_sigma
+from ltsim.adjustment.significance import MIN_CLEAR_SIGMAS
+from ltsim.core.notation import MAX_LISTED_ITEMS, listing, with_sigma
+from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS
 from ltsim.diagnosis.schema import Finding, FindingScope, InstrumentEntry, Misfit, ParameterEstimate
 from ltsim.physics.effects import catalogue_entry, find_effect, parameter_text, title_of
 
-MAX_LISTED_ESTIMATES = 4
-"""Largest number of estimates that a sentence lists."""
 MIN_PROBABLE = 0.5
 """Smallest probability at which a name or an effect is reported as probable. It is then more probable than not."""
 COVARIATE_TEXTS = {
@@ -23,7 +23,7 @@ COVARIATE_TEXTS = {
 def estimates_phrase(parameters: Sequence[ParameterEstimate]) -> str:
     """Phrase with the most significant estimates, without those that are smaller than their standard deviations."""
     significant = [p for p in parameters if abs(p.value) > p.sigma]
-    largest = sorted(significant, key=lambda p: -abs(p.value) / max(p.sigma, 1e-300))[:MAX_LISTED_ESTIMATES]
+    largest = sorted(significant, key=lambda p: -abs(p.value) / max(p.sigma, 1e-300))[:MAX_LISTED_ITEMS]
     chosen = [p for p in parameters if p in largest]
     return ", ".join(_estimate_text(p) for p in chosen)
 
@@ -123,12 +123,6 @@ def _place_suffix(scope: FindingScope) -> str:
     return f" {place_text(scope)}" if confined else ""
 
 
-MIN_CLEAR_SIGMAS = 5.0
-"""Number of standard deviations above which a constant of an instrument is listed in the report."""
-MAX_LISTED_CONSTANTS = 5
-"""Largest number of constants of instruments that the report lists."""
-
-
 def clear_constants_texts(instruments: Sequence[InstrumentEntry]) -> list[str]:
     """Texts of the best-determined constants of the instruments, the most significant first.
 
@@ -149,7 +143,7 @@ def clear_constants_texts(instruments: Sequence[InstrumentEntry]) -> list[str]:
             plain = f"{parameter_text(name)}{used} of {of}: {with_sigma(value, sigma)} {unit}"
             ranked.append((abs(value) / max(sigma, 1e-300), plain))
     ranked.sort(key=lambda combination: -combination[0])
-    return [words for times, words in ranked if times > MIN_CLEAR_SIGMAS][:MAX_LISTED_CONSTANTS]
+    return [words for times, words in ranked if times > MIN_CLEAR_SIGMAS][:MAX_MODEL_MEMBERS]
 
 
 UNITS_WITHOUT_CLOCK = {"s": ("rows", 1.0), "min": ("rows", 60.0), "h": ("rows", 3600.0)}

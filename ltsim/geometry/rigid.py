@@ -57,9 +57,13 @@ def smallest_rotation(start_axis: Floats, goal_axis: Floats) -> Floats:
     return from_rotation_vector(rotation_axis / np.linalg.norm(rotation_axis) * np.arctan2(sine, cosine))
 
 
+VERTICAL = np.array([0.0, 0.0, 1.0])
+"""Unit vector of the vertical in the network frame."""
 MAX_COLLINEAR_RATIO = 1e-6
 """Largest distance of points from a common line, as a fraction of their extent. Up to it the points count as collinear,
 and they do not determine a rotation about the line."""
+MIN_RIGID_POINTS = 3
+"""Smallest number of points that determine a rigid motion."""
 
 
 def rigid_motion_design(points: Floats, centre: Floats | None = None) -> Floats:

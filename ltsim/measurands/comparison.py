@@ -15,6 +15,7 @@ from pydantic import Field
 from scipy import special
 
 from ltsim.adjustment.reliability import noncentrality
+from ltsim.adjustment.significance import GLOBAL_LEVEL
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.notation import listing
 from ltsim.core.probability import format_p
@@ -38,10 +39,6 @@ DISPLACEMENTS_TABLE = Table(
         ),
     ),
 )
-MAX_POINTS_IN_RESULT_TEXT = 6
-"""Largest number of points that a sentence lists."""
-ELLIPSOID_COVERAGE = 0.95
-"""Coverage probability of the error ellipsoids."""
 
 
 class Displacement(Entry):
@@ -276,7 +273,7 @@ def _displacement_of_point(
         values[-a:],
         joint[-a:, -a:],
     )
-    factor = float(2.0 * special.gammaincinv(0.5 * a, ELLIPSOID_COVERAGE))
+    factor = float(2.0 * special.gammaincinv(0.5 * a, 1.0 - GLOBAL_LEVEL))
     semi_axes = np.sqrt(factor * np.clip(np.linalg.eigvalsh(covariance), 0.0, None))[::-1]
     return Displacement(
         target=difference.point_names[point],
@@ -298,5 +295,5 @@ def _result_sentence(displacements: Sequence[Displacement]) -> str:
         sure = max(d.visible_um[1] for d in displacements)
         return f"no point moved; a motion of {sure:.0f} um would have been found anywhere in 4 of 5 cases"
     worst = sorted(size, key=lambda name: -size[name])
-    names = listing([f"{name} by {size[name]:.0f} um" for name in worst], MAX_POINTS_IN_RESULT_TEXT)
+    names = listing([f"{name} by {size[name]:.0f} um" for name in worst])
     return f"{len(worst)} of {len(displacements)} points moved: {names}"

@@ -20,9 +20,9 @@ from ltsim.adjustment.coordinate_uncertainty import air_covariance, displacement
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, option, unknown_name
 from ltsim.core.notation import listing
+from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.geometry.rigid import align_rigidly, rigid_motion_design
 from ltsim.measurands.comparison import (
-    MAX_POINTS_IN_RESULT_TEXT,
     Comparison,
     EpochDifference,
     congruence_test,
@@ -34,14 +34,10 @@ from ltsim.recordings.references import EXPANSION_ERROR_PREFIX
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.recordings.setup import Gauge
 from ltsim.recordings.tables.setups import normalised_name
+from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 ALL_AXES = np.arange(3)
 """Indices of the three coordinate axes."""
-N_ALIGNMENT_ROUNDS = 30
-"""Number of iterations of the alignment by distances, which permits large displacements of up to a third of the points.
-"""
-MIN_RELATIVE_UNIT_MOTION = 1e-9
-"""Displacement of points by a unit motion, relative to their extent, above which measured axes determine the motion."""
 
 
 def compare_adjustments(
@@ -127,7 +123,7 @@ def _with_names_of(epoch: EpochCoordinates, names: Sequence[str]) -> tuple[Epoch
     }
     if not changed:
         return epoch, []
-    pairs = listing([f"'{name}' and '{first}'" for name, first in changed.items()], MAX_POINTS_IN_RESULT_TEXT)
+    pairs = listing([f"'{name}' and '{first}'" for name, first in changed.items()])
     note = f"names that differ only in case, blanks or leading zeros are the same point: {pairs}"
     return replace(epoch, names=tuple(changed.get(name, name) for name in epoch.names)), [note]
 
@@ -145,7 +141,7 @@ def _with_rigid_motion(
     free = compare_with_free_motions()
     if 2 * len(free.moved_points) > count:
         return fixed_frame_result
-    suffix = f": {listing(list(free.moved_points), MAX_POINTS_IN_RESULT_TEXT)}" if free.moved_points else ""
+    suffix = f": {listing(list(free.moved_points))}" if free.moved_points else ""
     note = (
         f"the points moved together, like one rigid body: aligned by {option('free=True')}, "
         f"{len(free.moved_points)} of {count} points moved{suffix}"
@@ -294,19 +290,21 @@ def _align_epochs(
     free = scipy.linalg.orth(stacked) if stacked.shape[1] else stacked
     if free.shape[1] and len(axes) > 1:
         weights = stable_mask.astype(np.float64)
-        for _ in range(N_ALIGNMENT_ROUNDS):
+        for _ in range(MAX_ITERATIONS):
             turn, shift = align_rigidly(second.points, before, weights)
             after = second.points @ turn.T + shift
             off = np.linalg.norm(after - before, axis=1)
             # A point that moved must not turn the rest.
-            weights = stable_mask / (off + np.median(off[stable_mask]) + 1e-12)
+            previous, weights = weights, stable_mask / (off + np.median(off[stable_mask]) + 1e-12)
+            if np.abs(weights - previous).max() < MAX_ROUNDING_ERROR * weights.max():
+                break
     big = np.kron(np.eye(len(before)), turn[np.ix_(axes, axes)])
     shared = first.common_observation_response @ second.common_observation_response.T @ big.T
     covariance = first.covariance + big @ second.covariance @ big.T - shared - shared.T
     motions = rigid_motion_design(before, centre)
     motions = motions @ _motions_about(free, centre) if free.shape[1] else motions[:, :0]
     motions = motions.reshape(len(before), 3, -1)[:, axes].reshape(len(covariance), -1)
-    motions = motions[:, np.linalg.norm(motions, axis=0) > MIN_RELATIVE_UNIT_MOTION * np.abs(before - centre).max()]
+    motions = motions[:, np.linalg.norm(motions, axis=0) > MAX_ROUNDING_ERROR * np.abs(before - centre).max()]
     if motions.shape[1]:
         basis = scipy.linalg.orth(motions)
         covariance = covariance + np.trace(covariance) * basis @ basis.T
@@ -324,8 +322,6 @@ def _motions_about(free_motions: Floats, centre: Floats) -> Floats:
     return about
 
 
-MAX_RELATIVE_EIGENVALUE = 1e-7
-"""Eigenvalue of the correlation matrix, relative to the largest, below which the covariance is rank-deficient."""
 MAX_EXCHANGE_DISTANCE = 0.1
 """Largest distance of two points from each other's earlier positions, relative to the distance between the points, at
 which their names count as exchanged."""
@@ -341,7 +337,7 @@ def free_motions_of_epoch(epoch: EpochCoordinates) -> Floats:
     """
     scale = np.sqrt(np.diag(epoch.covariance))
     values = np.linalg.eigvalsh(epoch.covariance / np.outer(scale, scale))
-    defect = int((values < MAX_RELATIVE_EIGENVALUE * values[-1]).sum())
+    defect = int((values < MAX_ROUNDING_ERROR * values[-1]).sum())
     if not defect:
         return np.zeros((6, 0))
     centre = epoch.points.mean(axis=0)
@@ -353,7 +349,7 @@ def free_motions_of_epoch(epoch: EpochCoordinates) -> Floats:
     moving = np.flatnonzero(np.linalg.norm(motions, axis=0) > 0)
     basis, triangle = np.linalg.qr(motions[:, moving])
     variance, directions = np.linalg.eigh(basis.T @ epoch.covariance @ basis)
-    still = directions[:, variance < MAX_RELATIVE_EIGENVALUE * scale.max() ** 2]
+    still = directions[:, variance < MAX_ROUNDING_ERROR * scale.max() ** 2]
     free_motions = np.zeros((6, still.shape[1]))
     free_motions[moving] = scipy.linalg.solve_triangular(triangle, still)
     if still.shape[1] != defect:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.adjustment.structure import raise_for_singular_network
+from ltsim.calibration.reported import MIN_RELATIVE_HIDDEN_DISPLACEMENT
 from ltsim.calibration.result import frame_text
 from ltsim.core.arrays import Bools, Floats
 from ltsim.measurands.inputs import TaskInputs
@@ -31,10 +32,6 @@ from ltsim.recordings.coordinates import EpochCoordinates
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.threads import single_threaded
-
-MIN_HIDDEN_FRACTION = 0.2
-"""Ratio of an error without effect on the readings to the standard uncertainty from which the error is reported. It
-would add 2 % to the uncertainty."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -147,7 +144,7 @@ class TaskEvaluation:
         return tuple(
             HiddenPart(source=name, change=changes[name])
             for name in ranked
-            if changes[name] > MIN_HIDDEN_FRACTION * sigma
+            if changes[name] > MIN_RELATIVE_HIDDEN_DISPLACEMENT * sigma
         )
 
     def _budget_parts(self, result_index: int, sigma: float) -> tuple[BudgetPart, ...]:

@@ -19,9 +19,8 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import ModelError
+from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
-MAX_FEATURE_FIT_STEPS = 60
-"""Largest number of Gauss-Newton steps of a fit."""
 FEATURE_STEP_TOLERANCE = 1e-11
 """Largest step, relative to the extent of the points, at which the iteration of a fit has converged."""
 N_INITIAL_AXES = 60
@@ -101,7 +100,7 @@ def _feature_without_radius(unit_normal: Floats, deviations: Floats) -> FittedFe
 
 def _fit_sphere(centred_points: Floats, _start_feature: FittedFeature | None) -> FittedFeature:
     centre, radius = _algebraic_fit(centred_points)
-    for _ in range(MAX_FEATURE_FIT_STEPS):
+    for _ in range(MAX_ITERATIONS):
         arm = centred_points - centre[..., None, :]
         length = np.linalg.norm(arm, axis=-1)
         design = np.concatenate([-arm / length[..., None], -np.ones((*length.shape, 1))], axis=-1)
@@ -116,7 +115,7 @@ def _fit_sphere(centred_points: Floats, _start_feature: FittedFeature | None) ->
 def _fit_circle(centred_points: Floats, _start_feature: FittedFeature | None) -> FittedFeature:
     normal = _fit_plane(centred_points, None).direction
     centre, radius = _projected_circle(centred_points, normal)
-    for _ in range(MAX_FEATURE_FIT_STEPS):
+    for _ in range(MAX_ITERATIONS):
         (first, second), height, x, y = _axis_coordinates(centred_points, centre, normal)
         reach = np.hypot(x, y)
         c, s, zero = x / reach, y / reach, np.zeros_like(x)
@@ -169,7 +168,7 @@ def _refine_cylinder(
     *,
     raises_if_undetermined: bool = True,
 ) -> FittedFeature:
-    for _ in range(MAX_FEATURE_FIT_STEPS):
+    for _ in range(MAX_ITERATIONS):
         (first, second), along, x, y = _axis_coordinates(centred_points, centre, axis_direction)
         reach = np.maximum(np.hypot(x, y), 1e-300)
         c, s = x / reach, y / reach

@@ -18,8 +18,9 @@ import numpy as np
 from scipy import optimize, special
 
 from ltsim.adjustment import adjust
-from ltsim.core.arrays import Bools, Floats
+from ltsim.core.arrays import Bools, Floats, batches
 from ltsim.core.randomness import stream
+from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.core.values import ValueEquality
 from ltsim.geometry.expansion import ThermalExpansion
 from ltsim.measurands.inputs import STREAM_KEYS, TaskInputs
@@ -149,12 +150,8 @@ def curvature_differences(task_inputs: TaskInputs, measurands: Sequence[Measuran
 
 TRIALS_PER_BATCH = 10_000
 """Number of trials after which the stability of the results is examined."""
-TRIALS_PER_CALL = 1_000
-"""Number of trials that are evaluated together, for speed at moderate memory."""
 MIN_TOLERANCE_RATIO = 5.0
 """Ratio of the tolerance to the numerical error from which results are compared with the tolerance (clause 8.2)."""
-MAX_NON_NORMAL_FRACTION = 1e-9
-"""Fraction of a variance from variables that are not normal, below which their distribution is neglected in a sum."""
 INTEGRATION_STEP = 0.05
 """Step, in inverse standard deviations, of the integral over the characteristic function."""
 N_INTEGRATION_STEPS = 40_000
@@ -269,7 +266,7 @@ def _draw_errors(
 
 def _evaluate_results(measurands: Sequence[Measurand], points: Floats, factor: Floats) -> Floats:
     """Results (trials, results) for points (trials, T, 3) [m] of a part that is scaled by `factor` (trials,)."""
-    pieces = [slice(at, at + TRIALS_PER_CALL) for at in range(0, TRIALS_PER_BATCH, TRIALS_PER_CALL)]
+    pieces = list(batches(len(points), points[0].size))
     rows = [np.concatenate([m.values(points[p], factor[p]) for m in measurands], axis=1) for p in pieces]
     return np.concatenate(rows)
 
@@ -310,7 +307,7 @@ def _coverage_half_width(
     The characteristic function of the sum, a product, is inverted (Gil-Pelaez, Biometrika 38 (1951) 481).
     """
     independent = sum(float(np.sum(sizes**2)) for _, sizes in other_distributions)
-    if normal_sigma == 0 or independent <= MAX_NON_NORMAL_FRACTION * normal_sigma**2:
+    if normal_sigma == 0 or independent <= MAX_ROUNDING_ERROR * normal_sigma**2:
         return float(special.ndtri(0.5 + coverage_probability / 2)) * normal_sigma
     frequencies = INTEGRATION_STEP * (np.arange(N_INTEGRATION_STEPS) + 0.5)
     damping = np.exp(-0.5 * max(1.0 - independent / normal_sigma**2, 0.0) * frequencies**2)

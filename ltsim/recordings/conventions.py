@@ -16,6 +16,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError, RecordError
+from ltsim.core.limits import MAX_NETWORK_SETUPS, max_pointings
 from ltsim.core.notation import listing
 from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT
 from ltsim.geometry.polar import from_polar
@@ -23,7 +24,7 @@ from ltsim.geometry.rigid import align_rigidly, rotation_about_z
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Setup
-from ltsim.recordings.transcription_errors import MIN_DISTANCE_MM, length_disagreement, station_clouds
+from ltsim.recordings.transcription_errors import MIN_DISTANCE_MM, length_disagreement, neighbour_pairs, station_clouds
 
 AngleUnit = Literal["deg", "gon", "rad"]
 VerticalKind = Literal["zenith", "elevation"]
@@ -351,8 +352,11 @@ def vertical_pointings_note(recording: Recording) -> tuple[str, ...]:
 def convention_contradictions(recording: Recording) -> tuple[str, ...]:
     """Sentences on stations whose readings fit the declared positions, or another station, only as a mirror image.
 
-    Coordinates in one plane, or a floor plan that fits neither sense, are no contradiction.
+    Coordinates in one plane, or a floor plan that fits neither sense, are no contradiction. None are sought among more
+    set-ups than a network may have.
     """
+    if len(recording.stations) > max_pointings(MAX_NETWORK_SETUPS):
+        return ()
     local_points = from_polar(recording.readings)
     table = PolarReadings(recording.station, recording.target, *recording.readings[:, [1, 2, 0]].T)
     poses = rough_poses(recording.setup, recording.stations)
@@ -370,17 +374,13 @@ def convention_contradictions(recording: Recording) -> tuple[str, ...]:
     return tuple(notes[:MAX_LISTED_NOTES])
 
 
-def _mirrored_station_pairs(points: Floats, recording: Recording) -> list[tuple[int, int]]:
-    """Index pairs of mirrored stations: each is compared with the earlier one with most common targets."""
-    clouds = station_clouds(points, recording.station, recording.target)
-    pairs = []
-    for s, cloud in clouds.items():
-        earlier = [k for k in clouds if k < s]
-        other = max(earlier, key=lambda k: len(clouds[k].keys() & cloud.keys()), default=s)
-        common = sorted(clouds[other].keys() & cloud.keys())
-        if other == s or len(common) < 5:
-            continue
-        here, there = (np.array([of[t] for t in common]) for of in (cloud, clouds[other]))
+def _mirrored_station_pairs(local_points: Floats, recording: Recording) -> list[tuple[int, int]]:
+    """Pairs of stations that are mirror images: each station and the previous one with which it shares most targets."""
+    measured = np.isfinite(local_points).all(axis=1)
+    clouds, pairs = station_clouds(local_points, recording.station, recording.target), []
+    for other, s in neighbour_pairs(recording.station[measured], recording.target[measured], len(recording.stations)):
+        common = sorted(clouds[other].keys() & clouds[s].keys())
+        here, there = (np.array([clouds[k][t] for t in common]) for k in (s, other))
         misfit, mirror = _misfits(here, there)
         if misfit > MIN_MISFIT_RATIO * mirror and mirror < MAX_MIRROR_MISFIT * float(np.ptp(there, axis=0).max()):
             pairs.append((other, s))

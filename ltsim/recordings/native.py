@@ -352,8 +352,8 @@ def observation_table(recording: Recording) -> list[list[str]]:
     columns: dict[str, Sequence[str]] = {
         "station": [guard_formula(recording.stations[i]) for i in recording.station],
         "target": [guard_formula(recording.targets[i]) for i in recording.target],
-        "face": [str(f) for f in recording.face],
-        "repeat": [str(r) for r in recording.repeat],
+        "face": _integer_texts(recording.face),
+        "repeat": _integer_texts(recording.repeat),
     }
     if recording.has_clock:
         columns["time_s"] = _number_texts(recording.time)
@@ -363,6 +363,13 @@ def observation_table(recording: Recording) -> list[list[str]]:
     columns |= {name: _number_texts(values) for name, values in recording.covariates.items()}
     columns |= {name: [guard_formula(text) for text in labels] for name, labels in recording.labels.items()}
     return [list(map(guard_formula, columns)), *(list(row) for row in zip(*columns.values(), strict=True))]
+
+
+def _integer_texts(values: Ints) -> list[str]:
+    """Integers as texts; equal ones share a text (memory)."""
+    distinct, index = np.unique(values, return_inverse=True)
+    texts = list(map(str, distinct.tolist()))
+    return [texts[i] for i in index]
 
 
 def _number_texts(values: Floats, unit: float = 1.0, digits: int | None = None) -> list[str]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, option
-from ltsim.core.limits import POINTINGS_LIMIT_VARIABLE, max_pointings
+from ltsim.core.limits import MAX_NETWORK_SETUPS, POINTINGS_LIMIT_VARIABLE, max_pointings
 from ltsim.core.results import ColumnValues, Result
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE, PPM
 from ltsim.recordings.setup import Gauge, Instrument, Noise, Setup, Station, Target
@@ -290,8 +290,16 @@ class Recording(Result):
         return self.select((repeat_numbers(self.station, self.target, self.face) - 1) % row_step == 0)
 
     def require_at_most(self, pointings: int, command: str) -> None:
-        """Check that there are at most `pointings` rows; otherwise NetworkError names a command that thins them."""
-        pointings = max_pointings(pointings)
+        """Check of the numbers of pointings and set-ups; raises NetworkError with the command that thins the recording.
+
+        The environment variable that raises the number of pointings raises that of set-ups as well.
+        """
+        setups, pointings = max_pointings(MAX_NETWORK_SETUPS), max_pointings(pointings)
+        if len(self.stations) > setups:
+            raise NetworkError(
+                f"the recording holds {len(self.stations)} set-ups; {command} takes at most {setups}: divide it by "
+                f"station; {self._larger_limits_phrase}"
+            )
         if len(self) <= pointings:
             return
         sights = np.unique(np.stack([self.station, self.target, self.face]), axis=1, return_counts=True)[1]
@@ -302,9 +310,14 @@ class Recording(Result):
                 advice = f"convert it with {option('every')} {row_step}, which leaves {count} of them"
                 break
         raise NetworkError(
-            f"the recording holds {len(self)} pointings; {command} takes at most {pointings}: {advice}; on a machine "
-            f"with more memory set the environment variable {POINTINGS_LIMIT_VARIABLE} to {len(self)}"
+            f"the recording holds {len(self)} pointings; {command} takes at most {pointings}: {advice}; "
+            f"{self._larger_limits_phrase}"
         )
+
+    @property
+    def _larger_limits_phrase(self) -> str:
+        """Way to raise the limits such that this recording is taken."""
+        return f"on a machine with more memory set the environment variable {POINTINGS_LIMIT_VARIABLE} to {len(self)}"
 
     def with_readings(self, readings: Floats) -> Recording:
         """Copy of the recording with other readings (n, 3)."""

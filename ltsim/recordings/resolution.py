@@ -24,10 +24,10 @@ ANGLE_STEPS = tuple(
     )
 )
 """Steps [rad] of the displays of theodolites, the largest first; 1 arcsec and less is the noise of the default."""
-LENGTH_STEPS = tuple(
-    sorted((step * unit for unit in (1.0, SI_PER_UNIT["ft"]) for step in (0.1, 0.05, 0.01, 0.005, 0.001)), reverse=True)
-)
-"""Steps [m] of the displays of distance meters, the largest first: in metres and in feet."""
+FOOT_STEPS = tuple(step * SI_PER_UNIT["ft"] for step in (0.1, 0.05, 0.01, 0.005, 0.001))
+"""Steps [m] of the displays of distance meters in feet, the largest first."""
+LENGTH_STEPS = tuple(sorted((*FOOT_STEPS, 0.1, 0.05, 0.01, 0.005, 0.001), reverse=True))
+"""Steps [m] of the displays of distance meters in metres and in feet, the largest first."""
 MAX_STEP_DEVIATION = 1e-4
 """Largest difference of a value from a multiple of a step, in steps: rounding of numbers with 15 digits."""
 MIN_VALUES_FOR_STEP = 10

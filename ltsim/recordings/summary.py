@@ -32,8 +32,8 @@ def recording_summary(recording: Recording) -> dict[str, str]:
 def _setups_text(recording: Recording) -> str:
     setups = {name: recording.station_setup(name) for name in recording.stations}
     marks_of_setups = [s.over for s in setups.values() if s.over is not None]
-    some = "" if len(marks_of_setups) == len(setups) else f", {len(marks_of_setups)} of them"
-    over_marks = f"{some} over {len({*marks_of_setups})} marks" if marks_of_setups else ""
+    part_text = "" if len(marks_of_setups) == len(setups) else f", {len(marks_of_setups)} of them"
+    over_marks = f"{part_text} over {len({*marks_of_setups})} marks" if marks_of_setups else ""
     n_levelled = sum(s.levelled for s in setups.values())
     levelled_text = f"; {'all' if n_levelled == len(setups) else n_levelled or 'none'} levelled"
     return f"{len(setups)}{over_marks} ({listing(list(setups), MAX_NAMES_IN_SUMMARY)}){levelled_text}"

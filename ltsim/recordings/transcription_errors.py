@@ -10,6 +10,7 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import DEGREE, MILLIMETRE, QUARTER_TURN, SI_PER_UNIT
@@ -98,6 +99,9 @@ MIN_WRONG_DISAGREEMENT = 2e-3
 MAX_RIGHT_DISAGREEMENT = 2e-4
 """Median relative difference of the lengths between targets, below which a correction explains the file."""
 
+MIN_MIRRORED_TARGETS = 5
+"""Smallest number of common targets of two stations that are compared with mirror images: four may lie in a plane."""
+
 
 def station_clouds(points: Floats, station: Ints, target: Ints) -> dict[int, dict[int, Floats]]:
     """Mean position (3,) of each target in each station's frame, by index of the station and then of the target.
@@ -114,6 +118,25 @@ def station_clouds(points: Floats, station: Ints, target: Ints) -> dict[int, dic
     for key, point in zip(keys.tolist(), mean, strict=True):
         clouds.setdefault(key // count, {})[key % count] = point
     return clouds
+
+
+def shared_target_counts(station: Ints, target: Ints, n_stations: int) -> Ints:
+    """Numbers (S, S) of targets that pairs of S stations share, from the stations and targets (n,) of pointings."""
+    shape = n_stations, int(target.max(initial=0)) + 1
+    is_sighted = sp.csr_array((np.ones(len(station), dtype=np.int64), (station, target)), shape)
+    is_sighted.data[:] = 1  # repeated pointings have been added up
+    counts: Ints = (is_sighted @ is_sighted.T).toarray()
+    return counts
+
+
+def neighbour_pairs(station: Ints, target: Ints, n_stations: int) -> list[tuple[int, int]]:
+    """Pairs of a station and a later one: the earlier one with which the later one shares most targets, at least five.
+
+    Four may lie in a plane, which is its own mirror image.
+    """
+    n_shared = np.triu(shared_target_counts(station, target, n_stations), 1)
+    earlier = n_shared.argmax(axis=0).tolist()
+    return [(first, s) for s, first in enumerate(earlier) if n_shared[first, s] >= MIN_MIRRORED_TARGETS]
 
 
 def length_disagreement(points: Floats, station: Ints, target: Ints) -> float:

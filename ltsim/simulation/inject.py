@@ -11,10 +11,10 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
 from ltsim.core.results import ColumnValues, Result, Table, number_columns
+from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.core.units import MICROMETRE, MICRORADIAN
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
@@ -212,7 +212,7 @@ class Injector:
         whole = space.whiten(change[:, :, None], self.length_change(effect, effect_sizes)[:, None])[:, 0]
         projected_signature = space.project(whole)
         square = float(projected_signature @ projected_signature)
-        return square if square > MIN_NUMERICAL_REDUNDANCY * float(whole @ whole) else 0.0
+        return square if square > MAX_SOLUTION_ROUNDING_ERROR * float(whole @ whole) else 0.0
 
     def scale_to_noncentrality(
         self, effect: CandidateEffect, effect_sizes: Floats, noncentrality_goal: float

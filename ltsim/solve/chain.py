@@ -23,6 +23,9 @@ MIN_BORDER_COUPLING = 0.6
 MIN_BLOCK_SIZE = 48
 """Smallest number of columns of a block. Smaller blocks would cost more in calls than they save in arithmetic."""
 
+N_INVERSE_COLUMNS = 512
+"""Number of columns of a complete inverse that are computed at a time: fewer temporary matrices of its size."""
+
 
 def arrange_as_chain(matrix: sp.csr_array) -> tuple[Ints, Ints]:
     """Order (K,) of the columns as a chain of b blocks and a border, and the limits (b + 2,) of blocks and border.
@@ -142,8 +145,15 @@ class BlockChain:
         """Complete inverse (K, K)."""
         if self.n_blocks == 1:
             return self.inverse_windows[0].inverse
-        inverse = self.solve(np.eye(len(self._column_order)))
-        return 0.5 * (inverse + inverse.T)
+        size = len(self._column_order)
+        parts = [slice(i, i + N_INVERSE_COLUMNS) for i in range(0, size, N_INVERSE_COLUMNS)]
+        inverse = np.empty((size, size))
+        for part in parts:
+            inverse[:, part] = self.solve(np.eye(size, len(range(size)[part]), -part.start))
+        for part in parts:
+            symmetric = 0.5 * (inverse[part] + inverse[:, part].T)
+            inverse[part], inverse[:, part] = symmetric, symmetric.T
+        return inverse
 
     @cached_property
     def inverse_windows(self) -> list[BlockWindow]:

@@ -340,7 +340,9 @@ class BlockFactor:
     def reduced_covariance(self) -> Floats:
         """Covariance (K, K) of the reduced unknowns."""
         scale = self._column_scales[: self._system.n_reduced]
-        return self._elimination.reduced_inverse * np.outer(scale, scale)
+        covariance: Floats = np.outer(scale, scale)
+        covariance *= self._elimination.reduced_inverse
+        return covariance
 
     @single_threaded
     def inverse_of_sets(self, columns: Ints) -> Floats:

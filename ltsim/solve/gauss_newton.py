@@ -11,6 +11,18 @@ from ltsim.core.errors import ConvergenceError
 from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
 
 Point = TypeVar("Point")
+MAX_ITERATIONS = 60
+"""Largest number of steps of an iteration that a tolerance ends. An error that each step multiplies by 0.74 or less is
+below `MAX_ROUNDING_ERROR` (1.5e-8) after 60 steps; an iteration with more steps does not converge.
+"""
+MAX_ALTERNATIONS = 6
+"""Largest number of alternations between an estimate and a decision that depends on it: outliers, noise factors,
+widened priors, selected causes. They end when the decision does not change; of a cycle the last decision counts.
+"""
+MAX_CONVERGENCE_RATIO = 0.9
+"""Ratio of successive steps, or misclosures, up to which an iteration counts as converging. It also bounds the
+estimated ratio in a secant step, which is then at most ten times the last change.
+"""
 SQUARED_STEP_TOLERANCE = 1e-8
 """Squared length of a step, in squared standard deviations of the unknowns, below which the iteration has converged.
 """

@@ -154,7 +154,7 @@ def is_without_noun(name: str) -> bool:
 
 
 def lacks_decision(constant: str) -> bool:
-    """True for a constant such as `MAX_LISTED_ESTIMATES`: a limit is `MAX_...` or `MIN_...` of a named quantity."""
+    """True for a constant such as `MAX_LISTED_ITEMS`: a limit is `MAX_...` or `MIN_...` of a named quantity."""
     return constant.strip("_").split("_")[0] in ("LEAST", "MOST", "FEW", "MANY", "MOSTLY")
 
 
@@ -204,6 +204,52 @@ def test_a_constant_has_one_value() -> None:
                 values.setdefault(name, {}).setdefault(value, []).append(place)
     bad = [f"{name}: {places}" for name, places in values.items() if len(places) > 1]
     assert not bad, "\n".join(["a constant of another value has another name:", *bad])
+
+
+MAX_NUMERIC_CONSTANTS = {"adjustment": 139, "calibration": 24, "diagnosis": 88, "physics/laws": 43, "measurands": 14}
+"""Largest number of numeric constants in packages that estimate: limits of one meaning have one owner
+(`core/rounding.py`, `core/arrays.py`, `solve/gauss_newton.py`, `adjustment/significance.py`)."""
+
+
+def holds_a_number(value: ast.AST) -> bool:
+    """True if an expression holds a number, apart from indices: `LIMIT[1:]` and `LIMIT` itself are derived."""
+    if isinstance(value, ast.Subscript):
+        return holds_a_number(value.value)
+    if isinstance(value, ast.Constant):
+        return isinstance(value.value, int | float) and not isinstance(value.value, bool)
+    return any(holds_a_number(part) for part in ast.iter_child_nodes(value))
+
+
+def numeric_constants(tree: ast.Module) -> list[str]:
+    """Names of the constants of a module whose value holds a number; dictionaries, slices and tables are none."""
+    parsed = ((name, ast.parse(value, mode="eval").body) for _, name, value in constants(tree))
+    tables = ("Table", "slice")
+    return [
+        name
+        for name, value in parsed
+        if not isinstance(value, ast.Dict | ast.DictComp)
+        and not (isinstance(value, ast.Call) and ast.unparse(value.func) in tables)
+        and holds_a_number(value)
+    ]
+
+
+@pytest.mark.parametrize("part", MAX_NUMERIC_CONSTANTS)
+def test_the_number_of_numeric_constants_does_not_grow(part: str) -> None:
+    names = [
+        f"{file.relative_to(PACKAGE.parent)}: {name}"
+        for file in sorted((PACKAGE / part).rglob("*.py"))
+        for name in numeric_constants(ast.parse(file.read_text(encoding="utf-8")))
+    ]
+    assert len(names) <= MAX_NUMERIC_CONSTANTS[part], "\n".join(
+        [f"{len(names)}: derive a further constant, or use the one of its owner", *names]
+    )
+
+
+def test_a_numeric_constant_holds_a_number_of_its_own() -> None:
+    tree = ast.parse(
+        'A = 3\nB: float = 1e-3 * A\nC, D = (2, 4), A[1:]\nE = {"a": 1}\nF = Table("t", 4)\nG = -np.log(A)\nh = 4'
+    )
+    assert numeric_constants(tree) == ["A", "B", "C"]
 
 
 @pytest.mark.parametrize("name", ["_judged", "drawn", "_whole", "swept", "silent", "AT_ONCE", "_of_face", "among"])

@@ -376,7 +376,7 @@ def test_statistics_are_those_of_the_rows(file: Path, tmp_path: Path) -> None:
     assert (score.mean, score.deviation) == pytest.approx((z.mean(), z.std(ddof=1)), rel=1e-4, abs=1e-6)
     assert [c.checked for c in results.solver_comparisons()] == [3, 3]
     assert all((c.largest_difference_sigma or 1) < 1e-3 for c in results.solver_comparisons())
-    assert json.dumps(results.summary(), allow_nan=False)
+    assert json.dumps(results.summary().model_dump(mode="json"), allow_nan=False)
 
 
 def test_quantiles_of_very_many_rows_come_from_a_digest(

@@ -107,7 +107,7 @@ def test_a_smaller_file_loses_nothing(begun: tuple[Path, Path]) -> None:
     ("change", "says"),
     [
         (("[1.0, 2.0]", "[1.0, 3.0]"), "changed since"),
-        (("[1.0, 2.0]", '[1.0, 2.0]\n"work.faces" = [1, 2]'), "a different factor needs another --out"),
+        (("[1.0, 2.0]", '[1.0, 2.0]\n"work.faces" = [1, 2]'), "a different factor needs another out"),
     ],
 )
 def test_rows_that_would_change_stay(change: tuple[str, str], says: str, begun: tuple[Path, Path]) -> None:

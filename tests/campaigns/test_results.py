@@ -221,7 +221,7 @@ def test_the_page_tells_which_method_is_better_by_paired_differences(sweep: Any)
         assert float(row[2]) == pytest.approx(entry.difference, rel=0.01)
     n_decided = sum(entry.low > 0 for entry in paired)
     assert f"the error of a new point with {best} is " in section.summary
-    assert (f" in {n_decided} of 4 settings" if n_decided else "not different from") in section.summary
+    assert (f" in {n_decided} of 4 settings" if n_decided else "is not significantly different from") in section.summary
     assert "true point" in table.note
 
 

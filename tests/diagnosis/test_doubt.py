@@ -238,7 +238,7 @@ def test_no_more_is_told_than_anybody_reads(monkeypatch):
     recording, _ = workshop(4)
     more = 2.5 * recording.sigma() * stream(5, "louder").standard_normal((len(recording), 3))
     recording = changed(recording.with_readings(recording.readings + more), 40, 0, 100.0)
-    monkeypatch.setattr(import_module("ltsim.diagnosis.assembly"), "MAX_REPORTED_FINDINGS", 1)
+    monkeypatch.setattr(import_module("ltsim.diagnosis.assembly"), "MAX_MODEL_MEMBERS", 1)
     one = diagnose(recording)
     assert [f.effect for f in one.findings] == ["outlier"]
     assert one.summary.endswith("1 further effect is in the model but not reported (small or uncertain).")

@@ -31,7 +31,7 @@ def clean(searcher: Searcher, seed: int) -> np.ndarray:
 @pytest.mark.long
 @pytest.mark.parametrize("most", [0, 500], ids=["sampled", "exact"])
 def test_clean_recordings_alarm_as_often_as_stated(most, monkeypatch):
-    monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MAX_EXACT_UNKNOWNS", most)
+    monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MAX_DENSE_UNKNOWNS", most)
     space = ResidualSpace.from_adjustment(adjust(network(seed=2, stations=3)[0], misalignment_construction()))
     chances = []
     for seed in range(SEEDS):

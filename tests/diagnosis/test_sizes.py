@@ -7,6 +7,7 @@ import pytest
 
 from benchmarks.adjust_size import network as ring_of
 from ltsim.adjustment import adjust
+from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.geometry.rigid import rotation_about_z
@@ -85,10 +86,10 @@ def test_a_drift_of_the_index_is_named_among_hundreds_of_epochs() -> None:
 @pytest.mark.long
 def test_a_knocked_target_is_found_in_a_levelled_ring_the_sparse_way(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ltsim.solve.projection.MAX_BASIS_ENTRIES", 0)
-    monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MAX_EXACT_UNKNOWNS", 0)
+    monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MAX_DENSE_UNKNOWNS", 0)
     recording, target = knocked(26)
     found = diagnose(recording, seed=1)
-    assert isinstance(found.baseline_adjustment.residual_projector, FactorProjection)
+    assert isinstance(ResidualSpace.from_adjustment(found.baseline_adjustment).projector, FactorProjection)
     assert [(f.effect, f.where.targets) for f in found.findings] == [("target-moved", (target,))]
     assert found.global_test.search_p_value == pytest.approx(1 / 100)
     assert found.fit.before.held_out_rms is None  # five more searches of a large network are for who asks for them

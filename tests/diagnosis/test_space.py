@@ -174,7 +174,7 @@ def test_what_chance_makes_of_a_search_has_no_expectation_of_its_own(made):
 
 
 def test_simulated_residuals_stand_for_the_basis_in_large_networks(space, monkeypatch):
-    monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MAX_EXACT_UNKNOWNS", 0)
+    monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MAX_DENSE_UNKNOWNS", 0)
     probe = NullEnsemble.from_space(space, 0, 0)
     assert probe.gram_is_monte_carlo
     effects = [find_effect("station-weather")(("S2",)), find_effect("index-drift")()]
@@ -196,7 +196,7 @@ def test_what_is_like_a_finding_is_not_overrated_in_a_large_network(space, monke
     base = Model((member,), (left,), (np.linalg.norm(signature, axis=0),), 3.0 * space.residuals)
     values = []
     for most in (0, 500):
-        monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MAX_EXACT_UNKNOWNS", most)
+        monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MAX_DENSE_UNKNOWNS", most)
         probe, cards = NullEnsemble.from_space(space, 0, 0), CatalogueSignatures.from_space(space, steps)
         cards.log_evidence_and_trials(probe)
         values.append(cards.log_evidence_and_trials(probe.with_model(base.residual, base.basis))[0])

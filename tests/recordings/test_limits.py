@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
+from ltsim.adjustment.fieldcheck import check
 from ltsim.core.errors import LtsimError, ModelError, NetworkError, RecordError
 from ltsim.core.limits import (
     MAX_ADJUSTED_POINTINGS,
@@ -167,6 +168,19 @@ def test_files_at_the_limits_take_500_mb_and_30_s(name: str, tmp_path: Path) -> 
     used = means(READS, str(tmp_path / name))
     assert used.ru_maxrss < 500 * 1024
     assert used.ru_utime + used.ru_stime < 30
+
+
+@pytest.mark.long
+def test_a_field_book_of_220000_pointings_takes_500_mb_and_30_s(tmp_path: Path) -> None:
+    row = "*110001+{:016d} 21.323+0000000{:09d} 22.323+0000000009012345 31..08+0000000001234567\n"
+    head = "*110001+0000000000000S01 84..10+0000000000000000 85..10+0000000000000000 88..10+0000000000000000\n"
+    (tmp_path / "a.gsi").write_text(
+        head + "".join(row.format(i % 60, 12345 + 600_000 * (i % 60)) for i in range(220_000))
+    )
+    used = means(READS, str(tmp_path / "a.gsi"))
+    assert used.ru_maxrss < 500 * 1024
+    assert used.ru_utime + used.ru_stime < 30
+    assert len(read(tmp_path / "a.gsi")) == 220_000
 
 
 def means(code: str, *words: str) -> resource.struct_rusage:
@@ -338,6 +352,14 @@ def test_a_recording_with_too_many_pointings_is_refused_with_the_way_to_thin_it(
     assert len(lt.adjust(thinned).target_names) == 28
 
 
+def test_a_check_of_one_set_up_with_too_many_pointings_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.modules["ltsim.adjustment.fieldcheck.check"], "MAX_ADJUSTED_POINTINGS", 20)
+    recording, _ = lt.simulate("paper-workshop", seed=7)
+    one = recording.select(recording.station == 0)
+    with pytest.raises(NetworkError, match=rf"holds {len(one)} pointings; a check takes at most 20"):
+        check(one)
+
+
 def test_the_environment_raises_the_largest_number_of_pointings(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ltsim.adjustment.estimate.MAX_ADJUSTED_POINTINGS", 100)
     recording, _ = lt.simulate("paper-workshop", seed=7)
@@ -364,3 +386,21 @@ def test_thinning_keeps_the_first_of_each_sight_and_then_one_of_so_many() -> Non
     assert len(thinned) == 3 * len(recording)
     assert len(whole.thin(9)) == len(recording)
     assert np.array_equal(thinned.readings[-len(recording) :], recording.readings)
+
+
+def test_a_network_of_too_many_set_ups_is_refused_before_pairs_of_them_are_compared(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Flags of 25,000 set-ups and 25,000 targets would take 600 MB, misfits of 49,000 set-ups in pairs 19 GB."""
+    file = tmp_path / "a.csv"
+    rows = "".join(f"S{i},T1,1,{i % 360},1,3000\n" for i in range(20_000))
+    file.write_text("station,target,face,azimuth_deg,elevation_deg,distance_mm\n" + rows)
+    before = os.times().user
+    for verb in (lt.adjust, lt.check, lt.calibrate, lt.diagnose):
+        with pytest.raises(NetworkError, match=r"holds 20000 set-ups; .* takes at most 500: divide it by station"):
+            verb(file)
+    assert os.times().user - before < 30
+    monkeypatch.setattr("ltsim.recordings.recording.MAX_NETWORK_SETUPS", 4)
+    recording, _ = lt.simulate("paper-workshop", seed=7)
+    with pytest.raises(NetworkError, match=rf"5 set-ups; .* set the environment variable {POINTINGS_LIMIT_VARIABLE}"):
+        lt.check(recording)

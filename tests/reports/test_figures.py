@@ -22,7 +22,7 @@ from ltsim.adjustment.fieldcheck.check import check as check_of
 from ltsim.calibration.calibration_series import ChiSquareEntry
 from ltsim.calibration.history import ParameterCourse
 from ltsim.calibration.schema import ParameterEntry
-from ltsim.campaigns.statistics import ZScoreSummary
+from ltsim.campaigns.summary import ZScoreSummary
 from ltsim.core.notation import fixed_point_text, number_text, with_sigma
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.schema import FindingScope, ResponseCurve
@@ -220,7 +220,12 @@ def response_curve_figure() -> Figure:
 
 def scores(z: np.ndarray) -> list[ZScoreSummary]:
     shares = (np.abs(z) <= 1.96).mean(axis=1)
-    return [ZScoreSummary(0, "network", f"parameter-{i}", z.shape[1], 0.0, 1.0, float(s)) for i, s in enumerate(shares)]
+    return [z_scores_of(f"parameter-{i}", z.shape[1], float(share)) for i, share in enumerate(shares)]
+
+
+def z_scores_of(parameter: str, trials: int, coverage: float) -> ZScoreSummary:
+    values = {"mean": 0.0, "deviation": 1.0, "coverage_95": coverage}
+    return ZScoreSummary(cell=0, method="network", parameter=parameter, trials=trials, **values)
 
 
 def coverage_figure() -> Figure:
@@ -389,8 +394,8 @@ def test_numbers_read_like_numbers() -> None:
 
 
 def test_coverage_interval_is_wilsons() -> None:
-    row = ZScoreSummary(0, "network", "a", 100, 0.0, 1.0, 0.95)
-    assert sweeps.coverage_interval(row) == pytest.approx((0.8882, 0.9785), abs=1e-4)  # Wilson 1927 for 95 of 100
+    interval = sweeps.coverage_interval(z_scores_of("a", 100, 0.95))
+    assert interval == pytest.approx((0.8882, 0.9785), abs=1e-4)  # Wilson 1927 for 95 of 100
 
 
 def test_coverage_is_red_exactly_where_its_caption_says() -> None:

@@ -89,8 +89,9 @@ def test_spectra_give_back_the_blocks_of_the_hat_matrix(projection, root, groups
         np.testing.assert_allclose((vectors * values) @ vectors.T, root[rows] @ root[rows].T, atol=1e-9)
 
 
-def test_a_small_system_or_one_without_factor_gets_a_basis():
+def test_a_small_system_or_one_without_factor_gets_a_basis(monkeypatch):
     assert isinstance(make_projection(SYSTEM, None), BasisProjection)
+    monkeypatch.setattr("ltsim.solve.projection.MAX_BASIS_ENTRIES", int(np.prod(SYSTEM.design.shape)))
     small = BlockSystem(SYSTEM.design, SYSTEM.whitened_residuals, SYSTEM.n_reduced)
     assert isinstance(make_projection(small, BlockFactor(small)), BasisProjection)
     tall = BlockSystem(

@@ -23,7 +23,7 @@ from ltsim.adjustment.evaluation.clouds import (
     measured_points,
     station_point_clouds,
 )
-from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.arrays import MAX_MATRIX_ENTRIES, Bools, Floats, Ints
 from ltsim.core.errors import NetworkError, RecordError
 from ltsim.core.notation import MISSING_TEXT
 from ltsim.core.results import Column, Table, number_columns, text_columns
@@ -34,9 +34,6 @@ from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.reflectors import require_equal_radii
 from ltsim.recordings.result_file import Entry, OptionalFloat, ResultFile, SourceEntry
-
-MAX_COMPARED_PAIRS = 20_000_000
-"""Number of pairs of a station and a target above which the stations are not compared (0.5 GB of memory)."""
 
 
 @dataclass(frozen=True)
@@ -223,7 +220,7 @@ def evaluate_criteria(
     """
     require_equal_radii(recording, "the comparison of stations")
     stations, targets = len(recording.stations), len(recording.targets)
-    if stations * targets > MAX_COMPARED_PAIRS:
+    if 3 * stations * targets > MAX_MATRIX_ENTRIES:
         raise NetworkError(
             f"the criteria are not computed for {stations} stations with {targets} targets: evaluate parts"
         )

@@ -37,11 +37,13 @@ from ltsim.adjustment.fieldcheck.words import (
 )
 from ltsim.adjustment.identification import cause_tests, identify_causes
 from ltsim.adjustment.reliability import neg_log_p_chi2
-from ltsim.adjustment.significance import FAMILY_LEVEL
-from ltsim.adjustment.station_motions import MIN_SUPPORTING_TARGETS, UniformMotion, with_equal_times_per_run
+from ltsim.adjustment.significance import FAMILY_LEVEL, MAX_SINGLE_ERROR_FRACTION
+from ltsim.adjustment.station_motions import UniformMotion, with_equal_times_per_run
 from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
+from ltsim.core.limits import MAX_ADJUSTED_POINTINGS
+from ltsim.geometry.rigid import MIN_RIGID_POINTS
 from ltsim.physics.effects.index_drift import IndexDrift
 from ltsim.physics.effects.motions import StationMotion
 from ltsim.physics.effects.range_drift import RangeDrift
@@ -51,10 +53,6 @@ from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import write_result
 
-MAX_GROSS_FRACTION = 0.1
-"""Largest fraction of a set-up's pointings that the test removes as gross errors; more of them mean that the declared
-noise is wrong.
-"""
 N_SETUP_TESTS = 6
 """Number of tests of one set-up: two faces, gross errors, bump, drift of the station and of the instrument, scatter."""
 
@@ -80,7 +78,8 @@ def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple
     Raises
     ------
     NetworkError
-        When nothing was measured twice: there is nothing to check yet.
+        When nothing was measured twice: there is nothing to check yet. When the recording has more than
+        `MAX_ADJUSTED_POINTINGS` pointings.
 
     Examples
     --------
@@ -90,6 +89,7 @@ def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple
     True
     """
     full_recording = load_recording(recording)
+    full_recording.require_at_most(MAX_ADJUSTED_POINTINGS, "a check")
     identification = identify_causes(full_recording) if len(full_recording.stations) > 1 else None
     selection = (
         identification
@@ -264,7 +264,7 @@ def _gross_pointings_and_bump(
     Pointings are removed one by one, until a bump explains more than the next one.
     """
     gross: dict[int, float] = {}
-    most = max(1, MAX_GROSS_FRACTION * len(occupation.row_mask))
+    most = max(1, MAX_SINGLE_ERROR_FRACTION * len(occupation.row_mask))
     while True:
         drop, rank = occupation.pointing_removal_tests()
         alone = neg_log_p_chi2(drop, rank) - np.log(len(occupation.row_mask))
@@ -289,13 +289,13 @@ def best_bump(occupation: StationOccupation) -> tuple[StationBump | None, Column
     candidates = [
         bump
         for bump in StationBump.candidates(occupation.sightings)
-        if _n_targets_across_bump(occupation, bump) >= MIN_SUPPORTING_TARGETS
+        if _n_targets_across_bump(occupation, bump) >= MIN_RIGID_POINTS
     ]
     if not candidates:
         return None, ColumnsFit(0.0, 0, np.zeros(6), np.zeros((6, 6))), 1
     explained_by = {bump: occupation.fit_columns(bump.design(occupation.sightings)) for bump in candidates}
     for bump in max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump])).neighbours(occupation.sightings):
-        if _n_targets_across_bump(occupation, bump) >= MIN_SUPPORTING_TARGETS:
+        if _n_targets_across_bump(occupation, bump) >= MIN_RIGID_POINTS:
             explained_by[bump] = occupation.fit_columns(bump.design(occupation.sightings))
     best = max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump]))
     return best, explained_by[best], len(np.unique(occupation.sightings.time)) - 1

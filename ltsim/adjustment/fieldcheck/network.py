@@ -14,12 +14,12 @@ from ltsim.adjustment.fieldcheck.result import CheckItem, HypothesisFamily, two_
 from ltsim.adjustment.quality import network_warnings, require_usable
 from ltsim.adjustment.reference_tests import reference_tests
 from ltsim.adjustment.reference_values import ReferenceKind
-from ltsim.adjustment.reliability import MIN_DOF_FOR_ESTIMATED_NOISE
-from ltsim.adjustment.significance import GLOBAL_LEVEL
+from ltsim.adjustment.significance import GLOBAL_LEVEL, MIN_CHECKED_REDUNDANCY, MIN_DOF_FOR_ESTIMATED_NOISE
 from ltsim.adjustment.station_motions import FittedMotion, SuddenMotion, motion_sentences
 from ltsim.adjustment.verdict import VerdictCase, verdict_on
 from ltsim.core.arrays import Bools
 from ltsim.core.errors import ConvergenceError, LtsimError, NetworkError
+from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.physics.effects.motions import StationMotion
 from ltsim.physics.model.construction import declared_construction
@@ -30,10 +30,6 @@ N_NETWORK_TESTS = 2
 """Number of tests of all stations together: one of common targets, one of levels; known lengths have a third."""
 EXCLUDABLE_REFERENCE_KINDS: tuple[ReferenceKind, ...] = ("point", "difference", "length", "mark", "scale")
 """Kinds of reference values that the adjustment may exclude. Levels are tested separately, station by station."""
-MIN_LENGTH_RESIDUAL = 1e-12
-"""Whitened residual from which lengths and their common scale are tested: any but exactly zero."""
-MIN_LEVEL_REDUNDANCY = 0.05
-"""Redundancy up to which a level or a reading counts as unchecked by the other observations."""
 
 
 def n_network_tests(recording: Recording) -> int:
@@ -78,7 +74,7 @@ def scale_target_noise(
         return recording, ()
     is_noisy = np.isin(recording.target, noisy_targets)
     w_by_observable = [
-        w[share > MIN_LEVEL_REDUNDANCY]
+        w[share > MIN_CHECKED_REDUNDANCY]
         for w, share in zip(
             adjustment_or_error.normalised_residuals[is_noisy].T,
             adjustment_or_error.redundancy[is_noisy].T,
@@ -228,7 +224,10 @@ def _level_items(fitted: Adjustment, family: HypothesisFamily) -> list[CheckItem
         fitted.recording.stations[k]: sigma for k, sigma in zip(levels.station_indices, levels.sigma, strict=True)
     }
     for test in reference_tests(fitted.problem, fitted.solution) if len(levels) > 1 else ():
-        if test.kind == "level" and (sigma_by_station[test.name] / test.sigma_error.min()) ** 2 > MIN_LEVEL_REDUNDANCY:
+        if (
+            test.kind == "level"
+            and (sigma_by_station[test.name] / test.sigma_error.min()) ** 2 > MIN_CHECKED_REDUNDANCY
+        ):
             p = family.corrected_p_value(float(special.chdtrc(test.rank, test.chi2_drop)), len(levels))
             verb = "agrees with" if p >= family.false_alarm_rate else "deviates from"
             sentence = f"{test.name}: its level {verb} the vertical of the other stations ({test.error_text})"
@@ -243,7 +242,7 @@ def _length_items(fitted: Adjustment, family: HypothesisFamily) -> list[CheckIte
     """
     if any(test.kind in ("length", "scale") for test in fitted.rejected_references):
         return []
-    tests = reference_tests(fitted.problem, fitted.solution, MIN_LENGTH_RESIDUAL)
+    tests = reference_tests(fitted.problem, fitted.solution, MAX_ROUNDING_ERROR)
     lengths = [test for test in tests if test.kind == "length" and test.rank]
     scales = [test for test in tests if test.kind == "scale" and test.rank] or lengths[:1]
     items = []

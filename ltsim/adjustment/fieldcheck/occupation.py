@@ -19,8 +19,10 @@ import numpy as np
 from scipy import special
 
 from ltsim.adjustment.prior import prior_sigmas
+from ltsim.adjustment.significance import MIN_CHECKED_REDUNDANCY
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
+from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.core.units import MICROMETRE
 from ltsim.geometry.polar import from_polar, to_polar, wrap_angle
 from ltsim.physics.model.construction import Construction, ideal_construction
@@ -32,21 +34,9 @@ MIN_INSTRUMENT_CHANGE = 0.1
 """Singular value of the whitened columns of the instrument's errors, scaled by their prior standard deviations, above
 which their combination is a parameter of the model. Smaller combinations change the readings by less than their noise.
 """
-MIN_READING_REDUNDANCY = 0.05
-"""Eigenvalue of the redundancy matrix of a pointing's readings, 0 to 1, up to which an error in its direction is not
-tested.
-"""
 MIN_DETERMINED_FRACTION = 0.999
 """Share of a parameter's unit vector, squared, in the space that the readings determine. A parameter with a smaller
 share is undetermined and gets an infinite variance.
-"""
-MIN_REMAINING_SIGNATURE_FRACTION = 0.01
-"""Length of a column of a suspected cause after projection, relative to the length before. A shorter column is not
-tested, because coordinates of targets and errors of the instrument explain it.
-"""
-MIN_RELATIVE_SINGULAR_VALUE = 1e-6
-"""Square of the singular value of a matrix relative to its largest one, up to which columns count as linearly
-dependent.
 """
 
 
@@ -161,14 +151,14 @@ class StationOccupation:
         whitened = design * self.inverse_sigmas[:, :, None]
         columns = self.project_columns(whitened).reshape(-1, design.shape[2])
         length = np.linalg.norm(columns, axis=0)
-        length[length < MIN_REMAINING_SIGNATURE_FRACTION * np.linalg.norm(whitened, axis=(0, 1))] = 0.0
+        length[length < np.sqrt(MAX_SOLUTION_ROUNDING_ERROR) * np.linalg.norm(whitened, axis=(0, 1))] = 0.0
         return np.where(length > 0, columns / np.where(length > 0, length, 1.0), 0.0), length
 
     def fit_columns(self, design: Floats) -> ColumnsFit:
         """Fit of a suspected cause; `design` (n, 3, c) is the change of the readings per unit of its c parameters."""
         unit, length = self._unit_columns(design)
         u, size, right = np.linalg.svd(unit, full_matrices=False)
-        is_valid = size > np.sqrt(MIN_RELATIVE_SINGULAR_VALUE) * max(float(size.max(initial=0.0)), 1e-12)
+        is_valid = size > np.sqrt(MAX_SOLUTION_ROUNDING_ERROR) * max(float(size.max(initial=0.0)), 1e-12)
         coefficients = u[:, is_valid].T @ self.whitened_residuals.ravel()
         inverse = (right[is_valid].T / size[is_valid]) / np.where(length > 0, length, np.inf)[:, None]
         covariance = inverse @ inverse.T
@@ -188,7 +178,7 @@ class StationOccupation:
     def with_fitted_columns(self, design: Floats) -> StationOccupation:
         """Occupation whose model also contains the columns (n, 3, c) of a suspected cause."""
         u, size, _ = np.linalg.svd(self._unit_columns(design)[0], full_matrices=False)
-        added = u[:, size > np.sqrt(MIN_RELATIVE_SINGULAR_VALUE) * max(float(size.max(initial=0.0)), 1e-12)]
+        added = u[:, size > np.sqrt(MAX_SOLUTION_ROUNDING_ERROR) * max(float(size.max(initial=0.0)), 1e-12)]
         residuals = self.whitened_residuals.ravel() - added @ (added.T @ self.whitened_residuals.ravel())
         basis = np.concatenate([self.instrument_basis, added.reshape(len(self.row_mask), 3, -1)], axis=2)
         return replace(
@@ -231,7 +221,7 @@ class StationOccupation:
         in_use = self.inverse_sigmas > 0
         redundancy = np.where(in_use[:, :, None] & in_use[:, None, :], redundancy, 0.0)
         values, vectors = np.linalg.eigh(redundancy)
-        is_controlled = values > MIN_READING_REDUNDANCY
+        is_controlled = values > MIN_CHECKED_REDUNDANCY
         components = np.einsum("nij,ni->nj", vectors, self.whitened_residuals)
         chi2_drops = np.where(is_controlled, components**2 / np.where(is_controlled, values, 1.0), 0.0).sum(axis=1)
         return chi2_drops, is_controlled.sum(axis=1).astype(np.int64)
@@ -259,7 +249,7 @@ def _orthonormal_by_target(columns: Floats, target: Ints, n_targets: int) -> tup
     for t in range(n_targets):
         rows = np.flatnonzero(target == t)
         u, size, _ = np.linalg.svd(columns[rows].reshape(-1, 3), full_matrices=False)
-        is_independent = size > np.sqrt(MIN_RELATIVE_SINGULAR_VALUE) * max(float(size.max(initial=0.0)), 1e-12)
+        is_independent = size > np.sqrt(MAX_SOLUTION_ROUNDING_ERROR) * max(float(size.max(initial=0.0)), 1e-12)
         basis = np.where(is_independent, u, 0.0)
         bases[rows, :, : basis.shape[1]] = basis.reshape(len(rows), 3, -1)
         ranks += int(is_independent.sum())

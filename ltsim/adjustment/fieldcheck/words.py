@@ -6,6 +6,7 @@ from datetime import datetime, time as clock, timedelta
 import numpy as np
 
 from ltsim.adjustment.fieldcheck.occupation import ColumnsFit, StationOccupation, TwoFaceDifferences
+from ltsim.adjustment.significance import MIN_SIGNIFICANT_SIGMAS
 from ltsim.core.arrays import Ints
 from ltsim.core.notation import listing, with_sigma
 from ltsim.core.units import ARCSECOND, MICROMETRE, MICRORADIAN, MILLIMETRE
@@ -26,8 +27,6 @@ AZIMUTH_COMPONENT = slice(5, 6)
 """Slice of the six components of a station's motion that holds the rotation about the standing axis [rad]."""
 MAX_LEVEL_SIGMA = 100 * MICRORADIAN
 """Standard deviation of a station's tilt [rad] from which the sentence does not state the tilt."""
-MIN_REPORTED_SIGMAS = 2.0
-"""Ratio of a translation, tilt or rotation to its standard deviation above which the sentence states it."""
 
 
 def time_text(recording: Recording, time: float) -> str:
@@ -166,7 +165,7 @@ def _motion_text(fit: ColumnsFit) -> str:
     parts = [
         f"{verb} by {with_sigma(size / factor, sigma / factor, unit)}"
         for verb, size, sigma, unit, factor in sizes
-        if size > MIN_REPORTED_SIGMAS * sigma
+        if size > MIN_SIGNIFICANT_SIGMAS * sigma
     ]
     return f": {', '.join(parts)}" if parts else ""
 

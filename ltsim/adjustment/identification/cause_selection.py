@@ -16,18 +16,15 @@ from ltsim.adjustment.identification.hypothesis import (
     ReferenceOmission,
 )
 from ltsim.adjustment.identification.signatures import displacement_per_reading
-from ltsim.adjustment.significance import FAMILY_LEVEL
-from ltsim.adjustment.snooping import MAX_TRACKER_ERROR
+from ltsim.adjustment.significance import FAMILY_LEVEL, MAX_TRACKER_ERROR, MIN_LOG_EVIDENCE_CERTAIN
 from ltsim.adjustment.station_motions import FittedMotion, SuddenMotion
 from ltsim.core.arrays import Floats
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.effects.target_moved import TargetMoved
 
-MAX_LOG_EVIDENCE_GAIN = 1e30
+MAX_LOG_EVIDENCE_GAIN = float(np.finfo(np.float32).max)
 """Finite number in place of an infinite gain of log evidence: that of a hypothesis without which no fit is possible."""
-MIN_LOG_EVIDENCE_CERTAIN = 7.0
-"""Gain of log evidence above which a cause counts as certain (odds of 1000 to 1)."""
 SHARED_CAUSE_KINDS = (
     "constant-offset",
     "constant-step",

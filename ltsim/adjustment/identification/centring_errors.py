@@ -29,9 +29,10 @@ from ltsim.adjustment.identification.evidence import (
 )
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import CentringChange, Hypothesis
-from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
+from ltsim.adjustment.residual_space import MAX_SCREENED_ENTRIES, ResidualSpace
+from ltsim.adjustment.significance import MIN_MEAN_REPEATS, MIN_REPEATS_FOR_VARIANCE
 from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import cross_matrix
 from ltsim.physics.effects.motions import exact_target_change
@@ -39,25 +40,11 @@ from ltsim.physics.model.nuisances import CentringErrors
 from ltsim.recordings.centring_errors import CentringUncertainty
 from ltsim.recordings.occupations import target_occupations
 from ltsim.recordings.recording import Recording
+from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
-MIN_OCCUPATIONS = 4
-"""Smallest number of occupations of a place for a test of centring errors. Fewer occupations are explained as well by a
-separate displacement of each.
-"""
-MIN_POINTINGS_PER_OCCUPATION = 1.5
-"""Smallest mean number of pointings per occupation for a test. Without repeated pointings, displacements look like
-noise."""
 MIN_OUTLIER_FRACTION = 0.25
 """Fraction of the pointings at a place that contain an outlier. Above this fraction, displacements of the place are
 also fitted to its readings with the rest of the network unchanged."""
-N_LOCAL_ITERATIONS = 4
-"""Number of Gauss-Newton iterations of the fit of displacements in an unchanged network. Each iteration multiplies the
-error by about the displacement divided by the range.
-"""
-MAX_CENTRING_ENTRIES = 3_000_000
-"""Largest number of matrix entries of all tested signatures, which limits the computing time. Places are tested in the
-order of their residuals, the largest first, until this number is reached.
-"""
 CENTRING_SIGMAS = np.geomspace(1e-6, 1.0, 241)
 """Standard deviations [m] of centring errors whose likelihood is computed, in steps of 6 %. This is fine enough,
 because an estimate from a hundred components has a relative standard deviation of 7 %."""
@@ -71,8 +58,6 @@ MIN_TARGETS_FOR_LENGTH = 10
 """Smallest number of targets for the estimate of a common length. The pose of the set-up and the length are seven
 unknowns.
 """
-N_LENGTH_ITERATIONS = 30
-"""Number of Gauss-Newton iterations of the estimate of a common length."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +79,7 @@ def centring_hypotheses(fit: NetworkFit, space: ResidualSpace) -> list[tuple[flo
     offers, entries = list[tuple[float, Hypothesis]](), 0
     for place in largest_first:
         entries += 3 * (int(place.occupation.max()) + 1) * space.n_rows
-        if entries > MAX_CENTRING_ENTRIES:
+        if entries > MAX_SCREENED_ENTRIES:
             break
         offers.append(_gain_and_hypothesis(place, *best_centring_sigma(space, place.occupation)[:2], len(places)))
     return offers
@@ -138,7 +123,7 @@ def _local_gain(fit: NetworkFit, place: _CentringPlace, rows: Ints) -> tuple[flo
     _, first, of = np.unique(place.occupation[rows], return_index=True, return_inverse=True)
     displacement = np.zeros((len(first), 3))
     residual = np.where(used, fit.residuals[rows], 0.0)
-    for _ in range(N_LOCAL_ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         moved = np.zeros((len(place.occupation), 3))
         moved[rows] = displacement[of]
         offsets = moved if sightings.reflector_offsets is None else moved + sightings.reflector_offsets
@@ -148,7 +133,10 @@ def _local_gain(fit: NetworkFit, place: _CentringPlace, rows: Ints) -> tuple[flo
         normal, score = np.zeros((len(first), 3, 3)), np.zeros((len(first), 3))
         np.add.at(normal, of, np.einsum("nki,nkj->nij", slope, slope))
         np.add.at(score, of, np.einsum("nki,nk->ni", slope, residual / sigma))
-        displacement = displacement + np.einsum("nij,nj->ni", np.linalg.pinv(normal, hermitian=True), score)
+        step = np.einsum("nij,nj->ni", np.linalg.pinv(normal, hermitian=True), score)
+        displacement = displacement + step
+        if np.abs(step).max() < MAX_ROUNDING_ERROR:
+            break
     motion = np.zeros((3 * len(first), 0))
     if place.centring.stations:
         arm = sightings.sight_vectors[rows[first]]
@@ -188,7 +176,7 @@ def _centring_places(recording: Recording, used_readings: Bools) -> list[_Centri
         occupation = np.where(is_used, target_occupations(recording, centring), -1)
         visit = np.stack([occupation, recording.face * (not centring.stations and len(centring.targets) > 1)])
         count = len(np.unique(visit[:, occupation >= 0], axis=1).T)
-        if count >= MIN_OCCUPATIONS and (occupation >= 0).sum() >= MIN_POINTINGS_PER_OCCUPATION * count:
+        if count >= MIN_REPEATS_FOR_VARIANCE and (occupation >= 0).sum() >= MIN_MEAN_REPEATS * count:
             places.append(_CentringPlace(centring, occupation))
     return places
 
@@ -214,7 +202,7 @@ def best_centring_sigma(space: ResidualSpace, occupation: Ints) -> CentringEstim
     signature = space.whitened_signature(CentringErrors(1.0, occupation))
     projected = space.project(signature)
     strength, turn = np.linalg.eigh(projected.T @ projected)
-    visible = strength > MIN_NUMERICAL_REDUNDANCY * float(np.max(np.sum(signature**2, axis=0)))
+    visible = strength > MAX_SOLUTION_ROUNDING_ERROR * float(np.max(np.sum(signature**2, axis=0)))
     strength, score = strength[visible], (turn[:, visible].T @ (projected.T @ space.residuals)) ** 2
     variance = CENTRING_SIGMAS[:, None] ** 2
     ratio = 0.5 * np.sum(score * variance / (1.0 + variance * strength) - np.log1p(variance * strength), axis=1)
@@ -250,7 +238,7 @@ def common_displacement(fit: NetworkFit, hypothesis: Hypothesis) -> CommonDispla
     centre = np.linalg.lstsq(linear, np.sum(displacement**2, axis=1))[0]
     motion = np.append(-centre[:3], np.zeros(3))
     length = float(np.sqrt(max(centre[3] + centre[:3] @ centre[:3], 0.0)))
-    for _ in range(N_LENGTH_ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         corrected = displacement + motion[:3] + np.cross(motion[3:], arm)
         size = np.linalg.norm(corrected, axis=1)
         direction = corrected / np.maximum(size, 1e-300)[:, None]
@@ -258,6 +246,8 @@ def common_displacement(fit: NetworkFit, hypothesis: Hypothesis) -> CommonDispla
         residual = length - size
         step = np.linalg.lstsq(design, residual)[0]
         motion, length = motion + step[:6], length + float(step[6])
+        if np.abs(step).max() < MAX_ROUNDING_ERROR:
+            break
     scatter = float(np.sqrt(np.sum((residual - design @ step) ** 2) / (len(arm) - design.shape[1])))
     rms = float(np.sqrt(np.mean(np.sum(displacement**2, axis=1))))
     if not 0.0 < length < MAX_LENGTH_RATIO * rms or scatter > MAX_RELATIVE_LENGTH_SCATTER * rms:

@@ -19,6 +19,7 @@ import numpy as np
 from scipy import special
 
 from ltsim.core.arrays import Bools, Floats
+from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 SHIFT_SIZE_DECADES = 6.0
 """Width of the prior of the size of a shift, in decades: from 10 um to 10 m."""
@@ -61,8 +62,6 @@ def estimate_variance_factor(sum_of_squares: Floats, redundancy: Floats) -> tupl
     return np.sqrt(ratio), np.where(is_sufficient, gain, 0.0)
 
 
-MAX_NOISE_SWEEPS = 10
-"""Largest number of sweeps over noise factors that act on common readings; each costs sums over the readings only."""
 NOISE_SWEEP_TOLERANCE = 0.01
 """Relative change of a noise factor up to which the sweeps end; its standard deviation is larger with less than 5,000
 readings.
@@ -77,7 +76,7 @@ def estimate_noise_factors(squares: Floats, redundancy: Floats, masks: Sequence[
     numbers; both are 0 for readings not in use.
     """
     log_factors, factors = np.zeros(len(masks)), np.ones(squares.shape)
-    for _ in range(MAX_NOISE_SWEEPS):
+    for _ in range(MAX_ITERATIONS):
         before = log_factors.copy()
         for i, mask in enumerate(masks):
             others = np.where(mask, factors * np.exp(-log_factors[i]), factors)
@@ -131,8 +130,7 @@ LOG_ODDS_OF_CENTRING = -30.0
 
 Centring errors are selected only if their log evidence exceeds that of another cause by this amount. Displacements of
 many targets fit any smooth error of the model, so that only about a tenth of the gain of log evidence is real. Other
-hypotheses in a network with such an error need the same additional gain
-(`selection.MIN_LOG_EVIDENCE_GAIN_WITH_MISFIT`).
+hypotheses in a network with such an error need the same gain.
 """
 
 

@@ -40,8 +40,8 @@ from ltsim.adjustment.reference_values import (
     reference_values,
     relax_exact_references,
 )
-from ltsim.adjustment.significance import MIN_FAR_RESIDUAL
-from ltsim.adjustment.snooping import MAX_TRACKER_ERROR, drop_undetermined, prediction_sigmas, snoop_readings
+from ltsim.adjustment.significance import MAX_CHANCE_SIGMAS, MAX_TRACKER_ERROR, MIN_FAR_RESIDUAL
+from ltsim.adjustment.snooping import drop_undetermined, prediction_sigmas, snoop_readings
 from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import fit_robust_state
 from ltsim.core.arrays import Bools, Floats, Ints
@@ -54,20 +54,14 @@ from ltsim.physics.model.measurement import MeasurementModel, NetworkState, with
 from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.design import robust_sigma
-from ltsim.solve.gauss_newton import Solution, solve
+from ltsim.solve.gauss_newton import MAX_ALTERNATIONS, Solution, solve
 
-MIN_SHIFT_SIGMAS = 4.0
-"""Length of an estimated shift, in its standard deviations, up to which the fit is discarded; by chance 1 of 16,000
-estimates exceeds four.
-"""
 MAX_NOISE_ESTIMATES = 3
-"""Largest number of estimates of the noise factors in a fit."""
+"""Largest number of estimates of the noise factors, or of centring errors, in a fit."""
 NOISE_TOLERANCE = 0.05
 """Relative change of the noise factors up to which their estimation ends (0.1 in log evidence)."""
 MIN_NOISE_CHANGE_FOR_OUTLIERS = 0.2
 """Relative change of the noise factors above which outliers are searched again."""
-MAX_OUTLIER_PASSES = 6
-"""Largest number of solutions in which outliers are rejected and accepted again; alternating readings are rejected."""
 WEAK_PRIOR_SIZES = 1e6
 """Standard deviation of the prior of a shift in a fit, in plausible sizes of its effect: practically no prior."""
 
@@ -158,15 +152,15 @@ class NetworkFit:
             resected = resect_contradicted_setups(problem, start_state)
             start_state = resect_contradicted_setups(problem, robust_state or fit_robust_state(problem, resected)[0])
         full_problem = drop_undetermined(problem, start_state)
-        fit = cls(network, hypotheses, full_problem, *snoop_readings(full_problem, start_state, MAX_OUTLIER_PASSES))
+        fit = cls(network, hypotheses, full_problem, *snoop_readings(full_problem, start_state, MAX_ALTERNATIONS))
         if any(isinstance(h.model_change, NoiseFactor) for h in hypotheses):
             fit = fit._with_estimated_noise()
         return fit
 
     @property
     def _determines_shifts(self) -> bool:
-        """True if the estimate of each shift exceeds `MIN_SHIFT_SIGMAS` standard deviations."""
-        return all(self.length_in_sigmas(h) > MIN_SHIFT_SIGMAS for h, _, _ in self.shifts_with_slices)
+        """True if the estimate of each shift exceeds `MAX_CHANCE_SIGMAS` standard deviations."""
+        return all(self.length_in_sigmas(h) > MAX_CHANCE_SIGMAS for h, _, _ in self.shifts_with_slices)
 
     @property
     def shifts_with_slices(self) -> Iterator[tuple[Hypothesis, ReadingShiftChange, slice]]:
@@ -242,7 +236,7 @@ class NetworkFit:
             whole, problem = replace(fit.problem_with_all_readings, sigma=sigma), replace(fit.problem, sigma=sigma)
             solution = solve(problem, fit.state)
             if solution.factor is None or changed > MIN_NOISE_CHANGE_FOR_OUTLIERS:
-                problem, solution = snoop_readings(whole, fit.state, MAX_OUTLIER_PASSES)
+                problem, solution = snoop_readings(whole, fit.state, MAX_ALTERNATIONS)
             fit = replace(fit, problem_with_all_readings=whole, problem=problem, solution=solution)
         return fit
 

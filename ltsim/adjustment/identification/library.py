@@ -27,30 +27,22 @@ from ltsim.adjustment.identification.hypothesis import (
 )
 from ltsim.adjustment.identification.signatures import ReadingShift
 from ltsim.adjustment.reference_values import ReferenceValueRows, reference_values, without_reference_coordinates
+from ltsim.adjustment.significance import MIN_REPEATS_FOR_VARIANCE
 from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.station_motions import UniformMotion
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.rigid import largest_residual
+from ltsim.geometry.rigid import MIN_RIGID_POINTS, largest_residual
 from ltsim.physics.effects.motions import station_design
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.smr_offset import SmrOffset
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.effects.target_moved import TargetMoved
+from ltsim.physics.laws.law import MAX_SWITCH_EDGES
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.scene.sightings import Sightings
 
-MIN_POINTINGS_FOR_TARGET_NOISE = 4
-"""Number of pointings to a target from which its noise is tested separately; with two or three pointings an outlier
-explains as much.
-"""
-MIN_POINTINGS_AROUND_MOTION = 3
-"""Number of pointings that a motion of a station must have before and after it; with fewer a single outlier explains as
-much.
-"""
-MAX_CHANGE_TIMES = 60
-"""Largest number of onset times that are tested at one station or target, spread evenly over its pointings."""
 MIN_POINTS_FOR_EXCHANGE = 4
 """Number of reference points from which an exchange of two of them is tested; three points also fit their mirror image.
 """
@@ -102,8 +94,8 @@ class ShiftFamily:
         if self.place_kind == "target":  # what moves between two pointings of one station is as well told of its set-up
             moved = np.diff(sightings.station[rows])[indices] != 0
             indices = indices[moved] if moved.any() else indices
-        if len(indices) > MAX_CHANGE_TIMES:
-            indices = indices[np.linspace(0, len(indices) - 1, MAX_CHANGE_TIMES).round().astype(int)]
+        if len(indices) > MAX_SWITCH_EDGES:
+            indices = indices[np.linspace(0, len(indices) - 1, MAX_SWITCH_EDGES).round().astype(int)]
         return middle[indices].tolist()
 
     def make_effect(self, name: str, onset_time: float) -> Signature:
@@ -136,7 +128,7 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
             ("elevation", elevation),
         ):  # an azimuth: a station that turns
             yield ShiftFamily(
-                "constant-step", observable, "station", offset, min_pointings_around_onset=MIN_POINTINGS_AROUND_MOTION
+                "constant-step", observable, "station", offset, min_pointings_around_onset=MIN_RIGID_POINTS
             )
             drift = ReadingShift(observable, is_drift=True).design(sightings)
             yield ShiftFamily("constant-drift", observable, "station", drift)
@@ -148,12 +140,8 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
         if np.isfinite(sightings.nest_normals).all(axis=1).any():
             yield ShiftFamily("reflector-radius", "position", "station", SmrOffset().design(sightings))
     motion = station_design(sightings)
-    yield ShiftFamily(
-        "orientation", "azimuth", "station", azimuth, min_pointings_around_onset=MIN_POINTINGS_AROUND_MOTION
-    )
-    yield ShiftFamily(
-        "station-bump", "position", "station", motion, min_pointings_around_onset=MIN_POINTINGS_AROUND_MOTION
-    )
+    yield ShiftFamily("orientation", "azimuth", "station", azimuth, min_pointings_around_onset=MIN_RIGID_POINTS)
+    yield ShiftFamily("station-bump", "position", "station", motion, min_pointings_around_onset=MIN_RIGID_POINTS)
     yield ShiftFamily("station-drift", "position", "station", UniformMotion().design(sightings))
 
 
@@ -326,7 +314,7 @@ def noise_hypotheses(fit: NetworkFit) -> Iterator[tuple[Hypothesis, Bools]]:
         yield noise(acts_on, (), (), places, readings), readings
     for t, name in enumerate(recording.targets):
         rows = full_mask & (recording.target == t)[:, None]
-        if rows[:, 0].sum() >= MIN_POINTINGS_FOR_TARGET_NOISE:
+        if rows[:, 0].sum() >= MIN_REPEATS_FOR_VARIANCE:
             yield noise("noise", (), (name,), places, rows), rows
     for s, name in enumerate(recording.stations) if is_multiple else ():
         rows = full_mask & (recording.station == s)[:, None]

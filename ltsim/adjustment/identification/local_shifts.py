@@ -8,15 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Bools, Floats
+from ltsim.solve.design import NORMAL_RANK_TOLERANCE
 
 N_REWEIGHTINGS = 6
 """Number of iterations of reweighted least squares in the fit of a shift."""
 MAX_TRIMMED_FITS = 2
 """Number of final least-squares fits, each to the readings that are no outliers with the previous estimate."""
-MAX_DEPENDENT_EIGENVALUE = 1e-13
-"""Eigenvalue of a normal matrix, relative to its largest one, up to which columns of the design count as linearly
-dependent.
-"""
 
 
 @dataclass(frozen=True)
@@ -144,6 +141,6 @@ def _least_squares(unit_columns: Floats, residual: Floats, weight: Floats) -> Fl
     normal = np.swapaxes(weighted_columns, 1, 2) @ weighted_columns
     right_side = np.swapaxes(weighted_columns, 1, 2) @ (residual * weight)[:, :, None]
     value, vector = np.linalg.eigh(normal)
-    is_used = value > MAX_DEPENDENT_EIGENVALUE * value[:, -1:]
+    is_used = value > NORMAL_RANK_TOLERANCE * value[:, -1:]
     along = (np.swapaxes(vector, 1, 2) @ right_side)[:, :, 0]
     return np.asarray((vector @ (np.where(is_used, along, 0.0) / np.where(is_used, value, 1.0))[:, :, None])[:, :, 0])

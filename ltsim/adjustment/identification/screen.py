@@ -34,24 +34,22 @@ from ltsim.adjustment.identification.library import (
 from ltsim.adjustment.identification.local_shifts import LocalShift, fit_local_shifts
 from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests
 from ltsim.adjustment.reference_values import relax_exact_references
-from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.residual_space import MAX_SCREENED_ENTRIES, ResidualSpace
 from ltsim.adjustment.sight import FitReadings
-from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
-from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Bools, Floats, Ints
+from ltsim.core.arrays import Bools, Floats, Ints, batches
+from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.physics.effects.gauge_scale import GaugeScale
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.solve.gauss_newton import solve
 
-MAX_EXACTLY_PROJECTED_ENTRIES = 3_000_000
-"""Largest number of matrix entries of the signatures that are projected exactly (computing time). Beyond it only the
-best candidates of an approximation without projection are projected.
-"""
 MIN_OUTLIERS_FOR_TRIAL = 6
 """Number of outliers in a network above which fits without the distances of single places are made."""
 MIN_GROSS_FRACTION_FOR_TRIAL = 0.4
 """Fraction of gross pointings at a place above which a fit without its distances is made, or its motion is tested."""
-MAX_TRIAL_PLACES = 5
-"""Largest number of places for which a fit without their distances is made, or whose motion is tested."""
+MAX_FITTED_HYPOTHESES = 4
+"""Largest number of hypotheses that are fitted in a step, in the order of their approximate gains, and as many that
+turn out to be undetermined; also of places that a trial omits or moves (processor time).
+"""
 MIN_LENGTHS_FOR_SCALE = 2
 """Number of reference lengths from which a common scale error is tested."""
 
@@ -130,15 +128,14 @@ def _exact_log_evidence(space: ResidualSpace, candidates: Sequence[ShiftCandidat
     gains = np.full(len(candidates), -np.inf)
     indices = np.arange(len(candidates))
     sizes = np.array([space.n_rows * c.family.design.shape[2] for c in candidates], dtype=np.int64)
-    if sizes.sum() > MAX_EXACTLY_PROJECTED_ENTRIES:
+    if sizes.sum() > MAX_SCREENED_ENTRIES:
         indices = np.argsort(-_approximate_log_evidence(space, candidates))
-        indices = indices[np.cumsum(sizes[indices]) <= MAX_EXACTLY_PROJECTED_ENTRIES]
+        indices = indices[np.cumsum(sizes[indices]) <= MAX_SCREENED_ENTRIES]
     by_rank: dict[int, list[int]] = {}
     for i in indices.tolist():
         by_rank.setdefault(candidates[i].family.design.shape[2], []).append(i)
     for rank, group in by_rank.items():
-        step = max(1, MAX_TEMPORARY_ENTRIES // (space.n_rows * rank))
-        for batch in (group[k : k + step] for k in range(0, len(group), step)):
+        for batch in (group[part] for part in batches(len(group), space.n_rows * rank)):
             rows = np.hstack([_whitened_signature(space, candidates[i]) for i in batch])
             projected = space.project(rows).reshape(space.n_rows, len(batch), rank)
             size = np.linalg.norm(rows, axis=0).reshape(len(batch), rank)
@@ -147,7 +144,7 @@ def _exact_log_evidence(space: ResidualSpace, candidates: Sequence[ShiftCandidat
             score = np.einsum("mhi,m->hi", unit, space.residuals)
             strength, turn = np.linalg.eigh(gram)
             along = np.einsum("hij,hi->hj", turn, score)
-            visible = strength > MIN_NUMERICAL_REDUNDANCY
+            visible = strength > MAX_SOLUTION_ROUNDING_ERROR
             drop = np.sum(np.where(visible, along**2 / np.where(visible, strength, 1.0), 0.0), axis=1)
             shown = visible.sum(axis=1)
             value = np.array([_log_evidence(d, r) for d, r in zip(drop.tolist(), shown.tolist(), strict=True)])
@@ -243,7 +240,7 @@ def _moved_targets(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> Ite
     }
     suspects = sorted(
         (name for name in share if share[name] > MIN_GROSS_FRACTION_FOR_TRIAL), key=lambda name: -share[name]
-    )[:MAX_TRIAL_PLACES]
+    )[:MAX_FITTED_HYPOTHESES]
     price = -log_prior_of("outlier", int(fit.problem_with_all_readings.used_readings.sum())) - float(
         log_occam_factor_of_shift(10.0, 1)
     )
@@ -294,7 +291,7 @@ def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandid
     offers, fits = list[tuple[float, Hypothesis]](), dict[str, NetworkFit | None]()
     for c in sorted(tried, key=lambda c: -share[id(c)]):
         if c.place_name not in fits:
-            if len(fits) == MAX_TRIAL_PLACES or not share[id(c)] > MIN_GROSS_FRACTION_FOR_TRIAL:
+            if len(fits) == MAX_FITTED_HYPOTHESES or not share[id(c)] > MIN_GROSS_FRACTION_FOR_TRIAL:
                 continue
             fits[c.place_name] = fit.without_distances(c.affected_rows)
         aside = fits[c.place_name]

@@ -15,6 +15,7 @@ from ltsim.adjustment.identification.cause_selection import (
     SelectedHypothesis,
     has_general_misfit,
 )
+from ltsim.adjustment.identification.evidence import LOG_ODDS_OF_CENTRING
 from ltsim.adjustment.identification.fit import FitInput, NetworkFit
 from ltsim.adjustment.identification.hypothesis import (
     CentringChange,
@@ -24,9 +25,9 @@ from ltsim.adjustment.identification.hypothesis import (
     ReferenceOmission,
 )
 from ltsim.adjustment.identification.library import convention_corrections, coordinate_exchanges, omissions_of_values
-from ltsim.adjustment.identification.screen import screened_hypotheses
+from ltsim.adjustment.identification.screen import MAX_FITTED_HYPOTHESES, screened_hypotheses
 from ltsim.adjustment.prior import ParameterPrior
-from ltsim.adjustment.significance import FAMILY_LEVEL, MIN_REPORTED_PROBABILITY
+from ltsim.adjustment.significance import FAMILY_LEVEL, MIN_LOG_EVIDENCE_GAIN, MIN_REPORTED_PROBABILITY
 from ltsim.adjustment.snooping import without_copied_rows
 from ltsim.core.errors import LtsimError, NetworkError
 from ltsim.core.limits import MAX_ADJUSTED_POINTINGS
@@ -35,24 +36,10 @@ from ltsim.physics.model.construction import Construction, declared_construction
 from ltsim.recordings.recording import Recording
 from ltsim.solve.threads import single_threaded
 
-MIN_LOG_EVIDENCE_GAIN = 3.0
-"""Smallest gain of log evidence of a selected hypothesis: odds of 20 to 1, strong on the scale of Kass and Raftery
-(1995).
-"""
-MIN_LOG_EVIDENCE_GAIN_WITH_MISFIT = 30.0
-"""Smallest gain of log evidence of a hypothesis if all readings scatter more than declared.
-
-A misfit of the model varies smoothly, so that neighbouring readings repeat the same information: about a tenth of the
-gain is real.
-"""
 MAX_SELECTED_HYPOTHESES = 8
 """Largest number of selected hypotheses."""
 MAX_CAUSES_BEFORE_CENTRING = 3
 """Number of simple causes whose evidence together is compared with that of centring errors."""
-N_FITTED_HYPOTHESES = 4
-"""Number of hypotheses that are fitted in a step, in the order of their approximate gains; as many may be
-undetermined.
-"""
 MIN_POINTINGS_LARGE_NETWORK = 1500
 """Number of pointings from which a network that agrees as a whole is not searched place by place (5 s of processor
 time).
@@ -107,7 +94,7 @@ def select_causes(network: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) ->
     spared: list[Hypothesis] = []
     while len(fit.hypotheses) < MAX_SELECTED_HYPOTHESES and not _is_consistent_as_a_whole(fit):
         tried = _fit_best_hypotheses(fit)
-        needed = min_gain if not has_general_misfit(fit) else MIN_LOG_EVIDENCE_GAIN_WITH_MISFIT
+        needed = min_gain if not has_general_misfit(fit) else -LOG_ODDS_OF_CENTRING
         if not tried or tried[0][1].log_evidence < fit.log_evidence + needed:
             break
         best = _refine_motion_time(tried[0][1])
@@ -240,7 +227,7 @@ def _fit_best_hypotheses(
     places |= {replaced_hypothesis.place_key} if replaced_hypothesis is not None else set()
     for promised, hypothesis in screened_hypotheses(fit):
         best = max((made.log_evidence for _, made in tried), default=-np.inf) - fit.log_evidence
-        if promised <= max(min_count, 0.0) or max(len(tried), undetermined) >= N_FITTED_HYPOTHESES or best > promised:
+        if promised <= max(min_count, 0.0) or max(len(tried), undetermined) >= MAX_FITTED_HYPOTHESES or best > promised:
             break
         if isinstance(hypothesis.model_change, excluded_changes):
             continue

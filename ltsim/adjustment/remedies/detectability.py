@@ -24,18 +24,13 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.reliability import noncentrality
 from ltsim.adjustment.residual_space import ResidualSpace, orthonormal_columns
-from ltsim.adjustment.significance import GLOBAL_LEVEL, MIN_NUMERICAL_REDUNDANCY
-from ltsim.core.arrays import Floats, Ints
+from ltsim.adjustment.significance import GLOBAL_LEVEL, MIN_EQUIVALENT_CORRELATION
+from ltsim.core.arrays import Floats, Ints, batches
+from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
 from ltsim.physics.effects.effect import Effect, NoiseEffect, Parameter
 
 ParameterType = TypeVar("ParameterType")
-MIN_CONFUSABLE_FRACTION = 0.9
-"""Fraction of an effect's signature from which another effect that explains it is reported as confusable."""
-INFORMATION_ROUNDING_ERROR = 1e-9
-"""Information on a calibration parameter, relative to that of its prior, below which it is taken as rounding."""
-PROJECTION_BATCH_ROWS = 512
-"""Number of observations that are projected on the residuals together, to limit the memory."""
 MAX_EXAMINED_PLACES = 150
 """Number of places and constants of one effect up to which all are examined; of more, an even selection is examined."""
 
@@ -130,9 +125,9 @@ def _noise_effect_information(space: ResidualSpace, places: Sequence[NoiseEffect
     stack = np.array(changes)
     count = stack.shape[1]
     spread = np.empty_like(stack)
-    for low in range(0, count, PROJECTION_BATCH_ROWS):
-        units = np.eye(space.n_rows, min(PROJECTION_BATCH_ROWS, count - low), -low)
-        spread[:, low : low + PROJECTION_BATCH_ROWS] = stack @ space.project(units)[:count] ** 2
+    for part in batches(count, space.n_rows):
+        units = np.eye(space.n_rows, part.stop - part.start, -part.start)
+        spread[:, part] = stack @ space.project(units)[:count] ** 2
     edges = np.cumsum([0, *(len(effect.parameters) for effect in places)])
     return [0.5 * stack[a:b] @ spread[a:b].T for a, b in pairwise(edges)]
 
@@ -153,7 +148,7 @@ def detectability_at_places(space: ResidualSpace, places: Sequence[Effect]) -> E
             norm = np.linalg.norm(whole, axis=0)
             scaled = space.project(whole / np.where(norm > 0, norm, 1.0))
             basis = orthonormal_columns(scaled, np.ones(len(norm)))
-            information, share, rank = visible_information(scaled.T @ scaled, norm, MIN_NUMERICAL_REDUNDANCY)
+            information, share, rank = visible_information(scaled.T @ scaled, norm, MAX_SOLUTION_ROUNDING_ERROR)
             signatures.append((effect, information, float(share), int(rank), basis))
     return effect_detectability(signatures, len(places)) if signatures else None
 
@@ -214,7 +209,7 @@ def baseline_detectability(adjustment: Adjustment, effect: Effect) -> EffectDete
         adjustment.problem.prior.sigma[0][indices],
     )
     information: Floats = np.asarray(np.linalg.inv(block) - np.diag(1.0 / prior**2), dtype=np.float64)
-    information[np.diag(information) * prior**2 < INFORMATION_ROUNDING_ERROR] = 0.0
+    information[np.diag(information) * prior**2 < MAX_ROUNDING_ERROR] = 0.0
     sizes = _minimal_sizes(information, noncentrality(len(information)))
     return EffectDetectability(effect.name, (effect.parameters,), ("",), (sizes,), (1.0,), ())
 
@@ -260,7 +255,7 @@ class CatalogueDetectability:
         The most similar pair is first.
         """
         first, second = np.nonzero(
-            (self.similarity > MIN_CONFUSABLE_FRACTION) & ~np.eye(len(self.detectable_effects), dtype=bool)
+            (self.similarity > MIN_EQUIVALENT_CORRELATION) & ~np.eye(len(self.detectable_effects), dtype=bool)
         )
         pairs = [
             (self.detectable_effects[i], self.detectable_effects[j], float(self.similarity[i, j]))

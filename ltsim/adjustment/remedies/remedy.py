@@ -6,6 +6,7 @@ between possible causes.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -18,7 +19,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rigid import rotation_about_z
+from ltsim.geometry.rigid import MIN_RIGID_POINTS, rotation_about_z
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Limits, Setup
@@ -36,20 +37,18 @@ KINDS_BY_EFFORT: tuple[RemedyKind, ...] = get_args(RemedyKind)
 SETUP_KINDS = ("return", "station")
 """Kinds of further measurements that need another set-up."""
 
-N_CLOSING_TARGETS = 3
-"""Number of targets that are measured again before the tracker leaves a station."""
 N_ADDITIONAL_ROUNDS = 4
 """Number of additional rounds at the last station."""
 N_SUSPECT_POINTINGS = 3
 """Number of additional pointings to a suspect target."""
-BASE_ROTATION = 90.0 * DEGREE
-"""Rotation [rad] of the tracker's base if it is set up again at a previous position."""
 MAX_REPEATED_SETUPS = 12
 """Number of set-ups up to which the repetition of each is evaluated; of more, an even selection."""
 N_GRID_POSITIONS = 5
 """Number of candidate positions of an additional station along each side of the floor."""
 N_YAWS = 4
 """Number of candidate yaws at each position of an additional station."""
+BASE_ROTATION = math.tau / N_YAWS
+"""Rotation [rad] of the tracker's base if it is set up again at a previous position."""
 MAX_SETUPS_FOR_ADDITION = 30
 """Number of set-ups from which no additional set-up is evaluated, to limit the time."""
 MIN_PROPOSED_DISTANCE = 0.8
@@ -212,7 +211,7 @@ def pointing_remedies(
 
     if len(np.unique(recording.face[here])) == 1:
         yield remedy("other face here", order[::-1], 3 - usual_face)
-    yield remedy("close here", order[:N_CLOSING_TARGETS], count=min(N_CLOSING_TARGETS, len(order)))
+    yield remedy("close here", order[:MIN_RIGID_POINTS], count=min(MIN_RIGID_POINTS, len(order)))
     yield remedy("reverse here", order[::-1])
     repeat_targets = [t for t in order.tolist() if recording.targets[t] in set(suspect_targets)]
     if repeat_targets:
@@ -316,7 +315,7 @@ def procedure_remedies(network: PlannedNetwork) -> Iterator[Remedy]:
         if made:
             station, targets, faces, time = (np.array(column) for column in zip(*made, strict=True))
             grown = network.with_pointings(station, targets, faces, time)
-            yield Remedy("survey", advice_sentence(key, count=N_CLOSING_TARGETS), work + len(made) * step, grown)
+            yield Remedy("survey", advice_sentence(key, count=MIN_RIGID_POINTS), work + len(made) * step, grown)
 
 
 def _additional_pointings(recording: Recording, rows: Ints, procedure: str) -> list[tuple[int, int]]:
@@ -325,7 +324,7 @@ def _additional_pointings(recording: Recording, rows: Ints, procedure: str) -> l
     if procedure == "other face":
         return sorted({(t, 3 - f) for t, f in existing} - set(existing))
     if procedure == "close":
-        return [(t, existing[0][1]) for t in _targets_in_order(recording.target[rows])[:N_CLOSING_TARGETS].tolist()]
+        return [(t, existing[0][1]) for t in _targets_in_order(recording.target[rows])[:MIN_RIGID_POINTS].tolist()]
     return existing[::-1]
 
 

@@ -23,7 +23,9 @@ from ltsim.adjustment.remedies.remedy import (
 )
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError
+from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.physics.model.construction import Construction
+from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 MIN_DETERMINED_GAIN = 0.5
 """Gain from which a combination counts as determined."""
@@ -34,17 +36,6 @@ MIN_REPORTED_COEFFICIENT = 0.1
 """Coefficient of a parameter in a combination from which it is reported."""
 MIN_WORTHWHILE_GAIN_INCREASE = 0.25
 """Increase of a gain from which a measurement is proposed: half of the gain of a determined combination."""
-
-
-GAIN_ROUNDING_ERROR = 1e-9
-"""Gain, or difference of two gains, below which it is taken as rounding."""
-MAX_EQUAL_COEFFICIENT_DIFFERENCE = 1e-6
-"""Relative difference up to which two coefficients count as equal, so that rounding does not decide on a sign or an
-order."""
-MAX_ROTATION_SWEEPS = 200
-"""Largest number of passes over all pairs of combinations in the rotation to few parameters."""
-MIN_ROTATION_ANGLE = 1e-13
-"""Largest rotation [rad] in a pass below which the rotation has converged."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +50,7 @@ class ParameterCombination:
     def coefficients(self, names: Sequence[str]) -> dict[str, float]:
         """Coefficients above 0.1 by parameter name, the largest first; the largest is positive."""
         size = np.abs(self.vector)
-        order = np.argsort(-np.round(size / MAX_EQUAL_COEFFICIENT_DIFFERENCE), kind="stable")
+        order = np.argsort(-np.round(size / MAX_SOLUTION_ROUNDING_ERROR), kind="stable")
         sign = np.sign(self.vector[_first_of_largest(size)])
         return {names[i]: float(sign * self.vector[i]) for i in order if size[i] > MIN_REPORTED_COEFFICIENT}
 
@@ -84,14 +75,14 @@ def undetermined_combinations(covariance: Floats, prior_sigma: Floats) -> list[P
     vectors = np.concatenate([rotate_to_simple_structure(vectors[:, is_silent]), vectors[:, ~is_silent]], axis=1)
     scaled_covariance = covariance / np.outer(prior_sigma, prior_sigma)
     gain = 1.0 - np.einsum("ij,ik,kj->j", vectors, scaled_covariance, vectors)
-    gain = np.where(gain < GAIN_ROUNDING_ERROR, 0.0, gain)
+    gain = np.where(gain < MAX_ROUNDING_ERROR, 0.0, gain)
     weak = [ParameterCombination(vectors[:, i], float(gain[i])) for i in np.flatnonzero(gain < MIN_DETERMINED_GAIN)]
-    return sorted(weak, key=lambda d: (round(d.gain / GAIN_ROUNDING_ERROR), _first_of_largest(np.abs(d.vector))))
+    return sorted(weak, key=lambda d: (round(d.gain / MAX_ROUNDING_ERROR), _first_of_largest(np.abs(d.vector))))
 
 
 def _first_of_largest(sizes: Floats) -> int:
     """Index of the first value among those that are largest up to rounding."""
-    return int(np.flatnonzero(sizes >= (1.0 - MAX_EQUAL_COEFFICIENT_DIFFERENCE) * sizes.max())[0])
+    return int(np.flatnonzero(sizes >= (1.0 - MAX_SOLUTION_ROUNDING_ERROR) * sizes.max())[0])
 
 
 def rotate_to_simple_structure(vectors: Floats) -> Floats:
@@ -105,21 +96,21 @@ def rotate_to_simple_structure(vectors: Floats) -> Floats:
     Kaiser, The varimax criterion, Psychometrika 23 (1958) 187.
     """
     columns = list(_basis_of_span(vectors).T)
-    for _ in range(MAX_ROTATION_SWEEPS):
+    for _ in range(MAX_ITERATIONS):
         largest = 0.0
         for i, j in combinations(range(len(columns)), 2):
             x, y = columns[i], columns[j]
             u, v = x**2 - y**2, 2.0 * x * y
             sine = 2.0 * (u @ v - u.sum() * v.sum() / len(u))
             cosine = u @ u - v @ v - (u.sum() ** 2 - v.sum() ** 2) / len(u)
-            if np.hypot(sine, cosine) > GAIN_ROUNDING_ERROR:
+            if np.hypot(sine, cosine) > MAX_ROUNDING_ERROR:
                 angle = 0.25 * np.arctan2(sine, cosine)
                 columns[i], columns[j] = (
                     np.cos(angle) * x + np.sin(angle) * y,
                     np.cos(angle) * y - np.sin(angle) * x,
                 )
                 largest = max(largest, abs(angle))
-        if largest < MIN_ROTATION_ANGLE:
+        if largest < MAX_ROUNDING_ERROR:
             break
     return np.array(columns).reshape(-1, len(vectors)).T
 

@@ -4,11 +4,9 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE
+from ltsim.geometry.rigid import VERTICAL
 from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_displacements
 from ltsim.scene.sightings import Sightings
-
-VERTICAL = np.array([0.0, 0.0, 1.0])
-"""Unit vector of the vertical in the network frame."""
 
 
 def reflector_axes(sightings: Sightings) -> Floats:

@@ -15,10 +15,10 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.physics.effects.signature import CandidateEffect, Parameter
 from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_FACTOR, N_MODES_FINE, indicator_columns
-from ltsim.physics.laws.places import MIN_GROUP_TARGETS
+from ltsim.physics.laws.places import MIN_GROUP_SIZE
 from ltsim.physics.laws.regressor_library import (
     LAG_TIME_CONSTANTS,
-    MAX_SEPARATE_SETUPS,
+    MAX_SEPARATE_PARTS,
     WAVE_RATE_STEP,
     contains_several_targets,
 )
@@ -37,8 +37,6 @@ from ltsim.physics.laws.states import FIXED_COUNT_RESET_FUNCTION, POINTING_DECAY
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
-MAX_INDEPENDENT_TARGETS = 12
-"""Largest number of targets in a group for which a search also tries a law with a separate motion of each target."""
 FACE_SIGN_REGRESSOR = scalar_regressor("face", "power")
 """Regressor with the sign of the face, +1 or -1. An elevation error proportional to it is an error of the vertical
 index.
@@ -268,7 +266,7 @@ class EmpiricalLaw(CandidateEffect):
         if regressor.kind == "smooth":
             n_modes = N_MODES_FINE if regressor.constant > N_MODES_FACTOR else N_MODES_DEFAULT
             forms["fine"] = [replace(self, regressor=smooth_regressor(regressor.covariates[0], n_modes))]
-        if MIN_GROUP_TARGETS <= len(self.targets) <= MAX_INDEPENDENT_TARGETS and self.response.kind == "target":
+        if MIN_GROUP_SIZE <= len(self.targets) <= MAX_SEPARATE_PARTS and self.response.kind == "target":
             forms["members"] = [replace(self, regressor=regressor.per_target(self.targets), scale_index=0)]
         if regressor.kind == "wave":
             forms["cycle"] = [replace(self, regressor=replace(regressor, kind="cycle"))]
@@ -356,7 +354,7 @@ class EmpiricalLaw(CandidateEffect):
         )
         if is_restricted or is_unsuitable or len(stations) < 2:
             return None
-        return replace(self, stations=stations, is_per_setup=True) if len(stations) <= MAX_SEPARATE_SETUPS else None
+        return replace(self, stations=stations, is_per_setup=True) if len(stations) <= MAX_SEPARATE_PARTS else None
 
     def law_at_largest_effect(
         self, mean: Floats, covariance: Floats, sightings: Sightings

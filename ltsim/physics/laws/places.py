@@ -13,12 +13,13 @@ from ltsim.scene.sightings import Sightings
 
 NEIGHBOUR_GROUP_SIZES = (3, 6)
 """Numbers of nearest neighbours with which a target forms a candidate group."""
+MIN_GROUP_SIZE = 3
+"""Smallest number of targets in a group, and smallest number of targets that are not in it; of set-ups with separate
+amounts, whose number must exceed it.
+"""
 HEIGHT_WEIGHT = 5.0
 """Factor on heights in the clustering of targets by height and surface. With it, a height difference of a fifth of the
 hall's extent is as large a distance as an angle of 60 deg between the normals of two nests."""
-MIN_GROUP_TARGETS = 3
-"""Smallest number of targets in a group, and smallest number of targets outside the group. Other groups are not tried.
-"""
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ def target_clusters(sightings: Sightings) -> set[tuple[int, ...]]:
     The groups are the branches of three trees of hierarchical clustering (average linkage): by position, by position
     and surface, and by height and surface. Nests with similar normals count as mounted on the same surface.
     """
-    if len(sightings.target_points) < 2 * MIN_GROUP_TARGETS:
+    if len(sightings.target_points) < 2 * MIN_GROUP_SIZE:
         return set()
     scaled_normals = np.nan_to_num(sightings.nest_normals) * np.ptp(sightings.target_points, axis=0).max()
     groups = set()
@@ -73,7 +74,7 @@ def target_clusters(sightings: Sightings) -> set[tuple[int, ...]]:
         tree = [[t] for t in range(len(features))]
         for first, second in linkage(features, "average")[:, :2].astype(int):
             tree.append(sorted(tree[first] + tree[second]))
-        groups |= {tuple(b) for b in tree if MIN_GROUP_TARGETS <= len(b) <= len(features) - MIN_GROUP_TARGETS}
+        groups |= {tuple(b) for b in tree if MIN_GROUP_SIZE <= len(b) <= len(features) - MIN_GROUP_SIZE}
     return groups
 
 
@@ -98,7 +99,7 @@ def connected_groups(sightings: Sightings, lengths: Iterable[tuple[str, str]]) -
     count, (first, second) = len(index), np.array(pairs).T
     _, body = connected_components(sp.coo_array((np.ones(len(pairs)), (first, second)), (count, count)), directed=False)
     members = [tuple(np.flatnonzero(body == k).tolist()) for k in np.unique(body)]
-    return {group for group in members if MIN_GROUP_TARGETS <= len(group) <= count - MIN_GROUP_TARGETS}
+    return {group for group in members if MIN_GROUP_SIZE <= len(group) <= count - MIN_GROUP_SIZE}
 
 
 def group_places(sightings: Sightings, target_groups: set[tuple[int, ...]]) -> Iterator[LawPlace]:

@@ -12,7 +12,9 @@ from itertools import combinations
 import numpy as np
 
 from ltsim.core.arrays import Floats
+from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_FACTOR
+from ltsim.physics.laws.places import MIN_GROUP_SIZE
 from ltsim.physics.laws.regressors import (
     CLOCK_COVARIATES,
     CONSTANT_REGRESSOR,
@@ -30,7 +32,13 @@ from ltsim.physics.laws.regressors import (
     switch_regressor,
     with_position_dependence,
 )
-from ltsim.physics.laws.states import STATE_INPUTS, TIME_DECAY_FUNCTION, candidate_states, latch_thresholds
+from ltsim.physics.laws.states import (
+    DECAY_TIME_FRACTIONS,
+    STATE_INPUTS,
+    TIME_DECAY_FUNCTION,
+    candidate_states,
+    latch_thresholds,
+)
 from ltsim.scene.regions import HallRegion, candidate_regions, is_distinctive
 from ltsim.scene.sightings import Sightings
 
@@ -94,26 +102,19 @@ TEMPORARY_REGION_SHAPES = ("xy", "x", "y", "z")
 """Shapes of the regions that may act during a part of the measurement."""
 TIME_PART_COUNTS = (2, 4)
 """Numbers of parts of equal size in time, in one of which a region of the hall may act."""
-MIN_DISTINCT_TIMES = 12
-"""Smallest number of distinct times for which a search divides a recording into parts in time."""
-DECAY_TIME_FRACTIONS = np.array([0.03, 0.1, 0.3, 1.0])
-"""Time constants of decays that a search tries, as fractions of the duration. Each time constant in between differs by
-less than a factor of two from one of them.
-"""
 HYSTERESIS_HALF_WIDTHS = np.array([0.05, 0.15, 0.3])
 """Half-widths of hysteresis loops that a search tries, as fractions of the covariate's span."""
 DEAD_BAND_QUANTILES = (0.15, 0.3, 0.5)
 """Limits of dead bands that a search tries, as quantiles of the sizes of the motions of an axis."""
 LAG_TIME_CONSTANTS = (60.0, 300.0, 1000.0, 3000.0)
 """Time constants [s] of lags that a search tries, typical of detectors, instrument parts, stands, walls and floors."""
-MIN_SEPARATE_SETUPS = 3
-"""Number of set-ups above which a search tries a law with a separate value for each."""
-MAX_SEPARATE_SETUPS = 12
-"""Largest number of set-ups for which a search tries a law with a separate value or curve for each."""
+MAX_SEPARATE_PARTS = 12
+"""Largest number of set-ups, instruments, or targets of a group, for which a search tries a law with a separate value
+or curve for each; also the number of times at which it tries a step of a group of targets, and of distinct times from
+which it divides a recording in time. More coefficients fit any errors.
+"""
 MAX_SEPARATE_TARGETS = 60
 """Largest number of targets for which a search tries a law with a separate value for each."""
-MAX_GROUP_STEP_TIMES = 12
-"""Number of times at which a search tries a step of a group of targets. A local search then moves the best step."""
 WAVE_RATE_STEP = 0.6
 """Distance between the frequencies of waves that a search tries, in cycles over the covariate's span. A wave with a
 frequency in between still correlates with one of them.
@@ -122,8 +123,6 @@ MAX_WAVE_CYCLES = 60
 """Largest number of cycles over the covariate's span of a wave that a search tries."""
 MIN_POINTINGS_PER_CYCLE = 8
 """Smallest number of pointings per cycle of a wave that a search tries."""
-MIN_COVARIATE_SPREAD = 1e-12
-"""Span [rad, m, s] up to which a covariate counts as constant. Rounding makes equal elevations differ by less."""
 OPERATOR_ODDS = 1.0 / 3.0
 """Factor on the prior odds of a regressor for each operator, and for each factor of a product after the first."""
 OPERATOR_COUNTS = {
@@ -162,7 +161,7 @@ def _varying_covariates(sightings: Sightings, covariates: Iterable[str]) -> list
     asked = [
         n for n in covariates if (has_nests or n not in _NEST_COVARIATES) and (faces or n not in _CIRCLE_COVARIATES)
     ]
-    floor = {n: MIN_COVARIATE_SPREAD * (operator_input(n) not in sightings.covariates) for n in asked}
+    floor = {n: MAX_ROUNDING_ERROR * (operator_input(n) not in sightings.covariates) for n in asked}
     return [n for n in asked if np.ptp(sightings.quantities[n]) > floor[n]]
 
 
@@ -197,7 +196,7 @@ def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -
             *(scalar_regressor(name, "abs") for name in before if name.startswith("move-")),
         ],
         "lag": lag_regressors(s, (*columns, "elevation", "distance", "move-azimuth", "move-elevation")),
-        "amounts": [*visits(s, MIN_SEPARATE_SETUPS + 1), *_per_previous_target_regressors(s)],
+        "amounts": [*visits(s, MIN_GROUP_SIZE + 1), *_per_previous_target_regressors(s)],
         "wave": list(wave_regressors(s)),
         "room": [
             *with_position_dependence(_slow_wave_regressors(s), 1),
@@ -236,7 +235,7 @@ def dead_band_regressors(sightings: Sightings) -> list[Regressor]:
         for name in _varying_covariates(sightings, ("move-azimuth", "move-elevation"))
         for k in np.unique(np.quantile(np.abs(sightings.quantities[name]), DEAD_BAND_QUANTILES))
         for how in ("within", "stuck")
-        if k > MIN_COVARIATE_SPREAD
+        if k > MAX_ROUNDING_ERROR
     ]
 
 
@@ -248,7 +247,7 @@ def contains_several_targets(region: HallRegion, sightings: Sightings) -> bool:
 def temporary_region_regressors(sightings: Sightings, function: str = "") -> Iterator[Regressor]:
     """Iterator over regressors of regions of the hall that act during one part of the measurement."""
     time, regions = np.unique(sightings.time), candidate_regions(sightings, TEMPORARY_REGION_SHAPES)
-    if len(time) < MIN_DISTINCT_TIMES or not regions:
+    if len(time) < MAX_SEPARATE_PARTS or not regions:
         return
     passing = np.stack([region.path_lengths(sightings) > region.width for region in regions])
     for parts in TIME_PART_COUNTS:
@@ -290,11 +289,11 @@ def target_group_regressors(sightings: Sightings) -> dict[str, list[Regressor]]:
 
 
 def _step_regressors(sightings: Sightings) -> list[Regressor]:
-    """Regressors that are a step in time, at `MAX_GROUP_STEP_TIMES` times spread evenly over the pointings."""
+    """Regressors that are a step in time, at `MAX_SEPARATE_PARTS` times spread evenly over the pointings."""
     clock = np.unique(sightings.time)
-    if len(clock) < MAX_GROUP_STEP_TIMES:
+    if len(clock) < MAX_SEPARATE_PARTS:
         return []
-    at = np.linspace(0, len(clock) - 1, MAX_GROUP_STEP_TIMES + 2).round().astype(int)[1:-1]
+    at = np.linspace(0, len(clock) - 1, MAX_SEPARATE_PARTS + 2).round().astype(int)[1:-1]
     return [piecewise_regressor([scalar_regressor("time", "step", float(0.5 * (clock[i] + clock[i + 1])))]) for i in at]
 
 
@@ -307,10 +306,10 @@ def _seating_parity_differs(sightings: Sightings) -> bool:
 def visits(sightings: Sightings, min_setups: int) -> list[Regressor]:
     """Regressor with a separate value for each set-up, in a list.
 
-    The list is empty for fewer set-ups than `min_setups`, or more than `MAX_SEPARATE_SETUPS`.
+    The list is empty for fewer set-ups than `min_setups`, or more than `MAX_SEPARATE_PARTS`.
     """
     count = len(np.unique(sightings.station))
-    return [group_amounts_regressor("station", count)] if min_setups <= count <= MAX_SEPARATE_SETUPS else []
+    return [group_amounts_regressor("station", count)] if min_setups <= count <= MAX_SEPARATE_PARTS else []
 
 
 def _per_previous_target_regressors(sightings: Sightings) -> list[Regressor]:
@@ -336,7 +335,7 @@ def product_regressors(sightings: Sightings) -> Iterator[Regressor]:
         sightings, (*BASE_COVARIATES[:7], *additional_columns(sightings), *_CIRCLE_COVARIATES, *_NEST_COVARIATES)
     )
     trackers = len(np.unique(sightings.instrument))
-    if 1 < trackers <= MAX_SEPARATE_SETUPS:
+    if 1 < trackers <= MAX_SEPARATE_PARTS:
         by_instrument = group_amounts_regressor("instrument", trackers)
         yield from (
             Regressor("product", factors=(smooth_regressor(name, N_MODES_FACTOR), by_instrument)) for name in names
@@ -373,7 +372,7 @@ def product_regressors(sightings: Sightings) -> Iterator[Regressor]:
 def wave_rates(sightings: Sightings, covariate: str, max_cycles: float) -> Floats:
     """Angular frequencies [rad per unit of the covariate] of waves with 1 to `max_cycles` cycles over its span."""
     span = float(np.ptp(sightings.quantities[covariate]))
-    return 2 * np.pi * np.arange(1.0, max_cycles, WAVE_RATE_STEP) / span if span > MIN_COVARIATE_SPREAD else np.zeros(0)
+    return 2 * np.pi * np.arange(1.0, max_cycles, WAVE_RATE_STEP) / span if span > MAX_ROUNDING_ERROR else np.zeros(0)
 
 
 def wave_regressors(

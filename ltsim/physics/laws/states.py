@@ -14,6 +14,7 @@ from itertools import combinations
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
+from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.scene.sightings import Sightings
 
 STATE_INPUTS = ("station-time", "count", "work-azimuth", "work-elevation", "work-distance", "wound-azimuth")
@@ -32,8 +33,10 @@ FIXED_COUNT_RESET_FUNCTION = "every"
 """Name of the function of a state that is reset after a fixed number of pointings."""
 RESET_LIMIT_QUANTILES = (0.6, 0.8, 0.92)
 """Limits of `RESET_LIMIT_QUANTITIES` that a search tries, as quantiles of the quantity."""
-STATE_DECAY_TIME_FRACTIONS = (0.03, 0.1, 0.3)
-"""Time constants that a search tries for states that decay with time, as fractions of the median duration of a set-up.
+DECAY_TIME_FRACTIONS = np.array([0.03, 0.1, 0.3, 1.0])
+"""Time constants of decays that a search tries, as fractions of the span of the time; of states (the first three), as
+fractions of the median duration of a set-up. Each time constant in between differs by less than a factor of two from
+one of them.
 """
 DECAY_POINTINGS = (2.0, 4.0, 8.0)
 """Numbers of pointings within which a state decays by a factor of e, as a search tries them."""
@@ -47,9 +50,6 @@ MIN_RESETS = 2
 """Smallest number of resets for which a search tries a state, and smallest number of pointings without reset. The first
 pointing of a set-up counts as neither. With fewer resets the state is nearly a plain sum.
 """
-MIN_RELATIVE_STATE_SPAN = 1e-6
-"""Span of a state divided by the span of its input, up to which the state counts as constant. A search omits such a
-state."""
 StateKey = tuple[str, str, float]
 """Key of a state: input, function, and constant (a limit, a time constant [s], or a number of pointings)."""
 
@@ -64,7 +64,7 @@ def candidate_states(sightings: Sightings, inputs: Sequence[str]) -> list[StateK
         if how != FIXED_COUNT_RESET_FUNCTION or name in FIXED_COUNT_INPUTS
     ]
     _cache_states(sightings, states)
-    min_spans = {name: MIN_RELATIVE_STATE_SPAN * float(np.ptp(sightings.quantities[name])) for name in inputs}
+    min_spans = {name: MAX_ROUNDING_ERROR * float(np.ptp(sightings.quantities[name])) for name in inputs}
     return [key for key in states if np.ptp(sightings.derived_cache[key]) > min_spans[key[0]]]
 
 
@@ -77,7 +77,7 @@ def _state_functions(sightings: Sightings) -> Iterator[tuple[str, float]]:
         np.median([np.ptp(sightings.time[sightings.station == s]) for s in np.unique(sightings.station)])
     )
     yield from (
-        (TIME_DECAY_FUNCTION, setup_duration * share) for share in STATE_DECAY_TIME_FRACTIONS if setup_duration > 0.0
+        (TIME_DECAY_FUNCTION, setup_duration * share) for share in DECAY_TIME_FRACTIONS[:-1] if setup_duration > 0.0
     )
     yield from ((POINTING_DECAY_FUNCTION, number) for number in DECAY_POINTINGS)
     reset_functions = [(f"after {name}", 1.0) for name in RESET_EVENTS]

@@ -10,7 +10,7 @@ zenith angle, and each word has its unit.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -109,15 +109,9 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     if hints.station is not None:
         file.add_setup(hints.station, 0.0, None, SourceLocation(path))
     lines = read_lines(path)
-    blocks = [
-        _GsiLine.from_line(line.strip(), SourceLocation(path, i + 1)) for i, line in enumerate(lines) if line.strip()
-    ]
-    if lines[-1].strip() and blocks[-1].words.keys() != (blocks[-2].words.keys() if len(blocks) > 1 else {}):
-        raise blocks[-1].location.error("the last line has no line break and is incomplete")
-    if any(block.has_words("33") for block in blocks) and not any(block.has_words("21") for block in blocks):
-        raise RecordError("is the file of a level: it has staff readings (33) and no directions (21)", file=path)
-    setup_code = _setup_code(blocks)
-    for block in blocks:
+    survey = _SurveyOfBlocks.from_blocks(_blocks(lines, path))
+    setup_code = survey.setup_code(path, is_line_broken=not lines[-1].strip())
+    for block in _blocks(lines, path):
         _process_block(block, file, setup_code)
     notes = (
         [f"{file.n_skipped} blocks are neither a station nor a measurement and are not used"] if file.n_skipped else []
@@ -125,19 +119,62 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     return file.make_recording("a GSI file", *notes)
 
 
-def _setup_code(blocks: Sequence[_GsiLine]) -> str | None:
-    """Code (41) of the blocks that name set-ups; None if no code names a set-up.
+def _blocks(lines: Sequence[str], path: Path) -> Iterator[_GsiLine]:
+    """Blocks of the lines that are not blank; none is kept, since a block takes ten times the memory of its line."""
+    return (
+        _GsiLine.from_line(line.strip(), SourceLocation(path, i + 1)) for i, line in enumerate(lines) if line.strip()
+    )
 
-    It is the code of the first block with a name and a height, or with a name. Blocks with other codes describe points.
-    In files with coordinates of stations no code names a set-up.
-    """
-    if any(map(_is_station, blocks)):
-        return None
-    for keys in (("41", "42", "43"), ("41", "42")):
-        named = [block.name("41") for block in blocks if block.has_words(*keys)]
-        if named:
-            return named[0]
-    return None
+
+@dataclass
+class _SurveyOfBlocks:
+    """Facts on all blocks of a file that decide how each of them is read."""
+
+    has_stations: bool = False
+    """True if a block has the coordinates of a station."""
+    has_directions: bool = False
+    """True if a block has a horizontal direction (21)."""
+    has_staff_readings: bool = False
+    """True if a block has the reading of a levelling staff (33)."""
+    code_with_height: str | None = None
+    """Code (41) of the first block with a name and a height."""
+    code_with_name: str | None = None
+    """Code (41) of the first block with a name."""
+    last: _GsiLine | None = None
+    """Last block."""
+    keys_before_last: frozenset[str] = frozenset()
+    """Indices of the words of the block before the last."""
+
+    @classmethod
+    def from_blocks(cls, blocks: Iterable[_GsiLine]) -> _SurveyOfBlocks:
+        """Facts on all blocks."""
+        survey = cls()
+        for block in blocks:
+            survey._add(block)
+        return survey
+
+    def _add(self, block: _GsiLine) -> None:
+        self.has_stations = self.has_stations or _is_station(block)
+        self.has_directions = self.has_directions or block.has_words("21")
+        self.has_staff_readings = self.has_staff_readings or block.has_words("33")
+        if block.has_words("41", "42"):
+            self.code_with_name = self.code_with_name or block.name("41")
+            if block.has_words("43"):
+                self.code_with_height = self.code_with_height or block.name("41")
+        self.keys_before_last = frozenset() if self.last is None else frozenset(self.last.words)
+        self.last = block
+
+    def setup_code(self, path: Path, *, is_line_broken: bool) -> str | None:
+        """Code (41) of the blocks that name a set-up, the first with a name and a height; None if no code does.
+
+        Other codes describe points. Where blocks with coordinates name the set-ups, all codes do. RecordError is raised
+        for a last line without a line break that differs from the one before, and for the file of a level.
+        """
+        if self.last is not None and not is_line_broken and self.last.words.keys() != self.keys_before_last:
+            raise self.last.location.error("the last line has no line break and is incomplete")
+        if self.has_staff_readings and not self.has_directions:
+            raise RecordError("is the file of a level: it has staff readings (33) and no directions (21)", file=path)
+        return None if self.has_stations else self.code_with_height or self.code_with_name
 
 
 def _is_station(block: _GsiLine) -> bool:

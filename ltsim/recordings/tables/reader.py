@@ -15,7 +15,7 @@ from ltsim.recordings.files import MAX_TEXT_LENGTH, quoted_text
 from ltsim.recordings.occupations import check_centring
 from ltsim.recordings.pointings import NOT_MEASURED, PointingColumns, declares_noise, recording_of_columns
 from ltsim.recordings.recording import HEIGHT_COLUMNS, KIND_COLUMN, OCCUPATION_COLUMNS, SIGMA_COLUMNS, Recording
-from ltsim.recordings.resolution import LENGTH_STEPS, default_total_station, reading_step
+from ltsim.recordings.resolution import FOOT_STEPS, LENGTH_STEPS, default_total_station, reading_step
 from ltsim.recordings.settings import read_setup
 from ltsim.recordings.setup import Instrument, Setup
 from ltsim.recordings.specification import NO_NOISE_NOTE
@@ -350,6 +350,8 @@ MAX_TRACKER_RANGE_M = 160.0
 """Range [m] above which a table is from a total station (longest range of trackers in data sheets: 80 to 160)."""
 MIN_COARSE_DIGIT_M = 0.5e-4
 """Last digit [m] of ranges above which a table is from a total station; trackers report micrometres."""
+MIN_DISPLAYED_DIGIT_M = 0.5e-9
+"""Last digit [m] below which the digits of a range are those of a computation and not of an instrument."""
 
 MIN_RANGES = 6
 """Number of ranges below which their last digit does not decide, because fewer may all end in zeros by chance."""
@@ -373,9 +375,8 @@ def total_station_reason(table: PointingTable, interpretation: ColumnInterpretat
     n_decimals = np.concatenate([decimal_places(digits[digits != b""]) for digits in columns])
     if len(n_decimals) < MIN_RANGES:
         return ""
-    digit = max(
-        10.0 ** -int(n_decimals.max()) * SI_PER_UNIT[interpretation.length_unit], reading_step(ranges, LENGTH_STEPS)
-    )
+    digit = 10.0 ** -int(n_decimals.max()) * SI_PER_UNIT[interpretation.length_unit]
+    digit = max(digit, reading_step(ranges, FOOT_STEPS if digit > MIN_DISPLAYED_DIGIT_M else LENGTH_STEPS))
     if digit > MIN_COARSE_DIGIT_M:
         return f"its ranges are written to {1e3 * digit:.2g} mm"
     if table.column(("instrument_height_mm",)) is not None and digit > MIN_COARSE_DIGIT_M / 10:

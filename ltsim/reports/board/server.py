@@ -173,7 +173,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
         hosts, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))
         if len(hosts) != 1 or hosts[0].lower() not in self.allowed_hosts:
             return HttpResponse(HTTPStatus.MISDIRECTED_REQUEST)
-        if any(origin.lower().removeprefix("http://") not in self.allowed_hosts for origin in origins):
+        if not {origin.lower() for origin in origins} <= {f"http://{host}" for host in self.allowed_hosts}:
             return HttpResponse(HTTPStatus.FORBIDDEN)
         return None if self.requests.has_token(self.path) else MISSING_PAGE_RESPONSE
 

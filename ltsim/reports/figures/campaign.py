@@ -15,7 +15,8 @@ from scipy.stats import binomtest
 
 from ltsim.campaigns.design import Factor
 from ltsim.campaigns.results import CampaignResults
-from ltsim.campaigns.statistics import NORMAL_QUANTILE_95, ZScoreSummary
+from ltsim.campaigns.statistics import NORMAL_QUANTILE_95
+from ltsim.campaigns.summary import ZScoreSummary
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, unknown_name
 from ltsim.core.notation import number_text

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from ltsim.campaigns.design import Factor
 from ltsim.campaigns.results import CampaignResults
-from ltsim.campaigns.statistics import StatisticSummary
+from ltsim.campaigns.summary import StatisticSummary
 from ltsim.reports.figures.campaign import (
     MAX_FIGURE_PANELS,
     MAX_PANEL_LINES,

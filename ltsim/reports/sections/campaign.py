@@ -20,7 +20,7 @@ from ltsim.campaigns.schema import (
     find_column,
     ratio_columns,
 )
-from ltsim.campaigns.statistics import SolverComparison, StatisticSummary, ZScoreSummary
+from ltsim.campaigns.summary import SolverComparison, StatisticSummary, ZScoreSummary
 from ltsim.core.notation import number_text
 from ltsim.core.results import Table as TableOf
 from ltsim.reports.document import (

@@ -7,7 +7,7 @@ from functools import partial
 
 from ltsim.campaigns.results import CampaignResults
 from ltsim.campaigns.schema import ManifestFile
-from ltsim.campaigns.statistics import ZScoreSummary
+from ltsim.campaigns.summary import ZScoreSummary
 from ltsim.reports.document import Block, KeyFigure, PictureBlock, table_block
 from ltsim.reports.figures.campaign import ALLOWED_COVERAGE, coverage_figure, is_outside_allowed_coverage
 from ltsim.reports.figures.campaign_factors import cell_descriptions

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from ltsim.campaigns.results import CampaignResults, PairedDifference
-    from ltsim.campaigns.statistics import StatisticSummary
+    from ltsim.campaigns.summary import StatisticSummary
 
 COMPARED_STATISTICS = {
     "new_point_error_calibrated_um": "error of a new point",

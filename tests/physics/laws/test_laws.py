@@ -14,7 +14,7 @@ from ltsim.core.randomness import stream
 from ltsim.physics.effects.motions import station_design
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.names import catalogue_name
-from ltsim.physics.laws.places import MIN_GROUP_TARGETS, target_clusters
+from ltsim.physics.laws.places import MIN_GROUP_SIZE, target_clusters
 from ltsim.physics.laws.regressor_library import (
     READING_COVARIATES,
     candidate_regressors,
@@ -195,7 +195,7 @@ def test_targets_on_one_surface_belong_together():
     look = np.repeat([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], 6, axis=0)
     found = target_clusters(SimpleNamespace(target_points=points, nest_normals=look))
     assert {tuple(range(6)), tuple(range(6, 12))} <= found
-    assert all(MIN_GROUP_TARGETS <= len(group) <= 12 - MIN_GROUP_TARGETS for group in found)
+    assert all(MIN_GROUP_SIZE <= len(group) <= 12 - MIN_GROUP_SIZE for group in found)
 
 
 def test_coordinates_are_those_of_the_start_or_of_a_column_at_rest(sightings):

@@ -155,6 +155,7 @@ FOREIGN = (
     {"Origin": "null"},
     {"Origin": "http://127.0.0.1:1"},
     {"Origin": "https://127.0.0.1:PORT"},
+    {"Origin": "127.0.0.1:PORT"},
     {"Origin": "http://127.0.0.1:PORT.evil.example"},
     {"Host": "evil.example"},
     {"Host": "evil.example:PORT"},
