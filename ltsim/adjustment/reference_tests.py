@@ -190,21 +190,14 @@ def reference_tests_with_constants(
 
 
 def _reference_test(value: ReferenceValueRows, gram_matrix: Floats, residual_product: Floats) -> ReferenceTest:
-    """Test of a reference value with q components for an error.
-
-    `gram_matrix` (q, q) holds the inner products of the changes of the residuals by a unit error of each component,
-    `residual_product` (q,) the inner products of these changes with the residuals.
-    """
-    signature_norms = np.linalg.norm(value.signature, axis=0)
-    acts = signature_norms > MAX_ROUNDING_ERROR * signature_norms.max()  # readings in plan do not depend on heights
-    signature_norms = np.where(acts, signature_norms, np.inf)
-    redundancies, eigenvectors = np.linalg.eigh(gram_matrix / np.outer(signature_norms, signature_norms))
+    """Test of a value with q components, from inner products of the changes of residuals by unit errors of each."""
+    norms = np.linalg.norm(value.signature, axis=0)
+    acts = norms > MAX_ROUNDING_ERROR * norms.max()  # readings in plan do not depend on heights
+    norms = np.where(acts, norms, np.inf)
+    redundancies, eigenvectors = np.linalg.eigh(gram_matrix / np.outer(norms, norms))
     checked = redundancies > MIN_TESTED_REDUNDANCY
     redundancies, eigenvectors = redundancies[checked], eigenvectors[:, checked]
-    eigen_products, eigen_errors = (
-        eigenvectors.T @ (residual_product / signature_norms),
-        eigenvectors / signature_norms[:, None],
-    )
+    eigen_products, eigen_errors = eigenvectors.T @ (residual_product / norms), eigenvectors / norms[:, None]
     is_determined = np.sum(eigenvectors**2, axis=1) > 0.5
     return ReferenceTest(
         value.kind,

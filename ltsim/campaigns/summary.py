@@ -70,11 +70,7 @@ class ZScoreSummary(Entry):
 
 
 class SolverComparison(Entry):
-    """Comparison of the batch and the full solver in the trials of one combination of factors, for one method.
-
-    `trials`, `failed` (without a result), `by_full_solver` and `checked` (solved by both) are numbers of trials.
-    `largest_difference_sigma` is the largest difference of a parameter between the solvers, in standard deviations.
-    """
+    """Comparison of the batch and the full solver in the trials of one combination of factors, for one method."""
 
     cell: int
     """Number of the cell."""
