@@ -252,7 +252,7 @@ class BatchNetwork:
 
     @cached_property
     def _expected_shift(self) -> Floats | None:
-        """Expected change (n, 3, 1) of the readings by range errors of bench-tested reflectors; None without one."""
+        """Expected change (n, 3, 1) of the readings by range errors of tested reflectors; None if none was tested."""
         if not any(
             isinstance(error, IncidenceErrors) and error.mean_parameters.any() for error in self.model.nuisance_errors
         ):

@@ -325,7 +325,7 @@ def _column_units(schema: pa.Schema) -> dict[str, str]:
 
 
 def _improvement_sql(names: list[str]) -> str:
-    """SQL of the improvement columns, for the criteria in the rows."""
+    """SQL of the columns with the improvement by calibration [%], for the criteria that the result rows contain."""
     added = [
         f', (100 * (1 - "{kind}_after_mean_um" / "{kind}_before_mean_um"))::FLOAT AS {kind}_improvement_percent'
         for kind in IMPROVED_CRITERIA

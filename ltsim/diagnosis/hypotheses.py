@@ -73,7 +73,7 @@ class Model:
 
     @cached_property
     def basis(self) -> Floats:
-        """Orthonormal basis (m, e) of the e independent columns of the projected signatures."""
+        """Orthonormal basis (m, e) of the changes of the m whitened residuals by all effects of the model."""
         if not self.members:
             return np.zeros((len(self.baseline_residual), 0))
         return orthonormal_columns(np.hstack(self.projected_signatures), np.concatenate(self.signature_norms))

@@ -121,7 +121,7 @@ class ExpectedConstants:
     covariance: Floats
     """Covariance (I p, I p) of the expected values."""
     changes: tuple[ConstantChange, ...]
-    """Changes that are tested."""
+    """Changes of instrument constants that are tested."""
 
 
 def find_contradictions(adjustment: Adjustment, min_log_evidence: float) -> ContradictingConstants:

@@ -197,7 +197,7 @@ def _line_integral(
     sigma_along_line: Floats,
     width: float,
 ) -> Floats:
-    """Integral (..., n) [m] of w along lines of length (n,) [m].
+    """Integral (..., n) [m] of the weight w of a region along lines of length (n,) [m].
 
     `approach_distance` (..., n) [m] and `perpendicular_distance` (..., n, k) [m] are the results of
     `_nearest_approach`, `sigma_along_line` (n,) [m] the standard deviation of w along each line.

@@ -60,7 +60,7 @@ class BenchRow(Entry):
     angle_deg: Finite
     """Rotation of the table."""
     as_read_um: Finite
-    """Length before removal of the eccentricity."""
+    """Length [um] of the interferometer before the effect of the eccentricity of the rotary table is removed."""
     error_um: Finite
     """Range error of the reflector, reading minus truth."""
     sigma_um: Finite

@@ -11,7 +11,7 @@ from ltsim.physics.effects.places import first_pointing_time
 from ltsim.scene.sightings import Sightings
 
 EXPANSION_WEIGHTS = {"uniform": np.ones(3), "vertical": np.array([0.0, 0.0, 1.0])}
-"""Weights of the expansion along x, y and z, by mode."""
+"""Weights of the thermal expansion along x, y and z, by the name of the mode of expansion."""
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,10 @@ class RefractivityDrift(Effect):
     covariates = ("time", "distance")
     parameters = (
         Parameter(
-            "refractivity-drift", "ppm/h", "growth of the fraction missing from ranges", 3 * SI_PER_UNIT["ppm/h"]
+            "refractivity-drift",
+            "ppm/h",
+            "growth of the fraction by which ranges are too short",
+            3 * SI_PER_UNIT["ppm/h"],
         ),
     )
 

@@ -298,7 +298,7 @@ def _step_regressors(sightings: Sightings) -> list[Regressor]:
 
 
 def _seating_parity_differs(sightings: Sightings) -> bool:
-    """True if the alternation from target to target differs from that from pointing to pointing, except in its sign."""
+    """True if a sign that alternates at each change of the target differs from one that alternates at each pointing."""
     parity, seating = (sightings.quantities[name] for name in ("parity", "seating-parity"))
     return abs(float(parity @ seating)) < len(parity)
 
