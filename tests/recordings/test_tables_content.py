@@ -250,7 +250,7 @@ ROBOT = "X [mm],Y [mm],Z [mm],Target,Time Stamp\n" + "".join(
 
 def test_positions_of_a_moving_target_are_no_list_of_points(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(ROBOT)
-    with pytest.raises(RecordError, match=r"8 positions under one name \('RRR'\): a target that moves"):
+    with pytest.raises(RecordError, match=r"8 positions under one name \('RRR'\), as of a target that moves"):
         read(tmp_path / "a.csv")
 
 
