@@ -79,6 +79,8 @@ class Adjustment(Result):
     """Number of rows that repeat others in every digit and are not used."""
     cause_sentences: tuple[str, ...] = ()
     """Sentences on identified errors, with which the network is consistent."""
+    noise_sentences: tuple[str, ...] = ()
+    """Sentences on noise larger than declared and not in `problem.sigma`, with which the network is consistent."""
     datum: InnerDatum | None = None
     """Inner datum of the covariances; None if the datum is the frame of the adjustment (pose of the first station)."""
 
@@ -192,8 +194,7 @@ class Adjustment(Result):
         shared[problem.level_rows.station_indices] = False  # to an upright station a line is as good as any targets
         for name, station_targets in zip(recording.stations, shared & (shared.sum(axis=0) > 1), strict=True):
             if station_targets.sum() > 2 and are_collinear(self.state.target_points[station_targets]):
-                shared_count = station_targets.sum()
-                which = f"the {shared_count} targets that it shares with others"
+                which = f"the {station_targets.sum()} targets that it shares with others"
                 return f"station {name}: {which} lie on a line, or nearly so"
         return ""
 

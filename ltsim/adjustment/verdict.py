@@ -20,7 +20,8 @@ class VerdictCase(Enum):
     CLEAN = "clean"
     SINGLE_ERRORS = "single errors"
     HIDDEN_ERRORS = "single errors hidden in the sum"
-    LARGER_NOISE = "larger noise or a systematic effect"
+    LARGER_NOISE = "larger noise"
+    UNEXPLAINED_MISFIT = "larger noise or a systematic effect"
     SMALLER_NOISE = "smaller noise"
     UNCHECKED = "nothing to test"
     IN_DOUBT = "in doubt"
@@ -85,6 +86,13 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants
             f"the tau-test {_reading_count_text(by_tau)}. {noise_declaration_advice(adjustment, alpha)}"
         )
         return Verdict(VerdictCase.SMALLER_NOISE, sentence.rstrip(), True)
+    outlier_text = (
+        f"of the {by_w} readings that the w-test flags {by_tau or 'none'} are outliers at the observed noise level"
+    )
+    if adjustment.noise_sentences:
+        noise, constants = " ".join(adjustment.noise_sentences), _constants_text(fit_with_constants, alpha)
+        sentence = f"{noise} Until then trust the estimated sigma0: {phrase}{constants}; {outlier_text}."
+        return Verdict(VerdictCase.LARGER_NOISE, sentence, True)
     chi2_rest = chi2 - sum(o.normalised_residual**2 for o in outliers)
     is_explained = dof > by_w and chi2_rest <= high**2 * (dof - by_w)
     if (
@@ -103,20 +111,29 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants
             f"Trust the global test: {phrase}, the noise or the model is wrong; with so few degrees of freedom neither "
             "the estimated sigma0 nor a test of single readings identifies the size or the place."
         )
-        return Verdict(VerdictCase.LARGER_NOISE, sentence, True)
+        return Verdict(VerdictCase.UNEXPLAINED_MISFIT, sentence, True)
     reasons = _rejection_reasons(adjustment, alpha, fit_with_constants)
     sentence = (
         f"Trust the global test and the estimated sigma0: {phrase}; {reasons}, "
-        f"and of the {by_w} readings that the w-test flags {by_tau or 'none'} are "
-        f"outliers at the observed noise level{_noisy_targets_text(adjustment)}."
+        f"and {outlier_text}{_noisy_targets_text(adjustment)}."
     )
-    return Verdict(VerdictCase.LARGER_NOISE, sentence, True)
+    return Verdict(VerdictCase.UNEXPLAINED_MISFIT, sentence, True)
 
 
 def _sigma0_limits(dof: int, alpha: float) -> tuple[float, float]:
     """Lower and upper critical value of sigma0 at the two-sided significance level `alpha`."""
     low, high = np.sqrt(2.0 * special.gammaincinv(0.5 * dof, [alpha / 2, 1 - alpha / 2]) / dof).tolist()
     return low, high
+
+
+def _constants_text(fit_with_constants: tuple[float, int] | None, alpha: float) -> str:
+    """Text on sigma0 with the instrument's constants estimated, after a semicolon; empty without such a fit."""
+    if fit_with_constants is None or fit_with_constants[1] <= 0:
+        return ""
+    chi2, dof = fit_with_constants
+    low, high = _sigma0_limits(dof, alpha)
+    sigma0 = float(np.sqrt(chi2 / dof))
+    return f"; with the instrument's constants estimated it is {sigma0:.3f} ({low:.3f} to {high:.3f} expected)"
 
 
 def _rejection_reasons(adjustment: Adjustment, alpha: float, fit_with_constants: tuple[float, int] | None) -> str:

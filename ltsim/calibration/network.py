@@ -257,6 +257,9 @@ def _adjust_with_options(
     require_usable(adjustment)
     if selection is not None and selection.is_consistent and selection.has_shifts_other_than_motions:
         adjustment = replace(adjustment, cause_sentences=_cause_sentences(selection))
+    if selection is not None and grouping is None:
+        noise_sentences = tuple(cause_sentence(selection.fit, h) for h in selection.larger_noise)
+        adjustment = replace(adjustment, noise_sentences=noise_sentences)
     return _require_available_datum(adjustment, datum)
 
 

@@ -98,6 +98,7 @@ EFFECT_BY_CAUSE = {
     ("constant-step", "elevation"): "vertical-index",
     ("constant-drift", "distance"): "range-drift",
     ("constant-drift", "elevation"): "index-drift",
+    ("constant-drift", "azimuth"): "azimuth-drift",
     ("scale-error", "distance"): "range-scale",
     ("orientation", "azimuth"): "station-bump",
     ("station-bump", "position"): "station-bump",

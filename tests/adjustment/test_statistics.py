@@ -196,7 +196,7 @@ def test_the_verdict_says_which_test_to_trust():
     assert verdict_on(single).agreement is VerdictCase.SINGLE_ERRORS
     assert len(single.flagged_readings()) >= 2
     larger = verdict_on(adjust(noisy(1, (3.0, 3.0, 3.0)), TRACKER))
-    assert larger.agreement is VerdictCase.LARGER_NOISE
+    assert larger.agreement is VerdictCase.UNEXPLAINED_MISFIT
     assert larger.uses_estimated_noise
     smaller = verdict_on(adjust(noisy(1, (0.3, 0.3, 0.3)), TRACKER))
     assert smaller.agreement is VerdictCase.SMALLER_NOISE

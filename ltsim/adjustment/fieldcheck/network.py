@@ -69,7 +69,7 @@ def scale_target_noise(
     if (
         not len(noisy_targets)
         or not ratio > 1.0
-        or verdict_on(adjustment_or_error).agreement is not VerdictCase.LARGER_NOISE
+        or verdict_on(adjustment_or_error).agreement is not VerdictCase.UNEXPLAINED_MISFIT
     ):
         return recording, ()
     is_noisy = np.isin(recording.target, noisy_targets)

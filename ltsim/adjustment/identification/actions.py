@@ -8,8 +8,8 @@ from ltsim.core.notation import listing
 ACTIONS_BY_CAUSE = {
     "outlier": "Measure again {rows}.",
     "constant-offset": "Check the SMR and the distance constant at {place}; correct the wrong one.",
-    "constant-step": "Check the SMR and the distance constant at {place}, and measure this set-up again.",
-    "constant-drift": "Let the tracker at {place} reach its operating temperature, and measure this set-up again.",
+    "constant-step": "Check the SMR and the distance constant{at_place}, and measure {setups} again.",
+    "constant-drift": "Let the tracker{at_place} reach its operating temperature, and measure {setups} again.",
     "scale-error": (
         "Check the temperature, the pressure and the unit of the distances at {place}; correct the distances, and "
         "evaluate the recording again."
@@ -28,7 +28,7 @@ ACTIONS_BY_CAUSE = {
     "noise-level": "Find the cause of the scatter{at_place}, or declare this noise in the set-up.",
 }
 """Next action for each kind of cause. `place` stands for the names of the stations and targets, `at_place` for the same
-names after the word "at", `rows` for the pointing with its row number.
+names after the word "at", `setups` for the set-ups to measure again, `rows` for the pointing with its row number.
 """
 VERTICAL_INDEX_ACTION = "Determine the vertical index of the tracker, and measure {place} again."
 """Next action for an offset of the elevations at one set-up."""
@@ -44,7 +44,8 @@ def cause_action(test: CauseTest) -> str:
     targets = listing(test.where.targets, len(test.where.targets)) or "the reading"
     row = f" (row {test.rows[0]})" if len(test.rows) == 1 else ""
     rows = f"{targets}{' from ' if test.where.stations else ''}{', '.join(test.where.stations)}{row}"
-    return action.format(place=place, at_place=f" at {place}" if names else "", rows=rows)
+    setups = "this set-up" if len(test.where.stations) == 1 else "these set-ups" if names else "all set-ups"
+    return action.format(place=place, at_place=f" at {place}" if names else "", rows=rows, setups=setups)
 
 
 def cause_actions(tests: Iterable[CauseTest]) -> list[str]:

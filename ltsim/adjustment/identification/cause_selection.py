@@ -153,6 +153,14 @@ class CauseSelection:
         return sum(isinstance(change, ReadingShiftChange) for change in changes) > len(self.certain_motions)
 
     @property
+    def larger_noise(self) -> tuple[Hypothesis, ...]:
+        """Selected hypotheses that the noise is larger than declared, if no other cause is needed for consistency."""
+        chosen = tuple(choice.hypothesis for choice in self.selected_hypotheses)
+        changes = [h.model_change for h in chosen]
+        is_noise = all(isinstance(change, NoiseFactor) and change.start_factor > 1.0 for change in changes)
+        return chosen if self.is_consistent and is_noise else ()
+
+    @property
     def is_consistent(self) -> bool:
         """True if the network with the selected hypotheses passes the global test and every hypothesis is certain.
 

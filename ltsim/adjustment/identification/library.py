@@ -1,7 +1,8 @@
 """Library of hypotheses: errors that are possible at a station, at a target, in a reference value, and in the noise.
 
-A family is one kind of shift of readings at every station or target, from the beginning or from a time on. The
-signatures of a family are computed from one array, so that a network with thousands of places is screened at once.
+A family is one kind of shift of readings at every station or target, or at all stations of an instrument, from the
+beginning or from a time on. The signatures of a family are computed from one array, so that a network with thousands of
+places is screened at once.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -50,13 +51,25 @@ MAX_EXCHANGE_MISCLOSURE_RATIO = 0.02
 """Largest misclosure of the reference points after an exchange, relative to that without it and to that after any other
 exchange, below which the exchange is a hypothesis.
 """
-PlaceKind = Literal["station", "target"]
-"""Kind of place at which a family of hypotheses acts."""
+PlaceKind = Literal["station", "target", "instrument"]
+"""Kind of place at which a family of hypotheses acts: one station, one target, or all stations of an instrument."""
+
+
+@dataclass(frozen=True)
+class ShiftPlace:
+    """Stations and targets at which a shift may act, and their pointings."""
+
+    stations: tuple[str, ...]
+    """Names of the stations; empty for all."""
+    targets: tuple[str, ...]
+    """Names of the targets; empty for all."""
+    rows: Ints
+    """Indices of the pointings in the order of measurement."""
 
 
 @dataclass(frozen=True)
 class ShiftFamily:
-    """Family of hypotheses: one kind of shift of readings at every station or target.
+    """Family of hypotheses: one kind of shift of readings at every station or target, or of every instrument.
 
     Attributes
     ----------
@@ -64,7 +77,7 @@ class ShiftFamily:
         Kind of the error.
     acts_on : str
         Observable that is shifted, or `position`.
-    place_kind : {`station`, `target`}
+    place_kind : {`station`, `target`, `instrument`}
         Kind of place at which the error acts.
     design : (n, 3, p) float
         Change of the three readings of n pointings per unit of each of p parameters, if the shift acts on all
@@ -94,14 +107,16 @@ class ShiftFamily:
         if self.place_kind == "target":  # what moves between two pointings of one station is as well told of its set-up
             moved = np.diff(sightings.station[rows])[indices] != 0
             indices = indices[moved] if moved.any() else indices
+        if self.place_kind == "instrument":  # a change at its last station alone is a hypothesis of that station
+            last = sightings.station[rows[-1]]
+            indices = indices[indices < np.flatnonzero(sightings.station[rows] != last)[-1]]
         if len(indices) > MAX_SWITCH_EDGES:
             indices = indices[np.linspace(0, len(indices) - 1, MAX_SWITCH_EDGES).round().astype(int)]
         return middle[indices].tolist()
 
-    def make_effect(self, name: str, onset_time: float) -> Signature:
-        """Effect of this family at a station or target of this name, from the time `onset_time` [s] on."""
-        names = (name,)
-        stations, targets = (names, ()) if self.place_kind == "station" else ((), names)
+    def make_effect(self, place: ShiftPlace, onset_time: float) -> Signature:
+        """Effect of this family at a place, from the time `onset_time` [s] on."""
+        stations, targets = place.stations, place.targets
         if self.kind == "station-bump":
             return StationBump(stations, targets, time=onset_time)
         if self.kind == "station-drift":
@@ -112,6 +127,32 @@ class ShiftFamily:
             return SmrOffset(stations, targets)
         is_drift = self.kind == "constant-drift"
         return ReadingShift(self.acts_on, self.kind == "scale-error", stations, targets, onset_time, is_drift=is_drift)
+
+
+def shift_places(sightings: Sightings, place_kind: PlaceKind) -> list[ShiftPlace]:
+    """Places of a kind in a recording; of the instruments those that were used at several stations."""
+    order = sightings.measurement_order
+    if place_kind == "instrument":
+        places = []
+        for instrument in np.unique(sightings.instrument):
+            rows = order[sightings.instrument[order] == instrument]
+            stations = tuple(sightings.station_names[i] for i in np.unique(sightings.station[rows]))
+            if len(stations) > 1:
+                places.append(ShiftPlace(stations if len(rows) < len(order) else (), (), rows))
+        return places
+    index, names = (
+        (sightings.station, sightings.station_names)
+        if place_kind == "station"
+        else (sightings.target, sightings.target_names)
+    )
+    order = order[np.argsort(index[order], kind="stable")]
+    edges = np.searchsorted(index[order], np.arange(len(names) + 1))
+    parts = [(name, order[edges[i] : edges[i + 1]]) for i, name in enumerate(names)]
+    return [
+        ShiftPlace((name,), (), rows) if place_kind == "station" else ShiftPlace((), (name,), rows)
+        for name, rows in parts
+        if len(rows)
+    ]
 
 
 def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
@@ -130,8 +171,21 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
             yield ShiftFamily(
                 "constant-step", observable, "station", offset, min_pointings_around_onset=MIN_RIGID_POINTS
             )
-            drift = ReadingShift(observable, is_drift=True).design(sightings)
+            yield ShiftFamily(
+                "constant-step",
+                observable,
+                "instrument",
+                offset,
+                min_pointings_around_onset=MIN_RIGID_POINTS,
+            )
+            drift = offset * sightings.elapsed_visit_fraction[:, None, None]
             yield ShiftFamily("constant-drift", observable, "station", drift)
+        for observable, offset in zip(OBSERVABLES, (distance, azimuth, elevation), strict=True):
+            drifts = [
+                ReadingShift(observable, stations=place.stations, is_drift=True).design(sightings)
+                for place in shift_places(sightings, "instrument")
+            ]
+            yield ShiftFamily("constant-drift", observable, "instrument", np.sum([0.0 * offset, *drifts], axis=0))
         yield ShiftFamily("scale-error", "distance", "station", distance * sightings.range_[:, None, None])
         yield ShiftFamily("constant-offset", "distance", "target", distance)
         yield ShiftFamily(
@@ -147,11 +201,11 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
 
 @dataclass(frozen=True)
 class ShiftCandidate:
-    """Candidate: a shift of a family at one station or target, from one time on."""
+    """Candidate: a shift of a family at one place, from one time on."""
 
     family: ShiftFamily
-    place_name: str
-    """Name of the station or target."""
+    place: ShiftPlace
+    """Stations and targets at which the shift acts."""
     onset_time: float
     """Time [s] from which the shift acts; minus infinity for the whole recording."""
     affected_rows: Ints
@@ -163,10 +217,15 @@ class ShiftCandidate:
 
     def make_hypothesis(self, start_values: Floats) -> Hypothesis:
         """Hypothesis of the candidate; `start_values` (p,) [SI] are those of its p parameters."""
-        effect = self.family.make_effect(self.place_name, self.onset_time)
+        effect = self.family.make_effect(self.place, self.onset_time)
         kind, acts_on = self.family.kind, self.family.acts_on
         change = ReadingShiftChange(effect, tuple(start_values.tolist()))
         return Hypothesis(kind, acts_on, effect.stations, effect.targets, self.log_prior, change)
+
+    @property
+    def place_key(self) -> tuple[object, ...]:
+        """Key of kind and place; candidates with equal keys differ only in the onset time."""
+        return self.family.kind, self.family.acts_on, self.place.stations, self.place.targets
 
     @property
     def log_prior(self) -> float:
@@ -176,18 +235,14 @@ class ShiftCandidate:
 
 def shift_candidates(sightings: Sightings) -> list[ShiftCandidate]:
     """Candidate shifts of all families."""
-    shifts: list[tuple[ShiftFamily, str, float, Ints, Ints]] = []
+    places = {kind: shift_places(sightings, kind) for kind in get_args(PlaceKind)}
+    shifts: list[tuple[ShiftFamily, ShiftPlace, float, Ints, Ints]] = []
     for family in shift_families(sightings):
-        station = family.place_kind == "station"
-        index = sightings.station if station else sightings.target
-        names = sightings.station_names if station else sightings.target_names
-        order = sightings.measurement_order[np.argsort(index[sightings.measurement_order], kind="stable")]
-        edges = np.searchsorted(index[order], np.arange(len(names) + 1))
-        for i, name in enumerate(names):
-            rows = order[edges[i] : edges[i + 1]]
-            for since in family.candidate_onsets(sightings, rows) if len(rows) else ():
+        for place in places[family.place_kind]:
+            rows = place.rows
+            for since in family.candidate_onsets(sightings, rows):
                 late = sightings.time[rows] >= since
-                shifts.append((family, name, since, rows[late], rows[~late]))
+                shifts.append((family, place, since, rows[late], rows[~late]))
     count: dict[CauseKind, int] = {}
     for family, *_ in shifts:
         count[family.kind] = count.get(family.kind, 0) + 1

@@ -113,10 +113,9 @@ def _best_per_place(
 
     `ranked` contains gains and indices of all candidates, the largest gain first.
     """
-    places, best = set[tuple[str, str, str]](), []
+    places, best = set[tuple[object, ...]](), []
     for gain, i in ranked:
-        candidate = candidates[i]
-        key = candidate.family.kind, candidate.family.acts_on, candidate.place_name
+        key = candidates[i].place_key
         if key not in places:
             places.add(key)
             best.append((gain, i))
@@ -233,7 +232,7 @@ def _moved_targets(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> Ite
     gross, sightings = np.asarray(fit.is_outlier.any(axis=1)), fit.adjustment.sightings
     moved_indices = [i for i, c in enumerate(candidates) if c.family.kind == "target-moved"]
     share = {
-        candidates[i].place_name: float(
+        candidates[i].place.targets: float(
             gross[np.append(candidates[i].affected_rows, candidates[i].earlier_rows)].mean()
         )
         for i in moved_indices
@@ -245,7 +244,7 @@ def _moved_targets(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> Ite
         log_occam_factor_of_shift(10.0, 1)
     )
     sigma = fit.problem.sigma
-    for i in (i for i in moved_indices if candidates[i].place_name in suspects):
+    for i in (i for i in moved_indices if candidates[i].place.targets in suspects):
         parts = candidates[i].earlier_rows, candidates[i].affected_rows
         points = [point for rows in parts if (point := _target_position(fit, rows)) is not None]
         if len(points) < len(parts):
@@ -288,13 +287,14 @@ def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandid
     price = -log_prior_of("outlier", int(fit.problem_with_all_readings.used_readings.sum())) - float(
         log_occam_factor_of_shift(10.0, 1)
     )
-    offers, fits = list[tuple[float, Hypothesis]](), dict[str, NetworkFit | None]()
+    offers, fits = list[tuple[float, Hypothesis]](), dict[object, NetworkFit | None]()
     for c in sorted(tried, key=lambda c: -share[id(c)]):
-        if c.place_name not in fits:
+        names = c.place.stations, c.place.targets
+        if names not in fits:
             if len(fits) == MAX_FITTED_HYPOTHESES or not share[id(c)] > MIN_GROSS_FRACTION_FOR_TRIAL:
                 continue
-            fits[c.place_name] = fit.without_distances(c.affected_rows)
-        aside = fits[c.place_name]
+            fits[names] = fit.without_distances(c.affected_rows)
+        aside = fits[names]
         if aside is None:
             continue
         use = c.affected_rows[fit.problem_with_all_readings.used_readings[c.affected_rows, 0]]

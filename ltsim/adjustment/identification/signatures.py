@@ -10,13 +10,17 @@ from ltsim.geometry.rigid import pose_design
 from ltsim.physics.effects.signature import Linearisation, Parameter, Signature, design_from_front_face_corrections
 from ltsim.scene.sightings import Sightings
 
+MIN_VISIT_DURATION = 1e-9
+"""Smallest duration [s] of the longest visit: readings that were all made at one time do not drift."""
+
 
 @dataclass(frozen=True)
 class ReadingShift(Signature):
     """Offset, drift or scale error of the readings of one observable, for some stations and targets, from a time on.
 
     An offset of the elevations is an error of the vertical index. Its sign in the raw elevations depends on the face. A
-    drift grows at a constant rate from zero at the first pointing of a station; its parameter is the shift at the last.
+    drift grows at a constant rate from zero at the first pointing of each station; its parameter is the shift at the
+    end of the longest visit.
 
     Attributes
     ----------
@@ -64,7 +68,8 @@ class ReadingShift(Signature):
         """Change (n, 3, 1) of the raw readings per unit of the parameter."""
         acts = self.row_weights(sightings) * (sightings.time >= self.onset_time)
         if self.is_drift:
-            acts = acts * sightings.elapsed_visit_fraction
+            elapsed = acts * sightings.station_time
+            acts = elapsed / max(float(elapsed.max(initial=0.0)), MIN_VISIT_DURATION)
         size = acts * sightings.range_ if self.is_proportional else acts
         size = size * sightings.face_sign if self.observable == "elevation" else size
         return design_from_front_face_corrections(sightings, **{self.observable: -size[:, None]})

@@ -255,6 +255,7 @@ OBSERVABLE_CAUSES = {
     ("constant-step", "elevation", "station"): "the vertical index differs afterwards",
     ("constant-drift", "distance", "station"): "a drift of the range zero",
     ("constant-drift", "elevation", "station"): "a drift of the vertical index",
+    ("constant-drift", "azimuth", "station"): "the horizontal circle or the tripod head turns",
     ("scale-error", "distance", "station"): "a wrong atmospheric correction or unit at this set-up",
 }
 """Usual causes of a shift of one observable, by kind of the error, observable, and kind of place."""
@@ -265,12 +266,13 @@ def _observable_sentence(fit: NetworkFit, hypothesis: Hypothesis, estimate: dict
     at = ", ".join((*hypothesis.stations, *hypothesis.targets))
     place, link = ("target", "to") if hypothesis.targets else ("station", "from")
     cause = OBSERVABLE_CAUSES[hypothesis.kind, hypothesis.acts_on, place]
-    what, number = f"The {hypothesis.acts_on}s {link} {at}", estimate["estimate"]
+    what, number = f"The {hypothesis.acts_on}s {link} {at or 'all stations'}", estimate["estimate"]
     size = f"{with_sigma(abs(number), estimate['sigma'], estimate['unit'])}"
     if hypothesis.kind == "constant-step":
         return f"{what} changed by {size} {_row_interval_text(fit, hypothesis)}: {cause}."
     if hypothesis.kind == "constant-drift":
-        return f"{what} drifted by {size} during the measurement: {cause}."
+        interval = "the measurement" if len(hypothesis.stations) == 1 else "the longest occupation"
+        return f"{what} drifted by {size} during {interval}: {cause}."
     if hypothesis.acts_on != "distance":
         return f"{what} are wrong by {size}: {cause}."
     if hypothesis.kind == "constant-offset":

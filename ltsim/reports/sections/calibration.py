@@ -10,6 +10,7 @@ import numpy as np
 
 from ltsim.adjustment.identification import CauseTest
 from ltsim.adjustment.identification.actions import cause_actions
+from ltsim.adjustment.verdict import VerdictCase
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import read_targets
 from ltsim.calibration.schema import (
@@ -167,7 +168,7 @@ def _answer_sentence(content: Calibration, agreement_words: str, targets: Path |
             if n_rejected
             else ""
         )
-    sentence += f".{_corrections_sentence(content)}"
+    sentence += f".{_corrections_sentence(content)}{_larger_noise_sentence(content)}"
     accuracy = f" {target_uncertainty_sentence(read_targets(targets)[2])}" if targets is not None else ""
     return f"{sentence}{accuracy}".rstrip()
 
@@ -187,6 +188,18 @@ def _corrections_sentence(content: Calibration) -> str:
     dof = sum(test.dof for test in faults if test.sigma is not None)
     degrees = f", with {count_text(dof, 'degree')} of freedom" if dof else ""
     return f" The model corrects {count_text(len(faults), 'error')}{at}{degrees}."
+
+
+def _has_larger_noise(content: Calibration) -> bool:
+    """True if larger noise than declared is the only cause of the misfit."""
+    return content.verdict.case == VerdictCase.LARGER_NOISE.value
+
+
+def _larger_noise_sentence(content: Calibration) -> str:
+    """Sentences on noise larger than declared as the only cause of the misfit, with a leading blank; empty without."""
+    if not _has_larger_noise(content):
+        return ""
+    return "".join(f" {test.sentence}" for test in content.tests if test.kind == "noise-level" and test.is_fault)
 
 
 def _agrees_with_constants(content: Calibration) -> bool:
@@ -272,7 +285,7 @@ def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
     if (
         p_value is not None
         and p_value < AGREEMENT_LEVEL / 2
-        and not (content.noise_estimated or _agrees_with_constants(content))
+        and not (content.noise_estimated or _agrees_with_constants(content) or _has_larger_noise(content))
     ):
         actions.append("Run ltsim diagnose to locate the disagreement of readings and model.")
     if content.verdict.scale_by_sigma0 and not (content.noise or _agrees_with_constants(content)):

@@ -12,6 +12,7 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.identification import CauseSelection, FitInput, cause_tests, select_causes
+from ltsim.adjustment.identification.actions import cause_action
 from ltsim.adjustment.identification.evidence import (
     LOG_SIZE_PRIOR_WIDTH,
     estimate_noise_factors,
@@ -122,6 +123,35 @@ def test_a_constant_that_drifts_evenly_at_a_station(observable: str, size: float
     assert test.estimate == pytest.approx(size / unit, abs=5.0 * test.sigma)
     assert "drifted by" in test.sentence
     assert np.allclose(selection.fit.state.target_points, truth.state.target_points, atol=1e-4)
+
+
+@pytest.mark.parametrize(("observable", "size"), [("elevation", 1.5e-5), ("azimuth", 1.5e-5), ("distance", 6e-5)])
+def test_a_constant_that_drifts_evenly_at_all_stations(observable: str, size: float) -> None:
+    recording, truth = hall()
+    time = recording.time - np.array([recording.time[recording.station == s].min() for s in recording.station])
+    wrong = shifted(recording, np.ones(len(time), bool), OBSERVABLES.index(observable), size * time / time.max())
+    selection = identified(wrong)
+    assert the_one(selection) == ("constant-drift", (), ())
+    (test,) = [t for t in cause_tests(selection) if t.accepted and t.kind != "outlier"]
+    assert (test.acts_on, cause_action(test)) == (
+        observable,
+        "Let the tracker reach its operating temperature, and measure all set-ups again.",
+    )
+    assert abs(test.estimate) == pytest.approx(
+        size / (1e-3 if observable == "distance" else ARCSECOND), abs=5.0 * test.sigma
+    )
+    assert np.allclose(selection.fit.state.target_points, truth.state.target_points, atol=1e-4)
+
+
+@pytest.mark.parametrize(("observable", "size"), [("elevation", 3e-5), ("distance", 1e-4)])
+def test_a_constant_that_changes_once_at_a_station_and_all_later_ones(observable: str, size: float) -> None:
+    recording, _ = hall()
+    begin = float(np.median(recording.time[recording.station == 1]))
+    wrong = shifted(recording, recording.time >= begin, OBSERVABLES.index(observable), size)
+    selection = identified(wrong)
+    assert the_one(selection) == ("constant-step", (), ())
+    (test,) = [t for t in cause_tests(selection) if t.accepted and t.kind != "outlier"]
+    assert f"The {observable}s from all stations changed by" in test.sentence
 
 
 def test_a_station_that_moves_evenly_is_no_drift_of_a_constant() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -13,6 +14,7 @@ import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.identification.signatures import ReadingShift
 from ltsim.core.arrays import Ints
+from ltsim.core.units import ARCSECOND
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.recordings.recording import Recording
 from ltsim.reports.sections import result_section
@@ -163,6 +165,52 @@ def test_every_verb_names_a_simple_cause_first_at_its_place(cause: Cause, size: 
     checked = lt.check(recording)
     assert not checked.passed
     assert all(name in checked.sentence for names in place for name in names)
+
+
+DRIFTS_AT_ALL_STATIONS = [
+    pytest.param("elevation", 1e-5, "index-drift", id="elevation"),
+    *(
+        pytest.param(observable, size, effect, id=observable, marks=pytest.mark.long)
+        for observable, size, effect in (("azimuth", 1e-5, "azimuth-drift"), ("distance", 5e-5, "range-drift"))
+    ),
+]
+"""Observable whose constant drifts at every station, its change [m or rad], and the catalogue effect."""
+
+
+@pytest.mark.parametrize(("observable", "size", "effect"), DRIFTS_AT_ALL_STATIONS)
+def test_every_verb_names_a_constant_that_drifts_at_all_stations(observable: str, size: float, effect: str) -> None:
+    recording = workshop()
+    change = ReadingShift(observable, is_drift=True).reading_change(adjust(recording).sightings, np.array([size]))
+    drifting = recording.with_readings(recording.readings + change)
+    checked = lt.check(drifting)
+    assert not checked.passed
+    assert f"The {observable}s from all stations drifted by" in checked.sentence
+    assert set(first_places(drifting).values()) == {((), ())}
+    for result in (lt.adjust(drifting), lt.calibrate(drifting, advise=False)):
+        (cause,) = [test for test in result.tests if test.accepted]
+        assert (cause.kind, cause.acts_on) == ("constant-drift", observable)
+        assert cause.estimate == pytest.approx(size / (1e-3 if observable == "distance" else ARCSECOND), rel=0.3)
+    assert lt.diagnose(drifting).findings[0].effect == effect
+
+
+def test_every_verb_gives_the_settings_for_noise_declared_too_small() -> None:
+    recording = workshop()
+    noise = recording.setup.instrument.noise
+    quieter = noise.model_copy(
+        update={name: value / 2.5 for name, value in noise.model_dump().items() if "arcsec" in name}
+    )
+    instrument = recording.setup.instrument.model_copy(update={"noise": quieter})
+    declared = recording.replace(setup=recording.setup.model_copy(update={"instrument": instrument}))
+    sentence = lt.check(declared).sentence
+    (setting,) = re.findall(
+        r"set azimuth_arcsec to [0-9.]+, elevation_arcsec to [0-9.]+ in \[instrument.noise\]", sentence
+    )
+    for result in (lt.adjust(declared), lt.calibrate(declared, advise=False)):
+        assert result.verdict.case == "larger noise"
+        assert setting in result.verdict.sentence
+        assert "systematic effect" not in result.verdict.sentence
+        assert setting in result_section(result).summary
+        assert not any("ltsim diagnose" in action for action in result_section(result).next_actions)
 
 
 def test_a_target_that_moved_is_in_the_model_of_a_calibration() -> None:
