@@ -77,7 +77,7 @@ def calibrate_network(
         chosen.earlier_calibrations is not None,
     )
     freed, grouping = np.zeros(prior.mean.shape, dtype=bool), _noise_grouping(noise_from_data)
-    quiet_by, noise_may_differ = "", True
+    quiet_by, noise_may_differ, tried_sets, alternates = "", True, [freed], False
     # A single cause of a misfit could absorb an effect that the user requests.
     selection = identify_causes(recording, model, prior) if choose_correction and not extra_effects else None
     for remaining in reversed(range(MAX_ALTERNATIONS if choose_correction else 1)):
@@ -101,15 +101,17 @@ def calibrate_network(
             continue
         further = (
             freed
-            if history_prior or chosen.has_no_prior or not remaining
+            if history_prior or chosen.has_no_prior or alternates or not remaining
             else contradicted_prior_mask(adjustment, prior)
         )
         if remaining and noise_may_differ and grouping is None and is_noise_overstated(adjustment):
             grouping, quiet_by = "observable", f"{adjustment.sigma0:.2f}"
         elif np.array_equal(freed, further):
             break
-        else:
-            freed = further
+        else:  # of two sets that alternate, only the priors in both are widened
+            alternates = any(np.array_equal(further, earlier) for earlier in tried_sets)
+            freed = freed & further if alternates else further
+            tried_sets.append(freed)
     tests = () if selection is None else cause_tests(selection)
     calibration = _make_calibration(
         recording,

@@ -10,7 +10,6 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import DEGREE, MILLIMETRE, QUARTER_TURN, SI_PER_UNIT
@@ -122,10 +121,9 @@ def station_clouds(points: Floats, station: Ints, target: Ints) -> dict[int, dic
 
 def shared_target_counts(station: Ints, target: Ints, n_stations: int) -> Ints:
     """Numbers (S, S) of targets that pairs of S stations share, from the stations and targets (n,) of pointings."""
-    shape = n_stations, int(target.max(initial=0)) + 1
-    is_sighted = sp.csr_array((np.ones(len(station), dtype=np.int64), (station, target)), shape)
-    is_sighted.data[:] = 1  # repeated pointings have been added up
-    counts: Ints = (is_sighted @ is_sighted.T).toarray()
+    is_sighted = np.zeros((n_stations, int(target.max(initial=0)) + 1), dtype=np.float32)
+    is_sighted[station, target] = 1.0
+    counts: Ints = (is_sighted @ is_sighted.T).astype(np.int64)
     return counts
 
 
