@@ -10,9 +10,6 @@ from ltsim.geometry.rigid import pose_design
 from ltsim.physics.effects.signature import Linearisation, Parameter, Signature, design_from_front_face_corrections
 from ltsim.scene.sightings import Sightings
 
-MIN_VISIT_DURATION = 1e-9
-"""Smallest duration [s] of the longest visit: readings that were all made at one time do not drift."""
-
 
 @dataclass(frozen=True)
 class ReadingShift(Signature):
@@ -69,7 +66,7 @@ class ReadingShift(Signature):
         acts = self.row_weights(sightings) * (sightings.time >= self.onset_time)
         if self.is_drift:
             elapsed = acts * sightings.station_time
-            acts = elapsed / max(float(elapsed.max(initial=0.0)), MIN_VISIT_DURATION)
+            acts = elapsed / (float(elapsed.max(initial=0.0)) or 1.0)  # readings made at one time do not drift
         size = acts * sightings.range_ if self.is_proportional else acts
         size = size * sightings.face_sign if self.observable == "elevation" else size
         return design_from_front_face_corrections(sightings, **{self.observable: -size[:, None]})
