@@ -20,6 +20,7 @@ from ltsim.acceptance.files import TestEntry, make_test_entry
 from ltsim.adjustment import Adjustment
 from ltsim.adjustment.identification import CauseTest
 from ltsim.adjustment.identification.actions import cause_actions
+from ltsim.adjustment.identification.hypothesis import CauseKind
 from ltsim.adjustment.identification.signatures import ReadingShift
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.verbs import calibrate
@@ -34,13 +35,13 @@ from ltsim.recordings.specification import Specification
 
 MAX_OUTLIER_ROUNDS = 3
 """Largest number of adjustments in which outliers are identified."""
-CENTRING_KIND = "centring"
+CENTRING_KIND: CauseKind = "centring"
 """Kind of a cause that is not removed from the readings: the uncertainties contain it."""
-TRACKER_CAUSE_KINDS = ("constant-drift", "noise-level", CENTRING_KIND)
+TRACKER_CAUSE_KINDS: tuple[CauseKind, ...] = ("constant-drift", "noise-level", CENTRING_KIND)
 """Kinds of causes that may be errors of the tracker. Random displacements at each set-up (`centring`) have the same
 effect as errors of the tracker that repeat in all rounds.
 """
-RECORDING_CAUSE_KINDS = (
+RECORDING_CAUSE_KINDS: tuple[CauseKind, ...] = (
     "constant-offset",
     "constant-step",
     "scale-error",

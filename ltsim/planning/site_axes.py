@@ -9,14 +9,12 @@ from ltsim.adjustment.remedies.remedy import FloorPlan
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, SetupError, option
 from ltsim.core.units import DEGREE, MILLIMETRE
-from ltsim.geometry.rigid import align_robustly, rotation_about_z
+from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_robustly, rotation_about_z
 from ltsim.physics.model.construction import declared_construction
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.planning.site import SearchSpace
 from ltsim.recordings import Recording
 
-MIN_COMMON_POINTS = 3
-"""Smallest number of targets with the name of a point of the plan that determine the axes of the site."""
 MAX_MEDIAN_MISFIT = 0.1
 """Largest median distance [m] of such targets from the points of the plan. Reflectors are placed within centimetres of
 their planned points; other points are metres away.
@@ -30,7 +28,7 @@ and approximate; those in other axes are metres away.
 def with_positions_on_site(recording: Recording, site: SearchSpace, site_name: str) -> Recording:
     """Recording whose set-up has the adjusted positions and yaws of the stations, in the axes of a site.
 
-    The targets with names of points of the plan determine the axes. With fewer than `MIN_COMMON_POINTS` of them the
+    The targets with names of points of the plan determine the axes. With fewer than `MIN_RIGID_POINTS` of them the
     stated positions of the stations do, and the recording is returned unchanged.
 
     Raises
@@ -70,7 +68,7 @@ def _plan_from_points(
     """
     point_by_name = dict(zip(site.survey.target_names, site.survey.target_points, strict=True))
     names = [name for name in recording.targets if name in point_by_name and name not in undetermined]
-    if len(names) < MIN_COMMON_POINTS:
+    if len(names) < MIN_RIGID_POINTS:
         return None
     here = state.target_points[[recording.targets.index(name) for name in names]]
     there = np.array([point_by_name[name] for name in names])

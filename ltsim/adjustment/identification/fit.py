@@ -149,8 +149,8 @@ class NetworkFit:
         is_first = start_state is None
         problem, start_state = cls._make_problem(network, hypotheses, start_state, approximate_sightings)
         if is_first:
-            resected = resect_contradicted_setups(problem, start_state)
-            start_state = resect_contradicted_setups(problem, robust_state or fit_robust_state(problem, resected)[0])
+            start = robust_state or fit_robust_state(problem, resect_contradicted_setups(problem, start_state))[0]
+            start_state = resect_contradicted_setups(problem, start)
         full_problem = drop_undetermined(problem, start_state)
         fit = cls(network, hypotheses, full_problem, *snoop_readings(full_problem, start_state, MAX_ALTERNATIONS))
         if any(isinstance(h.model_change, NoiseFactor) for h in hypotheses):

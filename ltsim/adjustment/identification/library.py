@@ -164,20 +164,15 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
     if stations:
         yield ShiftFamily("constant-offset", "distance", "station", distance)
         yield ShiftFamily("constant-offset", "elevation", "station", elevation)
+        step_places: tuple[PlaceKind, ...] = ("station", "instrument")
         for observable, offset in (
             ("distance", distance),
             ("elevation", elevation),
         ):  # an azimuth: a station that turns
-            yield ShiftFamily(
-                "constant-step", observable, "station", offset, min_pointings_around_onset=MIN_RIGID_POINTS
-            )
-            yield ShiftFamily(
-                "constant-step",
-                observable,
-                "instrument",
-                offset,
-                min_pointings_around_onset=MIN_RIGID_POINTS,
-            )
+            for place_kind in step_places:
+                yield ShiftFamily(
+                    "constant-step", observable, place_kind, offset, min_pointings_around_onset=MIN_RIGID_POINTS
+                )
             drift = offset * sightings.elapsed_visit_fraction[:, None, None]
             yield ShiftFamily("constant-drift", observable, "station", drift)
         for observable, offset in zip(OBSERVABLES, (distance, azimuth, elevation), strict=True):
