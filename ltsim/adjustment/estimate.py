@@ -12,8 +12,10 @@ from ltsim.adjustment.frame import alignment_distances
 from ltsim.adjustment.marks import StationMarks
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import WEAK_PRIOR_FACTOR, NetworkProblem
-from ltsim.adjustment.reference_tests import TESTED_REFERENCE_KINDS, ReferenceTest, snoop_references
+from ltsim.adjustment.reference_snooping import snoop_references
+from ltsim.adjustment.reference_tests import TESTED_REFERENCE_KINDS, ReferenceTest
 from ltsim.adjustment.reference_values import ReferenceKind
+from ltsim.adjustment.reliability import noise_factor
 from ltsim.adjustment.significance import (
     FAMILY_LEVEL,
     MAX_TRACKER_ERROR,
@@ -232,8 +234,9 @@ def fit_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, t
     """Recording whose datum consists of the points that agree about the axes, and the test of each point.
 
     Each point is tested against the other points: its misclosure in their axes is compared with the uncertainty of the
-    network at this point and with the scatter of the other points. A contradicting point is excluded. If the other
-    points alone do not determine the axes, the point remains, with its coordinates corrected by the estimated error.
+    network at this point, multiplied by the `noise_factor` of the fit, and with the scatter of the other points. A
+    contradicting point is excluded. If the other points alone do not determine the axes, the point remains, with its
+    coordinates corrected by the estimated error.
     """
     recording = adjustment.recording
     declared_points = (
@@ -243,8 +246,9 @@ def fit_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, t
     deviations = alignment_distances(adjusted_points, declared_points, align_robustly(adjusted_points, declared_points))
     use = deviations <= max(MIN_MISFIT_RATIO * float(np.median(deviations)), MAX_TRACKER_ERROR)
     use |= use.sum() <= len(names) / 2
+    factor = noise_factor(adjustment.problem, adjustment.solution)
     for _ in range(2 * len(names)):
-        tests = _axes_tests(adjustment, names, declared_points, use)
+        tests = _axes_tests(adjustment, names, declared_points, use, factor)
         ratio = np.array([test.normalised_error / test.critical_value for test in tests])
         if (~use & (ratio <= 1.0)).any():
             k = int(np.argmin(np.where(use, np.inf, ratio)))
@@ -264,15 +268,18 @@ def fit_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, t
 
 
 def _axes_tests(
-    adjustment: Adjustment, names: Sequence[str], declared_points: Floats, used_mask: Bools
+    adjustment: Adjustment, names: Sequence[str], declared_points: Floats, used_mask: Bools, factor: float
 ) -> list[ReferenceTest]:
-    """Tests of k points with declared coordinates (k, 3) [m], each against the points that `used_mask` (k,) flags."""
+    """Tests of k points with declared coordinates (k, 3) [m], each against the points that `used_mask` (k,) flags.
+
+    The standard deviations of the network are multiplied by `factor`.
+    """
     chosen = [name for name, used in zip(names, used_mask, strict=True) if used]
     datum_adjustment = adjustment.with_inner_datum(chosen)
     indices = [datum_adjustment.recording.targets.index(name) for name in names]
     state, _ = move_to_datum(datum_adjustment.problem, datum_adjustment.state, chosen)
     turn = state.station_rotations[0] @ datum_adjustment.state.station_rotations[0].T
-    covariance = turn @ datum_adjustment.target_covariance[indices] @ turn.T
+    covariance = factor**2 * turn @ datum_adjustment.target_covariance[indices] @ turn.T
     gap, places = declared_points - state.target_points[indices], state.target_points[indices]
     centre = places[used_mask].mean(axis=0)
     motions = motions_about_centre(datum_adjustment.problem.free_motions, centre)

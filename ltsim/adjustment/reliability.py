@@ -15,9 +15,12 @@ from ltsim.adjustment.significance import (
     TEST_POWER,
 )
 from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.probability import AGREEMENT_LEVEL
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.design import robust_sigma
 from ltsim.solve.elimination import BlockFactor
+from ltsim.solve.gauss_newton import Solution
 
 MAX_SIGMA0_DECLARED_NOISE = 1.25
 """Robust sigma0 up to which residuals are tested with the declared noise; above it the estimated noise is used."""
@@ -53,6 +56,21 @@ def noise_scale(normalised_residuals: Floats, redundancy: Floats) -> float:
     """
     scale = robust_sigma(normalised_residuals[np.nan_to_num(redundancy) > MIN_CHECKED_REDUNDANCY])
     return scale if scale > MAX_SIGMA0_DECLARED_NOISE else 1.0
+
+
+def noise_factor(problem: NetworkProblem, solution: Solution[NetworkState]) -> float:
+    """Factor on the declared noise with which all tests of a fit are made, at least 1.
+
+    It is 1 if the global test accepts the fit, or if only single readings contradict it: then `noise_scale` is 1.
+    Otherwise it is sigma0, at most `noise_scale`, which single errors do not enlarge.
+    """
+    dof, chi2 = problem.dof, solution.sum_of_squares
+    if solution.factor is None or dof <= 0 or special.chdtrc(dof, chi2) >= AGREEMENT_LEVEL / 2:
+        return 1.0
+    redundancy = redundancy_numbers(problem, solution.factor)
+    residuals = problem.reading_residuals(problem.model.predict(solution.x))
+    scale = noise_scale(standardised_residuals(problem, residuals, redundancy), redundancy)
+    return max(1.0, min(scale, float(np.sqrt(chi2 / dof))))
 
 
 def noisy_groups(normalised_residuals: Floats, redundancy: Floats, target: Ints) -> tuple[Ints, float, float]:

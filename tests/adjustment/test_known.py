@@ -260,6 +260,42 @@ def test_a_point_that_misses_the_axes_of_the_others_is_left_out_of_the_datum(siz
         np.testing.assert_allclose(found.state.target_points, sound.state.target_points, atol=1e-8)
 
 
+def with_declared_noise(recording: Recording, factor: float) -> Recording:
+    """The same readings, with the declared standard deviations of all of them multiplied by a factor."""
+    noise = recording.setup.instrument.noise
+    larger = {name: factor * getattr(noise, name) for name in type(noise).model_fields}
+    instrument = recording.setup.instrument.model_copy(update={"noise": noise.model_copy(update=larger)})
+    return recording.replace(setup=recording.setup.model_copy(update={"instrument": instrument}))
+
+
+@pytest.mark.parametrize("factor", family([4.0, 2.0, 8.0], 1))
+def test_tests_of_known_values_use_the_noise_of_the_readings(factor: float) -> None:
+    """Four times the declared noise: points that define axes, and control points, are tested as if it were declared."""
+    recording = network(seed=6, stations=3)[0]
+    sigma = recording.sigma()
+    noisy = recording.with_readings(
+        recording.readings + factor * sigma * stream(6, "more").standard_normal(sigma.shape)
+    )
+    points = {name: mesh()[recording.targets.index(name)] for name in SIX}
+    points[SIX[0]] = points[SIX[0]] + np.array([0.0, 0.0, 1e-5 * factor])
+    tests = [
+        adjust(with_axes_of_points(each, points, "hall.csv")) for each in (noisy, with_declared_noise(noisy, factor))
+    ]
+    found, right = ({test.name: test for test in a.axis_tests} for a in tests)
+    assert tests[0].sigma0 > 0.8 * factor
+    assert not any(test.is_excluded for test in found.values())
+    for name in SIX:
+        assert found[name].normalised_error == pytest.approx(right[name].normalised_error, rel=0.25, abs=0.1)
+    targets = dict(noisy.setup.targets)
+    for name in SIX:
+        known = {"known_mm": tuple((1e3 * points[name]).tolist()), "known_sigma_mm": SIGMA}
+        targets[name] = targets[name].model_copy(update=known)
+    controlled_noisy = noisy.replace(setup=noisy.setup.model_copy(update={"targets": targets}))
+    known_tests = [test for test in adjust(controlled_noisy, tested_kinds=()).reference_tests if test.kind == "point"]
+    assert len(known_tests) == len(SIX)
+    assert known_tests[0].sigma[0] == pytest.approx(factor * SIGMA * 1e-3, rel=0.2)
+
+
 def test_a_sigma_in_millimetres_stays_one_beside_coordinates_in_metres(tmp_path: Path) -> None:
     (tmp_path / "list.csv").write_text("name,x_m,y_m,z_m,sigma_mm\nP1,4.5,11.25,0.25,0.1\nP2,1.5,1.25,0.5,0.2\n")
     np.testing.assert_allclose(read_points(tmp_path / "list.csv").sigma, np.outer([1e-4, 2e-4], np.ones(3)))

@@ -11,7 +11,6 @@ from functools import reduce
 from pathlib import Path
 
 import numpy as np
-from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.blunders import apply_corrections, detect_blunders
@@ -25,15 +24,15 @@ from ltsim.adjustment.fieldcheck.result import (
     CheckItemKind,
     HypothesisFamily,
     SetupCheck,
-    two_sided_chi2_p_value,
 )
+from ltsim.adjustment.fieldcheck.scatter import repeatability_item, scatter_by_target, target_scatter_item
 from ltsim.adjustment.fieldcheck.words import (
     bump_sentence,
     drift_sentence,
+    estimated_noise_text,
     face_sentence,
     gross_sentence,
     instrument_sentence,
-    target_sentence,
 )
 from ltsim.adjustment.identification import cause_tests, identify_causes
 from ltsim.adjustment.reliability import neg_log_p_chi2
@@ -59,8 +58,6 @@ N_SETUP_TESTS = 6
 
 SentenceWriter = Callable[[Recording, ColumnsFit, bool], str]
 """Function that writes the sentence of a test from the recording, the fit, and a flag that the test passed."""
-MIN_TARGET_DOF = 6.0
-"""Number of degrees of freedom from which the scatter of a target is compared with that of the other targets."""
 
 
 def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple[float, float] | None = None) -> Check:
@@ -103,7 +100,7 @@ def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple
     family = HypothesisFamily(level, 2 * N_SETUP_TESTS * max(len(full_recording.stations), 1))
     all_indices = range(len(full_recording.stations))
     setups, network = (
-        tuple(_test_setup(corrected, paired, s, family, mpe) for s in all_indices),
+        tuple(_test_setup(corrected, paired, full_recording, s, family, mpe) for s in all_indices),
         tuple[CheckItem, ...](),
     )
     if len(full_recording.stations) > 1:
@@ -115,7 +112,9 @@ def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple
             noise_scaled_recording, scattering = scale_target_noise(corrected, adjustment_or_error)
             recording_to_test = apply_corrections(noise_scaled_recording, detect_blunders(adjustment_or_error))
         if recording_to_test is not corrected:  # a set-up is not blamed for what has a name
-            setups = tuple(_test_setup(recording_to_test, recording_to_test, s, family, mpe) for s in all_indices)
+            setups = tuple(
+                _test_setup(recording_to_test, recording_to_test, full_recording, s, family, mpe) for s in all_indices
+            )
         shared = HypothesisFamily(level, 2 * n_network_tests(full_recording))
         network_tests = network_items(
             noise_scaled_recording,
@@ -124,6 +123,7 @@ def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple
             motions,
             moving,
             with_target_noise=noise_scaled_recording is not corrected,
+            noise_text=estimated_noise_text(noise_scaled_recording, full_recording),
         )
         network = (*scattering, *network_tests)
     result = Check.from_items(CheckArrays(full_recording, setups), network, level, causes)
@@ -150,6 +150,7 @@ def write_check(check: Check, folder: Path, extra_files: Mapping[str, str]) -> C
 def _test_setup(
     setup_recording: Recording,
     paired_recording: Recording,
+    declared_recording: Recording,
     station: int,
     family: HypothesisFamily,
     mpe: tuple[float, float] | None,
@@ -157,11 +158,14 @@ def _test_setup(
     """Tests of a set-up.
 
     The two-face differences are those of `paired_recording`, which contains outliers; the other tests use
-    `setup_recording`.
+    `setup_recording`. `declared_recording` has the declared noise.
     """
     indices = np.flatnonzero(setup_recording.station == station)
     recording, row_numbers, name = setup_recording.select(indices), indices + 1, setup_recording.stations[station]
-    construction = declared_construction(recording)
+    construction, noise_text = (
+        declared_construction(recording),
+        estimated_noise_text(recording, declared_recording.select(indices)),
+    )
     occupation = StationOccupation.from_recording(recording, construction)
     setup_tests = SetupTests((), occupation, (), recording)
     if occupation.dof > 0:
@@ -175,16 +179,17 @@ def _test_setup(
         ),
     )
     if faces is not None:
-        limit = "noise and specification" if mpe is None else "the limit"
+        noise = "the estimated noise and the specification" if noise_text else "noise and specification"
+        limit = noise if mpe is None else "the limit"
         sentence, targets, worst = face_sentence(faces, recording, limit)
         pair = tuple(row_numbers[worst].tolist())
         items.append(CheckItem.from_test(name, "two-face", not targets, sentence, targets=targets, rows=pair))
     if occupation.dof < 1:
         return SetupCheck(name, tuple(items), faces, None, row_numbers)
     remaining = setup_tests.corrected_occupation
-    scale = _scatter_by_target(remaining, family)
+    scale = scatter_by_target(remaining, family)
     if scale is None:
-        items += [*setup_tests.items, _repeatability_item(remaining, family)]
+        items += [*setup_tests.items, repeatability_item(remaining, family, noise_text)]
     else:
         setup_tests = _gross_and_motion_tests(
             StationOccupation.from_recording(recording, construction, sigma=occupation.sigma * scale),
@@ -192,7 +197,7 @@ def _test_setup(
             family,
             row_numbers,
         )
-        items += [_target_scatter_item(occupation, remaining, family), *setup_tests.items]
+        items += [target_scatter_item(occupation, remaining, family, noise_text), *setup_tests.items]
     return SetupCheck(name, tuple(items), faces, remaining, row_numbers, setup_tests.motions)
 
 
@@ -234,26 +239,6 @@ def _gross_and_motion_tests(
         together = np.concatenate(designs, axis=2)
         recording = recording.with_readings(recording.readings - together @ occupation.fit_columns(together).estimates)
     return SetupTests(tuple(items), remaining, tuple(motions), recording)
-
-
-def _scatter_by_target(occupation: StationOccupation, family: HypothesisFamily) -> Floats | None:
-    """Factor (n, 1) on the declared noise of each of n pointings, at least 1, from the scatter at its target.
-
-    None if the scatter of the targets does not differ significantly (test of Bartlett).
-    """
-    chi2, dof = occupation.target_chi2_and_dof()
-    is_testable = dof >= MIN_TARGET_DOF
-    variance, dof_of_target = chi2[is_testable] / np.maximum(dof[is_testable], 1.0), dof[is_testable]
-    if is_testable.sum() < 2 or not variance.min() > 0.0:
-        return None
-    mean_variance = float(dof_of_target @ variance / dof_of_target.sum())
-    gain = dof_of_target.sum() * np.log(mean_variance) - dof_of_target @ np.log(variance)
-    gain /= 1.0 + (np.sum(1.0 / dof_of_target) - 1.0 / dof_of_target.sum()) / (3.0 * (len(dof_of_target) - 1.0))
-    if not special.chdtrc(len(dof_of_target) - 1.0, gain) < family.alpha_per_test:
-        return None
-    scatter_ratio = np.full(len(dof), np.sqrt(mean_variance))
-    scatter_ratio[is_testable] = np.sqrt(variance)
-    return np.asarray(np.maximum(scatter_ratio, 1.0)[occupation.recording.target][:, None])
 
 
 def _gross_pointings_and_bump(
@@ -365,33 +350,3 @@ def _drift_item(
     return CheckItem.from_test(
         occupation.recording.stations[0], kind, is_passed, write_sentence(occupation.recording, fit, is_passed), p_value
     )
-
-
-def _repeatability_item(occupation: StationOccupation, family: HypothesisFamily) -> CheckItem:
-    """Result of the two-sided test of the scatter of repeated pointings against the declared noise.
-
-    Scatter that is significantly smaller than declared passes with a remark.
-    """
-    name, ratio = occupation.recording.stations[0], float(np.sqrt(occupation.chi2 / max(occupation.dof, 1)))
-    if occupation.dof < 1:
-        return CheckItem.from_test(
-            name, "closure", True, f"{name}: too few repeated pointings for an estimate of the scatter"
-        )
-    p, less = two_sided_chi2_p_value(occupation.chi2, occupation.dof)
-    p = family.corrected_p_value(p)
-    freedom = f"{occupation.dof} degrees of freedom"
-    phrase = f"{name}: repeated pointings scatter {ratio:.2f} times the declared noise ({freedom})"
-    if p >= family.false_alarm_rate:
-        return CheckItem.from_test(name, "closure", True, f"{phrase}, as expected", p)
-    return CheckItem.from_test(name, "closure", less, f"{phrase}, {'less' if less else 'more'} than declared", p)
-
-
-def _target_scatter_item(
-    occupation: StationOccupation, corrected_occupation: StationOccupation, family: HypothesisFamily
-) -> CheckItem:
-    """Result of the test of scatter for a set-up whose targets scatter differently, with the names of the worst."""
-    closure, (chi2, dof) = _repeatability_item(corrected_occupation, family), corrected_occupation.target_chi2_and_dof()
-    listed_targets = np.flatnonzero(dof >= MIN_TARGET_DOF)
-    listed_targets = listed_targets[np.argsort(-chi2[listed_targets] / dof[listed_targets], kind="stable")]
-    sentence, targets = target_sentence(occupation, listed_targets)
-    return closure.model_copy(update={"sentence": f"{closure.sentence}: {sentence}", "targets": targets})

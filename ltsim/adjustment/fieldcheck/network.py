@@ -14,6 +14,7 @@ from ltsim.adjustment.fieldcheck.result import CheckItem, HypothesisFamily, two_
 from ltsim.adjustment.quality import network_warnings, require_usable
 from ltsim.adjustment.reference_tests import reference_tests
 from ltsim.adjustment.reference_values import ReferenceKind
+from ltsim.adjustment.reliability import noise_factor
 from ltsim.adjustment.significance import GLOBAL_LEVEL, MIN_CHECKED_REDUNDANCY, MIN_DOF_FOR_ESTIMATED_NOISE
 from ltsim.adjustment.station_motions import FittedMotion, SuddenMotion, motion_sentences
 from ltsim.adjustment.verdict import VerdictCase, verdict_on
@@ -106,11 +107,13 @@ def network_items(
     moving_stations: Sequence[FittedMotion],
     *,
     with_target_noise: bool,
+    noise_text: str,
 ) -> tuple[CheckItem, ...]:
     """Results of the tests of all stations together, with the errors of the instrument estimated.
 
     `adjustment_or_error` is the network adjusted with the declared noise, also if `recording` has increased noise at
     some targets. `motions` were detected in single set-ups, `moving_stations` are motions that only the network shows.
+    `noise_text` states an estimated noise of `recording`; it is empty for the declared noise.
     """
     try:
         construction = declared_construction(recording)
@@ -168,7 +171,7 @@ def network_items(
                 np.arange(len(is_explained)),
                 [motion.row for motion in adjustment_or_error.flagged_readings(uses_estimated_noise=True)],
             )
-        items += [*_target_agreement_items(adjustment, is_explained, family), *_level_items(fitted, family)]
+        items += [*_target_agreement_items(adjustment, is_explained, family, noise_text), *_level_items(fitted, family)]
         items += _length_items(fitted, family)
     return tuple(items)
 
@@ -187,7 +190,9 @@ def _has_instrument_errors(without_instrument_errors: Adjustment, with_instrumen
     return bool(special.fdtrc(n_parameters, with_instrument_errors.dof, max(f_statistic, 0.0)) < GLOBAL_LEVEL)
 
 
-def _target_agreement_items(fitted: Adjustment, is_explained: Bools, family: HypothesisFamily) -> list[CheckItem]:
+def _target_agreement_items(
+    fitted: Adjustment, is_explained: Bools, family: HypothesisFamily, noise_text: str
+) -> list[CheckItem]:
     """Result of the test whether the stations agree on their common targets, with the worst pointing.
 
     `is_explained` (n,) flags pointings that another item already reports; they are left out.
@@ -196,6 +201,7 @@ def _target_agreement_items(fitted: Adjustment, is_explained: Bools, family: Hyp
     alone, less = two_sided_chi2_p_value(fitted.chi2, fitted.dof)
     p = family.corrected_p_value(alone)
     scatter = f"sigma0 is {fitted.sigma0:.2f}, expected is 1 ({fitted.dof} degrees of freedom)"
+    scatter += f"; {noise_text}" if noise_text else ""
     if not out.any():
         passed = less or p >= family.false_alarm_rate
         verb = "agree" if passed else "disagree"
@@ -220,14 +226,8 @@ def _target_agreement_items(fitted: Adjustment, is_explained: Bools, family: Hyp
 def _level_items(fitted: Adjustment, family: HypothesisFamily) -> list[CheckItem]:
     """Results of the tests of each station's level against the vertical of the other stations, by common targets."""
     items, levels = [], fitted.problem.level_rows
-    sigma_by_station = {
-        fitted.recording.stations[k]: sigma for k, sigma in zip(levels.station_indices, levels.sigma, strict=True)
-    }
-    for test in reference_tests(fitted.problem, fitted.solution) if len(levels) > 1 else ():
-        if (
-            test.kind == "level"
-            and (sigma_by_station[test.name] / test.sigma_error.min()) ** 2 > MIN_CHECKED_REDUNDANCY
-        ):
+    for test in fitted.reference_tests if len(levels) > 1 else ():
+        if test.kind == "level" and test.redundancy.max() > MIN_CHECKED_REDUNDANCY:
             p = family.corrected_p_value(float(special.chdtrc(test.rank, test.chi2_drop)), len(levels))
             verb = "agrees with" if p >= family.false_alarm_rate else "deviates from"
             sentence = f"{test.name}: its level {verb} the vertical of the other stations ({test.error_text})"
@@ -242,7 +242,10 @@ def _length_items(fitted: Adjustment, family: HypothesisFamily) -> list[CheckIte
     """
     if any(test.kind in ("length", "scale") for test in fitted.rejected_references):
         return []
-    tests = reference_tests(fitted.problem, fitted.solution, MAX_ROUNDING_ERROR)
+    factor = noise_factor(fitted.problem, fitted.solution)
+    tests = [
+        test.with_noise_factor(factor) for test in reference_tests(fitted.problem, fitted.solution, MAX_ROUNDING_ERROR)
+    ]
     lengths = [test for test in tests if test.kind == "length" and test.rank]
     scales = [test for test in tests if test.kind == "scale" and test.rank] or lengths[:1]
     items = []

@@ -49,6 +49,25 @@ def time_text(recording: Recording, time: float) -> str:
     return f"{start + timedelta(seconds=time):%H:%M:%S}"
 
 
+def estimated_noise_text(recording: Recording, declared: Recording) -> str:
+    """Text on the noise of the tests relative to the declared noise, by observable; empty if both are equal.
+
+    `declared` is the same recording with the declared noise.
+    """
+    if not len(recording):
+        return ""
+    ratios = recording.sigma() / declared.sigma()
+    names_by_size: dict[str, list[str]] = {}
+    for name, low, high in zip(OBSERVABLES, np.nanmin(ratios, axis=0), np.nanmax(ratios, axis=0), strict=True):
+        sizes = list(dict.fromkeys(number_text(ratio, 2) for ratio in (low, high)))
+        if sizes != ["1"]:
+            names_by_size.setdefault(" to ".join(sizes), []).append(name)
+    if len(names_by_size) == 1 and set(*names_by_size.values()) == set(OBSERVABLES):
+        return f"the estimated noise is {next(iter(names_by_size))} times the declared noise"
+    parts = [f"{size} times the declared noise of {' and '.join(names)}" for size, names in names_by_size.items()]
+    return f"the estimated noise is {' and '.join(parts)}" if parts else ""
+
+
 def face_sentence(
     differences: TwoFaceDifferences, recording: Recording, limit: str
 ) -> tuple[str, tuple[str, ...], Ints]:

@@ -283,6 +283,25 @@ def test_scatter_is_judged_on_both_sides() -> None:
     assert ("S1", "closure") in kinds(check(recording.with_readings(shaken)))
 
 
+def test_tests_that_pass_state_an_estimated_noise() -> None:
+    """2.5 times the declared noise of the angles: what passes does so against the estimated noise, which is stated."""
+    recording = network(seed=11, stations=4, faces=2)[0]
+    extra = 2.3 * recording.sigma() * stream(11, "angles").standard_normal((len(recording), 3)) * [0.0, 1.0, 1.0]
+    found = check(recording.with_readings(recording.readings + extra))
+    assert not found.passed
+    tests = [item.sentence for item in found.items if "repeated pointings scatter" in item.sentence]
+    tests += [item.sentence for item in found.items if "sigma0 is" in item.sentence]
+    assert len(tests) == len(recording.stations) + 1
+    for sentence in tests:
+        stated = re.search(
+            r"; the estimated noise is (\S+) times the declared noise of azimuth and elevation$", sentence
+        )
+        assert stated is not None, sentence
+        assert float(stated[1]) == pytest.approx(2.5, rel=0.1)
+    assert not any("the declared noise (" in item.sentence for item in found.items)
+    assert not any("estimated noise" in item.sentence for item in check(recording).items)
+
+
 def levelled(recording: Recording, sigma: float) -> Recording:
     """The recording with every station said to follow its level, so well [arcsec]."""
     stations = {name: Station(levelled=True, levelling_sigma_arcsec=sigma) for name in recording.stations}

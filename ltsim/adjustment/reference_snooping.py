@@ -1,0 +1,238 @@
+"""Data snooping of reference values: contradicting coordinates, lengths, levels and azimuths are excluded.
+
+A wrong reference value biases the residuals of all readings that it constrains. Reference values are therefore tested
+before single readings. Of all hypotheses that one value is wrong, that with the smallest p-value is accepted first.
+"""
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy import special
+
+from ltsim.adjustment.problem import NetworkProblem
+from ltsim.adjustment.reference_tests import (
+    MIN_TESTED_REDUNDANCY,
+    TESTED_REFERENCE_KINDS,
+    ReferenceTest,
+    reference_tests,
+)
+from ltsim.adjustment.reference_values import (
+    ReferenceKind,
+    common_scale,
+    drop_reference,
+    reference_values,
+    relax_exact_references,
+)
+from ltsim.adjustment.reliability import (
+    critical_w,
+    level_of_single_test,
+    neg_log_p_chi2,
+    noise_factor,
+    noise_scale,
+    redundancy_numbers,
+    standardised_residuals,
+)
+from ltsim.adjustment.significance import FAMILY_LEVEL, MIN_CLEAR_SIGMAS, MIN_GROSS_SIGMAS, MIN_REPORTED_PROBABILITY
+from ltsim.adjustment.snooping import snoop_readings
+from ltsim.core.arrays import Bools
+from ltsim.physics.model.measurement import NetworkState
+from ltsim.solve.gauss_newton import Solution, solve
+
+MIN_RESIDUAL = MIN_CLEAR_SIGMAS * float(np.sqrt(MIN_TESTED_REDUNDANCY))
+"""Whitened residual below which a reference value is not tested: an error of `MIN_CLEAR_SIGMAS` causes a larger one."""
+MIN_VALUES_FOR_TYPICAL_ERROR = 3
+"""Number of other values of the same kind below which a wrong value is not identified if another one contradicts too.
+"""
+MAX_CHI2_FRACTION = 1e-6
+"""Ratio of chi-square after and before the exclusion of reference values, below which they are certainly wrong."""
+MAX_EXCLUDED_FRACTION = 1 / 3
+"""Fraction of wrong reference values of one kind above which all of that kind are inconsistent and none is excluded."""
+
+
+def snoop_references(
+    problem: NetworkProblem,
+    solution: Solution[NetworkState],
+    kinds: Collection[ReferenceKind] = TESTED_REFERENCE_KINDS,
+    exempt_values: frozenset[tuple[ReferenceKind, str]] = frozenset(),
+) -> tuple[NetworkProblem, Solution[NetworkState], tuple[ReferenceTest, ...]]:
+    """Problem without contradicting reference values, its solution, and the tests of these values.
+
+    The values are excluded one at a time, that with the smallest p-value first. A single reading that explains the
+    misfit better is left out during the tests. `kinds` restricts the exclusion; `exempt_values` (kind and name) stay in
+    use.
+    """
+    given, aside = (problem, solution), relax_exact_references(problem, solution.x)
+    out: list[ReferenceTest] = []
+    by_far: tuple[NetworkProblem, Solution[NetworkState], int] | None = None
+    if solution.factor is not None and aside is not problem:
+        solution = solve(aside, solution.x)
+    while solution.factor is not None and len(out) < len(problem.model.recording.targets):
+        suspect = _largest_error(aside, solution, kinds, exempt_values)
+        if suspect is None:
+            break
+        if isinstance(suspect, ReferenceTest):
+            out.append(suspect)
+            if not suspect.is_excluded:
+                break
+            model = replace(aside.model, recording=drop_reference(aside.model.recording, suspect))
+            aside = relax_exact_references(aside.with_model(model), solution.x)
+        else:
+            aside = replace(aside, used_readings=aside.used_readings & ~suspect)
+        solution = solve(aside, solution.x)
+        enough = solution.sum_of_squares < MAX_CHI2_FRACTION * given[1].sum_of_squares
+        if by_far is None and out and enough and not _exclude_inconsistent_kind(*given, out):
+            by_far = problem.with_model(aside.model), solution, len(out)
+    gone = [test for test in out if test.is_excluded]
+    too_many = solution.factor is None or _exclude_inconsistent_kind(*given, gone)
+    if too_many and by_far is not None:
+        reduced, near, count = by_far
+        reduced, ended, more = snoop_references(reduced, solve(reduced, near.x), kinds, exempt_values)
+        return reduced, ended, (*_with_final_errors(out[:count], problem, (reduced, ended)), *more)
+    if too_many:
+        return *given, _contradicting_group(gone, reference_tests(*given))
+    if not gone:
+        return *given, tuple(out)
+    reduced = problem.with_model(aside.model)
+    ended = solve(reduced, solution.x)
+    final = reference_tests(reduced, ended)
+    others = {kind: [test for test in final if test.kind == kind] for kind in {t.kind for t in gone}}
+    weak = [test for test in gone if test.normalised_error < MIN_CLEAR_SIGMAS * _typical_error(others[test.kind])]
+    if weak:
+        contradictory = _contradicting_group(weak, [*weak, *(test for group in others.values() for test in group)])
+        again = exempt_values | {(test.kind, test.name) for test in weak}
+        return (*given, contradictory) if contradictory else snoop_references(*given, kinds, again)
+    doubtful = min(test.normalised_error for test in gone) < MIN_GROSS_SIGMAS
+    if doubtful and _penalised_chi2(reduced, ended, gone) >= _penalised_chi2(problem, given[1], ()):
+        return *given, ()
+    return reduced, ended, tuple(_with_final_errors(out, problem, (reduced, ended)))
+
+
+def _with_final_errors(
+    tests: Sequence[ReferenceTest], problem: NetworkProblem, final: tuple[NetworkProblem, Solution[NetworkState]]
+) -> Iterator[ReferenceTest]:
+    """Tests of values of `problem`, in which errors of excluded values and noise are those of the final solution."""
+    state, factor = final[1].x, noise_factor(*final)
+    names, marks = problem.model.recording.stations, problem.marks
+    off = {(v.kind, v.name): v.residual for v in (*reference_values(problem, state), *common_scale(problem, state))}
+    for test in (each.with_noise_factor(factor) for each in tests):
+        if test.is_excluded and test.kind == "mark":
+            station = names.index(test.name)
+            yield replace(
+                test,
+                error=marks.position_from_mark(station, state.station_positions, state.target_points)
+                - state.station_positions[station],
+            )
+        elif test.is_excluded:
+            yield replace(test, residual=off[test.kind, test.name], error=off[test.kind, test.name])
+        else:
+            yield test
+
+
+def _contradicting_group(
+    wrong_values: Sequence[ReferenceTest], all_tests: Sequence[ReferenceTest]
+) -> tuple[ReferenceTest, ...]:
+    """Test of a value that contradicts others of its kind, if the data do not show which one is wrong; else empty."""
+    for test in wrong_values:
+        others = [other for other in all_tests if other.kind == test.kind and other.name != test.name]
+        rivals = tuple(other.name for other in others if other.normalised_error > MIN_CLEAR_SIGMAS)
+        if rivals and len(others) < MIN_VALUES_FOR_TYPICAL_ERROR:
+            return (replace(test, is_excluded=False, indistinguishable_from=rivals),)
+    return ()
+
+
+def _typical_error(tests: Sequence[ReferenceTest]) -> float:
+    """Root-mean-square error of reference values of one kind, in their standard deviations; at least 1."""
+    return float(np.sqrt(max(1.0, sum(t.chi2_drop for t in tests) / max(sum(t.rank for t in tests), 1))))
+
+
+def _penalised_chi2(
+    problem: NetworkProblem, solution: Solution[NetworkState], excluded_values: Sequence[ReferenceTest]
+) -> float:
+    """Chi-square without outliers, plus a penalty for each outlier and for each excluded reference value.
+
+    A few outliers may explain a misfit as well as one wrong reference value. The penalty is the critical value of the
+    test of the outlier or reference value.
+    """
+    accepted, ended = snoop_readings(problem, solution.x)
+    readings = int(problem.used_readings.sum())
+    count = len(list(reference_values(problem, solution.x))) + len(excluded_values)
+    paid = sum(float(special.chdtri(test.rank, level_of_single_test(count, FAMILY_LEVEL))) for test in excluded_values)
+    return ended.sum_of_squares + paid + critical_w(readings) ** 2 * (readings - int(accepted.used_readings.sum()))
+
+
+def _largest_error(
+    problem: NetworkProblem,
+    solution: Solution[NetworkState],
+    kinds: Collection[ReferenceKind],
+    exempt_values: Collection[tuple[ReferenceKind, str]],
+) -> ReferenceTest | Bools | None:
+    """Test of the most contradicting reference value, or flag (n, 3) of a reading that contradicts more; else None."""
+    tests = [test for test in reference_tests(problem, solution, MIN_RESIDUAL) if test.rank]
+    tests = [test for test in tests if test.kind in {*kinds, "scale"} and (test.kind, test.name) not in exempt_values]
+    if not tests or problem.dof < 2:
+        return None
+    assert solution.factor is not None
+    redundancy = redundancy_numbers(problem, solution.factor)
+    w = standardised_residuals(problem, problem.reading_residuals(problem.model.predict(solution.x)), redundancy)
+    shown = noise_scale(w, redundancy)
+
+    def noise(test: ReferenceTest) -> float:
+        healed = np.sqrt(max(solution.sum_of_squares - test.chi2_drop, 0.0) / max(problem.dof - test.rank, 1))
+        return max(1.0, min(shown, float(healed)))
+
+    def neg_log_corrected_p(chi2_drop: float, rank: int, n_tests: int) -> float:
+        return float(neg_log_p_chi2(chi2_drop, rank)) - float(np.log(n_tests))
+
+    count = len(list(reference_values(problem, solution.x)))
+    chances = [neg_log_corrected_p(test.chi2_drop / noise(test) ** 2, test.rank, count) for test in tests]
+    best = int(np.argmax(chances))
+    chance, scatter = chances[best], noise(tests[best])
+    scaled = tests[best].chi2_drop / scatter**2
+    if scaled < max(MIN_CLEAR_SIGMAS, critical_w(count)) ** 2 or chance < -np.log(FAMILY_LEVEL):
+        return None
+    worst = int(np.argmax(np.nan_to_num(np.abs(w))))
+    reading = float(np.nan_to_num(w).flat[worst]) / scatter  # two causes are weighed by one noise
+    if neg_log_corrected_p(reading**2, 1, int(problem.used_readings.sum())) <= chance:
+        second = _second_setup_over_mark(problem, tests[best])
+        likely = [
+            k
+            for k, other in enumerate(chances)
+            if k == best
+            or (tests[k].kind, tests[k].name) == ("mark", second)
+            or other >= chance + np.log(MIN_REPORTED_PROBABILITY)
+        ]
+        if len(likely) > 1 and tests[best].kind == "level":
+            return None  # A few levels against each other: nothing that others would not tell better.
+        if tests[best].kind == "scale":
+            return replace(tests[best], is_excluded="scale" in kinds)
+        marks = all(tests[k].kind == "mark" for k in likely)  # Either way they are distinct points: the later one goes.
+        chosen = likely[-1] if marks else best
+        rivals = tuple(tests[k].name for k in likely if k != chosen)
+        return replace(tests[chosen], is_excluded=marks or not rivals, indistinguishable_from=rivals)
+    aside = np.zeros(w.shape, dtype=bool)
+    aside.flat[worst] = True
+    return aside
+
+
+def _second_setup_over_mark(problem: NetworkProblem, test: ReferenceTest) -> str:
+    """Name of the other set-up over a mark that two set-ups and nothing else determine; otherwise empty.
+
+    The exclusion of either set-up from the mark is then the same. Tests of a large error differ only by linearisation.
+    """
+    stations, names = problem.model.recording.stations, problem.marks.mark_names
+    if test.kind != "mark" or problem.marks.target_indices[stations.index(test.name)] >= 0:
+        return ""
+    mark = names[stations.index(test.name)]
+    others = [station for station, name in zip(stations, names, strict=True) if name == mark and station != test.name]
+    return others[0] if len(others) == 1 else ""
+
+
+def _exclude_inconsistent_kind(
+    problem: NetworkProblem, solution: Solution[NetworkState], excluded_tests: Sequence[ReferenceTest]
+) -> bool:
+    every = [value.kind for value in reference_values(problem, solution.x)]
+    gone = [test.kind for test in excluded_tests]
+    return any(
+        gone.count(kind) > max(1.0, MAX_EXCLUDED_FRACTION * every.count(kind)) for kind in TESTED_REFERENCE_KINDS
+    )
