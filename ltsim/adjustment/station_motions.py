@@ -16,6 +16,7 @@ from ltsim.core.units import MICROMETRE, MICRORADIAN
 from ltsim.physics.effects.effect import LightPathStage
 from ltsim.physics.effects.motions import StationMotion
 from ltsim.physics.effects.station_bump import StationBump
+from ltsim.recordings.times import interval_text
 from ltsim.scene.sightings import Sightings
 
 
@@ -72,7 +73,7 @@ def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[FittedMotion, str
                 sightings = adjustment.sightings
                 order = sightings.measurement_order[effect.row_weights(sightings)[sightings.measurement_order] > 0]
                 at = int(np.searchsorted(sightings.time[order], effect.time))
-                moved = f"moved between rows {order[at - 1] + 1} and {order[at] + 1}, by {parts}"
+                moved = f"moved {interval_text(adjustment.recording, *order[at - 1 : at + 1].tolist())}, by {parts}"
             yield (
                 effect,
                 f"station {', '.join(effect.stations)} {moved}: the motion is estimated, and its pointings stay in use",

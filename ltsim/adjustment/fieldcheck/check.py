@@ -51,6 +51,7 @@ from ltsim.physics.model.construction import Construction, declared_construction
 from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import write_result
+from ltsim.recordings.times import interval_text
 
 N_SETUP_TESTS = 6
 """Number of tests of one set-up: two faces, gross errors, bump, drift of the station and of the instrument, scatter."""
@@ -324,7 +325,8 @@ def _bump_item(
     time_interval = float(recording.time[pair[0]]), float(recording.time[pair[1]])
     rows_around_motion = int(row_numbers[pair[0]]), int(row_numbers[pair[1]])
     chance = family.corrected_p_value(occupation.p_value(fit), len(order) - 1)
-    sentence = bump_sentence(recording, time_interval, rows_around_motion, fit)
+    interval = interval_text(recording, int(pair[0]), int(pair[1]), row_numbers.tolist())
+    sentence = bump_sentence(recording, interval, fit)
     return CheckItem.from_test(name, "bump", False, sentence, chance, rows=rows_around_motion, between_s=time_interval)
 
 

@@ -1,7 +1,6 @@
 """Sentences of a check, with a unit on every number."""
 
 from collections.abc import Sequence
-from datetime import datetime, time as clock, timedelta
 
 import numpy as np
 
@@ -27,26 +26,6 @@ AZIMUTH_COMPONENT = slice(5, 6)
 """Slice of the six components of a station's motion that holds the rotation about the standing axis [rad]."""
 MAX_LEVEL_SIGMA = 100 * MICRORADIAN
 """Standard deviation of a station's tilt [rad] from which the sentence does not state the tilt."""
-
-
-def time_text(recording: Recording, time: float) -> str:
-    """Text of a time [s] since the start of a recording.
-
-    The text is the clock time if the start is declared, otherwise the seconds, or the number of the pointing if the
-    recording has no times.
-    """
-    if not recording.has_clock:
-        return f"pointing {time + 1:.0f}"
-    started = recording.setup.started
-    try:
-        return f"{datetime.fromisoformat(started) + timedelta(seconds=time):%Y-%m-%d %H:%M:%S}"
-    except ValueError:
-        pass
-    try:
-        start = datetime.combine(datetime(2000, 1, 1), clock.fromisoformat(started))
-    except ValueError:
-        return f"{time:.1f} s"
-    return f"{start + timedelta(seconds=time):%H:%M:%S}"
 
 
 def estimated_noise_text(recording: Recording, declared: Recording) -> str:
@@ -121,12 +100,9 @@ def gross_sentence(occupation: StationOccupation, outliers: Sequence[int], row_n
     )
 
 
-def bump_sentence(
-    recording: Recording, time_interval: tuple[float, float], rows: tuple[int, int], fit: ColumnsFit
-) -> str:
-    """Sentence on a sudden motion of a station, with its time interval [s], the rows around it, and its size."""
-    when = f"between {time_text(recording, time_interval[0])} and {time_text(recording, time_interval[1])}"
-    return f"{recording.stations[0]} moved {when} (rows {rows[0]} and {rows[1]}){_motion_text(fit)}"
+def bump_sentence(recording: Recording, interval: str, fit: ColumnsFit) -> str:
+    """Sentence on a sudden motion of a station, with the text of its time interval, and its size."""
+    return f"{recording.stations[0]} moved {interval}{_motion_text(fit)}"
 
 
 def drift_sentence(recording: Recording, fit: ColumnsFit, passed: bool) -> str:

@@ -32,6 +32,7 @@ from ltsim.physics.effects.target_moved import TargetMoved
 from ltsim.physics.laws.centring import shared_errors_sentence
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
+from ltsim.recordings.times import interval_text
 
 
 class CausePlace(Entry):
@@ -234,17 +235,19 @@ def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
         return f"At {at} the centres of the SMRs are displaced along the normals {side} their nests by {size}: {cause}."
     if hypothesis.kind == "station-drift":
         return f"Station {at} moved at a constant rate during its measurement, by {size} in total."
-    interval_text = _row_interval_text(fit, hypothesis)
+    interval = _interval_text(fit, hypothesis)
     if hypothesis.kind == "orientation":
-        return f"The horizontal circle of {at} was turned by {size} {interval_text}."
+        return f"The horizontal circle of {at} was turned by {size} {interval}."
     if hypothesis.kind == "station-bump":
         turn, spread = values[3:], covariance[3:, 3:]
         length = float(np.linalg.norm(turn))
         sigma = float(np.sqrt(max(float(turn @ spread @ turn), 0.0))) / max(length, 1e-300)
         turned = with_sigma(length / MICRORADIAN, sigma / MICRORADIAN, "urad")
-        return f"Station {at} moved {interval_text}, by {size} and {turned}."
+        return f"Station {at} moved {interval}, by {size} and {turned}."
     assert isinstance(effect, TargetMoved)
-    return f"Target {at} moved {interval_text}, by {size}."
+    components = (values / MILLIMETRE, np.sqrt(np.diag(covariance)) / MILLIMETRE)
+    parts = (f"d{axis} {with_sigma(value, sigma)}" for axis, value, sigma in zip("xyz", *components, strict=True))
+    return f"Target {at} moved {interval}, by {size} ({', '.join(parts)} mm)."
 
 
 OBSERVABLE_CAUSES = {
@@ -269,7 +272,7 @@ def _observable_sentence(fit: NetworkFit, hypothesis: Hypothesis, estimate: dict
     what, number = f"The {hypothesis.acts_on}s {link} {at or 'all stations'}", estimate["estimate"]
     size = f"{with_sigma(abs(number), estimate['sigma'], estimate['unit'])}"
     if hypothesis.kind == "constant-step":
-        return f"{what} changed by {size} {_row_interval_text(fit, hypothesis)}: {cause}."
+        return f"{what} changed by {size} {_interval_text(fit, hypothesis)}: {cause}."
     if hypothesis.kind == "constant-drift":
         interval = "the measurement" if len(hypothesis.stations) == 1 else "the longest occupation"
         return f"{what} drifted by {size} during {interval}: {cause}."
@@ -307,8 +310,8 @@ def _centring_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     )
 
 
-def _row_interval_text(fit: NetworkFit, hypothesis: Hypothesis) -> str:
-    """Text of the rows of the recording between which a motion happened, for example `between rows 12 and 13`."""
+def _interval_text(fit: NetworkFit, hypothesis: Hypothesis) -> str:
+    """Text of the times and rows of the recording between which an error began."""
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     effect, s = hypothesis.model_change.effect, fit.adjustment.sightings
     since = effect.onset_time if isinstance(effect, ReadingShift) else getattr(effect, "time", -np.inf)
@@ -321,7 +324,7 @@ def _row_interval_text(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     index = int(np.searchsorted(s.time[rows], since))
     if not 0 < index < len(rows):
         return "during its measurement"
-    return f"between rows {rows[index - 1] + 1} and {rows[index] + 1}"
+    return interval_text(fit.recording, *rows[index - 1 : index + 1].tolist())
 
 
 def _number_text(value: float) -> str:

@@ -194,8 +194,10 @@ def test_a_bump_seen_in_one_face_is_told_by_the_others_and_no_pointing_is_blamed
     assert kinds(found) == {("S1", "bump")}
     order = np.flatnonzero(rows)[np.argsort(first.time, kind="stable")]
     last = int(np.sum(first.time <= at))
-    between = f"Station S1 moved between rows {order[last - 1] + 1} and {order[last] + 1}, by"
-    size = re.match(rf"no-go: {between} ([\d.]+) \+- ([\d.]+) mm and ", found.sentence)
+    before, after = order[last - 1 : last + 1].tolist()
+    times = f"{recording.time[before]:.1f} s and {recording.time[after]:.1f} s"
+    between = f"Station S1 moved between {times} (rows {before + 1} and {after + 1}), by"
+    size = re.match(rf"no-go: {re.escape(between)} ([\d.]+) \+- ([\d.]+) mm and ", found.sentence)
     assert size is not None, found.sentence
     assert float(size[1]) == pytest.approx(millimetres, abs=4 * float(size[2]))
     told = lt.adjust(recording)

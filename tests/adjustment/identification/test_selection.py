@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
@@ -188,7 +189,7 @@ def test_a_station_that_moved_in_mid_work(size: float) -> None:
     (test,) = [t for t in cause_tests(selection) if t.kind == "station-bump"]
     assert test.estimate == pytest.approx(1e3 * size, abs=0.1)
     middle = len(rows) // 2
-    assert f"between rows {rows[middle - 1] + 1} and {rows[middle] + 1}" in test.sentence
+    assert f"(rows {rows[middle - 1] + 1} and {rows[middle] + 1})" in test.sentence
 
 
 @pytest.mark.parametrize("gaps", [-6, -3, 3, 6])
@@ -218,7 +219,21 @@ def test_a_target_that_moved_between_two_stations() -> None:
     motion = np.zeros((len(recording), 3))
     motion[(recording.target == 4) & (recording.station >= 2)] = [1e-3, 0.0, 2e-3]
     change = exact_target_change(sightings_of(recording, truth.state), motion)
-    assert the_one(identified(recording.with_readings(recording.readings + change))) == ("target-moved", (), ("T05",))
+    selection = identified(recording.with_readings(recording.readings + change))
+    assert the_one(selection) == ("target-moved", (), ("T05",))
+    sentence = cause_tests(selection)[0].sentence
+    stated = re.match(
+        r"Target T05 moved between (\S+) s and (\S+) s \(rows (\d+) and (\d+)\), by \S+ \+- \S+ mm "
+        r"\(dx (\S+) \+- \S+, dy (\S+) \+- \S+, dz (\S+) \+- \S+ mm\)\.$",
+        sentence,
+    )
+    assert stated is not None, sentence
+    before, after = int(stated[3]) - 1, int(stated[4]) - 1
+    assert recording.station[before] < 2 <= recording.station[after]
+    assert [float(stated[1]), float(stated[2])] == pytest.approx(recording.time[[before, after]], abs=0.05)
+    assert [float(stated[k]) for k in (5, 6, 7)] == pytest.approx([1.0, 0.0, 2.0], abs=0.1)
+    without_clock = identified(recording.replace(readings=recording.readings + change, has_clock=False))
+    assert f"moved between rows {before + 1} and {after + 1}, by" in cause_tests(without_clock)[0].sentence
 
 
 @pytest.mark.parametrize("angle", family([1e-3, 0.5]))
