@@ -10,7 +10,7 @@ Wang, Muralikrishnan, Icasio Hernandez, Shakarji, Sawyer, Measurement 165 (2020)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, pairwise
 
@@ -23,6 +23,7 @@ from ltsim.adjustment.identification.actions import cause_actions
 from ltsim.adjustment.identification.hypothesis import CauseKind
 from ltsim.adjustment.identification.signatures import ReadingShift
 from ltsim.calibration.calibration import Calibration
+from ltsim.calibration.correct import corrected_readings
 from ltsim.calibration.verbs import calibrate
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
@@ -97,6 +98,8 @@ class NetworkTests:
     """Outlying readings, whose pointings are neither adjusted nor tested."""
     unexplained_factor: float
     """Ratio of the scatter of the readings to the declared noise if no cause of it is identified; otherwise 1."""
+    n_rejected_without_constants: int = 0
+    """Number of errors beyond their limits after the correction of the readings by the estimated constants."""
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -130,9 +133,21 @@ class NetworkTests:
         return (*actions, *(unexplained if self.unexplained_factor > 1.0 else []))
 
     @property
-    def further_actions(self) -> tuple[str, ...]:
-        """Actions after errors that do not impair the tests."""
-        again = [f"Measure again: {self._outlier_names}."] if self.outliers else []
+    def constants_action(self) -> str:
+        """Action after a rejection, by the number of errors beyond their limits without the instrument's constants."""
+        count, total = self.n_rejected_without_constants, len(self.entries)
+        maker = "Have the maker adjust the tracker"
+        if not count:
+            correction = "correct all readings by ltsim calibrate and ltsim correct"
+            return f"{maker}, or {correction}: no error is then rejected."
+        verb = "is" if count == 1 else "are"
+        return (
+            f"{maker}. Corrections by ltsim calibrate do not suffice: {count} of {total} errors {verb} then rejected."
+        )
+
+    def further_actions(self, *, is_rejected: bool) -> tuple[str, ...]:
+        """Actions after errors that do not impair the tests; outliers are measured again unless others are rejected."""
+        again = [f"Measure again: {self._outlier_names}."] if self.outliers and not is_rejected else []
         return (*cause_actions(self.corrected_causes), *again)
 
 
@@ -153,18 +168,19 @@ def evaluate_network(recording: Recording, instrument_specification: Specificati
     assert adjustment is not None
     adjustment.solution.require_success()
     network = TestedNetwork(adjustment, calibration.uncertainty_factor)
-    is_tested: Bools = np.asarray(adjustment.problem.used_readings.all(axis=1))
-    entries: list[TestEntry] = []
-    for s in range(len(recording.stations)):
-        entries += network.station_entries(s, is_tested, instrument_specification)
+    entries = network.test_entries(instrument_specification)
     if not entries:
         raise NetworkError("no station measured two whole targets; a length needs both ends")
+    n_rejected = 0
+    if any(entry.judgement == "rejected" for entry in entries):
+        without_constants = replace(network, is_free_of_constants=True).test_entries(instrument_specification)
+        n_rejected = sum(entry.judgement == "rejected" for entry in without_constants)
     causes = [test for test in calibration.tests if test.is_fault and test.kind != "outlier"]
     corrected = tuple(c for c in causes if not may_be_tracker(c) and network.is_corrected(c))
     tracker = tuple(c for c in causes if may_be_tracker(c))
     rest = tuple(c for c in causes if c not in corrected and c not in tracker)
     factor = 1.0 if causes else calibration.uncertainty_factor
-    return NetworkTests(tuple(entries), corrected, tracker, rest, outliers, factor)
+    return NetworkTests(tuple(entries), corrected, tracker, rest, outliers, factor, n_rejected)
 
 
 def _calibrate_without_outliers(recording: Recording) -> tuple[Calibration, tuple[CauseTest, ...]]:
@@ -197,6 +213,8 @@ class TestedNetwork:
     """Adjustment with the instrument's constants and the errors of the recording."""
     uncertainty_factor: float
     """Factor on the standard deviations of the adjustment."""
+    is_free_of_constants: bool = False
+    """True to test the readings after their correction by the estimated constants of the instrument."""
 
     @cached_property
     def _extra_slices(self) -> list[tuple[Signature, slice]]:
@@ -227,6 +245,9 @@ class TestedNetwork:
         """Front-face readings (n, 3) [m, rad, rad] without the errors of the recording."""
         adjustment = self.adjustment
         readings = adjustment.recording.readings.copy()
+        if self.is_free_of_constants:
+            constants = adjustment.state.instrument_parameters[0]
+            readings = corrected_readings(adjustment.recording, adjustment.construction, constants)
         for effect, at in self._extra_slices:
             if is_recording_error(effect):
                 readings -= effect.reading_change(adjustment.sightings, adjustment.state.extra_parameters[at])
@@ -246,6 +267,12 @@ class TestedNetwork:
         return cause.sentence in self.adjustment.cause_sentences or (
             is_reference and bool(self.adjustment.rejected_references)
         )
+
+    def test_entries(self, limits: Specification) -> list[TestEntry]:
+        """Entries of the lengths and two-face differences of all stations, from the pointings in use."""
+        is_tested: Bools = np.asarray(self.adjustment.problem.used_readings.all(axis=1))
+        stations = range(len(self.adjustment.recording.stations))
+        return [entry for s in stations for entry in self.station_entries(s, is_tested, limits)]
 
     def station_entries(self, station: int, is_tested: Bools, limits: Specification) -> list[TestEntry]:
         """Entries of the lengths and two-face differences of a station, from the pointings that `is_tested` flags."""

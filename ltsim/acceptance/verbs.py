@@ -36,6 +36,9 @@ from ltsim.recordings.files import parse_comma_number, quoted_text
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
 
+MIN_MARGIN_UM = 1e-3
+"""Smallest distance [um] of an error from its limit by which the expanded uncertainty is divided."""
+
 
 def accept(acceptance: str | Path | Mapping[str, Any] | AcceptanceSettings, folder: str | Path = ".") -> AcceptanceFile:
     """Acceptance tests of a tracker against its manufacturer's limits: prediction, or evaluation of measured errors.
@@ -158,11 +161,12 @@ def evaluated_result(
     if not is_valid or (judgement == "accepted" and unmeasured_tests):
         judgement = "undecided"
     sentence = _judgement_sentence(test_entries, len(unmeasured_tests))
-    actions = _next_actions(test_entries, unmeasured_tests, is_network=recording is not None)
+    actions = _next_actions(test_entries, unmeasured_tests, network_tests)
     if network_tests is not None:
         sentence = " ".join((*network_tests.sentences, sentence[0].upper() + sentence[1:]))
         judgement_actions = actions if is_valid else ()
-        actions = (*network_tests.urgent_actions, *judgement_actions, *network_tests.further_actions)
+        further_actions = network_tests.further_actions(is_rejected=judgement == "rejected")
+        actions = (*network_tests.urgent_actions, *judgement_actions, *further_actions)
     content = AcceptanceFile(
         title=acceptance_settings.title,
         kind="measured" if recording is None else "network",
@@ -210,28 +214,57 @@ def _judgement_sentence(test_entries: Sequence[TestEntry], n_unmeasured_tests: i
 
 
 def _next_actions(
-    test_entries: Sequence[TestEntry], unmeasured_tests: Sequence[str], *, is_network: bool
+    test_entries: Sequence[TestEntry], unmeasured_tests: Sequence[str], network_tests: NetworkTests | None
 ) -> tuple[str, ...]:
-    """Next actions, the most urgent first."""
-    judgements, actions = {t.judgement for t in test_entries}, list[str]()
-    if "rejected" in judgements and is_network:
-        actions.append(
-            "Estimate the instrument's constants with ltsim calibrate: the lengths and face differences contain them. "
-            "If they are larger than the specification permits, have the maker adjust the tracker."
-        )
-    elif "rejected" in judgements:
-        name = _worst_entry(test_entries, "rejected").name
-        actions.append(
-            f"Repeat {name}. If it exceeds its limit again, have the maker adjust the tracker, and repeat all tests."
-        )
-    if "undecided" in judgements:
-        undecided = [(abs(t.limit_um - abs(t.error_um)), t.expanded_um or 0.0, t.name) for t in test_entries
-                     if t.judgement == "undecided"]  # fmt: skip
-        margin, expanded, name = max(undecided, key=lambda entry: entry[0] / entry[1])
-        how = "Measure more rounds or from more stations" if is_network else "Use a better reference or more readings"
-        actions.append(
-            f"{how}: an expanded uncertainty below {margin:.1f} um decides {name} (it has {expanded:.1f} um)."
-        )
+    """Next actions that can change the judgement, the most urgent first.
+
+    Smaller uncertainties and further tests do not change a rejection. `network_tests` are the tests of a recording.
+    """
+    rejected = [t for t in test_entries if t.judgement == "rejected"]
+    if rejected:
+        return _actions_after_rejection(rejected) if network_tests is None else (network_tests.constants_action,)
+    actions = []
+    undecided = [t for t in test_entries if t.judgement == "undecided"]
+    if undecided:
+        how = "Use a better reference or more readings" if network_tests is None else "Measure more rounds"
+        actions.append(f"{how}: {_sufficient_uncertainty_text(undecided)}.")
     if unmeasured_tests:
         actions.append(f"Measure the other tests of the plan: {listing(list(unmeasured_tests), 3)}.")
     return tuple(actions)
+
+
+def _actions_after_rejection(rejected_entries: Sequence[TestEntry]) -> tuple[str, ...]:
+    """Actions after a rejection by measured errors; one rejected error may be a mistake of the measurement."""
+    worst = _worst_entry(rejected_entries, "rejected")
+    excess = f"{abs(worst.error_um) - (worst.expanded_um or 0.0) - worst.limit_um:.1f} um"
+    if len(rejected_entries) > 1:
+        names = listing([t.name for t in rejected_entries], 3)
+        return (f"Have the maker adjust the tracker, and repeat all tests: {names} exceed their limits.",)
+    return (
+        f"Repeat {worst.name}: it stays rejected unless its error is smaller by {excess} or more.",
+        f"If {worst.name} exceeds its limit again, have the maker adjust the tracker, and repeat all tests.",
+    )
+
+
+def _sufficient_uncertainty_text(undecided_entries: Sequence[TestEntry]) -> str:
+    """Text on the expanded uncertainty that changes an undecided judgement if the errors stay as they are.
+
+    An error beyond its limit is then rejected, and with it the tracker. Otherwise all undecided errors must be
+    accepted; that with the largest ratio of uncertainty to margin needs the smallest uncertainty.
+    """
+
+    def margin(test_entry: TestEntry) -> float:
+        return abs(test_entry.limit_um - abs(test_entry.error_um))
+
+    def ratio(test_entry: TestEntry) -> float:
+        return (test_entry.expanded_um or 0.0) / max(margin(test_entry), MIN_MARGIN_UM)
+
+    beyond = [t for t in undecided_entries if abs(t.error_um) > t.limit_um]
+    entry = min(beyond, key=ratio) if beyond else max(undecided_entries, key=ratio)
+    needed = f"an expanded uncertainty of {entry.name} below {margin(entry):.2g} um (it has {entry.expanded_um:.3g} um)"
+    if beyond:
+        return f"{needed} rejects the tracker, because this error of {abs(entry.error_um):.1f} um exceeds its limit"
+    count = len(undecided_entries)
+    if count == 1:
+        return f"{needed} accepts it"
+    return f"all {count} undecided errors are accepted with uncertainties {ratio(entry):.2g} times smaller; {needed}"

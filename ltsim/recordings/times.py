@@ -23,15 +23,17 @@ def time_text(recording: Recording, time: float) -> str:
     return f"{start + timedelta(seconds=time):%H:%M:%S}"
 
 
-def interval_text(recording: Recording, before: int, after: int, row_numbers: Sequence[int] | None = None) -> str:
+def interval_text(
+    recording: Recording, first_index: int, second_index: int, row_numbers: Sequence[int] | None = None
+) -> str:
     """Text of the interval between the times of two pointings, given by their indices in the recording.
 
     Their rows follow the times, or replace them if the recording has no clock: `between 310.0 s and 320.0 s (rows 32
     and 33)`. `row_numbers` (n,) are the rows of the n pointings, from 1, if the recording is a part of a larger one.
     """
-    first, second = (index + 1 if row_numbers is None else row_numbers[index] for index in (before, after))
+    first, second = (index + 1 if row_numbers is None else row_numbers[index] for index in (first_index, second_index))
     rows = f"rows {first} and {second}"
     if not recording.has_clock:
         return f"between {rows}"
-    times = " and ".join(time_text(recording, float(recording.time[index])) for index in (before, after))
+    times = " and ".join(time_text(recording, float(recording.time[index])) for index in (first_index, second_index))
     return f"between {times} ({rows})"

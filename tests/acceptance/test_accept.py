@@ -84,18 +84,40 @@ def test_measured_errors_are_judged(tmp_path: Path, capsys: pytest.CaptureFixtur
     ("errors", "judgement", "headline", "action"),
     [
         ("bar,-12.5,4\nball,30,2\n", "accepted", "All errors are within the limits.", ""),
-        ("bar,-62.5,4\nball,30,2\n", "rejected", "Some errors exceed the limits.", "Repeat bar."),
-        ("bar,-62.5,4\nball,60,30\n", "rejected", "Some errors exceed the limits.", "Repeat bar."),
+        (
+            "bar,-62.5,4\nball,30,2\n",
+            "rejected",
+            "Some errors exceed the limits.",
+            "Repeat bar: it stays rejected unless its error is smaller by 12.8",
+        ),
+        ("bar,-62.5,4\nball,60,30\n", "rejected", "Some errors exceed the limits.", "Repeat bar: it stays rejected"),
+        (
+            "bar,-62.5,4\nball,90,2\n",
+            "rejected",
+            "Some errors exceed the limits.",
+            "repeat all tests: bar, ball exceed their limits.",
+        ),
         (
             "bar,-43.5,4\nball,30,2\n",
             "undecided",
             "No error is shown to exceed its limit",
-            "decides bar",
+            "an expanded uncertainty of bar below 2.2",
         ),
-        ("bar,-47.5,4\nball,30,2\n", "undecided", "No error is shown to exceed its limit", "decides bar"),
+        (
+            "bar,-43.5,4\nball,45,20\n",
+            "undecided",
+            "No error is shown to exceed its limit",
+            "all 2 undecided errors are accepted with uncertainties",
+        ),
+        (
+            "bar,-47.5,4\nball,30,2\n",
+            "undecided",
+            "No error is shown to exceed its limit",
+            "rejects the tracker, because this error of 47.5",
+        ),
         ("bar,-12.5,4\n", "undecided", "No error is shown to exceed its limit", "Measure the other tests"),
         ("bar,-12.5,\nball,30,\n", "accepted", "All errors are within the limits.", ""),
-        ("bar,-62.5,\nball,30,\n", "rejected", "Some errors exceed the limits.", "Repeat bar."),
+        ("bar,-62.5,\nball,30,\n", "rejected", "Some errors exceed the limits.", "Repeat bar: "),
     ],
 )
 def test_one_judgement_in_json_terminal_page_and_status(
@@ -204,6 +226,13 @@ def test_network_method(tmp_path: Path) -> None:
     assert bad.judgement == "rejected" and "exceed their limits" in bad.sentence
     assert "two-face" in {g.name for g in bad.groups if g.judgement == "rejected"}
     assert np.isfinite([t.expanded_um or np.nan for t in good.tests if t.group != "two-face"]).all()
+    assert bad.next_actions == (
+        "Have the maker adjust the tracker, or correct all readings by ltsim calibrate and ltsim correct: no error is "
+        "then rejected.",
+    )
+    lt.write(lt.correct(recording, lt.calibrate(recording)), tmp_path / "corrected")
+    corrected = lt.accept({**sheet, "recording": "corrected"}, tmp_path)
+    assert not any(t.judgement == "rejected" for t in corrected.tests)
 
 
 def test_one_station_is_refused(tmp_path: Path) -> None:
@@ -278,7 +307,7 @@ def test_errors_of_the_recording_are_no_errors_of_the_tracker(cause: str):
     assert not [t.name for t in faulty.entries if t.judgement == "rejected"]
     lengths = [(a, b) for a, b in zip(clean.entries, faulty.entries, strict=True) if b.expanded_um is not None]
     assert max(abs(b.error_um - a.error_um) / (b.expanded_um or np.nan) for a, b in lengths) < 1.0
-    assert faulty.further_actions[0].startswith(("Check the SMR", "Inspect the nest"))
+    assert faulty.further_actions(is_rejected=False)[0].startswith(("Check the SMR", "Inspect the nest"))
 
 
 def test_possible_error_of_the_tracker_remains_in_the_tests():
@@ -288,7 +317,10 @@ def test_possible_error_of_the_tracker_remains_in_the_tests():
     tests = evaluate_network(recording.with_readings(readings), LIMITS)
     assert tests.corrected_causes == () and tests.tracker_causes[0].where.stations == ("S2",)
     assert "possibly an error of the tracker, and it remains in the tests" in tests.sentences[0]
-    assert {t.name.partition(":")[0] for t in tests.entries if t.judgement == "rejected"} == {"S2"}
+    rejected = [t.name for t in tests.entries if t.judgement == "rejected"]
+    assert {name.partition(":")[0] for name in rejected} == {"S2"}
+    assert 0 < tests.n_rejected_without_constants <= len(rejected)
+    assert "Corrections by ltsim calibrate do not suffice" in tests.constants_action
 
 
 def test_centring_is_in_the_uncertainty_of_a_network_length():
