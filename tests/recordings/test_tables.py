@@ -14,6 +14,7 @@ from ltsim.core.errors import RecordError
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.recordings import Hints, Recording, read, write
 from ltsim.recordings.tables import cells
+from ltsim.recordings.tables.header import title_role
 from tests.families import family
 from tests.recordings.samples import outcome, workshop
 
@@ -271,6 +272,52 @@ def test_wrong_tables_get_one_sentence(tmp_path: Path, text: str, says: str) -> 
 def test_wrong_mappings_get_one_sentence(tmp_path: Path, wanted: str, says: str) -> None:
     found = outcome(lambda: read(unnamed(tmp_path / "a.csv"), hints=Hints(columns=wanted)))
     assert isinstance(found, str) and says in found, found
+
+
+@pytest.mark.parametrize(
+    ("role", "title"),
+    [
+        *(
+            ("station", title)
+            for title in (
+                "Instrument station",
+                "Instr. pos.",
+                "Station ID",
+                "Tracker position",
+                "Occupied station",
+                "Gerätestandpunkt",
+                "Instrumentenstandort Nr.",
+                "Stationierung",
+                "Station de l'instrument",
+                "Mise en station",
+                "Estación del instrumento",
+                "Posizione dello strumento",
+            )
+        ),
+        *(
+            ("round", title)
+            for title in ("Round", "Round no.", "Series ID", "Set", "Epoch", "Messepoche", "Durchgang Nr.", "Époque")
+        ),
+        *(("round", title) for title in ("Vuelta", "Giro")),
+        *(("", title) for title in ("Numéro de série", "Serial No.", "Reflector type", "Position")),
+    ],
+)
+def test_titles_of_stations_and_rounds(role: str, title: str) -> None:
+    """In several languages, with words for the instrument and for a number."""
+    assert title_role(title) == role
+
+
+def test_a_column_with_the_time_of_an_epoch_changes_nothing(tmp_path: Path) -> None:
+    """Each row has another number: no rounds, and the recording is that without the column."""
+    readings = [(s, t, 10.0 * s + 40.0 * t, 85.0 + t, 5.0 + t) for s in (1, 2) for t in range(6)]
+    rows = [f"A{s},P{t},{hz},{v},{d}" for s, t, hz, v, d in readings]
+    title = "Instrument station,Point,Hz [deg],Zenith [deg],Slope distance [m]"
+    (tmp_path / "plain.csv").write_text("\n".join([title, *rows]))
+    with_epoch = [f"{title},Epoch", *(f"{row},{1.7e9 + 12 * i:.0f}" for i, row in enumerate(rows))]
+    (tmp_path / "epoch.csv").write_text("\n".join(with_epoch))
+    plain, epoch = read(tmp_path / "plain.csv"), read(tmp_path / "epoch.csv")
+    assert epoch.stations == plain.stations == ("A1", "A2")
+    np.testing.assert_array_equal(epoch.readings, plain.readings)
 
 
 def test_columns_by_number_of_a_table_without_a_header(tmp_path: Path) -> None:

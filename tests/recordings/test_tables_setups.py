@@ -153,7 +153,7 @@ def test_a_trackers_table_keeps_a_trackers_noise(tmp_path: Path) -> None:
     assert not recording.setup.stations
 
 
-@pytest.mark.parametrize("title", ["inst", "Instrumentenstandpunkt"])
+@pytest.mark.parametrize("title", ["inst", "Halteplatz"])
 def test_a_column_that_separates_the_set_ups_is_suggested_as_the_station(tmp_path: Path, title: str) -> None:
     recording = workshop()
     header = f"{title},label,T [degC],target,face,azimuth [deg],elevation [deg],distance [mm]"

@@ -10,7 +10,14 @@ from functools import lru_cache
 from ltsim.core.errors import RecordError
 from ltsim.core.units import ANGLE_UNITS, LENGTH_UNITS, SMALL_ANGLE_UNITS, UNITS_BY_SPELLING
 from ltsim.recordings.files import SourceLocation, quoted_text
-from ltsim.recordings.tables.title_words import COMMON_SIGMA_ROLE, FOREIGN_TITLE_WORDS, TITLE_WORDS
+from ltsim.recordings.tables.title_words import (
+    COMMON_SIGMA_ROLE,
+    FOREIGN_TITLE_WORDS,
+    NUMBER_TITLE_ENDINGS,
+    STATION_TITLE_PLACES,
+    STATION_TITLE_PREFIXES,
+    TITLE_WORDS,
+)
 
 HORIZONTAL_ROLES = ("horizontal", "azimuth")
 """Roles of columns with directions: readings of the horizontal circle, and azimuths."""
@@ -29,10 +36,13 @@ SIGMA_ROLES = {
 }
 """Meaning (role) of the column with the standard deviation of another column, by the meaning of that column."""
 ROLE_BY_TITLE = {
-    word: role
-    for words in (TITLE_WORDS, *FOREIGN_TITLE_WORDS.values())
-    for role, text in words.items()
-    for word in text.split()
+    **{instrument + place: "station" for instrument in STATION_TITLE_PREFIXES for place in STATION_TITLE_PLACES},
+    **{
+        word: role
+        for words in (TITLE_WORDS, *FOREIGN_TITLE_WORDS.values())
+        for role, text in words.items()
+        for word in text.split()
+    },
 }
 """Role by each known title, in the form of `normalised_title`."""
 ROLE_UNITS = {
@@ -49,7 +59,7 @@ ROLE_UNITS = {
 }
 """Permitted units by the meaning of a column; a column with another unit does not have this meaning."""
 _SETUP_TITLES = ("setup", "setupname", "setupid", "setupno", "setupnr", "setupnumber")
-_OCCUPATION_TITLES = ("occupation", "occupationid", "aufstellung", "besetzung")
+_OCCUPATION_TITLES = ("occupation", "occupationid", "aufstellung", "aufstellungnr", "aufstellungsnr", "besetzung")
 FALLBACK_TITLES = {
     "target": ("nr", "nummer", "no", "id"),
     "station": (*_SETUP_TITLES, *_OCCUPATION_TITLES),
@@ -82,6 +92,9 @@ _PART_PATTERNS = tuple(
     )
 )
 _VALUE_PATTERN = re.compile(r"([a-z0-9]+?)(?:value|reading|obs|raw)")
+_NUMBER_PATTERN = re.compile(rf"([a-z0-9]+?)(?:{'|'.join(NUMBER_TITLE_ENDINGS)})")
+NUMBERED_ROLES = ("station", "round")
+"""Roles of titles that may end with a word for a number or name; targets and instruments have titles of their own."""
 
 
 @dataclass(frozen=True)
@@ -266,6 +279,9 @@ def title_role(name: str) -> str:
     value_match = _VALUE_PATTERN.fullmatch(name)
     if value_match is not None and value_match[1] in ROLE_BY_TITLE:
         return ROLE_BY_TITLE[value_match[1]]
+    number_match = _NUMBER_PATTERN.fullmatch(name)
+    if number_match is not None and ROLE_BY_TITLE.get(number_match[1]) in NUMBERED_ROLES:
+        return ROLE_BY_TITLE[number_match[1]]
     stems = [match[1] for form in _SIGMA_TITLE_PATTERN if (match := form.fullmatch(name))]
     return next((SIGMA_ROLES[ROLE_BY_TITLE[stem]] for stem in stems if ROLE_BY_TITLE.get(stem) in SIGMA_ROLES), "")
 

@@ -9,15 +9,17 @@ COMMON_SIGMA_ROLE = "sigma_mm"
 TITLE_WORDS = {
     "station": "station stn st setup standpunkt stp stand standort stationname stationid stationnr stationno "
     "stationnumber stationpoint stationpointid setuppoint setuppointid standpunktnr standpunktnummer "
-    "standpunktname from fromstn fromstation frompoint frompointid von instrument instrumentname "
+    "standpunktname atstation occupiedstation occpt occpoint "
+    "from fromstn fromstation frompoint frompointid von instrument instrumentname "
     "tracker trackername device deviceid devicename stationsname setupname setupid setupno setupnr "
-    "setupnumber occupation occupationid aufstellung besetzung",
+    "setupnumber occupation occupationid aufstellung aufstellungnr aufstellungsnr besetzung stationierung standpkt",
     "target": "target point pt name punkt pkt punktnummer punktname pnr pointname pointid pointnumber pointno "
     "pointnr ptid ptno ptnr ptname targetname targetid feature featurename id to tostn tostation "
     "topoint topointid nach reflector smr zielpunkt zielpunktnr zielpunktnummer ziel nest nr nummer no",
     "face": "face f lage kreislage circlelage visierlage",
     "repeat": "repeat repetition rep wiederholung",
-    "round": "round runde obsset satz set setnumber setno setnr satznummer satznr vollsatz serie series",
+    "round": "round runde obsset satz set setnumber setno setnr satznummer satznr vollsatz serie series "
+    "measurementround obsround messrunde durchgang epoch epoche messepoche",
     "horizontal": "hz ha hor horizontal horizontalangle hzangle horizontalrichtung hzrichtung richtung direction "
     "horizontalwinkel hzwinkel hcircle hzcircle horizontalcircle bearing",
     "azimuth": "azimuth az azimut azi azimuthangle azimutwinkel",
@@ -48,7 +50,9 @@ TITLE_WORDS = {
 """English and German titles by the meaning of the column, separated by blanks."""
 FOREIGN_TITLE_WORDS = {
     "French": {
-        "station": "stationne pointstation pointstationne",
+        "station": "stationne pointstation pointstationne numerodestation stationinstrument stationdelinstrument "
+        "positioninstrument positiondelinstrument miseenstation",
+        "round": "tour epoque",
         "target": "pointvise visee vise cible",
         "horizontal": "anglehorizontal anglehz lecturehz lecturehorizontale directionhorizontale gisement",
         "vertical": "anglevertical lectureverticale",
@@ -59,7 +63,9 @@ FOREIGN_TITLE_WORDS = {
         "target_height_mm": "hauteurprisme hauteurduprisme hauteurcible hauteurvoyant hauteurreflecteur",
     },
     "Spanish and Portuguese": {
-        "station": "estacion puntoestacion puntodeestacion estacao",
+        "station": "estacion puntoestacion puntodeestacion estacao estacionamiento estacioninstrumento "
+        "estaciondelinstrumento posicioninstrumento posiciondelinstrumento",
+        "round": "ronda vuelta epoca",
         "target": "punto puntovisado puntoobservado objetivo ponto pontovisado alvo",
         "horizontal": "angulohorizontal lecturahorizontal",
         "azimuth": "acimut",
@@ -74,7 +80,9 @@ FOREIGN_TITLE_WORDS = {
         "target_height_mm": "alturaprisma alturadelprisma alturadeprisma alturadoprisma alturareflector alturaobjetivo",
     },
     "Italian": {
-        "station": "stazione puntostazione puntodistazione",
+        "station": "stazione puntostazione puntodistazione stazionestrumento stazionedellostrumento "
+        "posizionestrumento posizionedellostrumento",
+        "round": "giro turno",
         "target": "puntocollimato puntobattuto bersaglio",
         "horizontal": "angoloorizzontale angoloazimutale letturaorizzontale direzioneorizzontale orizzontale",
         "vertical": "angoloverticale letturaverticale",
@@ -142,3 +150,30 @@ FOREIGN_TITLE_WORDS = {
     },
 }
 """Titles in other languages: by language, and then by the meaning of the column."""
+STATION_TITLE_PREFIXES = (
+    "instrument",
+    "instruments",
+    "instrumenten",
+    "instr",
+    "inst",
+    "tracker",
+    "gerat",
+    "gerate",
+    "geraete",
+)
+"""Words before a word for a place, which together name a station."""
+STATION_TITLE_PLACES = (
+    "station",
+    "stn",
+    "stand",
+    "standort",
+    "standpunkt",
+    "standpkt",
+    "position",
+    "pos",
+    "point",
+    "location",
+)
+"""Words for the place of an instrument."""
+NUMBER_TITLE_ENDINGS = ("no", "nr", "num", "number", "nummer", "id", "name")
+"""Words after the title of a station or round, which do not change its meaning."""
