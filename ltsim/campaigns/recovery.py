@@ -82,6 +82,8 @@ class Recovery(ResultFile):
     """Checks of one number each; with these bounds a correct model fails any of them in one run of a hundred."""
     parameters: tuple[RecoveredParameter, ...] = ()
     """Errors of each parameter over the trials."""
+    ltsim_parameters: tuple[str, ...] = ()
+    """All parameters that ltsim estimates in the same recordings, if another calibrator is checked."""
     unchecked: tuple[str, ...] = ()
     """Parameters without a check: they have neither a sigma in each trial nor a tolerance."""
     allow_unchecked: bool = False
@@ -104,6 +106,7 @@ class Recovery(ResultFile):
             seed=seed,
             checks=checks,
             parameters=trials.parameter_statistics(),
+            ltsim_parameters=trials.ltsim_parameter_names,
             unchecked=unchecked,
             allow_unchecked=allow_unchecked,
             tolerances={name: tolerance.text for name, tolerance in trials.tolerance.items()},
@@ -122,6 +125,7 @@ class Recovery(ResultFile):
     def _lines(self) -> list[str]:
         return [
             f"Recovery, errors {self.errors}: {self.trials} trials, {self.converged} converged: {self.verdict_text()}",
+            *self.comparison_sentences(),
             *self.failure_sentences(),
         ]
 
@@ -135,6 +139,18 @@ class Recovery(ResultFile):
     def failed_checks(self) -> list[RecoveryCheck]:
         """Checks of the trials that failed."""
         return [check for check in self.checks if not check.passed]
+
+    def comparison_sentences(self) -> list[str]:
+        """Sentence on the parameters of the compared calibrators, if ltsim estimates more than the checked one."""
+        more = [name for name in self.ltsim_parameters if name not in {p.parameter for p in self.parameters}]
+        if not more:
+            return []
+        names = ", ".join(p.parameter for p in self.parameters)
+        return [
+            f"The calibrator estimates {len(self.parameters)} parameters ({names}). In the comparison ltsim estimates "
+            f"{len(self.ltsim_parameters)}, also {listing(more, MAX_LISTED_PARAMETERS)}: its errors contain the "
+            "uncertainty of these, and those of the calibrator what it does not model."
+        ]
 
     def verdict_text(self) -> str:
         """Text of the result in a few words."""

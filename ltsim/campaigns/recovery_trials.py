@@ -202,6 +202,11 @@ class RecoveryTrials(ValueEquality):
         return self.trials_with_result[0].parameter_names if self.trials_with_result else ()
 
     @property
+    def ltsim_parameter_names(self) -> tuple[str, ...]:
+        """Names of all parameters that ltsim estimates in the same recordings; empty without an external calibrator."""
+        return next((t.ltsim_parameter_names for t in self.trials_with_result if t.ltsim_parameter_names), ())
+
+    @property
     def trials_with_result(self) -> list[TrialScore]:
         """Trials with a result."""
         return [trial for trial in self.trials if trial is not None]

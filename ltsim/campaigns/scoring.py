@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -59,7 +59,9 @@ class TrialScore(ValueEquality):
     is_external: bool = False
     """True for an external calibrator, whose prior is unknown."""
     ltsim_estimates: TrialScore | None = None
-    """Estimates of ltsim's calibrator from the same recording; None if there is no external calibrator."""
+    """Estimates of the same parameters by ltsim's calibrator in the same recording; None without an external one."""
+    ltsim_parameter_names: tuple[str, ...] = ()
+    """Names of all parameters that ltsim's calibrator estimates, if there is an external calibrator."""
 
     @property
     def z_scores(self) -> Floats:
@@ -296,4 +298,6 @@ def score_estimates(
         ]
         same = np.array([np.nan if k is None else reference.estimates[k] for k in places])
         other = TrialScore(names, units, same, np.full(len(same), np.nan), right, standard)
-    return TrialScore(names, units, value, sigma, right, standard, is_external=True, ltsim_estimates=other)
+    every = () if reference is None else reference.parameter_names
+    score = TrialScore(names, units, value, sigma, right, standard, is_external=True, ltsim_estimates=other)
+    return replace(score, ltsim_parameter_names=every)

@@ -185,6 +185,8 @@ def recover(
         if "absolute error difference" in table.headings:
             meaning = " ".join(table.meanings["absolute error difference"].split())
             terminal.print_text(f"absolute error difference: {meaning[0].lower()}{meaning[1:]}.")
+        for sentence in result.comparison_sentences():
+            terminal.print_text(sentence)
     for sentence in result.failure_sentences():
         write_line(sentence, sys.stderr)
     if not result.passed:
