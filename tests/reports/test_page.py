@@ -14,6 +14,7 @@ from xml.etree.ElementTree import fromstring
 import numpy as np
 import pytest
 
+import ltsim as lt
 from ltsim.adjustment.fieldcheck import write_check
 from ltsim.adjustment.fieldcheck.check import check
 from ltsim.adjustment.identification.tests import CausePlace, CauseTest
@@ -96,7 +97,7 @@ def test_calibration_says_what_changed(contents: dict[str, Document]) -> None:
     content = next(s for s in contents["."].sections if s.kind.startswith("Calibration"))
     assert "calibrated from 5 stations" in content.summary
     assert "readings agree with the model" in content.summary
-    assert "% better than before" in content.summary
+    assert "% better than before" in content.summary and "correction of" not in content.summary
     assert content.assessment == "good"
     titles = [block.title for block in content.blocks]
     assert {"Instrument parameters", "Targets"} <= set(titles)
@@ -395,6 +396,16 @@ def test_targets_without_a_height_are_told_in_plan() -> None:
     said = target_uncertainty_sentence(np.array([known, open_, open_]))
     assert said == "Expanded uncertainty of a target in plan: U = 10000 um (k = 2), 10000 um for the worst."
     assert not target_uncertainty_sentence(np.full((2, 3), np.nan))
+
+
+def test_the_agreement_after_a_correction_is_not_that_of_the_calibration_alone(tmp_path: Path) -> None:
+    """A scale error of 20 ppm at a set-up causes most of the disagreement; its correction is stated with it."""
+    recording, _ = lt.simulate("paper-workshop", seed=7)
+    readings = recording.readings.copy()
+    readings[recording.station == 2, 0] *= 1.0 + 20e-6
+    write_calibration(lt.calibrate(recording.with_readings(readings)), tmp_path)
+    summary = document_of_folder(tmp_path).summary
+    assert "better than before" in summary and "), by the calibration and the correction of 1 error." in summary
 
 
 def test_a_calibration_with_a_corrected_error_is_not_called_consistent(tmp_path: Path) -> None:

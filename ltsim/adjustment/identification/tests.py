@@ -246,7 +246,12 @@ def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     assert isinstance(effect, TargetMoved)
     components = (values / MILLIMETRE, np.sqrt(np.diag(covariance)) / MILLIMETRE)
     parts = (f"d{axis} {with_sigma(value, sigma)}" for axis, value, sigma in zip("xyz", *components, strict=True))
-    return f"Target {at} moved {interval}, by {size} ({', '.join(parts)} mm)."
+    state, first_station = fit.state, fit.recording.stations[0]
+    is_frame_of_station = np.allclose(
+        np.vstack([state.station_positions[:1], state.station_rotations[0] - np.eye(3)]), 0
+    )
+    axes = f" along the axes of {first_station}" if is_frame_of_station else ""
+    return f"Target {at} moved {interval}, by {size} ({', '.join(parts)} mm{axes})."
 
 
 OBSERVABLE_CAUSES = {

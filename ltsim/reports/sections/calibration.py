@@ -157,6 +157,9 @@ def _answer_sentence(content: Calibration, agreement_words: str, targets: Path |
             f"({number_text(distance.before.mean_um)} to "
             f"{number_text(distance.after.mean_um if distance.after else None)} um)"
         )
+        shifts = [test for test in _corrected_faults(content) if test.sigma is not None]
+        if shifts:
+            sentence += f", by the calibration and the correction of {count_text(len(shifts), 'error')}"
     if content.outliers:
         n_rejected = sum(outlier.excluded for outlier in content.outliers)
         sentence += f"; {count_text(len(content.outliers), 'reading')} did not fit"

@@ -232,6 +232,10 @@ def test_a_target_that_moved_between_two_stations() -> None:
     assert recording.station[before] < 2 <= recording.station[after]
     assert [float(stated[1]), float(stated[2])] == pytest.approx(recording.time[[before, after]], abs=0.05)
     assert [float(stated[k]) for k in (5, 6, 7)] == pytest.approx([1.0, 0.0, 2.0], abs=0.1)
+    free_targets = {name: Target() for name in CONTROL}
+    free_setup = recording.setup.model_copy(update={"targets": {**recording.setup.targets, **free_targets}})
+    free = identified(recording.replace(readings=recording.readings + change, setup=free_setup))
+    assert cause_tests(free)[0].sentence.endswith(" mm along the axes of S1).")
     without_clock = identified(recording.replace(readings=recording.readings + change, has_clock=False))
     assert f"moved between rows {before + 1} and {after + 1}, by" in cause_tests(without_clock)[0].sentence
 
