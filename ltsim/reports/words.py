@@ -65,7 +65,11 @@ def typographic_text(text: str) -> str:
     with_signs = re.sub(
         r"\bu(m|rad)\b",
         "µ\\1",
-        text.replace("+-", "±").replace("chi2", "χ²").replace("[deg]", "[°]").replace(" %", "\u00a0%"),
+        text.replace("+-", "±")
+        .replace("chi2", "χ²")
+        .replace("um2/m3", "µm²/m³")
+        .replace("[deg]", "[°]")
+        .replace(" %", "\u00a0%"),
     )
     return "–" if with_signs == "-" else re.sub(r"(?<![\w.,)\]-])-(?=\.?\d)", "−", with_signs)
 

@@ -384,6 +384,7 @@ def test_drawing_changes_no_global_setting() -> None:
 def test_numbers_read_like_numbers() -> None:
     assert typographic_text(with_sigma(-13.66, 3.7, "um")) == "−13.7 ± 3.7 µm"
     assert typographic_text(with_sigma(-0.001, 0.9)) == "0.00 ± 0.90"
+    assert typographic_text("turbulence of 0.1 um2/m3") == "turbulence of 0.1 µm²/m³"
     assert [typographic_text(number_text(v)) for v in (0.0, 1234.5, -0.25, float("nan"))] == [
         "0",
         "1234",
