@@ -90,5 +90,9 @@ def fixed_point_text(value: float | None, n_decimals: int) -> str:
     """Number as text with `n_decimals` decimals and without thousands separators; a dash if it is missing."""
     if value is None or not math.isfinite(value):
         return MISSING_TEXT
-    text = f"{value:.{n_decimals}f}"
-    return text.removeprefix("-") if not text.strip("-0.") else text
+    return unsigned_zero(f"{value:.{n_decimals}f}")
+
+
+def unsigned_zero(number: str) -> str:
+    """Text of a number, without the minus sign if it is rounded to zero."""
+    return number if number.strip("-0.") else number.removeprefix("-")

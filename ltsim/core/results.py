@@ -22,7 +22,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.descriptions import descriptions
 from ltsim.core.errors import ModelError, RecordError, missing_extra, printable, unknown_name
 from ltsim.core.limits import MAX_TEXT_LINES
-from ltsim.core.notation import MISSING_TEXT, align_columns, decimals_of_sigma, number_text, with_sigma
+from ltsim.core.notation import MISSING_TEXT, align_columns, decimals_of_sigma, number_text, unsigned_zero, with_sigma
 from ltsim.core.plotting import plotting_module
 from ltsim.core.probability import p_text
 from ltsim.core.units import UNIT_BY_KEY_ENDING, unit_of_key
@@ -117,9 +117,9 @@ class Column:
         if self.sigma:
             return with_sigma(float(value), precision)
         if self.like and precision and 0 < precision < math.inf:
-            return f"{value:.{decimals_of_sigma(precision)}f}"
+            return unsigned_zero(f"{value:.{decimals_of_sigma(precision)}f}")
         if self.shown:
-            return format(value, self.shown)
+            return unsigned_zero(format(value, self.shown))
         return str(value) if isinstance(value, int | np.integer) else number_text(float(value), self.digits)
 
 

@@ -258,3 +258,9 @@ def test_what_has_no_table_says_so():
 def test_what_has_no_picture_says_so(kept):
     with pytest.raises(ModelError, match="has no figure"):
         kept["catalogue"].plot()
+
+
+def test_a_coordinate_that_rounds_to_zero_has_no_sign() -> None:
+    column = Column("x_mm", "coordinate", shown=".4f", like="sigma_x_mm")
+    assert [column.display(v) for v in (-1.7e-22, -0.00004, -0.00006, 0.0)] == ["0.0000", "0.0000", "-0.0001", "0.0000"]
+    assert column.display(-1e-9, 0.02) == "0.000"
