@@ -110,7 +110,28 @@ class ResidualSpace:
         return float(scores @ scores), len(scores)
 
     def _projected_basis(self, signature: Floats) -> Floats:
-        return orthonormal_columns(self.project(signature), np.linalg.norm(signature, axis=0))
+        return orthonormal_columns(self.project(signature), self.norms_beyond_centring(signature))
+
+    def norms_beyond_centring(self, signature: Floats) -> Floats:
+        """Lengths (q,) of signatures (m, q) without the part that centring errors in the model absorb.
+
+        Displacements with a large standard deviation absorb nearly all of a signature. What remains is visible if it is
+        large compared with these lengths, not with those of the whole signatures.
+        """
+        squares = lowest = np.sum(signature**2, axis=0)
+        is_used, sightings = self.used_readings, self.sightings
+        for errors in self.adjustment.problem.model.centring_errors:
+            changes = np.zeros((*is_used.shape, signature.shape[1]))
+            changes[is_used] = signature[: int(is_used.sum())]
+            place = np.flatnonzero(errors.occupation >= 0)
+            slope = np.where(is_used[:, :, None], sightings.target_derivatives / self.sigma[:, :, None], 0.0)[place]
+            normals = np.tile(np.eye(3) / errors.sigma**2, (errors.n_occupations, 1, 1))
+            scores = np.zeros((errors.n_occupations, 3, signature.shape[1]))
+            np.add.at(normals, errors.occupation[place], np.einsum("nki,nkj->nij", slope, slope))
+            np.add.at(scores, errors.occupation[place], np.einsum("nki,nkq->niq", slope, changes[place]))
+            absorbed = np.einsum("niq,niq->q", scores, np.linalg.solve(normals, scores))
+            lowest = np.minimum(lowest, squares - absorbed)
+        return np.sqrt(np.maximum(lowest, 0.0))
 
     def with_signatures(self, signature: Floats) -> ResidualSpace:
         """Residual space of the adjustment in which the parameters of signatures (m, q) are estimated too."""
