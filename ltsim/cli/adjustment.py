@@ -233,7 +233,8 @@ HeldOutOption = Annotated[
     typer.Option(
         "--held-out/--no-held-out",
         help="Compute the held-out error by 5-fold cross-validation: each of five searches predicts the fifth of the "
-        "readings that it does not use. Default: only for small recordings.",
+        "readings that it does not use. Effects that predict worse than no effect are stated as improbable. Default: "
+        "only for small recordings.",
     ),
 ]
 

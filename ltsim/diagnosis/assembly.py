@@ -73,6 +73,7 @@ def assemble_diagnosis(
             before,
             after,
             n_withheld=len(model_fit.withheld_keys) + len(likely[room:]),
+            is_contradicted=errors.log_odds_of_model < 0.0,
         ),
         global_test=GlobalTest(
             statistic=baseline.chi2,

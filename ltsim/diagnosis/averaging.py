@@ -134,7 +134,7 @@ def model_weights(
     `temperature`.
     """
     none, *rest_of = normalised_probabilities(
-        np.array([0.0, *(h.log_evidence for h in ranking.entries)]) / temperature
+        np.array([ranking.log_evidence_none, *(h.log_evidence for h in ranking.entries)]) / temperature
     ).tolist()
     probable = [(h, p) for h, p in zip(ranking.entries, rest_of, strict=True) if p > MIN_AVERAGED_PROBABILITY]
     entries = [(h, p) for h, p in probable if not _is_noise_hypothesis(h)]

@@ -78,7 +78,8 @@ def diagnose(
         Earlier calibrations with which each constant of the instruments is compared.
     held_out : bool, optional
         True for 5-fold cross-validation. The search is repeated without each fold of the readings, which is then
-        predicted; this takes five more searches if the model is not empty. None for cross-validation only in networks
+        predicted; this takes five more searches if the model is not empty. If the model predicts the folds worse than
+        no effect, its effects are stated as improbable. None for cross-validation only in networks
         with up to `calibration.shrinkage.MAX_DENSE_UNKNOWNS` unknowns.
 
     Returns
@@ -122,14 +123,19 @@ def diagnose(
     constant_findings = [
         instrument_finding(c) for c in contradicting if not _varies_constant(c.parameter.name, model.effects)
     ][:MAX_MODEL_MEMBERS]
-    model_fit = ExplainedRecording(
-        case, detection, model, fitted, bool(mistaken or constant_findings or _has_more_than_noise_level(case.noise))
-    )
     repeats_search = not case.searcher.is_large_network if held_out is None else held_out
     errors = (
         HeldOutErrors()
         if case.searcher.is_large_network and not repeats_search
-        else _held_out_errors(model_fit, MIN_EFFECT_LOG_EVIDENCE, repeats_search)
+        else _held_out_errors(case, model, MIN_EFFECT_LOG_EVIDENCE, repeats_search)
+    )
+    model_fit = ExplainedRecording(
+        case,
+        detection,
+        model,
+        fitted,
+        has_test_findings=bool(mistaken or constant_findings or _has_more_than_noise_level(case.noise)),
+        held_out_log_odds=errors.log_odds_of_model,
     )
     detectability = detectability_report(*beginning)
     source = SourceEntry.from_recording(recording)
@@ -338,16 +344,16 @@ def _has_more_than_noise_level(noise: Sequence[NoiseHypothesis]) -> bool:
     return any(not isinstance(change.effect, NoiseLevel) for change in noise)
 
 
-def _held_out_errors(model_fit: ExplainedRecording, threshold: float, repeats_search: bool) -> HeldOutErrors:
+def _held_out_errors(case: SelectionState, model: Model, threshold: float, repeats_search: bool) -> HeldOutErrors:
     """Prediction errors of held-out readings, divided by the larger of the declared and the estimated noise.
 
     The error with the model is known if `repeats_search`, and for an empty model, with which the errors are equal.
     """
-    case, nominal = model_fit.state, model_fit.state.recording.sigma()
+    nominal = case.recording.sigma()
     space, seed = case.searcher.space, case.seed
     if (case.reading_sigmas < nominal).any():
         space = ResidualSpace.from_adjustment(case.refit((), np.maximum(case.reading_sigmas, nominal)).adjustment)
-    if not model_fit.model.members:
+    if not model.members:
         before = cross_validated_errors(space, seed).before
         return HeldOutErrors(before, before)
     return (

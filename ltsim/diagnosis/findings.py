@@ -71,6 +71,8 @@ class ExplainedRecording:
     """Nonlinear adjustment with this model."""
     has_test_findings: bool = False
     """True if findings of tests, or of the noise, are reported in addition to the effects in the model."""
+    held_out_log_odds: float = 0.0
+    """Log odds of the model against no effect if held-out readings contradict it; otherwise 0."""
 
     def _ranking(self, member: int) -> Ranking:
         """Ranking of all alternatives to an effect in the model, with changes of the noise and an unmodelled cause."""
@@ -86,7 +88,8 @@ class ExplainedRecording:
         redundancy = searcher.space.redundancy - np.sum(model.basis**2, axis=1)
         shift = searcher.space.whitened_signature(effect) @ mean
         likeness = log_bayes_factor_discrepancy(searcher.space, shift, model.residual, redundancy)
-        return searcher.ranking(other_members).with_rivals(noises).with_unmodelled_cause(likeness)
+        ranking = searcher.ranking(other_members).with_rivals(noises).with_unmodelled_cause(likeness)
+        return ranking.with_held_out_evidence(self.held_out_log_odds)
 
     def probability(self, member: int) -> float:
         """Posterior probability that an effect with the same name as this effect in the model is the cause.

@@ -5,6 +5,7 @@ its whitened residuals, and F a fold. An adjustment without the readings of the 
 P_FF^-1 r_F, whose covariance is P_FF^-1. Then effects, places, shapes and sizes are estimated without the fold, their
 changes are subtracted from all readings, and the fold is predicted again. The measure of both errors is e' P_FF e. Its
 expectation is 1 per reading if the model and the noise are correct. A false finding does not predict held-out readings.
+Half of the decrease of this measure is the gain of log score by the model; a negative gain is evidence against it.
 
 To exclude readings is equivalent to estimating a separate error for each of them. The residual space without a fold is
 therefore that of the network extended by the unit columns of the readings of the fold. Only the weights of the
@@ -17,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.significance import MIN_SIGNIFICANT_SIGMAS
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.randomness import stream
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
@@ -34,6 +36,21 @@ class HeldOutErrors(NamedTuple):
     """Error with the ordinary adjustment; None if no reading can be predicted."""
     after: float | None = None
     """Error with the model that was selected without the fold; None also without a search."""
+    log_score_gain: float = 0.0
+    """Increase of the log score (log density) of the held-out readings by the model; 0 without a search."""
+    log_score_gain_sigma: float = 0.0
+    """Standard error of `log_score_gain`, from its scatter between the pointings (Vehtari, Gelman and Gabry 2017,
+    Statistics and Computing 27, 1413)."""
+
+    @property
+    def log_odds_of_model(self) -> float:
+        """Log odds of the model against no effect, if held-out readings contradict it; otherwise 0.
+
+        It is the log score gain plus `MIN_SIGNIFICANT_SIGMAS` standard errors if that is negative (pseudo-Bayes factor;
+        Geisser and Eddy 1979, J. Am. Stat. Assoc. 74, 153). An effect that few other readings predict, at one target or
+        set-up, has a gain near zero, which contradicts nothing.
+        """
+        return min(0.0, self.log_score_gain + MIN_SIGNIFICANT_SIGMAS * self.log_score_gain_sigma)
 
 
 def cross_validated_errors(
@@ -52,18 +69,23 @@ def cross_validated_errors(
     threshold : float
         Smallest log evidence by which a further effect in a model increases it.
     """
-    before, after, count = 0.0, 0.0, 0
-    groups = fold_rows(space, seed)
+    before, after, count = np.zeros(len(space.sightings)), np.zeros(len(space.sightings)), 0
+    groups, pointing = fold_rows(space, seed), np.nonzero(space.used_readings)[0]
     for rows, (values, vectors) in zip(groups, space.projector.hat_matrix_spectra(groups), strict=True):
-        before += _quadratic_form_on_fold(space.residuals[rows], values, vectors)
+        np.add.at(before, pointing[rows], _normalised_errors_on_fold(space.residuals[rows], values, vectors) ** 2)
         count += len(rows) - int(np.sum(values >= 1.0 - MAX_SOLUTION_ROUNDING_ERROR))
         if searcher is not None:
             fold_search = searcher.without_rows(rows)
             remaining = space.residuals - space.project(_selected_model_shift(space, fold_search, threshold))
-            after += _quadratic_form_on_fold(remaining[rows], values, vectors)
+            np.add.at(after, pointing[rows], _normalised_errors_on_fold(remaining[rows], values, vectors) ** 2)
     if not count:
         return HeldOutErrors()
-    return HeldOutErrors(float(np.sqrt(before / count)), None if searcher is None else float(np.sqrt(after / count)))
+    rms_before = float(np.sqrt(before.sum() / count))
+    if searcher is None:
+        return HeldOutErrors(rms_before)
+    gains = 0.5 * (before - after)[np.unique(pointing)]  # of normal readings with the covariance of the prediction
+    sigma = float(np.sqrt(len(gains)) * gains.std())
+    return HeldOutErrors(rms_before, float(np.sqrt(after.sum() / count)), float(gains.sum()), sigma)
 
 
 def fold_rows(space: ResidualSpace, seed: int) -> list[Ints]:
@@ -75,16 +97,17 @@ def fold_rows(space: ResidualSpace, seed: int) -> list[Ints]:
     return [rows for rows in groups if len(rows)]
 
 
-def _quadratic_form_on_fold(residual: Floats, eigenvalues: Floats, eigenvectors: Floats) -> float:
-    """Quadratic form r' (1 - H)^-1 r of the residuals (f,) of a fold, from the spectrum of its hat matrix H.
+def _normalised_errors_on_fold(residual: Floats, eigenvalues: Floats, eigenvectors: Floats) -> Floats:
+    """Normalised prediction errors (f,) of a fold: (1 - H)^-1/2 r with its residuals r (f,) and its hat matrix H.
 
-    `eigenvectors` (f, e) are those of the e nonzero `eigenvalues` (e,). Directions that the network determines only
-    with the fold are left out.
+    `eigenvectors` (f, e) are those of the e nonzero `eigenvalues` (e,) of H. Directions that the network determines
+    only with the fold are left out.
     """
-    along = (eigenvectors.T @ residual) ** 2
+    along = eigenvectors.T @ residual
     is_predicted = eigenvalues < 1.0 - MAX_SOLUTION_ROUNDING_ERROR
-    predicted = np.sum(along[is_predicted] / (1.0 - eigenvalues[is_predicted]))
-    return float(residual @ residual - along.sum() + predicted)
+    factors = np.where(is_predicted, 1.0 / np.sqrt(np.where(is_predicted, 1.0 - eigenvalues, 1.0)), 0.0)
+    errors: Floats = residual + eigenvectors @ ((factors - 1.0) * along)
+    return errors
 
 
 def _selected_model_shift(space: ResidualSpace, searcher: Searcher, threshold: float) -> Floats:

@@ -138,6 +138,9 @@ class Ranking:
     """Log of the sum of the evidence of all hypotheses. The first of them are evaluated without approximation."""
     log_evidence_unmodelled: float = -np.inf
     """Log evidence of a cause that is no hypothesis of the ranking."""
+    log_evidence_none: float = 0.0
+    """Log evidence that neither a hypothesis of the ranking nor an unmodelled cause like these is the cause. It is 0,
+    or larger if held-out readings contradict the model."""
 
     def with_rivals(self, rivals: Sequence[Hypothesis]) -> Ranking:
         """Ranking that also contains the hypotheses `rivals`."""
@@ -154,6 +157,16 @@ class Ranking:
             + float(np.log(P_UNMODELLED / (1.0 - P_UNMODELLED))),
         )
 
+    def with_held_out_evidence(self, log_odds: float) -> Ranking:
+        """Ranking whose causes together have at most the odds that held-out readings give to the model.
+
+        `log_odds` are the log odds of the model against no effect, 0 if held-out readings do not contradict the model.
+        """
+        if log_odds >= 0.0:
+            return self
+        total = float(np.logaddexp(self.log_evidence_total, self.log_evidence_unmodelled))
+        return replace(self, log_evidence_none=max(self.log_evidence_none, total - log_odds))
+
     def most_probable_name(self) -> str:
         """Most probable name of the cause; `unknown` if that is more probable than all effects of the catalogue."""
         return most_probable_name(self.probabilities_by_name())
@@ -168,12 +181,13 @@ class Ranking:
     @cached_property
     def _log_evidence_sum(self) -> float:
         """Log of the sum of the evidence of all hypotheses, of an unmodelled cause, and of no cause."""
-        return float(np.logaddexp.reduce([*(h.log_evidence for h in self.entries), self.log_evidence_unmodelled, 0.0]))
+        rest = [self.log_evidence_unmodelled, self.log_evidence_none]
+        return float(np.logaddexp.reduce([*(h.log_evidence for h in self.entries), *rest]))
 
     @property
     def p_none(self) -> float:
         """Posterior probability that there is no cause, neither a hypothesis of the ranking nor an unmodelled one."""
-        return float(np.exp(-self._log_evidence_sum))
+        return float(np.exp(self.log_evidence_none - self._log_evidence_sum))
 
     @cached_property
     def p_unmodelled(self) -> float:

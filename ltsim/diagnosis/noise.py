@@ -43,10 +43,9 @@ from ltsim.diagnosis.noise_groups import (
     NoiseByGroup,
     RecordingNoiseLevel,
 )
-from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis as NoiseHypothesis
+from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis as NoiseHypothesis, log_prior_of_noise_family
 from ltsim.diagnosis.noise_patterns import variance_functions
 from ltsim.diagnosis.noise_windows import NoiseWindows
-from ltsim.diagnosis.prior import log_prior_share
 from ltsim.diagnosis.repeats import redundancy_of_means, relative_variance_of_means, repeat_means
 from ltsim.physics.effects import CATALOGUE
 from ltsim.physics.effects.effect import NoiseEffect
@@ -156,11 +155,7 @@ class NoiseBank:
 
     def log_prior_of_family(self, family: str) -> float:
         """Log prior of a family, which is a change of the noise in the catalogue, or outside it (`unknown`)."""
-        names = (*self.families, *(change.name for change in self.group_noises))
-        unknown = [name.startswith("unknown") for name in names]
-        if family.startswith("unknown"):
-            return log_prior_share("scatter", sum(unknown))
-        return log_prior_share("noise", unknown.count(False))
+        return log_prior_of_noise_family(family, (*self.families, *(change.name for change in self.group_noises)))
 
     def _log_evidence_by_family(self, ratio: Floats) -> Floats:
         share = np.array([self.log_prior_of_family(family) for family in self.families])

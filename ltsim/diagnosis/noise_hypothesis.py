@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
+
+import numpy as np
 
 from ltsim.diagnosis.prior import log_prior_share
 from ltsim.diagnosis.schema import Equivalent
+from ltsim.physics.effects import find_effect
+from ltsim.physics.effects.effect import NoiseEffect
 from ltsim.physics.effects.signature import NoiseSignature
 
 
@@ -34,3 +39,23 @@ class NoiseHypothesis:
     def log_prior(self) -> float:
         """Log prior probability of a change of the noise, in the catalogue or outside it, among all explanations."""
         return log_prior_share("scatter" if self.family.startswith("unknown") else "noise", 1)
+
+
+def log_prior_of_noise_family(family: str, families: Collection[str]) -> float:
+    """Log prior of a family of noise changes among `families`, in the catalogue or outside it (`unknown`).
+
+    The probability of a change in the catalogue is divided in proportion to the base rates of the effects.
+    """
+    in_catalogue = [name for name in families if not name.startswith("unknown")]
+    if family.startswith("unknown"):
+        return log_prior_share("scatter", len(families) - len(in_catalogue))
+    return log_prior_share("noise", 1) + float(
+        np.log(_base_rate(family)) - np.log(sum(_base_rate(name) for name in in_catalogue))
+    )
+
+
+def _base_rate(name: str) -> float:
+    """Base rate of a change of the noise in the catalogue."""
+    kind = find_effect(name)
+    assert issubclass(kind, NoiseEffect)
+    return kind.base_rate

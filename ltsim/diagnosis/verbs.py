@@ -32,7 +32,8 @@ def diagnose(
         differs from it by more than its usual spread and both uncertainties is reported.
     held_out : bool, optional
         True for 5-fold cross-validation: the whole search is repeated without each fold of pointings, which is then
-        predicted. This takes five more searches. With None it is done in small networks only.
+        predicted. This takes five more searches. Effects that predict it worse than no effect are stated as improbable.
+        With None it is done in small networks only.
 
     Raises
     ------

@@ -12,6 +12,11 @@ from ltsim.physics.effects import catalogue_entry, find_effect, parameter_text, 
 
 MIN_PROBABLE = 0.5
 """Smallest probability at which a name or an effect is reported as probable. It is then more probable than not."""
+CONTRADICTED_MODEL_SENTENCE = (
+    " Held-out readings are predicted worse with the effects in the model than without them. These effects are "
+    "therefore improbable. Look for single wrong pointings and for repeats that share errors."
+)
+"""Sentence for users if held-out readings contradict the effects in the model."""
 COVARIATE_TEXTS = {
     "approach": "the move before the pointing",
     "place": "the place in the room",
@@ -172,11 +177,13 @@ def diagnosis_summary(
     misfit_after: Misfit,
     *,
     n_withheld: int = 0,
+    is_contradicted: bool = False,
 ) -> str:
     """Summary of a diagnosis in a few sentences.
 
     `misfit_before` and `misfit_after` are those without and with the findings in the model, and `n_withheld` is the
-    number of effects in the model that are not reported.
+    number of effects in the model that are not reported. `is_contradicted` is true if held-out readings contradict the
+    effects in the model.
     """
     if verdict == "consistent" and not misfit_before.dof:
         return "The recording cannot be tested: there is no redundancy. Measure targets repeatedly."
@@ -204,6 +211,7 @@ def diagnosis_summary(
         + suffix
         + rest
         + _held_out_sentence(misfit_before.held_out_rms, misfit_after.held_out_rms)
+        + (CONTRADICTED_MODEL_SENTENCE if is_contradicted else "")
     )
 
 

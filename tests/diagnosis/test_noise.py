@@ -164,7 +164,17 @@ def test_the_evidence_of_a_noise_level_lets_each_observable_be_by_itself(repeate
     subsets = [sum(one[k] for k in range(3) if bits >> k & 1) for bits in range(1, 8)]
     expected = np.log(0.5 * np.exp(subsets).mean() + 0.5 * np.exp(averaged(kind >= 0)))
     found = evidence_of(bank, residual, space.redundancy)["noise-level"]
-    assert found == pytest.approx(expected + np.log(CAUSE_PRIOR["noise"] / 3), rel=1e-6)
+    assert found == pytest.approx(expected + bank.log_prior_of_family("noise-level"), rel=1e-6)
+
+
+def test_a_wrong_declaration_of_the_noise_has_a_larger_prior_than_a_particular_cause_of_it(repeated):
+    """The prior of the noise in the catalogue is divided by the base rates of its effects, and by nothing else."""
+    _, _, bank = repeated
+    names = "noise-level", "turbulence", "station-noise"
+    prior = dict(zip(names, np.exp([bank.log_prior_of_family(name) for name in names]), strict=True))
+    assert sum(prior.values()) == pytest.approx(CAUSE_PRIOR["noise"])
+    assert prior["noise-level"] > prior["turbulence"] + prior["station-noise"]
+    assert prior["turbulence"] == pytest.approx(prior["station-noise"])
 
 
 @pytest.mark.parametrize("times", [0.3, 2.5, 7.0])

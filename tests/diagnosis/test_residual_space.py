@@ -1,6 +1,7 @@
 """Residual space, held-out error and blind spots against brute force."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace, orthonormal_columns
 from ltsim.diagnosis.held_out import cross_validated_errors, fold_rows
+from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.diagnosis.search import Searcher
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressors import Regressor, scalar_regressor
@@ -85,6 +87,21 @@ def test_all_pointings_of_a_target_from_a_set_up_are_in_one_fold():
     assert len(set().union(*folds)) == sum(map(len, folds))
 
 
+def test_held_out_readings_contradict_a_law_that_they_do_not_follow(space):
+    """The same law is subtracted from readings that follow it, and from those that follow its negative."""
+    wave = space.whitened_signature(law("distance", Regressor("wave", ("azimuth",), constant=3.0)))
+    change, rows = 8e-6 * space.project(wave[:, 0]), np.count_nonzero(space.used_readings)
+    follows, opposes = (replace(space, residuals=space.residuals + sign * change) for sign in (1.0, -1.0))
+    effect = Hypothesis(law("distance", Regressor("wave", ("azimuth",), constant=3.0)), 0.0, 0.0, "unknown")
+    model = Model((effect,), (space.project(wave),), np.linalg.norm(wave, axis=0)[None], follows.residuals)
+    search = SimpleNamespace(without_rows=lambda _: SimpleNamespace(select_model=lambda *_, **__: model))
+    supported, contradicted = (cross_validated_errors(data, 0, search, 2.0) for data in (follows, opposes))
+    assert supported.log_odds_of_model == 0.0
+    assert contradicted.log_odds_of_model < -10.0
+    for error in (supported, contradicted):
+        assert error.log_score_gain == pytest.approx(0.5 * rows * (error.before**2 - error.after**2))
+
+
 @pytest.mark.long
 def test_a_spurious_finding_does_not_predict_what_its_search_has_not_seen():
     """On clean recordings the search is made to find something: the error on held-out readings rises in most."""
@@ -103,3 +120,4 @@ def test_a_real_finding_predicts_what_its_search_has_not_seen(space):
     hidden = replace(space, residuals=space.residuals + 8e-6 * space.project(wave))
     error = cross_validated_errors(hidden, 0, Searcher(hidden, 0), 2.0)
     assert error.after < 0.97 * error.before
+    assert error.log_odds_of_model == 0.0

@@ -124,6 +124,10 @@ def effect_parameter_names(effects: Iterable[tuple[str, str, Sequence[str]]]) ->
 class NoiseEffect(NoiseSignature, Effect):
     """Base class of effects that change the noise and not the mean."""
 
+    base_rate: ClassVar[float] = 1.0
+    """Relative frequency of this change of the noise in service, among those of the catalogue. Their common prior
+    probability is divided in these proportions."""
+
 
 @dataclass(frozen=True)
 class Blunder(Effect):

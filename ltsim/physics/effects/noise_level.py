@@ -23,6 +23,9 @@ class NoiseLevel(NoiseEffect):
     """
 
     name = "noise-level"
+    base_rate = 4.0
+    """Declared standard deviations are mostly limits of a data sheet, so that they differ from those of the readings in
+    most recordings. A judgement, as all prior probabilities of causes."""
     min_relative_size = -0.95
     stage = LightPathStage.NOISE
     parameters = (

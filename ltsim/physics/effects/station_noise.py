@@ -15,6 +15,7 @@ class StationNoise(NoiseLevel):
     """
 
     name = "station-noise"
+    base_rate = 1.0
     min_relative_size = 0.0
     covariates = ("place",)
     scope = "station"

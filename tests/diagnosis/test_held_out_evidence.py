@@ -1,0 +1,59 @@
+"""Held-out readings as evidence against a model: size of the evidence, probabilities, coordinates, sentence."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import expit
+
+import ltsim.diagnosis.diagnose as steps
+from ltsim.diagnosis.diagnose import diagnose
+from ltsim.diagnosis.held_out import HeldOutErrors
+from ltsim.diagnosis.hypotheses import Hypothesis, Ranking
+from ltsim.physics.effects import find_effect
+from tests.networks import with_effect
+
+CONTRADICTED = HeldOutErrors(1.2, 1.8, log_score_gain=-200.0, log_score_gain_sigma=20.0)
+
+
+def ranking(unmodelled: float = -np.inf) -> Ranking:
+    effect = find_effect("range-cyclic")()
+    entries = tuple(Hypothesis(effect, 0.0, v, n) for v, n in ((30.0, "range-cyclic"), (28.0, "window")))
+    return Ranking(entries, float(np.logaddexp(30.0, 28.0)), unmodelled)
+
+
+def test_a_gain_within_its_scatter_is_no_evidence_against_a_model() -> None:
+    """The scatter between the pointings decides: a gain of no more than chance contradicts nothing."""
+    assert HeldOutErrors(1.2, 1.1, 50.0, 20.0).log_odds_of_model == 0.0
+    assert HeldOutErrors(1.2, 1.21, -8.0, 11.0).log_odds_of_model == 0.0
+    assert HeldOutErrors(1.2).log_odds_of_model == 0.0
+    assert CONTRADICTED.log_odds_of_model == pytest.approx(-160.0)
+
+
+@pytest.mark.parametrize("unmodelled", [-np.inf, 29.0])
+def test_all_causes_together_have_at_most_the_odds_of_the_held_out_readings(unmodelled: float) -> None:
+    before, after = ranking(unmodelled), ranking(unmodelled).with_held_out_evidence(-1.5)
+    assert before.p_none < 1e-9
+    assert 1.0 - after.p_none == pytest.approx(expit(-1.5))
+    assert sum(after.probabilities_by_name().values()) == pytest.approx(expit(-1.5))
+    names = before.probabilities_by_name()
+    for name, p in after.probabilities_by_name().items():
+        assert p / names[name] == pytest.approx(expit(-1.5))
+    assert before.with_held_out_evidence(0.0) is before
+
+
+def test_an_effect_that_held_out_readings_contradict_is_improbable_and_moves_no_target(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    recording = with_effect(find_effect("range-cyclic")(wavelength=0.31), [4e-6, 4e-6])
+    believed = diagnose(recording)
+    assert believed.findings[0].evidence.p_real > 0.5
+    monkeypatch.setattr(steps, "cross_validated_errors", lambda *_: CONTRADICTED)
+    doubted = diagnose(recording, held_out=True)
+    assert doubted.findings
+    assert all(f.evidence.p_real < 0.5 for f in doubted.findings)
+    assert "predicted worse" in doubted.summary
+    assert "predicted worse" not in believed.summary
+    ordinary = doubted.arrays.baseline_adjustment.state.target_points
+    assert np.allclose(doubted.arrays.targets.points, ordinary)
+    assert not np.allclose(believed.arrays.targets.points, ordinary)
