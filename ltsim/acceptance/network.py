@@ -21,15 +21,15 @@ from ltsim.adjustment import Adjustment
 from ltsim.adjustment.identification import CauseTest
 from ltsim.adjustment.identification.actions import cause_actions
 from ltsim.adjustment.identification.hypothesis import CauseKind
-from ltsim.adjustment.identification.signatures import ReadingShift
+from ltsim.adjustment.identification.reading_shifts import ReadingShift
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.verbs import calibrate
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing
 from ltsim.geometry.polar import from_polar, parts_across_beam, polar_jacobian, to_polar
+from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.motions import StationMotion, TargetMotion
-from ltsim.physics.effects.signature import Signature
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.specification import Specification
 
@@ -65,7 +65,7 @@ def may_be_tracker(cause: CauseTest) -> bool:
     return is_possible and not cause.where.targets
 
 
-def is_recording_error(effect: Signature) -> bool:
+def is_recording_error(effect: LinearEffect) -> bool:
     """True for an estimated effect that is no error of the tracker: a motion, or a shift as in `may_be_tracker`."""
     if isinstance(effect, ReadingShift):
         return not (effect.is_drift or effect.observable == "elevation")
@@ -199,7 +199,7 @@ class TestedNetwork:
     """Factor on the standard deviations of the adjustment."""
 
     @cached_property
-    def _extra_slices(self) -> list[tuple[Signature, slice]]:
+    def _extra_slices(self) -> list[tuple[LinearEffect, slice]]:
         """Estimated effects and nuisance errors, each with the slice of its additional parameters."""
         effects = self.adjustment.problem.model.extra_effects
         ends = np.cumsum([0, *(len(effect.parameters) for effect in effects)])

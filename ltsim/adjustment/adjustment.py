@@ -27,7 +27,7 @@ from ltsim.adjustment.stochastic_model import VarianceComponent
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.results import Result
-from ltsim.physics.effects.signature import Signature
+from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.model.construction import Construction, ideal_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
@@ -99,7 +99,7 @@ class Adjustment(Result):
         recording: Recording,
         state: NetworkState,
         construction: Construction | None = None,
-        effects: Sequence[Signature] = (),
+        effects: Sequence[LinearEffect] = (),
         prior: ParameterPrior | None = None,
     ) -> Adjustment:
         """Adjustment of planned pointings, for the precision of a plan, which does not depend on readings.
@@ -144,7 +144,7 @@ class Adjustment(Result):
         return self.problem.model.construction
 
     @property
-    def effects(self) -> tuple[Signature, ...]:
+    def effects(self) -> tuple[LinearEffect, ...]:
         """Additional effects that were estimated."""
         return self.problem.model.effects
 
@@ -372,7 +372,7 @@ class Adjustment(Result):
         return np.asarray(self.problem.structure.height_free_targets | np.array(plan, dtype=bool))
 
     @single_threaded
-    def with_effects(self, effects: Sequence[Signature], start_state: NetworkState) -> Adjustment:
+    def with_effects(self, effects: Sequence[LinearEffect], start_state: NetworkState) -> Adjustment:
         """Adjustment of the same readings with the same weights, and with other additional effects."""
         old, model = self.problem, replace(self.problem.model, effects=tuple(effects))
         new = NetworkProblem.from_model(model, sigma=old.sigma, reading_mask=old.used_readings, prior=old.prior)

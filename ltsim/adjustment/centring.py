@@ -147,7 +147,7 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
             break
         if np.linalg.norm(np.linalg.lstsq(space.project(shifts[best]), space.residuals)[0]) < height_sigma:
             break
-        space, chi2, dof = space.with_signatures(shifts[best]), chi2 - drop, dof - rank
+        space, chi2, dof = space.with_design_columns(shifts[best]), chi2 - drop, dof - rank
         occupations.append(best)
     if not occupations:
         return None

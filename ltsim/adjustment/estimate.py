@@ -30,7 +30,7 @@ from ltsim.core.limits import MAX_ADJUSTED_POINTINGS
 from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_robustly, rigid_motion_design
-from ltsim.physics.effects.signature import Signature
+from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.model.construction import Construction, ideal_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, smr_radius_offsets, with_plumb_lines
 from ltsim.recordings.recording import Recording
@@ -44,7 +44,7 @@ def adjust(
     recording: Recording,
     construction: Construction | None = None,
     *,
-    effects: Sequence[Signature] = (),
+    effects: Sequence[LinearEffect] = (),
     sigma: Floats | None = None,
     reading_mask: Bools | None = None,
     start_state: NetworkState | None = None,
@@ -62,7 +62,7 @@ def adjust(
     recording : Recording
     construction : Construction, optional
         Default: an ideal tracker without parameters.
-    effects : sequence of Signature
+    effects : sequence of LinearEffect
         Additional effects to estimate, free except for `effect_prior_sigma`.
     sigma : (n, 3) float, optional, [m, rad, rad]
         Standard deviations of the readings; default the declared noise.

@@ -167,12 +167,12 @@ def reference_tests(
     values = [v for v in declared if float(np.linalg.norm(residual[v.rows])) >= min_residual]
     values += common_scale(problem, solution.x) if min_residual else []
     for batch in (values[part] for part in batches(len(values), 3 * solution.system.design.shape[1])):
-        inside = np.hstack([to_dense(solution.system.design[value.rows]).T @ value.signature for value in batch])
+        inside = np.hstack([to_dense(solution.system.design[value.rows]).T @ value.design_columns for value in batch])
         response, first = solution.factor.covariance_columns(inside), 0
         for value in batch:
-            columns = slice(first, first := first + value.signature.shape[1])
-            gram = value.signature.T @ value.signature - inside[:, columns].T @ response[:, columns]
-            tests.append(_reference_test(value, gram, value.signature.T @ residual[value.rows]))
+            columns = slice(first, first := first + value.design_columns.shape[1])
+            gram = value.design_columns.T @ value.design_columns - inside[:, columns].T @ response[:, columns]
+            tests.append(_reference_test(value, gram, value.design_columns.T @ residual[value.rows]))
     return tests
 
 
@@ -191,7 +191,7 @@ def reference_tests_with_constants(
 
 def _reference_test(value: ReferenceValueRows, gram_matrix: Floats, residual_product: Floats) -> ReferenceTest:
     """Test of a value with q components, from inner products of the changes of residuals by unit errors of each."""
-    norms = np.linalg.norm(value.signature, axis=0)
+    norms = np.linalg.norm(value.design_columns, axis=0)
     acts = norms > MAX_ROUNDING_ERROR * norms.max()  # readings in plan do not depend on heights
     norms = np.where(acts, norms, np.inf)
     redundancies, eigenvectors = np.linalg.eigh(gram_matrix / np.outer(norms, norms))

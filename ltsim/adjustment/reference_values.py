@@ -48,7 +48,7 @@ class ReferenceValueRows(ReferenceValue):
 
     rows: Ints
     """Indices of the equations that depend on an error of the value, (r,)."""
-    signature: Floats
+    design_columns: Floats
     """Derivatives of the whitened residuals of these equations with respect to an error of each component, (r, q)."""
 
 

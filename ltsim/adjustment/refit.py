@@ -12,7 +12,7 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
-from ltsim.physics.effects.signature import CandidateEffect, Parameter, ShapeParameter, Signature
+from ltsim.physics.effects.linear_effect import CandidateEffect, LinearEffect, Parameter, ShapeParameter
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.gauss_newton import MAX_ALTERNATIONS
@@ -30,7 +30,7 @@ above which the constant is estimated.
 
 
 @dataclass(frozen=True)
-class ShapeDirection(Signature):
+class ShapeDirection(LinearEffect):
     """Linearised effect of a change of one shape constant of an effect, with which the constant is estimated.
 
     Its parameter is the relative change of the constant.
@@ -216,7 +216,7 @@ def _damped_step(
     return None
 
 
-def _values_by_effect(effects: Sequence[Signature], parameter_values: Floats) -> list[Floats]:
+def _values_by_effect(effects: Sequence[LinearEffect], parameter_values: Floats) -> list[Floats]:
     """Values of the parameters of each effect, from an array with the values of all effects in order."""
     sizes = [len(e.parameters) for e in effects]
     return np.split(parameter_values[: sum(sizes)], np.cumsum(sizes)[:-1]) if sizes else []

@@ -42,7 +42,7 @@ from ltsim.core.errors import RecordError
 from ltsim.core.probability import format_p, two_sided
 from ltsim.core.results import Table
 from ltsim.core.rounding import MAX_ROUNDING_ERROR
-from ltsim.physics.effects.signature import Parameter
+from ltsim.physics.effects.linear_effect import Parameter
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import Recording

@@ -14,7 +14,7 @@ from ltsim.calibration.schema import HarmonicEntry
 from ltsim.core import probability
 from ltsim.core.arrays import Floats
 from ltsim.core.units import DEGREE
-from ltsim.physics.effects.signature import Parameter
+from ltsim.physics.effects.linear_effect import Parameter
 
 MAX_SIGMA_RATIO_COMBINATION = 0.25
 """Ratio of the standard deviation of a combination to that for independent members, at or below which the combination

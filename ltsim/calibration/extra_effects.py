@@ -18,7 +18,7 @@ from ltsim.calibration.schema import FittedEffectEntry, FittedParameterEntry
 from ltsim.core.errors import ModelError, option
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
-from ltsim.physics.effects.signature import CandidateEffect, Parameter, ShapeParameter, Signature
+from ltsim.physics.effects.linear_effect import CandidateEffect, LinearEffect, Parameter, ShapeParameter
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.sizes import displayed_sizes
 from ltsim.physics.laws.words import law_suffix, regressor_text
@@ -87,9 +87,9 @@ def fit_with_extra_effects(
     for wanted in extra_effects:
         candidates, space = wanted.candidates(adjustment), ResidualSpace.from_adjustment(adjustment)
         best = max(
-            candidates, key=lambda effect: float(neg_log_p_chi2(*space.chi2_drop(space.whitened_signature(effect))))
+            candidates, key=lambda effect: float(neg_log_p_chi2(*space.chi2_drop(space.whitened_design(effect))))
         )
-        freedom, before = space.chi2_drop(space.whitened_signature(best))[1], adjustment.chi2
+        freedom, before = space.chi2_drop(space.whitened_design(best))[1], adjustment.chi2
         if freedom:
             fixed.append(wanted.fixed_fields)
             adjustment, fit = _refit_with_best_constants(adjust_with, [*fit.effects, best], fixed)
@@ -131,7 +131,7 @@ def _refit_with_best_constants(
     return adjustment, fit
 
 
-def effect_display_name(effect: Signature, adjustment: Adjustment) -> str:
+def effect_display_name(effect: LinearEffect, adjustment: Adjustment) -> str:
     """Name of an effect; for an empirical law its text, response ~ regressor."""
     if not isinstance(effect, EmpiricalLaw):
         return effect.name

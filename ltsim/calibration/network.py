@@ -30,8 +30,8 @@ from ltsim.calibration.schema import FitEntry, VerdictEntry
 from ltsim.calibration.shrinkage import recommend_correction
 from ltsim.core.errors import ConvergenceError, LtsimError, NetworkError
 from ltsim.core.limits import MAX_CALIBRATED_POINTINGS
+from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.range_mode import RangeMode
-from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.verbs import name_tuple
 from ltsim.physics.model.construction import Construction, declared_construction, ideal_construction
 from ltsim.recordings.exchange import RecordingSource, load_recording
@@ -232,7 +232,7 @@ def _adjust_with_options(
     datum: Sequence[str] | None,
     prior: ParameterPrior | None = None,
     selection: CauseSelection | None = None,
-    effects: Sequence[Signature] = (),
+    effects: Sequence[LinearEffect] = (),
 ) -> Adjustment:
     """Adjustment with the options of a calibration, with extra effects, and with the selected causes of a misfit."""
     how: dict[str, Any] = {"robust": robust, "variance_components": grouping, "datum": datum, "prior": prior}

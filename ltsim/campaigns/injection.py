@@ -19,7 +19,7 @@ from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.verbs import diagnose
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
-from ltsim.physics.effects.signature import CandidateEffect
+from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.effects.verbs import SizedEffect
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.model.construction import declared_construction

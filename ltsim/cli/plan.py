@@ -16,7 +16,7 @@ from ltsim.cli.terminal import Terminal
 from ltsim.core.errors import RecordError, SetupError
 
 if TYPE_CHECKING:
-    from ltsim.physics.effects.signature import Signature
+    from ltsim.physics.effects.linear_effect import LinearEffect
     from ltsim.planning.result import Plan
     from ltsim.planning.survey import PlannedSurvey
     from ltsim.planning.verbs import StationAlternative
@@ -259,7 +259,7 @@ def _propose_next_measurement(
 
     terminal.print_text(recording.headline)
     summary = ""
-    modelled_effects: tuple[Signature, ...] = ()
+    modelled_effects: tuple[LinearEffect, ...] = ()
     if not effect_names:
         with terminal.show_progress("diagnosing"):
             diagnosis = lt.diagnose(recording)

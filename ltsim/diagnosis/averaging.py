@@ -174,7 +174,7 @@ def first_order_change(searcher: Searcher, model: Model) -> Floats:
     if not model.members:
         return np.zeros(searcher.space.n_rows)
     mean = wide_prior_posterior(*model.gram_and_scores, np.concatenate([h.plausible_sizes for h in model.members]))[0]
-    change: Floats = np.hstack([searcher.space.whitened_signature(h.effect) for h in model.members]) @ mean
+    change: Floats = np.hstack([searcher.space.whitened_design(h.effect) for h in model.members]) @ mean
     return change
 
 
@@ -182,7 +182,7 @@ def expected_change(searcher: Searcher, other_effects: Model, hypothesis: Hypoth
     """Posterior mean (m,) of the change of the whitened readings by an explanation, given the `other_effects`."""
     moments = searcher.evidence_calculator.gram_and_score([hypothesis.effect], other_effects)[0]
     change: Floats = (
-        searcher.space.whitened_signature(hypothesis.effect)
+        searcher.space.whitened_design(hypothesis.effect)
         @ coefficient_posterior(*moments, hypothesis.plausible_sizes)[0]
     )
     return change

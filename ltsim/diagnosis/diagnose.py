@@ -16,7 +16,7 @@ from ltsim.calibration.prior_information import EarlierCalibrations
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_DIAGNOSED_POINTINGS
 from ltsim.diagnosis.assembly import assemble_diagnosis
-from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures
+from ltsim.diagnosis.catalogue_designs import CatalogueDesigns
 from ltsim.diagnosis.detect import detect
 from ltsim.diagnosis.detectability import detectability_report
 from ltsim.diagnosis.diagnosis import Diagnosis
@@ -36,8 +36,8 @@ from ltsim.diagnosis.preprocessing import adapted_baseline, is_consistent_when_o
 from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS
 from ltsim.diagnosis.schema import Finding
 from ltsim.diagnosis.selection_state import SelectionState
+from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.effects.noise_level import NoiseLevel
-from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.responses import VARIED_CONSTANTS, constants_of_slot
 from ltsim.physics.model.construction import declared_construction
@@ -162,12 +162,12 @@ Its arguments are an adjustment, and the smallest log evidence of a contradictio
 
 def _search_recording(
     case: SelectionState, comparison: ConstantComparison, *, mismatch: bool
-) -> tuple[tuple[ResidualSpace, CatalogueSignatures], Model, Refit]:
-    """Residual space and catalogue signatures before the search, the selected model, and its nonlinear refit.
+) -> tuple[tuple[ResidualSpace, CatalogueDesigns], Model, Refit]:
+    """Residual space and catalogue design matrices before the search, the selected model, and its nonlinear refit.
 
     The model is empty without a `mismatch`.
     """
-    beginning = case.space, case.searcher.catalogue_signatures
+    beginning = case.space, case.searcher.catalogue_designs
     model = _select_model(case, MIN_EFFECT_LOG_EVIDENCE, comparison) if mismatch else case.empty_model
     return beginning, *_refit_model(case, model)
 

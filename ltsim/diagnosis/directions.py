@@ -30,9 +30,9 @@ def best_ratio(
     Parameters
     ----------
     gram : (w k, w k) float
-        Products of the projected signature with itself, for w components with k coefficients each.
+        Products of the projected design columns with each other, for w components with k coefficients each.
     score : (w k,) float
-        Products of the projected signature with the residuals.
+        Products of the projected design columns with the residuals.
     plausible_sizes : (w k,) float
         Plausible sizes of the coefficients, equal in all components.
     """

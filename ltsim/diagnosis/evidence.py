@@ -1,13 +1,12 @@
 """Log marginal likelihoods (evidence) of the hypotheses of a diagnosis.
 
 Let r be the whitened residuals, and P the projector onto the residual space, which removes all that the ordinary
-adjustment estimates. A hypothesis has a signature g and coefficients b ~ N(0, t^2 L) with a size factor t; the diagonal
-matrix L contains the squares of the plausible sizes. Its log marginal likelihood ratio relative to the model without it
-is
-    log B = sum_j [ z_j^2 t^2 / (1 + t^2 d_j) - log(1 + t^2 d_j) ] / 2.
-Here d_j are the eigenvalues of L^1/2 g' P g L^1/2, and z_j the scores L^1/2 g' r along its eigenvectors. The ratio is
-averaged over the size factors t. It is also averaged over places, shapes and length scales, which penalises hypotheses
-with many of them. Changes of the noise enter by their restricted likelihood, averaged over a grid of sizes.
+adjustment estimates. A hypothesis has a design matrix g and coefficients b ~ N(0, t^2 L) with a size factor t; the
+diagonal matrix L contains the squares of the plausible sizes. Its log marginal likelihood ratio relative to the model
+without it is log B = sum_j [ z_j^2 t^2 / (1 + t^2 d_j) - log(1 + t^2 d_j) ] / 2. Here d_j are the eigenvalues of L^1/2
+g' P g L^1/2, and z_j the scores L^1/2 g' r along its eigenvectors. The ratio is averaged over the size factors t. It is
+also averaged over places, shapes and length scales, which penalises hypotheses with many of them. Changes of the noise
+enter by their restricted likelihood, averaged over a grid of sizes.
 
 Shapes below: m rows of the residual space, h hypotheses, k coefficients, and a number of trials (simulated recordings).
 
@@ -33,8 +32,8 @@ from ltsim.calibration.evidence import (
 )
 from ltsim.core.arrays import Bools, Floats, Ints, Singles, batches
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.effects.outlier import OBSERVABLE_COLUMN, Outlier
-from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.recordings.recording import OBSERVABLES
 
 
@@ -146,9 +145,9 @@ def log_evidence_of_coefficients(gram: Floats, score: Floats, plausible_sizes: F
     Parameters
     ----------
     gram : (..., k, k) float
-        Gram matrix of the projected signature.
+        Gram matrix of the projected design matrix.
     score : (..., k) float
-        Product of the signature with the residuals.
+        Product of the design matrix with the residuals.
     plausible_sizes : (..., k) float
         Plausible sizes of the coefficients.
     """

@@ -1,7 +1,7 @@
 """Gram matrices, scores and log evidence of effects given a model, without approximation, for many effects at a time.
 
-The residuals and the basis of a model lie in the residual space. A signature therefore has to be projected only for its
-products with itself, which are the same for every model.
+The residuals and the basis of a model lie in the residual space. A design matrix therefore has to be projected only for
+its products with itself, which are the same for every model.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,7 +15,7 @@ from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Floats, Ints
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.evidence import index_of_best, log_evidence_of_coefficients, log_evidence_of_effect
 from ltsim.diagnosis.hypotheses import Model
-from ltsim.physics.effects.signature import CandidateEffect
+from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.responses import RESPONSES_BY_NAME
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
@@ -47,14 +47,15 @@ class EvidenceCalculator:
     def gram_and_score(self, effects: Sequence[CandidateEffect], base_model: Model) -> list[tuple[Floats, Floats]]:
         """Gram matrix (k, k) and score (k,) of each effect, given the adjustment and a model.
 
-        They are the products of the projected signature of its k parameters with itself and with the residuals.
+        They are the products of the projected design columns of its k parameters with each other and with the
+        residuals.
         """
         moments: dict[int, tuple[Floats, Floats]] = {}
         for rows, members in self._batches(effects):
             batch_effects = [effects[i] for i in members]
-            signatures, edges = self._adjacent_signatures(batch_effects, rows)
-            self._cache_projected_grams(batch_effects, signatures, edges, rows)
-            overlap, score = base_model.basis[rows.rows].T @ signatures, base_model.residual[rows.rows] @ signatures
+            designs, edges = self._adjacent_designs(batch_effects, rows)
+            self._cache_projected_grams(batch_effects, designs, edges, rows)
+            overlap, score = base_model.basis[rows.rows].T @ designs, base_model.residual[rows.rows] @ designs
             for i, low, high in zip(members, edges[:-1], edges[1:], strict=True):
                 part = overlap[:, low:high]
                 moments[i] = self._grams[effects[i]] - part.T @ part, score[low:high]
@@ -103,12 +104,12 @@ class EvidenceCalculator:
                     moving_indices.append(i)
         return list(zip(best, means.tolist(), strict=True))
 
-    def whitened_signature(self, effect: CandidateEffect) -> Floats:
-        """Whitened signature (m, k) of an effect with k parameters, on all m rows of the residual space."""
+    def whitened_design(self, effect: CandidateEffect) -> Floats:
+        """Whitened design matrix (m, k) of an effect with k parameters, on all m rows of the residual space."""
         rows = self._rows_of(effect)
-        signature = np.zeros((self.space.n_rows, len(effect.parameters)))
-        signature[rows.rows] = self._adjacent_signatures([effect], rows)[0]
-        return signature
+        design_columns = np.zeros((self.space.n_rows, len(effect.parameters)))
+        design_columns[rows.rows] = self._adjacent_designs([effect], rows)[0]
+        return design_columns
 
     def _batches(self, effects: Sequence[CandidateEffect]) -> Iterator[tuple[ResidualRows, list[int]]]:
         """Batches of effects that act on the same rows, as pairs of the rows and the indices of the effects.
@@ -137,15 +138,15 @@ class EvidenceCalculator:
                 self._rows[place] = ResidualRows(acting_rows, self._pointing[acting_rows])
         return self._rows[place]
 
-    def _adjacent_signatures(self, effects: Sequence[CandidateEffect], rows: ResidualRows) -> tuple[Floats, Ints]:
-        """Whitened signatures of effects side by side, (r, q) on r rows, and the index of the first column of each.
+    def _adjacent_designs(self, effects: Sequence[CandidateEffect], rows: ResidualRows) -> tuple[Floats, Ints]:
+        """Whitened design columns of effects side by side, (r, q) on r rows, and the index of the first column of each.
 
         The q columns are the parameters of all effects. The indices end with q.
         """
         edges = np.append(0, np.cumsum([len(effect.parameters) for effect in effects]))
         if not isinstance(effects[0], EmpiricalLaw):
-            return np.hstack([self.space.whitened_signature(effect) for effect in effects]), edges
-        signatures = np.empty((len(rows.pointing), edges[-1]))
+            return np.hstack([self.space.whitened_design(effect) for effect in effects]), edges
+        designs = np.empty((len(rows.pointing), edges[-1]))
         response_changes: dict[str, Floats] = {}
         for effect, low, high in zip(effects, edges[:-1], edges[1:], strict=True):
             assert isinstance(effect, EmpiricalLaw)
@@ -154,9 +155,9 @@ class EvidenceCalculator:
                 response_changes[name] = self._response_changes(name)[rows.rows]
             moved = effect.change_along_direction(response_changes[name], self.space.sightings, rows.pointing)
             columns = effect.columns(self.space.sightings)[rows.pointing]
-            shape = len(signatures), moved.shape[1], columns.shape[1]
-            np.multiply(moved[:, :, None], columns[:, None, :], out=signatures[:, low:high].reshape(shape))
-        return signatures, edges
+            shape = len(designs), moved.shape[1], columns.shape[1]
+            np.multiply(moved[:, :, None], columns[:, None, :], out=designs[:, low:high].reshape(shape))
+        return designs, edges
 
     def _response_changes(self, name: str) -> Floats:
         """Whitened change (m, c) of the readings per unit of each of c components of a response, computed once."""
@@ -165,18 +166,18 @@ class EvidenceCalculator:
         return self._changes_by_response[name]
 
     def _cache_projected_grams(
-        self, effects: Sequence[CandidateEffect], signatures: Floats, edges: Ints, rows: ResidualRows
+        self, effects: Sequence[CandidateEffect], designs: Floats, edges: Ints, rows: ResidualRows
     ) -> None:
-        """Computation of the Gram matrices of the projected signatures of new effects, which are then cached.
+        """Computation of the Gram matrices of the projected design columns of new effects, which are then cached.
 
-        `edges` are the indices of the first column of each effect in `signatures`, followed by the number of columns.
+        `edges` are the indices of the first column of each effect in `designs`, followed by the number of columns.
         """
         new_indices = sorted({effect: i for i, effect in enumerate(effects) if effect not in self._grams}.values())
         if not new_indices:
             return
-        columns = signatures
+        columns = designs
         if len(new_indices) < len(effects):
-            columns = np.hstack([signatures[:, edges[i] : edges[i + 1]] for i in new_indices])
+            columns = np.hstack([designs[:, edges[i] : edges[i + 1]] for i in new_indices])
         ends = np.append(0, np.cumsum(np.diff(edges)[new_indices]))
         grams = self.space.projector.gram_matrices(columns, ends, rows.rows)
         self._grams.update(zip((effects[i] for i in new_indices), grams, strict=True))

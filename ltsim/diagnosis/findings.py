@@ -38,8 +38,8 @@ from ltsim.diagnosis.words import (
 )
 from ltsim.physics.effects import BASELINE_EFFECTS
 from ltsim.physics.effects.effect import Effect, SlotEffect
+from ltsim.physics.effects.linear_effect import CandidateEffect, n_constants
 from ltsim.physics.effects.outlier import Outlier
-from ltsim.physics.effects.signature import CandidateEffect, n_constants
 from ltsim.physics.laws.centring import CentringVariance
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.places import instrument_places
@@ -84,7 +84,7 @@ class ExplainedRecording:
         moments = searcher.evidence_calculator.gram_and_score([effect], other_members)[0]
         mean = coefficient_posterior(*moments, spread)[0]
         redundancy = searcher.space.redundancy - np.sum(model.basis**2, axis=1)
-        shift = searcher.space.whitened_signature(effect) @ mean
+        shift = searcher.space.whitened_design(effect) @ mean
         likeness = log_bayes_factor_discrepancy(searcher.space, shift, model.residual, redundancy)
         return searcher.ranking(other_members).with_rivals(noises).with_unmodelled_cause(likeness)
 
@@ -158,7 +158,7 @@ class ExplainedRecording:
         if isinstance(model.members[member].effect, Outlier):
             return 0.0
         redundancy = searcher.space.redundancy - np.sum(others.basis**2, axis=1)
-        prior = log_prior_share("named", len(searcher.catalogue_signatures.families))
+        prior = log_prior_share("named", len(searcher.catalogue_designs.families))
         rival = log_evidence_of_wrong_readings(searcher.space, others.residual, redundancy, prior)
         return float(expit(rival - (model.score - others.score)))
 
@@ -174,10 +174,10 @@ class ExplainedRecording:
         mean = coefficient_posterior(
             *searcher.evidence_calculator.gram_and_score([effect], others)[0], hypothesis.plausible_sizes
         )[0]
-        signature, rows = space.whitened_signature(effect), int(space.used_readings.sum())
-        shift = signature @ mean
-        projected_signature = searcher.model_of([hypothesis]).projected_signatures[0] @ mean
-        scope = self._scope(effect, active_observables(space.used_readings, shift[:rows], projected_signature[:rows]))
+        design_columns, rows = space.whitened_design(effect), int(space.used_readings.sum())
+        shift = design_columns @ mean
+        projected_design = searcher.model_of([hypothesis]).projected_designs[0] @ mean
+        scope = self._scope(effect, active_observables(space.used_readings, shift[:rows], projected_design[:rows]))
         estimates = self._estimates_of(member, hypothesis, others)
         extra_fields: dict[str, Any] = {}
         sentence = ""
@@ -198,7 +198,7 @@ class ExplainedRecording:
             doubt = self._plausibility_sentence(effect, estimates)
             sentence = catalogue_sentence(name, scope, estimates, probability, p_located=p_located) + doubt
         extra_fields["moves_targets_um"] = distortion = target_distortion(space, shift)
-        n_touched = max(int(np.count_nonzero(signature.any(axis=1))), 1)
+        n_touched = max(int(np.count_nonzero(design_columns.any(axis=1))), 1)
         sigmas_text = number_text(np.sqrt(max(float(gain.sum()), 0.0) / n_touched), 2)
         sentence += f" If left uncorrected, it causes residuals of {sigmas_text} sigma (rms)"
         sentence += f" and shifts the targets by {number_text(distortion, 2)} um (rms).{self._readings_sentence(gain)}"

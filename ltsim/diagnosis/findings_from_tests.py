@@ -14,7 +14,7 @@ from ltsim.diagnosis.schema import Equivalent, Finding, FindingEvidence, Paramet
 from ltsim.diagnosis.scopes import confined_scope
 from ltsim.diagnosis.words import percent_text
 from ltsim.physics.effects import BASELINE_EFFECTS, parameter_text
-from ltsim.physics.effects.signature import Parameter
+from ltsim.physics.effects.linear_effect import Parameter
 from ltsim.recordings.recording import OBSERVABLES
 
 DECLARED_COORDINATES_TEXT = "declared coordinates"

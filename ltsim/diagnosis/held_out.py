@@ -93,5 +93,5 @@ def _selected_model_shift(space: ResidualSpace, searcher: Searcher, threshold: f
     if not model.members:
         return np.zeros(space.n_rows)
     mean = wide_prior_posterior(*model.gram_and_scores, np.concatenate([h.plausible_sizes for h in model.members]))[0]
-    signatures: Sequence[Floats] = [space.whitened_signature(effect) for effect in model.effects]
-    return np.hstack(signatures) @ mean
+    designs: Sequence[Floats] = [space.whitened_design(effect) for effect in model.effects]
+    return np.hstack(designs) @ mean

@@ -18,7 +18,7 @@ from ltsim.diagnosis.evidence import index_of_best
 from ltsim.diagnosis.prior import LOG_ODDS_REPEATED, P_UNMODELLED
 from ltsim.diagnosis.schema import Equivalent
 from ltsim.physics.effects import find_effect
-from ltsim.physics.effects.signature import CandidateEffect
+from ltsim.physics.effects.linear_effect import CandidateEffect
 
 MAX_EQUIVALENTS = 3
 """Largest number of other effects that a finding lists because they cannot be excluded."""
@@ -59,10 +59,10 @@ class Model:
 
     members: tuple[Hypothesis, ...]
     """Hypotheses of the model."""
-    projected_signatures: tuple[Floats, ...]
+    projected_designs: tuple[Floats, ...]
     """Change of the m whitened residuals by a unit of each of k coefficients of an effect, (m, k), for each effect."""
-    signature_norms: tuple[Floats, ...]
-    """Lengths (k,) of the columns of each signature before the projection."""
+    design_norms: tuple[Floats, ...]
+    """Lengths (k,) of the design columns of each effect before the projection."""
     baseline_residual: Floats = field(repr=False)
     """Whitened residuals (m,) of the empty model."""
 
@@ -76,7 +76,7 @@ class Model:
         """Orthonormal basis (m, e) of the changes of the m whitened residuals by all effects of the model."""
         if not self.members:
             return np.zeros((len(self.baseline_residual), 0))
-        return orthonormal_columns(np.hstack(self.projected_signatures), np.concatenate(self.signature_norms))
+        return orthonormal_columns(np.hstack(self.projected_designs), np.concatenate(self.design_norms))
 
     @cached_property
     def residual(self) -> Floats:
@@ -86,9 +86,9 @@ class Model:
 
     @cached_property
     def gram_and_scores(self) -> tuple[Floats, Floats]:
-        """Gram matrix (k, k) of all projected signatures, and their products (k,) with the empty model's residuals."""
-        projected_signature = np.hstack(self.projected_signatures)
-        return projected_signature.T @ projected_signature, projected_signature.T @ self.baseline_residual
+        """Gram matrix (k, k) of all projected columns, and their products (k,) with the empty model's residuals."""
+        projected_design = np.hstack(self.projected_designs)
+        return projected_design.T @ projected_design, projected_design.T @ self.baseline_residual
 
     @cached_property
     def discrepancy_penalty(self) -> float:
@@ -98,7 +98,7 @@ class Model:
         """
         if all(h.is_catalogued for h in self.members):
             return 0.0
-        norms = np.concatenate(self.signature_norms)
+        norms = np.concatenate(self.design_norms)
         unit = 1.0 / np.where(norms > 0, norms, 1.0)
         gram, score = self.gram_and_scores
         strength, turn = np.linalg.eigh(gram * np.outer(unit, unit))

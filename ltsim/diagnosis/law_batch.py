@@ -225,7 +225,7 @@ class LawBatch:
         return transforms
 
     def _products_with_ensemble(self, null_ensemble: NullEnsemble, columns: Singles) -> Singles:
-        """Products (P, C, d, c k, v) of the signatures of laws with v vectors of the ensemble, at all places.
+        """Products (P, C, d, c k, v) of the design matrices of laws with v vectors of the ensemble, at all places.
 
         `columns` (n, d k) are those of d regressors.
         """
@@ -244,7 +244,7 @@ class LawBatch:
         return np.ascontiguousarray(products.transpose(0, 3, 1, 4, 2, 5)).reshape(len(products), count, d, -1, vectors)
 
     def _gram_matrices(self, columns: Singles) -> Floats:
-        """Gram matrices (P, C, d, c k, c k) of the signatures of laws, from the `columns` (n, d k) of d regressors."""
+        """Gram matrices (P, C, d, c k, c k) of the designs of laws, from the `columns` (n, d k) of d regressors."""
         _, _, count, ways = self.weights.shape
         k = self.regressors[0].n_columns
         d = columns.shape[1] // k

@@ -50,8 +50,8 @@ from ltsim.diagnosis.prior import log_prior_share
 from ltsim.diagnosis.repeats import redundancy_of_means, relative_variance_of_means, repeat_means
 from ltsim.physics.effects import CATALOGUE
 from ltsim.physics.effects.effect import NoiseEffect
+from ltsim.physics.effects.linear_effect import CandidateNoiseEffect
 from ltsim.physics.effects.noise_level import NoiseLevel
-from ltsim.physics.effects.signature import NoiseSignature
 from ltsim.physics.laws.centring import CentringVariance
 from ltsim.physics.laws.places import instrument_places
 from ltsim.physics.laws.variance import REPETITION_KINDS, VarianceFunction
@@ -254,7 +254,7 @@ class NoiseBank:
         ratio = self.log_likelihood_ratio(residual[:, None], redundancy)[:, 0]
         prior = np.array([self.log_prior_of_family(name) for name in self.families])
         prior -= np.log(np.bincount(self.family_index))
-        members: dict[NoiseSignature, list[int]] = {}
+        members: dict[CandidateNoiseEffect, list[int]] = {}
         for i, hypothesis in enumerate(self.hypotheses):
             members.setdefault(hypothesis.effect, []).append(i)
         logs = ratio + prior[self.family_index]
@@ -311,7 +311,7 @@ def _noise_patterns(
 
 
 def reml_gain_function(
-    space: ResidualSpace, sigma: Floats, effect: NoiseSignature, residual: Floats, redundancy: Floats
+    space: ResidualSpace, sigma: Floats, effect: CandidateNoiseEffect, residual: Floats, redundancy: Floats
 ) -> Callable[[Floats], Floats]:
     """Function from the sizes (k,) of k variance parameters to the gain (k,) of restricted log likelihood by each.
 

@@ -18,8 +18,8 @@ from ltsim.adjustment.significance import MIN_REPEATS_FOR_VARIANCE
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
 from ltsim.diagnosis.evidence import log_restricted_likelihood_ratio, normalised_probabilities
+from ltsim.physics.effects.linear_effect import CandidateNoiseEffect
 from ltsim.physics.effects.noise_level import NoiseLevel
-from ltsim.physics.effects.signature import NoiseSignature
 from ltsim.physics.laws.variance import VarianceFunction, noise_groups
 from ltsim.recordings.recording import OBSERVABLES
 
@@ -45,7 +45,7 @@ NOISY_OBSERVABLE_SETS: tuple[tuple[str, ...], ...] = (*((name,) for name in OBSE
 class GroupNoise:
     """Change of the noise with a separate variance factor for each of g groups of readings."""
 
-    effect: NoiseSignature
+    effect: CandidateNoiseEffect
     """Change of the noise, with one parameter per group."""
     members: sp.csr_array
     """Indicators (g, m) of the rows of each group."""
@@ -92,7 +92,7 @@ class GroupNoise:
         mean: Floats = np.sum(normalised_probabilities(logs) * (self.factors[:, None] - 1.0), axis=0)
         return mean
 
-    def most_likely_effect(self, residual: Floats, redundancy: Floats) -> NoiseSignature:
+    def most_likely_effect(self, residual: Floats, redundancy: Floats) -> CandidateNoiseEffect:
         """Change of the noise whose sizes are to be estimated for whitened residuals (m,)."""
         del residual, redundancy
         return self.effect

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from ltsim.diagnosis.prior import log_prior_share
 from ltsim.diagnosis.schema import Equivalent
-from ltsim.physics.effects.signature import NoiseSignature
+from ltsim.physics.effects.linear_effect import CandidateNoiseEffect
 
 
 @dataclass(frozen=True)
@@ -15,7 +15,7 @@ class NoiseHypothesis:
 
     family: str
     """Name of the family of similar changes, which begins with `unknown` if the catalogue has none of them."""
-    effect: NoiseSignature
+    effect: CandidateNoiseEffect
     """Effect that changes the noise."""
     sizes: tuple[float, ...]
     """Sizes of its parameters [SI]."""

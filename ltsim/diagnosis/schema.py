@@ -10,7 +10,7 @@ from ltsim.calibration.combinations import DeterminedEntry
 from ltsim.calibration.schema import COORDINATE_COLUMNS, RESIDUALS_TABLE
 from ltsim.core.results import Column, Table, columns_of, number_columns, text_columns
 from ltsim.core.units import SI_PER_UNIT
-from ltsim.physics.effects.signature import Parameter, ShapeParameter
+from ltsim.physics.effects.linear_effect import Parameter, ShapeParameter
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
 
 DIAGNOSED_TARGETS_TABLE = Table(

@@ -21,7 +21,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Floats, Ints
 from ltsim.core.rounding import MAX_SINGLE_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
-from ltsim.diagnosis.catalogue_signatures import ORDINARY_CALIBRATION_TYPES, CatalogueSignatures, catalogue_hypotheses
+from ltsim.diagnosis.catalogue_designs import ORDINARY_CALIBRATION_TYPES, CatalogueDesigns, catalogue_hypotheses
 from ltsim.diagnosis.evidence import (
     MAX_REFINED_DEFICIT,
     N_REFINED,
@@ -38,7 +38,7 @@ from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS, log_prior_share
 from ltsim.diagnosis.schema import ParameterEstimate
 from ltsim.diagnosis.shapes import are_distinct, centre_estimates, interpolate_shape, shape_posterior
 from ltsim.diagnosis.space import law_batches
-from ltsim.physics.effects.signature import CandidateEffect, ShapeParameter
+from ltsim.physics.effects.linear_effect import CandidateEffect, ShapeParameter
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.names import catalogue_name
 from ltsim.physics.laws.sizes import displayed_sizes
@@ -90,12 +90,12 @@ class Searcher:
         seed: int,
         n_trials: int = 0,
         *,
-        catalogue_signatures: CatalogueSignatures | None = None,
+        catalogue_designs: CatalogueDesigns | None = None,
         with_constants: bool = True,
     ) -> None:
         """Search whose p-value follows from `n_trials` simulated recordings.
 
-        `catalogue_signatures` are those of another search on the same readings, which saves their computation. With
+        `catalogue_designs` are those of another search on the same readings, which saves their computation. With
         `with_constants` the constants of the ordinary calibration are hypotheses.
         """
         self.space = space
@@ -103,16 +103,16 @@ class Searcher:
         self.is_large_network = self.null_ensemble.gram_is_monte_carlo
         self._n_refined = N_REFINED_IN_LARGE_NETWORK if self.is_large_network else N_REFINED
         self._refines_every_kind = True
-        if catalogue_signatures is None:
+        if catalogue_designs is None:
             every = catalogue_hypotheses(space.sightings, space.adjustment.recording.instruments)
-            catalogue_signatures = CatalogueSignatures.from_space(
+            catalogue_designs = CatalogueDesigns.from_space(
                 space, [effect for effect in every if with_constants or type(effect) not in ORDINARY_CALIBRATION_TYPES]
             )
-        self.catalogue_signatures = catalogue_signatures
+        self.catalogue_designs = catalogue_designs
         self.law_batches: list[LawBatch] = law_batches(space, with_constants=with_constants)
         self.empty_model = Model((), (), (), space.residuals)
         self._rankings: dict[frozenset[str], Ranking] = {}
-        self._projected_signatures: OrderedDict[str, tuple[Floats, Floats]] = OrderedDict()
+        self._projected_designs: OrderedDict[str, tuple[Floats, Floats]] = OrderedDict()
         self.evidence_calculator = EvidenceCalculator(space)
         self.empty_model_screening = self._screening(self.empty_model)
 
@@ -125,11 +125,11 @@ class Searcher:
         unit = np.zeros((self.space.n_rows, len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
         rest = copy(self)
-        rest.space, rest.is_large_network = self.space.with_signatures(unit), True
+        rest.space, rest.is_large_network = self.space.with_design_columns(unit), True
         rest._n_refined, rest._refines_every_kind = N_REFINED_IN_LARGE_NETWORK, False
         rest.null_ensemble = self.null_ensemble.with_model(rest.space.residuals, self.empty_model.basis)
         rest.empty_model = Model((), (), (), rest.space.residuals)
-        rest._rankings, rest._projected_signatures = {}, OrderedDict()
+        rest._rankings, rest._projected_designs = {}, OrderedDict()
         rest.evidence_calculator = EvidenceCalculator(rest.space)
         rest.empty_model_screening = rest._screening(rest.empty_model)
         return rest
@@ -148,8 +148,8 @@ class Searcher:
             if base_model.members
             else self.null_ensemble
         )
-        values, chance = self.catalogue_signatures.log_evidence_and_trials(probe)
-        families = self.catalogue_signatures.family_evidence(values) + self._log_family_prior
+        values, chance = self.catalogue_designs.log_evidence_and_trials(probe)
+        families = self.catalogue_designs.family_evidence(values) + self._log_family_prior
         laws: list[ScreenedLaw] = []
         statistic, null = log_sum_exp(families), log_sum_exp(chance + self._log_family_prior)
         for hits_here, law_total, law_chance in score_batches(self.law_batches, probe):
@@ -160,7 +160,7 @@ class Searcher:
     @property
     def _log_family_prior(self) -> float:
         """Log prior of each family of the catalogue."""
-        return log_prior_share("named", len(self.catalogue_signatures.families))
+        return log_prior_share("named", len(self.catalogue_designs.families))
 
     def _compute_ranking(self, base_model: Model) -> Ranking:
         values, families, laws, _, _ = self._screening(base_model) if base_model.members else self.empty_model_screening
@@ -179,15 +179,15 @@ class Searcher:
         self, family: int, effect_log_evidence: Floats, family_log_evidence: float, base_model: Model, *, refine: bool
     ) -> Hypothesis:
         """Best member of a family, with the log evidence of the whole family; evaluated exactly only if `refine`."""
-        signatures = self.catalogue_signatures
-        members = np.flatnonzero(signatures.family_of_effect == family)
+        designs = self.catalogue_designs
+        members = np.flatnonzero(designs.family_of_effect == family)
         members = members[ranked_indices(effect_log_evidence[members], MAX_SINGLE_ROUNDING_ERROR)]
         prior = self._log_family_prior - float(np.log(len(members)))
-        best = Hypothesis(signatures.effects[members[0]], prior, family_log_evidence, signatures.families[family])
+        best = Hypothesis(designs.effects[members[0]], prior, family_log_evidence, designs.families[family])
         if not refine:
             return best
         for i in self._local_optima(members, effect_log_evidence):
-            effect, value = self._integrate_over_shapes(signatures.effects[i], base_model)
+            effect, value = self._integrate_over_shapes(designs.effects[i], base_model)
             others = np.delete(effect_log_evidence[members], np.flatnonzero(members == i))
             whole = float(log_sum_exp(np.append(others, value))) + prior
             if i == members[0] or value + prior > best.log_evidence:
@@ -201,8 +201,7 @@ class Searcher:
             if len(chosen) == MAX_LOCAL_OPTIMA or values[i] < values[chosen[0]] - MAX_REFINED_DEFICIT:
                 break
             if all(
-                are_distinct(self.catalogue_signatures.effects[int(i)], self.catalogue_signatures.effects[j])
-                for j in chosen
+                are_distinct(self.catalogue_designs.effects[int(i)], self.catalogue_designs.effects[j]) for j in chosen
             ):
                 chosen.append(int(i))
         return chosen
@@ -296,23 +295,23 @@ class Searcher:
         """Model with the given hypotheses."""
         if not members:
             return self.empty_model
-        parts = [self._projected_signature(h) for h in members]
+        parts = [self._projected_design(h) for h in members]
         return Model(tuple(members), tuple(p[0] for p in parts), tuple(p[1] for p in parts), self.space.residuals)
 
     def model_without(self, model: Model, member_index: int) -> Model:
         """Model without the effect that has the index `member_index`."""
         return self.model_of(model.members[:member_index] + model.members[member_index + 1 :])
 
-    def _projected_signature(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
-        """Projected signature (m, k), and lengths (k,) of its columns before the projection; the last are cached."""
+    def _projected_design(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
+        """Projected design matrix (m, k), and cached lengths (k,) of its columns before the projection."""
         key = hypothesis.key
-        if key not in self._projected_signatures:
-            whole = self.evidence_calculator.whitened_signature(hypothesis.effect)
-            self._projected_signatures[key] = self.space.project(whole), np.linalg.norm(whole, axis=0)
-        self._projected_signatures.move_to_end(key)
-        while sum(rows.size for rows, _ in self._projected_signatures.values()) > MAX_TEMPORARY_ENTRIES:
-            self._projected_signatures.popitem(last=False)
-        return self._projected_signatures[key]
+        if key not in self._projected_designs:
+            whole = self.evidence_calculator.whitened_design(hypothesis.effect)
+            self._projected_designs[key] = self.space.project(whole), np.linalg.norm(whole, axis=0)
+        self._projected_designs.move_to_end(key)
+        while sum(rows.size for rows, _ in self._projected_designs.values()) > MAX_TEMPORARY_ENTRIES:
+            self._projected_designs.popitem(last=False)
+        return self._projected_designs[key]
 
     def select_model(self, threshold: float, *, requires_member: bool) -> Model:
         """Selected model, in which each additional effect increases the log evidence by at least `threshold`.

@@ -15,7 +15,7 @@ from ltsim.diagnosis.evidence import normalised_probabilities, wide_prior_poster
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Model
 from ltsim.diagnosis.schema import ParameterEstimate
-from ltsim.physics.effects.signature import CandidateEffect, ShapeParameter
+from ltsim.physics.effects.linear_effect import CandidateEffect, ShapeParameter
 from ltsim.scene.sightings import Sightings
 
 PLACE_DIFFERENCE_STEP = 0.05

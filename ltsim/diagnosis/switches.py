@@ -43,9 +43,9 @@ class SpanMoments(NamedTuple):
     """Gram matrix and score of a law with separate coefficients in each of S spans."""
 
     gram: Floats
-    """Gram matrix (S, w, S, w) of the projected signature."""
+    """Gram matrix (S, w, S, w) of the projected design columns."""
     score: Floats
-    """Products (S, w) of the projected signature with the residuals."""
+    """Products (S, w) of the projected design columns with the residuals."""
     square: Floats
     """Contribution (S,) of each span to the mean square of the regressor."""
 

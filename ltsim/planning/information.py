@@ -289,7 +289,7 @@ def _displacements_by_error(
     errors = np.zeros((design.shape[0], 0))
     if unmodelled:
         space = ResidualSpace.from_adjustment(adjustment)
-        errors = np.hstack([space.whitened_signature(e) * [p.prior_sigma for p in e.parameters] for e in unmodelled])
+        errors = np.hstack([space.whitened_design(e) * [p.prior_sigma for p in e.parameters] for e in unmodelled])
     is_used = np.flatnonzero(problem.used_readings.ravel())
     columns_used = np.r_[0 : count + lengths, priors : priors + params + extra]
     first_response = np.zeros((len(noise), len(columns_used) + errors.shape[1]))

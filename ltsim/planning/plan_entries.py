@@ -336,7 +336,7 @@ class DetectableSize(Entry):
     plausible: Finite = 0.0
     """Large but plausible size of the effect."""
     visible: OptionalFloat = None
-    """Median, over places, of the fraction of the effect's signature that remains in the residuals."""
+    """Median, over places, of the fraction of the effect's change of the readings that remains in the residuals."""
 
     @classmethod
     def from_minimal_size(cls, row: MinimalSize) -> Self:
@@ -358,15 +358,15 @@ class DetectableSize(Entry):
 class ConfusablePair(Entry):
     """Pair of effects that a layout can hardly distinguish.
 
-    `share` is the fraction of the first effect's signature in the residuals that the second effect explains.
+    `share` is the fraction of the first effect's change of the residuals that the second effect explains.
     """
 
     effect: str
     """Identifier of the effect in the catalogue."""
     taken_for: str
-    """Identifier of the second effect, which explains the signature too."""
+    """Identifier of the second effect, which explains the change of the residuals too."""
     share: Finite
-    """Fraction of the signature that the second effect explains; 1 for all of it."""
+    """Fraction of the first effect's change of the residuals that the second effect explains; 1 for all of it."""
 
     @classmethod
     def from_pair(cls, pair: tuple[str, str, float]) -> Self:

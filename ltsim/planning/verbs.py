@@ -12,7 +12,7 @@ from ltsim.core.arguments import MAX_MAPPING_NUMBER, MOVE_SYNTAX, check_bounds, 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import SetupError, option, unknown_name
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
-from ltsim.physics.effects.signature import Signature
+from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.planning.making import SearchCallbacks, make_plan
 from ltsim.planning.planner import PlannedNetwork, evaluate_plan
 from ltsim.planning.proposals import NextMeasurement
@@ -90,7 +90,7 @@ def next_measurement(
     recording: RecordingSource,
     *,
     between: Sequence[str] = (),
-    with_effects: str | Signature | Sequence[str | Signature] = (),
+    with_effects: str | LinearEffect | Sequence[str | LinearEffect] = (),
     site: str | Path | None = None,
     minutes_per_move: float = 20.0,
     progress: ProgressCallback = no_progress,

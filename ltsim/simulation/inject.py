@@ -18,7 +18,7 @@ from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.core.units import MICROMETRE, MICRORADIAN
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
-from ltsim.physics.effects.signature import CandidateEffect
+from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.effects.verbs import display_constants
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
@@ -210,8 +210,8 @@ class Injector:
             return float((space.redundancy[: len(used)] * (factor - 1.0 - np.log(factor))).sum())
         change = np.nan_to_num(self.reading_change(effect, effect_sizes))
         whole = space.whiten(change[:, :, None], self.length_change(effect, effect_sizes)[:, None])[:, 0]
-        projected_signature = space.project(whole)
-        square = float(projected_signature @ projected_signature)
+        projected_design = space.project(whole)
+        square = float(projected_design @ projected_design)
         return square if square > MAX_SOLUTION_ROUNDING_ERROR * float(whole @ whole) else 0.0
 
     def scale_to_noncentrality(

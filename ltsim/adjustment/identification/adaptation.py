@@ -18,7 +18,7 @@ from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import Hypothesis, ReadingShiftChange
 from ltsim.adjustment.identification.model_changes import apply_corrections_and_omissions
-from ltsim.physics.effects.signature import Signature
+from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import Recording
 
@@ -29,7 +29,7 @@ def adjust_with_causes(
     construction: Construction,
     hypotheses: Sequence[Hypothesis],
     *,
-    effects: Sequence[Signature] = (),
+    effects: Sequence[LinearEffect] = (),
     subtracted_changes: bool = False,
     **options: Any,
 ) -> Adjustment:
@@ -45,7 +45,7 @@ def adjust_with_causes(
         Construction of the tracker, whose parameters are estimated.
     hypotheses : sequence of Hypothesis
         Hypotheses of the fit to apply: all of its shifts of readings, or none of them.
-    effects : sequence of Signature
+    effects : sequence of LinearEffect
         Further effects to estimate; their parameters precede those of the shifts.
     subtracted_changes : bool
         True to subtract the estimated shifts from the readings first. The adjustment estimates the shifts in both
@@ -55,7 +55,7 @@ def adjust_with_causes(
     """
     changed, shifts, values = (
         apply_corrections_and_omissions(recording, hypotheses),
-        tuple[Signature, ...](),
+        tuple[LinearEffect, ...](),
         np.zeros(0),
     )
     if any(isinstance(h.model_change, ReadingShiftChange) for h in hypotheses):

@@ -1,7 +1,7 @@
 """Hypotheses of centring errors: random displacements of reflectors at one set-up, at all set-ups, or on one target.
 
-Each component of the displacement at an occupation has the prior N(0, s^2). The projection of the signature of unit
-displacements onto the residual space is Z, with the eigenvalues d_j and eigenvectors V of Z'Z. With the whitened
+Each component of the displacement at an occupation has the prior N(0, s^2). The projection of the design columns of
+unit displacements onto the residual space is Z, with the eigenvalues d_j and eigenvectors V of Z'Z. With the whitened
 residuals r and the scores z = V'Z'r, the log restricted likelihood ratio of the variance component s^2 is
 
     log L = sum_j [ z_j^2 s^2 / (1 + s^2 d_j) - log(1 + s^2 d_j) ] / 2.
@@ -199,10 +199,10 @@ def best_centring_sigma(space: ResidualSpace, occupation: Ints) -> CentringEstim
 
     `occupation` (n,) is the occupation of each pointing; -1 for pointings without centring errors.
     """
-    signature = space.whitened_signature(CentringErrors(1.0, occupation))
-    projected = space.project(signature)
+    design_columns = space.whitened_design(CentringErrors(1.0, occupation))
+    projected = space.project(design_columns)
     strength, turn = np.linalg.eigh(projected.T @ projected)
-    visible = strength > MAX_SOLUTION_ROUNDING_ERROR * float(np.max(np.sum(signature**2, axis=0)))
+    visible = strength > MAX_SOLUTION_ROUNDING_ERROR * float(np.max(np.sum(design_columns**2, axis=0)))
     strength, score = strength[visible], (turn[:, visible].T @ (projected.T @ space.residuals)) ** 2
     variance = CENTRING_SIGMAS[:, None] ** 2
     ratio = 0.5 * np.sum(score * variance / (1.0 + variance * strength) - np.log1p(variance * strength), axis=1)

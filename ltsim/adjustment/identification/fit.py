@@ -29,8 +29,8 @@ from ltsim.adjustment.identification.model_changes import (
     subtract_shifts,
     with_centring_sigma,
 )
+from ltsim.adjustment.identification.reading_shifts import displacement_per_reading
 from ltsim.adjustment.identification.resection import resect_contradicted_setups
-from ltsim.adjustment.identification.signatures import displacement_per_reading
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reference_values import (
@@ -48,7 +48,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.geometry.polar import wrap_angle
-from ltsim.physics.effects.signature import Signature
+from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.model.construction import Construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, with_plumb_lines
 from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
@@ -280,13 +280,13 @@ class NetworkFit:
         return self.problem.model.recording
 
     @property
-    def effects(self) -> tuple[Signature, ...]:
+    def effects(self) -> tuple[LinearEffect, ...]:
         """Effects of the shifts in the model, each with a plausible size that is at least as large as its estimate."""
-        signatures = list[Signature]()
+        effects = list[LinearEffect]()
         for _, shift, at in self.shifts_with_slices:
             times = float(np.max(np.abs(self.state.extra_parameters[at]) / shift.effect.size_scales))
-            signatures.append(replace(shift.effect, size_factor=max(1.0, times)))  # type: ignore[type-var]
-        return tuple(signatures)
+            effects.append(replace(shift.effect, size_factor=max(1.0, times)))  # type: ignore[type-var]
+        return tuple(effects)
 
     def correct_recording(self, recording: Recording, outliers: bool = False) -> Recording:
         """Recording corrected for the hypotheses in the model, with its outliers only if `outliers` is True.

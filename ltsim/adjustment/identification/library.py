@@ -1,8 +1,8 @@
 """Library of hypotheses: errors that are possible at a station, at a target, in a reference value, and in the noise.
 
 A family is one kind of shift of readings at every station or target, or at all stations of an instrument, from the
-beginning or from a time on. The signatures of a family are computed from one array, so that a network with thousands of
-places is screened at once.
+beginning or from a time on. The design columns of a family are computed from one array, so that a network with
+thousands of places is screened at once.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from ltsim.adjustment.identification.hypothesis import (
     ReferenceOmission,
     RowCorrection,
 )
-from ltsim.adjustment.identification.signatures import ReadingShift
+from ltsim.adjustment.identification.reading_shifts import ReadingShift
 from ltsim.adjustment.reference_values import ReferenceValueRows, reference_values, without_reference_coordinates
 from ltsim.adjustment.significance import MIN_REPEATS_FOR_VARIANCE
 from ltsim.adjustment.start import initial_network
@@ -35,8 +35,8 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import MIN_RIGID_POINTS, largest_residual
+from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.motions import station_design
-from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.smr_offset import SmrOffset
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.effects.target_moved import TargetMoved
@@ -114,7 +114,7 @@ class ShiftFamily:
             indices = indices[np.linspace(0, len(indices) - 1, MAX_SWITCH_EDGES).round().astype(int)]
         return middle[indices].tolist()
 
-    def make_effect(self, place: ShiftPlace, onset_time: float) -> Signature:
+    def make_effect(self, place: ShiftPlace, onset_time: float) -> LinearEffect:
         """Effect of this family at a place, from the time `onset_time` [s] on."""
         stations, targets = place.stations, place.targets
         if self.kind == "station-bump":

@@ -135,7 +135,7 @@ def _exact_log_evidence(space: ResidualSpace, candidates: Sequence[ShiftCandidat
         by_rank.setdefault(candidates[i].family.design.shape[2], []).append(i)
     for rank, group in by_rank.items():
         for batch in (group[part] for part in batches(len(group), space.n_rows * rank)):
-            rows = np.hstack([_whitened_signature(space, candidates[i]) for i in batch])
+            rows = np.hstack([_whitened_design(space, candidates[i]) for i in batch])
             projected = space.project(rows).reshape(space.n_rows, len(batch), rank)
             size = np.linalg.norm(rows, axis=0).reshape(len(batch), rank)
             unit = projected / np.where(size > 0, size, 1.0)
@@ -155,7 +155,7 @@ def _log_evidence(chi2_drop: float, rank: int) -> float:
     return 0.5 * chi2_drop + float(log_occam_factor_of_shift(np.sqrt(chi2_drop), rank)) if rank else -np.inf
 
 
-def _whitened_signature(space: ResidualSpace, candidate: ShiftCandidate) -> Floats:
+def _whitened_design(space: ResidualSpace, candidate: ShiftCandidate) -> Floats:
     design = np.zeros_like(candidate.family.design)
     design[candidate.affected_rows] = candidate.family.design[candidate.affected_rows]
     return space.whiten(design)
@@ -346,7 +346,7 @@ def _length_scale_hypothesis(fit: NetworkFit, space: ResidualSpace) -> list[tupl
     scale = GaugeScale()
     if any(h.kind == "reference-scale" for h in fit.hypotheses) or len(fit.problem.gauge_rows) < MIN_LENGTHS_FOR_SCALE:
         return []
-    drop, rank = space.chi2_drop(space.whitened_signature(scale))
+    drop, rank = space.chi2_drop(space.whitened_design(scale))
     prior = log_prior_of("reference-scale", 1)
     common = Hypothesis("reference-scale", "length", (), (), prior, ReadingShiftChange(scale))
     return [(_log_evidence(drop, rank) + prior, common)] if rank else []

@@ -23,7 +23,7 @@ from ltsim.adjustment.identification.hypothesis import (
 )
 from ltsim.adjustment.identification.noise_words import estimated_noise_factor, noise_sentence
 from ltsim.adjustment.identification.nominal_offsets import usual_offset_text, usual_smr_text
-from ltsim.adjustment.identification.signatures import ReadingShift
+from ltsim.adjustment.identification.reading_shifts import ReadingShift
 from ltsim.adjustment.significance import MIN_REPORTED_PROBABILITY
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import with_sigma

@@ -1,8 +1,8 @@
 """Next measurement: the one that gives most information on the instrument, or that decides between possible causes.
 
-The expected evidence between two causes is a difference of chi-square: the part of the true cause's signature that the
-other cause does not explain at any of its places and with any of its constants. As the true cause is unknown, the
-smaller of the two differences is used.
+The expected evidence between two causes is a difference of chi-square: the part of the true cause's change of the
+residuals that the other cause does not explain at any of its places and with any of its constants. As the true cause is
+unknown, the smaller of the two differences is used.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from ltsim.core.errors import ModelError
 from ltsim.core.values import ValueEquality
 from ltsim.physics.effects import find_effect, title_of
 from ltsim.physics.effects.effect import Effect, NoiseEffect
-from ltsim.physics.effects.signature import Signature
+from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.verbs import effect_tuple
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.exchange import RecordingSource, load_recording
@@ -65,7 +65,7 @@ class Explanation:
     """Estimated sizes of the effect, shape (parameters,) [SI]."""
 
 
-def residual_space_of(adjustment: Adjustment, extra_effects: Sequence[Signature] = ()) -> ResidualSpace:
+def residual_space_of(adjustment: Adjustment, extra_effects: Sequence[LinearEffect] = ()) -> ResidualSpace:
     """Space of the residuals of an adjustment that also estimates `extra_effects`."""
     return ResidualSpace.from_adjustment(adjustment).with_effects(extra_effects)
 
@@ -73,7 +73,7 @@ def residual_space_of(adjustment: Adjustment, extra_effects: Sequence[Signature]
 def best_explanation(space: ResidualSpace, name: str) -> Explanation:
     """Effect with the given name, at the place and with the constants that fit a recording best, and its size.
 
-    ModelError is raised for an unknown effect, and for an effect without a signature in the residuals.
+    ModelError is raised for an unknown effect, and for an effect that does not change the residuals.
     """
     kind = find_effect(name)
     if issubclass(kind, NoiseEffect):
@@ -85,17 +85,19 @@ def best_explanation(space: ResidualSpace, name: str) -> Explanation:
         if sum_of_squares < least:
             least, best = sum_of_squares, Explanation(effect, values)
     if best is None:
-        raise ModelError(f"{name} has no signature in this recording, so its size cannot be estimated from it")
+        raise ModelError(
+            f"{name} does not change the residuals of this recording, so its size cannot be estimated from it"
+        )
     return best
 
 
 def _best_fit(space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Floats, float]:
     """Size of an effect that fits a vector of residuals best, shape (parameters,), and remaining squared length."""
-    projected_signature = space.project(space.whitened_signature(effect))
-    if not np.isfinite(projected_signature).all() or not projected_signature.any():
+    projected_design = space.project(space.whitened_design(effect))
+    if not np.isfinite(projected_design).all() or not projected_design.any():
         return np.zeros(len(effect.parameters)), float(residual @ residual)
-    values = np.asarray(np.linalg.lstsq(projected_signature, residual, rcond=1e-6)[0], dtype=np.float64)
-    return values, float(np.sum((residual - projected_signature @ values) ** 2))
+    values = np.asarray(np.linalg.lstsq(projected_design, residual, rcond=1e-6)[0], dtype=np.float64)
+    return values, float(np.sum((residual - projected_design @ values) ** 2))
 
 
 @dataclass(frozen=True)
@@ -134,12 +136,12 @@ class RivalExplanations:
         """Expected difference of chi-square between the two causes in a longer recording, whichever of them is true."""
         least = []
         for truth, rival_instances in zip((self.first, self.second), self.rival_instances, strict=True):
-            signature = space.project(space.whitened_signature(truth.effect) @ truth.parameter_values)
-            smallest = float(signature @ signature)
+            residual_change = space.project(space.whitened_design(truth.effect) @ truth.parameter_values)
+            smallest = float(residual_change @ residual_change)
             for before, effect in rival_instances:
                 if before >= smallest:
                     break
-                smallest = min(smallest, _best_fit(space, effect, signature)[1])
+                smallest = min(smallest, _best_fit(space, effect, residual_change)[1])
             least.append(smallest)
         return min(least)
 
@@ -148,9 +150,11 @@ def _instances_with_unexplained_part(
     space: ResidualSpace, truth: Explanation, rival: Effect
 ) -> list[tuple[float, Effect]]:
     """Variants of a rival effect, each with the chi-square of the true cause that it leaves, the smallest first."""
-    signature = space.project(space.whitened_signature(truth.effect) @ truth.parameter_values)
+    residual_change = space.project(space.whitened_design(truth.effect) @ truth.parameter_values)
     instances = [rival, *select_places(type(rival).candidates(space.sightings))]
-    return sorted(((_best_fit(space, effect, signature)[1], effect) for effect in instances), key=lambda pair: pair[0])
+    return sorted(
+        ((_best_fit(space, effect, residual_change)[1], effect) for effect in instances), key=lambda pair: pair[0]
+    )
 
 
 @dataclass(frozen=True)
@@ -253,7 +257,7 @@ def rank_next_measurements(
     recording: RecordingSource,
     *,
     explanations: Sequence[str] = (),
-    with_effects: str | Signature | Sequence[str | Signature] = (),
+    with_effects: str | LinearEffect | Sequence[str | LinearEffect] = (),
     minutes_per_move: float = 20.0,
     site_sights: SiteSights | None = None,
     progress: ProgressCallback = no_progress,
@@ -294,7 +298,7 @@ def rank_next_measurements(
 def rank_deciding_measurements(
     adjustment: Adjustment,
     explanations: Sequence[Explanation],
-    extra_effects: Sequence[Signature] = (),
+    extra_effects: Sequence[LinearEffect] = (),
     *,
     seconds_per_move: float = DEFAULT_MOVE_TIME,
     site_sights: SiteSights | None = None,

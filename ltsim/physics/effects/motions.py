@@ -8,7 +8,7 @@ from ltsim.core.arrays import Floats
 from ltsim.geometry.polar import to_face, to_polar, wrap_angle
 from ltsim.geometry.rigid import from_rotation_vector, pose_design
 from ltsim.physics.effects.effect import Effect, design_from_displacements
-from ltsim.physics.effects.signature import Linearisation, Signature
+from ltsim.physics.effects.linear_effect import LinearEffect, Linearisation
 from ltsim.scene.sightings import Sightings
 
 
@@ -71,8 +71,8 @@ def reading_change(sightings: Sightings, local_points: Floats) -> Floats:
     return change
 
 
-class TargetDisplacement(Signature):
-    """Base class of signatures that displace targets, or their apparent positions."""
+class TargetDisplacement(LinearEffect):
+    """Base class of effects that displace targets, or their apparent positions."""
 
     def displacement(self, sightings: Sightings) -> Floats:
         """Motion (n, 3, p) [m] of each pointing's target in the network frame, per unit of each parameter."""

@@ -9,7 +9,7 @@ from ltsim.core.errors import ModelError
 from ltsim.core.results import ColumnValues, Result
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects import CATALOGUE, find_effect
-from ltsim.physics.effects.effect import Effect as AnyEffect, Signature
+from ltsim.physics.effects.effect import Effect as AnyEffect, LinearEffect
 
 PLACE_FIELDS = ("stations", "targets")
 """Fields of an effect that hold its places."""
@@ -28,7 +28,7 @@ class SizedEffect:
     """Values of the parameters by name, in display units."""
 
 
-S = TypeVar("S", bound=Signature | SizedEffect)
+S = TypeVar("S", bound=LinearEffect | SizedEffect)
 
 
 def Effect(  # noqa: N802 - it stands for a class of the catalogue

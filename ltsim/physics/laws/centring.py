@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MILLIMETRE
-from ltsim.physics.effects.signature import Parameter
+from ltsim.physics.effects.linear_effect import Parameter
 from ltsim.physics.laws.variance import VarianceFunction
 from ltsim.recordings.centring_errors import CentringUncertainty, Occupation
 from ltsim.scene.sightings import Sightings

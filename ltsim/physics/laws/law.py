@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
-from ltsim.physics.effects.signature import CandidateEffect, Parameter
+from ltsim.physics.effects.linear_effect import CandidateEffect, Parameter
 from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_FACTOR, N_MODES_FINE, indicator_columns
 from ltsim.physics.laws.places import MIN_GROUP_SIZE
 from ltsim.physics.laws.regressor_library import (

@@ -19,8 +19,8 @@ from ltsim.physics.effects.air_gradient import AirGradient
 from ltsim.physics.effects.azimuth_eccentricity import AzimuthEccentricity
 from ltsim.physics.effects.effect import SlotTerm
 from ltsim.physics.effects.elevation_eccentricity import ElevationEccentricity
+from ltsim.physics.effects.linear_effect import design_from_displacements, design_from_front_face_corrections
 from ltsim.physics.effects.motions import station_design
-from ltsim.physics.effects.signature import design_from_displacements, design_from_front_face_corrections
 from ltsim.physics.effects.smr_centring import reflector_axes
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings

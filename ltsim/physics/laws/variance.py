@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.physics.effects.signature import NoiseSignature, Parameter
+from ltsim.physics.effects.linear_effect import CandidateNoiseEffect, Parameter
 from ltsim.physics.laws.columns import CIRCULAR_COVARIATES, MEMORY_PREFIXES
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.regions import HallRegion
@@ -40,7 +40,7 @@ def noise_covariate(sightings: Sightings, covariate: str) -> Floats:
 
 
 @dataclass(frozen=True)
-class VarianceFunction(NoiseSignature):
+class VarianceFunction(CandidateNoiseEffect):
     """Variance function: noise of some observables that depends on a covariate, or differs by target or station.
 
     variance = sigma^2 (1 + value * pattern), with a pattern from 0 to 1 over the pointings. Each of `group_names`

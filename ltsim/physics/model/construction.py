@@ -24,9 +24,9 @@ from ltsim.physics.effects.effect import (
     SlotTerm,
     constant_basis,
 )
+from ltsim.physics.effects.linear_effect import PriorKind
 from ltsim.physics.effects.range_offset import RangeOffset
 from ltsim.physics.effects.range_scale import RangeScale
-from ltsim.physics.effects.signature import PriorKind
 from ltsim.physics.effects.transit_offset import TransitOffset
 from ltsim.physics.effects.transit_tilt import TransitTilt
 from ltsim.physics.effects.vertical_index import VerticalIndex

@@ -15,7 +15,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.units import DEGREE, MICROMETRE
 from ltsim.physics.effects.effect import design_from_front_face_corrections
-from ltsim.physics.effects.signature import Parameter, Signature
+from ltsim.physics.effects.linear_effect import LinearEffect, Parameter
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.reflectors import smr_names
@@ -30,7 +30,7 @@ declared values are replaced by it."""
 
 
 @dataclass(frozen=True)
-class IncidenceErrors(Signature):
+class IncidenceErrors(LinearEffect):
     """Range error of one reflector by angle of incidence: the mean from its bench test plus k independent errors."""
 
     reflector: str
@@ -44,7 +44,7 @@ class IncidenceErrors(Signature):
 
     @property
     def name(self) -> str:
-        """Name of the signature."""
+        """Name of the effect."""
         return "incidence-errors"
 
     @property

@@ -10,7 +10,7 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import DEGREE, EARTH_RADIUS, MILLIMETRE
 from ltsim.geometry.rigid import align_rigidly, pose_design, rotation_about_z, smallest_rotation
-from ltsim.physics.effects.signature import Signature
+from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction
 from ltsim.physics.model.incidence import IncidenceErrors, incidence_errors, incidence_shift
@@ -128,7 +128,7 @@ class MeasurementModel:
 
     recording: Recording
     construction: Construction
-    effects: tuple[Signature, ...] = ()
+    effects: tuple[LinearEffect, ...] = ()
 
     @cached_property
     def head_heights(self) -> tuple[HeadHeights, ...]:
@@ -169,7 +169,7 @@ class MeasurementModel:
         return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(boundaries))
 
     @cached_property
-    def nuisance_errors(self) -> tuple[Signature, ...]:
+    def nuisance_errors(self) -> tuple[LinearEffect, ...]:
         """Nuisance errors with a prior: heights, incidence on reflectors, shared errors, refraction, centring."""
         return (
             *self.head_heights,
@@ -180,7 +180,7 @@ class MeasurementModel:
         )
 
     @property
-    def extra_effects(self) -> tuple[Signature, ...]:
+    def extra_effects(self) -> tuple[LinearEffect, ...]:
         """Additional effects, followed by the nuisance errors with a prior."""
         return *self.effects, *self.nuisance_errors
 
@@ -241,24 +241,26 @@ class MeasurementModel:
 
     def extra_change(self, sightings: Sightings, parameters: Floats) -> Floats:
         """Change (n, 3) of the readings by all additional parameters with values (q,) [SI]."""
-        return self._signatures_change(self.extra_effects, sightings, parameters)
+        return self._linear_effects_change(self.extra_effects, sightings, parameters)
 
     def effects_change(self, sightings: Sightings, parameters: Floats) -> Floats:
         """Change (n, 3) of the readings by the additional effects alone."""
-        return self._signatures_change(self.effects, sightings, parameters)
+        return self._linear_effects_change(self.effects, sightings, parameters)
 
     def incidence_change(self, sightings: Sightings, parameters: Floats) -> Floats:
         """Change (n, 3) of the readings by the incidence errors of reflectors alone."""
         return incidence_shift(self.recording, sightings, self.incidence_parameters_by_reflector(parameters))
 
-    def _signatures_change(self, signatures: tuple[Signature, ...], sightings: Sightings, parameters: Floats) -> Floats:
-        """Change (n, 3) of the readings by `signatures`, which are the first of `extra_effects`.
+    def _linear_effects_change(
+        self, linear_effects: tuple[LinearEffect, ...], sightings: Sightings, parameters: Floats
+    ) -> Floats:
+        """Change (n, 3) of the readings by `linear_effects`, which are the first of `extra_effects`.
 
         `parameters` (q,) are the values of all additional parameters.
         """
         change = np.zeros((len(sightings), 3))
-        for signature, values in zip(signatures, self._values_by_effect(parameters), strict=False):
-            change += signature.reading_change(sightings, values)
+        for linear_effect, values in zip(linear_effects, self._values_by_effect(parameters), strict=False):
+            change += linear_effect.reading_change(sightings, values)
         return change
 
     def predict(self, state: NetworkState) -> Floats:

@@ -12,8 +12,8 @@ import numpy as np
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import EARTH_RADIUS, MILLIMETRE
 from ltsim.physics.effects.effect import design_from_front_face_corrections
+from ltsim.physics.effects.linear_effect import LinearEffect, Parameter, design_from_displacements
 from ltsim.physics.effects.motions import TargetDisplacement
-from ltsim.physics.effects.signature import Parameter, Signature, design_from_displacements
 from ltsim.recordings.occupations import target_occupations
 from ltsim.recordings.recording import (
     OBSERVABLES,
@@ -27,7 +27,7 @@ from ltsim.scene.sightings import Sightings
 
 
 @dataclass(frozen=True)
-class HeadHeights(Signature):
+class HeadHeights(LinearEffect):
     """Errors of the heights of instruments and reflectors above their marks, one for each of q occupations."""
 
     sigma: float
@@ -116,7 +116,7 @@ def centring_errors(recording: Recording) -> tuple[CentringErrors, ...]:
 
 
 @dataclass(frozen=True)
-class SharedErrors(Signature):
+class SharedErrors(LinearEffect):
     """Set of q independent errors, in units of their standard deviations, each of which several readings share.
 
     Let D be the standard deviations of the independent noise, and F the changes of the readings by one standard
@@ -172,7 +172,7 @@ def read_shared_errors(recording: Recording) -> tuple[SharedErrors, ...]:
 
 
 @dataclass(frozen=True)
-class Refraction(Signature):
+class Refraction(LinearEffect):
     """Refraction near the ground, with a prior for its coefficient.
 
     The coefficient k is the radius R of the earth divided by the radius of the curved line of sight. A line of sight of

@@ -1,9 +1,9 @@
-"""Signatures: changes of the readings, linear in parameters that an adjustment estimates together with the network.
+"""Linear effects: changes of the readings, linear in parameters that an adjustment estimates with the network.
 
-`Signature` is the interface that `MeasurementModel`, `NetworkProblem` and `ResidualSpace` use. A subclass defines
-`name`, `parameters` and `design`. `CandidateEffect` adds the interface for a search over laws; `NoiseSignature` is for
-changes of the variance. An effect (`effects.effect.Effect`) is a `CandidateEffect` with a catalogue entry: a physical
-cause with a name.
+`LinearEffect` is the interface that `MeasurementModel`, `NetworkProblem` and `ResidualSpace` use. A subclass defines
+`name`, `parameters` and `design`. `CandidateEffect` adds the interface for a search that compares effects, and
+`CandidateNoiseEffect` is a change of the variance of the readings. An effect of the catalogue (`effects.effect.Effect`)
+is a `CandidateEffect` with a physical cause that has a name.
 
 Sign: a parameter is a correction, truth - reading; the change of a reading is therefore its negative.
 """
@@ -105,7 +105,7 @@ class ShapeParameter:
 
 
 class Linearisation(NamedTuple):
-    """Change of the readings by a signature at given parameter values, with its derivatives."""
+    """Change of the readings by an effect at given parameter values, with its derivatives."""
 
     shift: Floats
     """Change (n, 3) of the raw readings."""
@@ -118,18 +118,18 @@ class Linearisation(NamedTuple):
     """
 
 
-class Signature(Protocol):
+class LinearEffect(Protocol):
     """Interface of a change of the readings that is linear in its parameters, at least to first order."""
 
     @property
     @abstractmethod
     def name(self) -> str:
-        """Name of the signature, such as that of its physical effect."""
+        """Name of the effect, such as that of its physical cause."""
 
     @property
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters of the signature, p of them; `prior_sigma` is the size of a large but plausible effect."""
+        """The p parameters of the effect; `prior_sigma` of a parameter is the size of a large but plausible effect."""
 
     @abstractmethod
     def design(self, sightings: Sightings) -> Floats:
@@ -142,12 +142,12 @@ class Signature(Protocol):
 
     @property
     def stations(self) -> tuple[str, ...]:
-        """Names of the stations at which the signature acts; empty for all."""
+        """Names of the stations at which the effect acts; empty for all stations."""
         return ()
 
     @property
     def targets(self) -> tuple[str, ...]:
-        """Names of the targets at which the signature acts; empty for all."""
+        """Names of the targets at which the effect acts; empty for all targets."""
         return ()
 
     def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
@@ -167,11 +167,11 @@ class Signature(Protocol):
 
     @property
     def place_text(self) -> str:
-        """Names of the stations and targets at which the signature acts, separated by commas; empty for all."""
+        """Names of the stations and targets at which the effect acts, separated by commas; empty for all."""
         return ",".join(self.stations + self.targets)
 
     def row_weights(self, sightings: Sightings) -> Floats:
-        """Weights (n,): 1 for pointings that the signature changes, 0 for others."""
+        """Weights (n,): 1 for pointings whose readings the effect changes, 0 for others."""
         acts = np.ones(len(sightings), dtype=bool)
         if self.stations:
             acts &= _is_any_of(sightings.station, sightings.station_indices, self.stations)
@@ -189,8 +189,8 @@ def _is_any_of(name_indices: Ints, allowed_names: Mapping[str, Sequence[int]], n
     return name_indices == ids[0] if len(ids) == 1 else np.isin(name_indices, ids)
 
 
-class CandidateEffect(Signature, Protocol):
-    """Signature that a search compares with other candidates. Its constants may enter nonlinearly."""
+class CandidateEffect(LinearEffect, Protocol):
+    """Interface of an effect that a search compares with other candidates; it may have nonlinear constants."""
 
     shape_parameters: ClassVar[tuple[ShapeParameter, ...]] = ()
     """Constants that enter nonlinearly; each is a field of the instance."""
@@ -200,12 +200,12 @@ class CandidateEffect(Signature, Protocol):
     @property
     @abstractmethod
     def observables(self) -> tuple[str, ...]:
-        """Observables that the signature changes: distance, azimuth, elevation."""
+        """Observables that the effect changes: distance, azimuth, elevation."""
 
     @property
     @abstractmethod
     def covariates(self) -> tuple[str, ...]:
-        """Covariates that the signature depends on."""
+        """Covariates that the effect depends on."""
 
     def neighbours(self, sightings: Sightings) -> Sequence[Self]:
         """Similar candidates, which a search tries only if this candidate is significant."""
@@ -230,7 +230,7 @@ class CandidateEffect(Signature, Protocol):
         return replace(self, **constants)  # type: ignore[type-var]
 
 
-class NoiseSignature(CandidateEffect, Protocol):
+class CandidateNoiseEffect(CandidateEffect, Protocol):
     """Change of the noise: parameters are added variances or factors on variances, not changes of the mean."""
 
     min_relative_size: ClassVar[float] = 0.0

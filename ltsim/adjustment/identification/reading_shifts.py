@@ -1,4 +1,4 @@
-"""Signatures of offsets, drifts and scale errors of one observable, at a station or target, from a time on."""
+"""Shifts of readings: offsets, drifts and scale errors of one observable, at a station or target, from a time on."""
 
 from dataclasses import dataclass
 
@@ -7,12 +7,17 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE, MICRORADIAN, PPM
 from ltsim.geometry.rigid import pose_design
-from ltsim.physics.effects.signature import Linearisation, Parameter, Signature, design_from_front_face_corrections
+from ltsim.physics.effects.linear_effect import (
+    LinearEffect,
+    Linearisation,
+    Parameter,
+    design_from_front_face_corrections,
+)
 from ltsim.scene.sightings import Sightings
 
 
 @dataclass(frozen=True)
-class ReadingShift(Signature):
+class ReadingShift(LinearEffect):
     """Offset, drift or scale error of the readings of one observable, for some stations and targets, from a time on.
 
     An offset of the elevations is an error of the vertical index. Its sign in the raw elevations depends on the face. A
