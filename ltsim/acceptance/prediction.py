@@ -14,7 +14,7 @@ from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
 from ltsim.geometry.polar import from_polar, parts_across_beam, to_polar, unit_vectors
 from ltsim.geometry.rigid import remove_rigid_motion
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import noise_sigma
 from ltsim.recordings.setup import Noise
 from ltsim.recordings.specification import Specification
@@ -31,10 +31,10 @@ spite of large errors.
 
 @dataclass(frozen=True)
 class AcceptancePlan:
-    """Acceptance tests for instruments of one construction with p constants: k tests with their limits."""
+    """Acceptance tests, k with their limits, for instruments with a geometric error model of p constants."""
 
     tests: tuple[AcceptanceTest, ...]
-    construction: Construction
+    construction: GeometricErrorModel
     specification: Specification
     declared_noise: Noise
 
@@ -203,7 +203,7 @@ class AcceptancePrediction:
     """Probability that all tests of a group pass."""
 
 
-def point_errors_by_constant(construction: Construction, points: Floats, prior_sigma: Floats) -> Floats:
+def point_errors_by_constant(construction: GeometricErrorModel, points: Floats, prior_sigma: Floats) -> Floats:
     """Displacement (3 n, p) [m] of front-face points (n, 3) [m] by constants of size `prior_sigma`, after a best fit.
 
     A rigid motion of all points is not counted.

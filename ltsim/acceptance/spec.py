@@ -209,7 +209,7 @@ class AcceptanceSettings(TomlSection):
     values of its data sheet.
     """
     construction: Literal["source-in-head", "steering-mirror"] = "source-in-head"
-    """Construction of the instrument: beam source in the head, or a steering mirror."""
+    """Design of the instrument: beam source in the head, or a steering mirror."""
     height_mm: Positive = 1500.0
     """Height of the instrument's head above the floor [mm]; two-face tests are on the floor, at this height and at
     twice it.

@@ -28,7 +28,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.results import Result
 from ltsim.physics.effects.linear_effect import LinearEffect
-from ltsim.physics.model.construction import Construction, ideal_construction
+from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
@@ -98,7 +98,7 @@ class Adjustment(Result):
         cls,
         recording: Recording,
         state: NetworkState,
-        construction: Construction | None = None,
+        construction: GeometricErrorModel | None = None,
         effects: Sequence[LinearEffect] = (),
         prior: ParameterPrior | None = None,
     ) -> Adjustment:
@@ -111,11 +111,9 @@ class Adjustment(Result):
         recording : Recording
             Planned pointings; their readings only state which observables are measured.
         state : NetworkState
-            Planned stations and targets, and the instrument's parameters.
-        construction, effects
-            Construction and effects whose parameters are to be estimated; default an ideal tracker without parameters.
-        prior : ParameterPrior, optional
-            Prior of the instrument parameters; default that of the set-up.
+            Planned stations and targets, and the instrument's parameters. construction, effects Geometric error model
+            and effects whose parameters are to be estimated; default an ideal tracker without parameters. prior :
+            ParameterPrior, optional Prior of the instrument parameters; default that of the set-up.
         """
         model = MeasurementModel(recording, construction or ideal_construction(), tuple(effects))
         if len(state.extra_parameters) != model.n_extra_parameters:
@@ -139,8 +137,8 @@ class Adjustment(Result):
         return self.problem.model.recording
 
     @property
-    def construction(self) -> Construction:
-        """The construction whose parameters were estimated."""
+    def construction(self) -> GeometricErrorModel:
+        """Geometric error model of the instrument, whose parameters were estimated."""
         return self.problem.model.construction
 
     @property

@@ -31,7 +31,7 @@ from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_robustly, rigid_motion_design
 from ltsim.physics.effects.linear_effect import LinearEffect
-from ltsim.physics.model.construction import Construction, ideal_construction
+from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, smr_radius_offsets, with_plumb_lines
 from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import Solution, solve
@@ -42,7 +42,7 @@ from ltsim.solve.threads import single_threaded
 @single_threaded
 def adjust(
     recording: Recording,
-    construction: Construction | None = None,
+    construction: GeometricErrorModel | None = None,
     *,
     effects: Sequence[LinearEffect] = (),
     sigma: Floats | None = None,
@@ -60,7 +60,7 @@ def adjust(
     Parameters
     ----------
     recording : Recording
-    construction : Construction, optional
+    construction : GeometricErrorModel, optional
         Default: an ideal tracker without parameters.
     effects : sequence of LinearEffect
         Additional effects to estimate, free except for `effect_prior_sigma`.

@@ -16,7 +16,7 @@ from ltsim.core.errors import ModelError, RecordError, unknown_name
 from ltsim.core.results import Table
 from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
 from ltsim.core.values import ValueEquality
-from ltsim.physics.model.construction import Construction, construction_for_parameters
+from ltsim.physics.model.construction import GeometricErrorModel, construction_for_parameters
 from ltsim.recordings.files import quoted_text
 from ltsim.recordings.recording import OBSERVABLES
 
@@ -25,7 +25,7 @@ from ltsim.recordings.recording import OBSERVABLES
 class CalibrationArrays(ValueEquality):
     """Arrays of a calibration in SI units: p parameters of each of I instruments, and the coordinates of T targets."""
 
-    construction: Construction
+    construction: GeometricErrorModel
     """Instrument model whose parameters were estimated."""
     instruments: tuple[str, ...]
     """Names of the instruments; a single unnamed instrument is called ''."""

@@ -44,7 +44,7 @@ from ltsim.core.results import Table
 from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.physics.effects.linear_effect import Parameter
 from ltsim.physics.effects.smr_incidence import SmrIncidence
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import Finite, ResultFile
 
@@ -197,7 +197,7 @@ class Calibration(UncertaintyEntry, ResultFile):
         return self._warnings
 
     @property
-    def construction(self) -> Construction:
+    def construction(self) -> GeometricErrorModel:
         """Instrument model whose parameters were estimated."""
         return self.arrays.construction
 

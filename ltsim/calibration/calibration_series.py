@@ -24,7 +24,7 @@ from ltsim.calibration.evidence import LikelihoodInformation, likelihood_informa
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError, option
 from ltsim.core.values import ValueEquality
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.result_file import Entry, Finite
 from ltsim.solve.design import NORMAL_RANK_TOLERANCE
 
@@ -116,9 +116,8 @@ class CalibrationSeries(ValueEquality):
 
         Raises
         ------
-        RecordError
-            When there are fewer than two, the constructions differ, the instrument is not clear, a parameter has no
-            uncertainty, or the dates are none or out of order.
+            RecordError When there are fewer than two, the geometric error models differ, the instrument is not clear, a
+            parameter has no uncertainty, or the dates are none or out of order.
         """
         if len(labelled_calibrations) < 2:
             raise RecordError(
@@ -152,7 +151,7 @@ class CalibrationSeries(ValueEquality):
         return len(self.labels)
 
     @property
-    def construction(self) -> Construction:
+    def construction(self) -> GeometricErrorModel:
         """Instrument model of all calibrations."""
         return self.calibrations[0].construction
 

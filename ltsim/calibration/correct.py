@@ -8,7 +8,7 @@ from ltsim.calibration.files import CalibrationSource, load_calibration
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError, RecordError, option
 from ltsim.geometry.polar import to_face, to_polar, wrap_angle
-from ltsim.physics.model.construction import Construction, ideal_construction
+from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
 from ltsim.physics.model.incidence import incidence_shift
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.exchange import RecordingSource, load_recording
@@ -88,7 +88,7 @@ def incidence_correction_change(recording: Recording, calibration: Calibration) 
     return incidence_shift(recording, sightings, reflectors)
 
 
-def corrected_readings(recording: Recording, construction: Construction, values: Floats) -> Floats:
+def corrected_readings(recording: Recording, construction: GeometricErrorModel, values: Floats) -> Floats:
     """Readings of an ideal tracker for the measured points, shape (pointings, 3); NaN where no reading was made.
 
     `values` are the parameters of the instrument, shape (parameters,) or (pointings, parameters) [SI].

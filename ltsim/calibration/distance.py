@@ -27,7 +27,7 @@ from ltsim.calibration.objective import DistanceProblem
 from ltsim.calibration.prior_information import ParameterSelection
 from ltsim.calibration.schema import FitEntry
 from ltsim.core.arrays import Floats, Ints
-from ltsim.physics.model.construction import Construction, declared_construction
+from ltsim.physics.model.construction import GeometricErrorModel, declared_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.reflectors import require_equal_radii
@@ -45,7 +45,7 @@ DISTANCE_METHODS: dict[str, ObjectiveNorm] = {
 
 def calibrate_distance(
     recording: Recording,
-    construction: Construction | None = None,
+    construction: GeometricErrorModel | None = None,
     *,
     method: str = "distance",
     advise: bool = True,
@@ -144,7 +144,11 @@ def _fit_entry(propagation: ErrorPropagation) -> FitEntry:
 
 
 def _undetermined_entries(
-    adjustment: Adjustment, construction: Construction, estimate: DistanceEstimate, *, recommend_measurements: bool
+    adjustment: Adjustment,
+    construction: GeometricErrorModel,
+    estimate: DistanceEstimate,
+    *,
+    recommend_measurements: bool,
 ) -> tuple[UndeterminedEntry, ...]:
     """Entries of the combinations of parameters that the distances do not determine."""
     instruments = adjustment.recording.instruments
@@ -176,7 +180,7 @@ class ErrorPropagation:
 
     recording: Recording
     """Uncorrected recording."""
-    construction: Construction
+    construction: GeometricErrorModel
     """Instrument model."""
     estimates: Floats
     """Estimated parameters, shape (instruments, parameters) [SI]."""

@@ -22,7 +22,7 @@ from ltsim.physics.effects.linear_effect import CandidateEffect, LinearEffect, P
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.sizes import displayed_sizes
 from ltsim.physics.laws.words import law_suffix, regressor_text
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import MAX_ALTERNATIONS
 
@@ -39,7 +39,7 @@ class RequestedEffect:
     fixed_fields: frozenset[str] = frozenset()
     """Names of the fields whose values the user gave."""
 
-    def require_estimable(self, recording: Recording, construction: Construction) -> None:
+    def require_estimable(self, recording: Recording, construction: GeometricErrorModel) -> None:
         """Check that the effect can be estimated with the calibration of a recording; raises ModelError otherwise."""
         effect, name = self.effect, self.effect.name
         if isinstance(effect, NoiseEffect):
@@ -132,7 +132,7 @@ def _refit_with_best_constants(
 
 
 def effect_display_name(effect: LinearEffect, adjustment: Adjustment) -> str:
-    """Name of an effect; for an empirical law its text, response ~ regressor."""
+    """Name of an effect; for an empirical law its text, as in `elevation ~ time`."""
     if not isinstance(effect, EmpiricalLaw):
         return effect.name
     regressor_name = regressor_text(effect.regressor, has_clock=adjustment.recording.has_clock)

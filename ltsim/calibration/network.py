@@ -33,7 +33,7 @@ from ltsim.core.limits import MAX_CALIBRATED_POINTINGS
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.verbs import name_tuple
-from ltsim.physics.model.construction import Construction, declared_construction, ideal_construction
+from ltsim.physics.model.construction import GeometricErrorModel, declared_construction, ideal_construction
 from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.recordings.recording import MODE_COLUMN, Recording
 from ltsim.recordings.result_file import SourceEntry
@@ -42,7 +42,7 @@ from ltsim.solve.gauss_newton import MAX_ALTERNATIONS
 
 def calibrate_network(
     recording: Recording,
-    construction: Construction | None = None,
+    construction: GeometricErrorModel | None = None,
     *,
     recommend_measurements: bool = True,
     robust: bool = False,
@@ -226,7 +226,7 @@ def _noise_grouping(noise_from_data: bool) -> NoiseGrouping | None:
 
 def _adjust_with_options(
     recording: Recording,
-    construction: Construction,
+    construction: GeometricErrorModel,
     robust: bool,
     grouping: NoiseGrouping | None,
     datum: Sequence[str] | None,

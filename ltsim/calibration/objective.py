@@ -18,7 +18,7 @@ import scipy.sparse as sp
 from ltsim.adjustment.rows import GaugeRows
 from ltsim.core.arrays import MAX_MATRIX_ENTRIES, Floats, Ints
 from ltsim.core.errors import NetworkError
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 
 
@@ -42,7 +42,7 @@ class DistanceProblem:
 
     recording: Recording
     """Recording; pointings without a range or an angle are not used."""
-    construction: Construction
+    construction: GeometricErrorModel
     """Instrument model."""
     prior_sigma: Floats
     """Prior standard deviations, shape (instruments, parameters) [SI]; the units of the unknowns."""

@@ -39,7 +39,7 @@ from ltsim.geometry.rigid import quaternion_from_matrix, rigid_motion_design
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.smr_incidence import SmrIncidence
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.physics.model.measurement import smr_radius_offsets
 from ltsim.recordings.recording import MODE_COLUMN, OBSERVABLES, Recording
 
@@ -303,7 +303,7 @@ def _has_declared_datum_points(adjustment: Adjustment) -> bool:
 
 def undetermined_entries(
     adjustment: Adjustment,
-    construction: Construction,
+    construction: GeometricErrorModel,
     undetermined_directions: list[list[ParameterCombination]],
     *,
     recommend_measurements: bool,
@@ -318,23 +318,27 @@ def undetermined_entries(
         names = construction.instrument_parameter_names(instruments)[i * construction.n_parameters :]
         for direction, (instruction, sentence) in zip(group, measurements[i], strict=True):
             terms = direction.coefficients(names)
-            combinations.append(
-                UndeterminedEntry(combination=terms, gain=direction.gain, cure=sentence, measurement=instruction)
-            )
+            entry = UndeterminedEntry(combination=terms, gain=direction.gain, cure=sentence, measurement=instruction)
+            combinations.append(entry)
     return tuple(combinations)
 
 
 def undetermined_directions(covariance: Floats, prior_sigma: Floats) -> list[list[ParameterCombination]]:
     """Undetermined combinations of each instrument; covariance (I p, I p) and prior sigmas (I, p) of I instruments."""
-    count, size = prior_sigma.shape
-    if not size:
-        return [[] for _ in range(count)]
-    blocks = covariance.reshape(count, size, count, size)
-    return [undetermined_combinations(blocks[i, :, i], prior_sigma[i]) for i in range(count)]
+    n_instruments, n_parameters = prior_sigma.shape
+    if not n_parameters:
+        return [[] for _ in range(n_instruments)]
+    blocks = covariance.reshape(n_instruments, n_parameters, n_instruments, n_parameters)
+    return [undetermined_combinations(blocks[i, :, i], prior_sigma[i]) for i in range(n_instruments)]
 
 
 def criteria_table(
-    recording: Recording, adjustment: Adjustment, construction: Construction, values: Floats, *, reflectors: bool = True
+    recording: Recording,
+    adjustment: Adjustment,
+    construction: GeometricErrorModel,
+    values: Floats,
+    *,
+    reflectors: bool = True,
 ) -> CriteriaEntry | None:
     """Disagreement of the stations before and after correction, without excluded pointings; None for a single station.
 
@@ -381,9 +385,7 @@ def _handedness_notes(adjustment: Adjustment) -> tuple[str, ...]:
 def _undetermined_height_notes(adjustment: Adjustment) -> tuple[str, ...]:
     """Note on the targets whose height is undetermined."""
     names = [adjustment.recording.targets[t] for t in np.flatnonzero(adjustment.undetermined_heights)]
-    if not names:
-        return ()
-    return (f"adjusted in plan only, as no reading determines their height: {listing(names)}",)
+    return (f"adjusted in plan only, as no reading determines their height: {listing(names)}",) if names else ()
 
 
 def range_zero_notes(adjustment: Adjustment) -> tuple[str, ...]:

@@ -27,13 +27,13 @@ from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError, SetupError
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import Construction, construction_with_orders
+from ltsim.physics.model.construction import GeometricErrorModel, construction_with_orders
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.simulation.draws import StandardNormalSource
 
 
-def estimated_construction(method: Method) -> Construction:
-    """Construction whose parameters a method estimates."""
+def estimated_construction(method: Method) -> GeometricErrorModel:
+    """Geometric error model whose parameters a calibration method estimates."""
     return construction_with_orders(method.construction, method.harmonics, method.degree)
 
 
@@ -118,7 +118,7 @@ class GeometryStack(CellTruth):
     def _effect_design(self, effects: tuple[Effect, ...]) -> Floats:
         return self.gather(truth.effect_design_function(effects)[..., 0] for truth in self.truths)
 
-    def _compute_chain_and_design(self, built: Construction) -> tuple[ChainProgram, Floats]:
+    def _compute_chain_and_design(self, built: GeometricErrorModel) -> tuple[ChainProgram, Floats]:
         """Kinematic chain of all trials, and derivative of the readings with respect to p parameters, (n, 3, p, B)."""
         flattened = np.swapaxes(self.nominal_readings, 1, 2).reshape(-1, 3)
         by_value = built.reading_design(flattened, np.zeros(built.n_parameters))[1]

@@ -24,7 +24,7 @@ from ltsim.core.errors import LtsimError
 from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
-from ltsim.physics.model.construction import Construction, ideal_construction
+from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.simulation.simulator import with_certificates
@@ -79,7 +79,7 @@ class CalibratedBlock:
 
     @classmethod
     def without_solution(
-        cls, truth: CellTruth, construction: Construction, effects: Sequence[Effect], trials: int
+        cls, truth: CellTruth, construction: GeometricErrorModel, effects: Sequence[Effect], trials: int
     ) -> CalibratedBlock:
         """Results of trials without a solution: all estimates are NaN, the status is that of a failure."""
         values = np.full((len(truth.recording.instruments), construction.n_parameters, trials), np.nan)
@@ -110,9 +110,9 @@ class TrialCalibrator:
     """Base class of the calibrators that a campaign compares."""
 
     truth: CellTruth
-    """True geometry of the cell whose trials are calibrated."""
-    construction: Construction
-    """Construction whose parameters are estimated."""
+    """True geometry of the combination of settings whose trials are calibrated."""
+    construction: GeometricErrorModel
+    """Geometric error model of the instrument, whose parameters are estimated."""
     effects: tuple[Effect, ...] = ()
     """Additional effects that are estimated."""
     method: str = "network"

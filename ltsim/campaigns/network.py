@@ -25,7 +25,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
 from ltsim.geometry.rigid import pose_design
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.physics.model.incidence import IncidenceErrors
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, Prediction, sightings_of
 from ltsim.recordings.recording import Recording
@@ -63,8 +63,8 @@ class BatchNetwork:
     """Recording with nominal readings: those of an ideal tracker at `state`."""
     state: NetworkState
     """Nominal state: true poses and targets."""
-    construction: Construction
-    """Construction whose parameters are estimated."""
+    construction: GeometricErrorModel
+    """Geometric error model of the instrument, whose parameters are estimated."""
     chain_program: ChainProgram
     """Kinematic chain around the nominal readings."""
     effects: tuple[Effect, ...] = ()

@@ -13,7 +13,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.geometry.kinematics import ElementaryMotion, RotationStep
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 
 DERIVATIVE_STEP = 1e-4
 """Step [m, rad] of the central difference for the derivative of a basis function; the relative error of the derivative
@@ -50,8 +50,8 @@ class ChainProgram(NamedTuple):
     """Derivative of each basis function with respect to the three readings, (p, n, 3)."""
 
     @classmethod
-    def from_construction(cls, construction: Construction, readings: Floats) -> Self:
-        """Arrays of a construction about raw readings (n, 3); motions that are always zero are omitted."""
+    def from_construction(cls, construction: GeometricErrorModel, readings: Floats) -> Self:
+        """Arrays of a geometric error model, linearised at readings (n, 3), without motions that are always zero."""
         slots = [term.slot for term in construction.terms]
         motions_by_slot = {
             m.slot: [k for k, slot in enumerate(slots) if slot == m.slot]
@@ -111,7 +111,7 @@ def _nominal_amount(motion: ElementaryMotion, readings: Floats) -> Floats:
     return np.stack([amount, np.zeros_like(amount)], axis=1)
 
 
-def _basis_derivatives(construction: Construction, readings: Floats) -> Floats:
+def _basis_derivatives(construction: GeometricErrorModel, readings: Floats) -> Floats:
     """Derivative (p, n, 3) of each basis function with respect to the readings."""
     step = DERIVATIVE_STEP * np.eye(3)[:, None, :]
     shifted_readings = np.concatenate([readings + step, readings - step]).reshape(-1, 3)

@@ -195,7 +195,7 @@ def recover(
     method, with_effects
         Options of ltsim's calibrator, as of `calibrate`.
     construction : str, optional
-        Construction of the instrument in ltsim's calibrator; default that of the scenario.
+        Geometric error model of the instrument in ltsim's calibrator; default that of the scenario.
     calibrator : callable or str, optional
         External calibrator, checked together with that of ltsim: a command ``CMD {recording} {out}`` that reads a
         recording and writes parameters as JSON. In Python it can also be a function of a recording that returns value,

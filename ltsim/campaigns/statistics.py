@@ -59,7 +59,7 @@ class CampaignStatistics:
     ----------
     folder : Path
     max_shards : int, optional
-        Number of files per cell that are read, from the first one; default all.
+        Number of files per combination of settings (cell) that are read, from the first one; default all.
 
     Raises
     ------
@@ -120,7 +120,7 @@ class CampaignStatistics:
         return plain | {f.name: [level[f.name] for level in self.levels] for f in self.factors}
 
     def _check_cells(self) -> None:
-        """Check that all rows belong to cells and methods of the manifest; raises ValueError."""
+        """Check that all rows belong to combinations of settings and methods of the manifest; raises ValueError."""
         for cell, method in self._database.execute("SELECT DISTINCT cell, method FROM rows").fetchall():
             if cell not in range(len(self.levels)) or method not in self.manifest.methods:
                 raise ValueError(f"cell {cell} by {method} is not in {ManifestFile.FILE}")
@@ -200,7 +200,7 @@ class CampaignStatistics:
         return student_quantile(n_trials, level) * deviation / math.sqrt(n_trials)
 
     def distribution(self, column: str) -> list[StatisticSummary]:
-        """Mean, standard deviation and quantiles of a column in every cell and for every method."""
+        """Mean, standard deviation and quantiles of a column in every combination of settings and for every method."""
         name = self._sql_column(column)
         if column in RATIO_STATISTICS:
             return self._ratios_of_means(column)
@@ -258,12 +258,12 @@ class CampaignStatistics:
         return shares
 
     def column_values(self, column: str, cell: int, method: str, *, max_trials: int) -> Floats:
-        """Finite values (n,) of a column for a cell and method, from the first `max_trials` trials."""
+        """Finite values (n,) of a column for a combination of settings and method, from `max_trials` trials."""
         name = self._sql_column(column)
         return self.term_values((name,), cell, method, f"isfinite({name}) AND trial < {int(max_trials)}")[0]
 
     def term_values(self, terms: Sequence[str], cell: int, method: str, condition: str) -> Floats:
-        """Values (k, n) of k SQL expressions for the n trials of a cell and method that meet a condition, in order."""
+        """Values (k, n) of k SQL expressions for the n trials of a combination of settings that meet a condition."""
         word = method.replace("'", "''")
         rows = self.query(
             f"SELECT {', '.join(terms)} FROM rows WHERE cell = {int(cell)} AND method = '{word}' AND {condition} "
@@ -289,7 +289,7 @@ class CampaignStatistics:
         return [SolverComparison(**dict(zip(SolverComparison.model_fields, row, strict=True))) for row in rows]
 
     def summary(self) -> CampaignSummary:
-        """Statistics of all columns, cells and methods."""
+        """Statistics of all columns, combinations of settings and methods."""
         columns_used = [
             c for c in self.columns if not c.startswith(("z:", "estimate:", "true:")) and c != DIFFERENCE_COLUMN
         ]

@@ -121,7 +121,7 @@ class CatalogueDesigns:
     groups: list[EffectGroup]
     """Effects with their design columns, grouped by their number of parameters and their form of storage."""
     families: tuple[str, ...]
-    """Names of the families, which are names of the catalogue."""
+    """Names of the families, each of which has one effect of the catalogue at all its places and shapes."""
     family_of_effect: Ints
     """Index (h,) of the family of each effect."""
 
@@ -177,7 +177,7 @@ class CatalogueDesigns:
         return replace(self, groups=[group.scaled_rows(ratio) for group in self.groups])
 
     def log_evidence_and_trials(self, null_ensemble: NullEnsemble) -> tuple[Floats, Floats]:
-        """Log evidence (h,) of each effect given a model, and null values of each family (families, trials).
+        """Log evidence (h,) of each effect given a model, and null values (families, trials) of each catalogue effect.
 
         The null values are log means of the evidence for simulated recordings. The design columns are projected also
         onto the residual space of the model, which reduces their Gram matrices. A Monte-Carlo Gram matrix is not
@@ -205,7 +205,7 @@ class CatalogueDesigns:
         return values, chance.log_means
 
     def effects_by_family(self) -> list[list[Effect]]:
-        """Effects of each family, without the constants of the ordinary calibration except the range scale.
+        """Effects by catalogue name at all places and shapes, with only the range scale of the ordinary constants.
 
         A network without a known length absorbs the scale completely. `calibrate` reports the other constants.
         """
@@ -229,7 +229,7 @@ class CatalogueDesigns:
 
 @dataclass(frozen=True)
 class FamilyMeans:
-    """Log means of the evidence of each family for simulated recordings (trials), accumulated over its members."""
+    """Log means of the evidence of each catalogue effect over its places and shapes, in simulated recordings."""
 
     family: Ints
     """Index (h,) of the family of each effect."""
@@ -250,7 +250,7 @@ class FamilyMeans:
 
     @property
     def log_means(self) -> Floats:
-        """Log mean (families, trials) of the evidence over all members of each family."""
+        """Log mean (families, trials) of the evidence over all places and shapes of each catalogue effect (family)."""
         return self.sums - np.log(np.bincount(self.family, minlength=len(self.sums)))[:, None]
 
 

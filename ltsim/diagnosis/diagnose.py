@@ -88,8 +88,8 @@ def diagnose(
 
     Raises
     ------
-    RecordError
-        When the history is of other instruments or another construction, or `level` is not a false-alarm rate.
+        RecordError When the history is of other instruments or of another geometric error model, or `level` is not a
+        false-alarm rate.
     """
     if not SINGLE_LEVEL <= level < 1.0:
         raise RecordError(f"the level is {level:g}; expected a false-alarm rate from {SINGLE_LEVEL:g} to 1")

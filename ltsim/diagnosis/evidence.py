@@ -191,7 +191,7 @@ def _eigen_decomposition(gram: Floats, plausible_sizes: Floats) -> tuple[Floats,
 MAX_AVERAGED_HYPOTHESES = 12
 """Largest number of hypotheses, the most probable first, over which an estimate is averaged (processor time)."""
 N_REFINED = 7
-"""Number of hypotheses of a kind (families of effects, of noise, and laws, also at each place), the best ones of an
+"""Number of hypotheses of a kind (catalogue effects, noise changes, and laws, also at each place), the best ones of an
 approximation, that are evaluated without it (processor time).
 """
 MAX_REFINED_DEFICIT = 10.0

@@ -160,7 +160,7 @@ class EvidenceCalculator:
         return designs, edges
 
     def _response_changes(self, name: str) -> Floats:
-        """Whitened change (m, c) of the readings per unit of each of c components of a response, computed once."""
+        """Whitened change (m, c) of the readings per unit of each of c components of a changed quantity, cached."""
         if name not in self._changes_by_response:
             self._changes_by_response[name] = self.space.whiten(RESPONSES_BY_NAME[name][1](self.space.sightings))
         return self._changes_by_response[name]

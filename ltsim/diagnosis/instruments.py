@@ -31,7 +31,7 @@ from ltsim.diagnosis.evidence import normalised_probabilities
 from ltsim.diagnosis.prior import log_prior_share
 from ltsim.diagnosis.schema import InstrumentEntry, ParameterEstimate
 from ltsim.physics.effects.effect import Parameter
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 from ltsim.solve.design import scale_to_unit_diagonal
 
@@ -292,9 +292,9 @@ class HistoryExpectation:
 
     @classmethod
     def from_calibrations(
-        cls, calibrations: EarlierCalibrations, recording: Recording, construction: Construction
+        cls, calibrations: EarlierCalibrations, recording: Recording, construction: GeometricErrorModel
     ) -> HistoryExpectation:
-        """Expectation from earlier calibrations; raises RecordError for other instruments or another construction."""
+        """Expectation from earlier calibrations; raises RecordError for other instruments or another error model."""
         names = recording.instruments
         if len(calibrations.instruments) < min(len(names), 2):
             raise RecordError(

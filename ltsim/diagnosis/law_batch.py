@@ -1,8 +1,8 @@
-"""Batch of empirical laws: all combinations of some responses, regressors and places, scored together.
+"""Batch of empirical laws: all combinations of changed quantities, regressors and places, scored together.
 
-The score of a response c with a regressor d at a place is the sum over its pointings of (derivative of c) x (column of
-d) x (residual). Pointings that belong to the same places form a cell. One matrix product for each cell gives the sums
-for all hypotheses.
+The score of a changed quantity c with a regressor d at a place is the sum over its pointings of (derivative of c) x
+(column of d) x (residual). Pointings that belong to the same places form a cell. One matrix product for each cell gives
+the sums for all hypotheses.
 
 Shapes below: n pointings, P places, C responses with c components each, D regressors with k columns each (d of them in
 one step), and v vectors of the null ensemble.
@@ -42,7 +42,7 @@ class ScreenedLaw:
     response: Response
     """Quantity that the law changes."""
     regressor: Regressor
-    """Function on which the response depends."""
+    """Function of covariates on which the changed quantity depends."""
     place: LawPlace
     """Place at which the law acts."""
     log_evidence: float
@@ -137,13 +137,13 @@ class RegressorColumns:
 
 @dataclass(frozen=True)
 class LawBatch:
-    """Batch of laws: all combinations of responses, regressors and places.
+    """Batch of empirical laws: all combinations of responses (changed quantities), regressors and places.
 
     The responses are of one kind. The regressors have the same number of columns and of length scales.
     """
 
     responses: tuple[Response, ...]
-    """Responses, C of them, with c components each."""
+    """Quantities that the laws change, C of them, with c components each."""
     regressors: tuple[Regressor, ...]
     """Regressors, D of them, with k columns each."""
     places: tuple[LawPlace, ...]
@@ -151,11 +151,11 @@ class LawBatch:
     partition: RowPartition
     """Partition of the pointings by these places."""
     weights: Singles
-    """Whitened change (n, 3, C, c) of the readings by a plausible size of each component of each response."""
+    """Whitened change (n, 3, C, c) of the readings by a plausible size of each component of each changed quantity."""
     columns: RegressorColumns
     """Columns of the regressors, shared by batches with the same regressors and cells."""
     log_prior: Floats
-    """Log prior (P,) of one response, regressor and length scale at each place."""
+    """Log prior (P,) of one law (response, regressor and length scale) at each place."""
     _quadratic_forms: dict[int, list[tuple[Floats, Singles]]] = field(default_factory=dict, repr=False)
 
     @cached_property

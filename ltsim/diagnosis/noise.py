@@ -93,7 +93,7 @@ class NoiseBank:
     hypotheses: list[NoiseHypothesis]
     """Hypotheses with one size, h of them."""
     families: tuple[str, ...]
-    """Names of the families of these hypotheses."""
+    """Names of the kinds of noise change (families) of these hypotheses."""
     family_index: Ints
     """Index (h,) of the family of each hypothesis."""
     factors: NoiseFactors
@@ -155,7 +155,7 @@ class NoiseBank:
         return change.log_evidence(residual, redundancy) + self.log_prior_of_family(change.name)
 
     def log_prior_of_family(self, family: str) -> float:
-        """Log prior of a family, which is a change of the noise in the catalogue, or outside it (`unknown`)."""
+        """Log prior of a kind of noise change, which is in the catalogue, or outside it (`unknown`)."""
         names = (*self.families, *(change.name for change in self.group_noises))
         unknown = [name.startswith("unknown") for name in names]
         if family.startswith("unknown"):
@@ -189,7 +189,7 @@ class NoiseBank:
     def _fine_log_evidence(
         self, members: Ints, best_member: int, ratio: Floats, residual: Floats, redundancy: Floats
     ) -> float:
-        """Log evidence of a family, with a fine grid of sizes of its best effect.
+        """Log evidence of a kind of noise change, with a fine grid of sizes of its best effect.
 
         `members` are the indices of the family's hypotheses, `best_member` is the best of them, and `ratio` contains
         their log likelihood ratios. For an effect with several parameters, each alone and all together are averaged.
@@ -209,7 +209,7 @@ class NoiseBank:
     def ranked_families(
         self, residual: Floats, redundancy: Floats, model_basis: Floats
     ) -> list[tuple[float, NoiseHypothesis]]:
-        """Pairs of log evidence with prior and the best hypothesis of each family, the best family first.
+        """Pairs of log evidence (with prior) and best hypothesis of each kind of noise change, the best kind first.
 
         `residual` (m,), `redundancy` (m,) and the basis `model_basis` (m, e) are those of a model.
         """

@@ -54,7 +54,7 @@ class GroupNoise:
 
     @property
     def name(self) -> str:
-        """Name of the family of noise hypotheses."""
+        """Name of this kind of noise change."""
         return self.effect.name
 
     def log_evidence_by_group(self, residual: Floats, redundancy: Floats) -> Floats:
@@ -192,7 +192,7 @@ class NoiseByGroup(GroupNoise):
 
     @property
     def name(self) -> str:
-        """Name of the family."""
+        """Name of this kind of noise change."""
         return f"unknown:noise:each {getattr(self.effect, 'group_kind', '')}"
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:

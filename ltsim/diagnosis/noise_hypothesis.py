@@ -14,7 +14,7 @@ class NoiseHypothesis:
     """Change of the noise with its sizes, which are a point of a grid, or estimates."""
 
     family: str
-    """Name of the family of similar changes, which begins with `unknown` if the catalogue has none of them."""
+    """Name of the kind of noise change, which begins with `unknown` if the catalogue has none of them."""
     effect: CandidateNoiseEffect
     """Effect that changes the noise."""
     sizes: tuple[float, ...]

@@ -36,7 +36,7 @@ NOISY_REGION_SHAPES = ("xyz", "xy", "x", "y")
 def variance_functions(
     sightings: Sightings, instrument_places: Sequence[LawPlace]
 ) -> Iterator[tuple[str, VarianceFunction, tuple[float, ...]]]:
-    """Iterator over changes of the noise outside the catalogue: family, variance function, and the sizes to be tried.
+    """Changes of the noise outside the catalogue, one by one: name, variance function, and the sizes to be tried.
 
     `instrument_places` are the places of laws of single instruments.
     """

@@ -82,7 +82,7 @@ class NoiseWindows(GroupNoise):
 
     @property
     def name(self) -> str:
-        """Name of the family."""
+        """Name of this kind of noise change."""
         return "unknown:noise:windows"
 
     def _log_likelihood_ratios(self, residual: Floats, redundancy: Floats) -> Floats:

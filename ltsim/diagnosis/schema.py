@@ -94,18 +94,18 @@ class ParameterEstimate(Entry):
 
 
 class ResponseCurve(Entry):
-    """Response of an effect as a function of one covariate."""
+    """Curve of the quantity that a finding changes, as a function of one covariate."""
 
     covariate: str
     """Name of the covariate."""
     unit: str = ""
-    """Unit of the response and of its standard deviation."""
+    """Unit of the values of the curve and of their standard deviations."""
     at: tuple[Finite, ...]
     """Values of the covariate in SI units, or in the unit of an additional column of the recording."""
     value: tuple[Finite, ...]
-    """Response at these values, in `unit`."""
+    """Values of the curve at these values of the covariate, in `unit`."""
     sigma: tuple[Finite, ...]
-    """Standard deviations of the response, in `unit`."""
+    """Standard deviations of the curve, in `unit`."""
 
 
 class Finding(Entry):
@@ -132,11 +132,11 @@ class Finding(Entry):
     formula: str = ""
     """Formula of an effect outside the catalogue, as text."""
     carrier: str = ""
-    """Response: the reading or constant that an effect outside the catalogue changes."""
+    """Reading or constant that an effect outside the catalogue changes."""
     driver: str = ""
     """Regressor: the quantity or function on which an effect outside the catalogue depends."""
     curve: ResponseCurve | None = None
-    """Curve of the response; null if it does not depend on a single covariate."""
+    """Curve of the changed quantity; null if it does not depend on a single covariate."""
 
 
 class GlobalTest(Entry):

@@ -48,7 +48,7 @@ MAX_RIGID_COEFFICIENTS = 10
 second search starts from the best hypothesis with fewer coefficients. A curve in one covariate has this number: a slope
 and `N_MODES_DEFAULT` eigenfunctions."""
 N_REFINED_IN_LARGE_NETWORK = 3
-"""Number of families, and of laws, that a step evaluates without approximation in a large network."""
+"""Number of catalogue effects, and of laws, that a step evaluates without approximation in a large network."""
 N_SHAPE_GRID_POINTS = 11
 """Number of grid points over which a shape constant is integrated, from one coarse step below to one above the best."""
 N_ADDED_GRID_POINTS = 9
@@ -56,9 +56,9 @@ N_ADDED_GRID_POINTS = 9
 N_GRID_REFINEMENTS = 2
 """Number of refinements of the grid around its best point."""
 MAX_LOCAL_OPTIMA = 3
-"""Largest number of local optima of a family (an effect at all places and shapes) that are evaluated."""
+"""Largest number of local optima of a catalogue effect, over its places and shapes, that are evaluated."""
 MAX_COMPARED_MEMBERS = 40
-"""Number of members of a family, the best first, among which local optima are sought."""
+"""Number of places and shapes of a catalogue effect, the best first, among which local optima are sought."""
 MAX_RANKED_LAWS = 400
 """Largest number of screened laws in a ranking."""
 MIN_SIGMA_INCREASE = 1.15
@@ -72,7 +72,7 @@ class ScreeningResult(NamedTuple):
     effect_log_evidence: Floats
     """Log evidence (h,) of each of h effects of the catalogue, without prior."""
     family_log_evidence: Floats
-    """Log evidence (families,) of each family of the catalogue, averaged over its members, with prior."""
+    """Log evidence (families,) of each catalogue effect, averaged over its places and shapes, with prior."""
     laws: list[ScreenedLaw]
     """Best laws of each place."""
     statistic: float
@@ -159,7 +159,7 @@ class Searcher:
 
     @property
     def _log_family_prior(self) -> float:
-        """Log prior of each family of the catalogue."""
+        """Log prior of each effect of the catalogue, for all its places and shapes together."""
         return log_prior_share("named", len(self.catalogue_designs.families))
 
     def _compute_ranking(self, base_model: Model) -> Ranking:
@@ -178,7 +178,7 @@ class Searcher:
     def _best_of_family(
         self, family: int, effect_log_evidence: Floats, family_log_evidence: float, base_model: Model, *, refine: bool
     ) -> Hypothesis:
-        """Best member of a family, with the log evidence of the whole family; evaluated exactly only if `refine`."""
+        """Best place and shape of a catalogue effect, with its log evidence over all; exact only if `refine`."""
         designs = self.catalogue_designs
         members = np.flatnonzero(designs.family_of_effect == family)
         members = members[ranked_indices(effect_log_evidence[members], MAX_SINGLE_ROUNDING_ERROR)]
@@ -195,7 +195,7 @@ class Searcher:
         return best
 
     def _local_optima(self, members: Ints, values: Floats) -> list[int]:
-        """Indices of the best member of a family, and of others nearly as good at another place or shape."""
+        """Indices of the best place and shape of a catalogue effect, and of others nearly as good."""
         chosen = [int(members[0])]
         for i in members[1:MAX_COMPARED_MEMBERS]:
             if len(chosen) == MAX_LOCAL_OPTIMA or values[i] < values[chosen[0]] - MAX_REFINED_DEFICIT:
@@ -245,8 +245,8 @@ class Searcher:
     def _law_hypotheses(self, laws: Sequence[ScreenedLaw], base_model: Model) -> list[Hypothesis]:
         """Hypotheses of the screened `laws`, of which the best are evaluated in all forms.
 
-        In small networks these include the best law of each response and kind of regressor. The screening is coarser
-        for some kinds than for others: a local search for a region can increase the evidence several times.
+        In small networks these include the best law of each changed quantity and kind of regressor. The screening is
+        coarser for some kinds than for others: a local search for a region can increase the evidence several times.
         """
         entries, evaluated = [], set[tuple[object, ...]]()
         kinds = set[tuple[str, str, bool]]()

@@ -145,7 +145,7 @@ class SelectionState:
         self.noise_bank = self._noise_bank(self.space)
 
     def ranked_noise(self, model: Model) -> list[tuple[float, NoiseHypothesis]]:
-        """Pairs of log evidence and a change of the noise, given a model: the best of each family, the best first."""
+        """Pairs of log evidence and a change of the noise, given a model: the best of each kind, the best first."""
         redundancy = self.space.redundancy - np.sum(model.basis**2, axis=1)
         ranked = self.noise_bank.ranked_families(model.residual, redundancy, model.basis)
         for gain, hypothesis in centring_hypotheses_of_occupations(self.space.with_effects(model.effects)):

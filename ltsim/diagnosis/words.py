@@ -88,7 +88,7 @@ def catalogue_sentence(
 
 
 def law_sentence(scope: FindingScope, parameters: Sequence[ParameterEstimate], p_located: float, law_text: str) -> str:
-    """Sentences on a law outside the catalogue: response, regressor, place, size, probability.
+    """Sentences on a law outside the catalogue: changed quantity, regressor, place, size, probability.
 
     `law_text` is the text of the law, and `p_located` the probability of any such effect at the same place.
     """

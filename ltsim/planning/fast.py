@@ -4,9 +4,10 @@ Two steps are used, so that a search computes geometry only once. `NormalBlocks`
 number of candidate set-ups. `LayoutScorer.evaluate_layouts` joins set-ups into layouts and eliminates targets (3 x 3
 blocks) and poses (the leading rows of a Cholesky factor), which leaves the information on instrument and effects.
 
-The Jacobian is that of the construction, and the other observations are those of the adjustment. `information.py`
-computes the same quantities without blocks; a test compares the two. Letters in shapes: N set-ups, B layouts of S
-stations, T targets, of which E are not in the gauge, P parameters, K unknowns left after elimination of targets.
+The Jacobian is that of the geometric error model, and the other observations are those of the adjustment.
+`information.py` computes the same quantities without blocks; a test compares the two. Letters in shapes: N set-ups, B
+layouts of S stations, T targets, of which E are not in the gauge, P parameters, K unknowns left after elimination of
+targets.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.rigid import cross_matrix, determines_pose, rigid_motion_design, rotation_about_z
 from ltsim.physics.effects.air import turbulence_variance
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import Construction, misalignment_construction
+from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
 from ltsim.physics.model.incidence import IncidenceErrors
 from ltsim.physics.model.measurement import MeasurementModel
 from ltsim.planning.survey import PlannedSurvey
@@ -99,7 +100,7 @@ class LayoutScorer:
     """
 
     def __init__(
-        self, survey: PlannedSurvey, construction: Construction | None = None, effects: Sequence[Effect] = ()
+        self, survey: PlannedSurvey, construction: GeometricErrorModel | None = None, effects: Sequence[Effect] = ()
     ) -> None:
         self.survey, self.effects = survey, tuple(effects)
         self.construction = construction or misalignment_construction()

@@ -31,7 +31,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, unknown_name
 from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import Construction, misalignment_construction
+from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
 from ltsim.planning.survey import PlannedSurvey
 
 
@@ -45,7 +45,7 @@ class LayoutInformation:
     """Adjustment at the nominal state; its precision is that of the planned survey."""
 
     @classmethod
-    def from_survey(cls, survey: PlannedSurvey, construction: Construction | None = None) -> LayoutInformation:
+    def from_survey(cls, survey: PlannedSurvey, construction: GeometricErrorModel | None = None) -> LayoutInformation:
         """Expected precision of a survey, by default with the 16 misalignment parameters.
 
         Raises NetworkError for undetermined poses or targets.
@@ -62,8 +62,8 @@ class LayoutInformation:
         return cls(survey, adjustment)
 
     @property
-    def construction(self) -> Construction:
-        """Construction whose parameters are estimated."""
+    def construction(self) -> GeometricErrorModel:
+        """Geometric error model of the instrument, whose parameters are estimated."""
         return self.adjustment.construction
 
     @property

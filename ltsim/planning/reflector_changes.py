@@ -9,7 +9,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.objective import TARGETS_QUALITY, LayoutObjective
 from ltsim.planning.reflectors import MovableReflectors
 from ltsim.planning.site import SearchSpace
@@ -109,7 +109,7 @@ def evaluate_reflector_changes(
     survey: PlannedSurvey,
     is_fixed: Bools,
     objective: LayoutObjective,
-    construction: Construction,
+    construction: GeometricErrorModel,
 ) -> ReflectorChanges:
     """Results of every move, addition and removal of one reflector.
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.fast import LayoutPrecision, LayoutScorer
 from ltsim.planning.objective import MIN_SWEEP_IMPROVEMENT, LayoutObjective
 from ltsim.planning.site import SearchSpace
@@ -157,7 +157,7 @@ class MovableReflectors:
         survey: PlannedSurvey,
         is_fixed: Bools,
         objective: LayoutObjective,
-        construction: Construction,
+        construction: GeometricErrorModel,
     ) -> MovableReflectors:
         """Visible places for movable reflectors; `is_fixed` (T,) marks the fixed targets."""
         offered = np.zeros((0, 3)) if site.candidate_nests is None else site.candidate_nests
@@ -192,7 +192,7 @@ def choose_reflectors(
     survey: PlannedSurvey,
     is_fixed: Bools,
     objective: LayoutObjective,
-    construction: Construction,
+    construction: GeometricErrorModel,
 ) -> PlannedSurvey:
     """Survey whose movable reflectors are at the best places, chosen from the present and the candidate ones.
 

@@ -15,7 +15,7 @@ from ltsim.adjustment.remedies.next_measurement import no_progress
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
 from ltsim.core.randomness import stream
-from ltsim.physics.model.construction import Construction, misalignment_construction
+from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
 from ltsim.planning.fast import LayoutScorer, NormalBlocks
 from ltsim.planning.objective import MIN_SWEEP_IMPROVEMENT, LayoutObjective
 from ltsim.planning.site import SearchSpace, StationPlacement
@@ -51,7 +51,7 @@ class LayoutSearcher:
 
     search_space: SearchSpace
     objective: LayoutObjective = field(default_factory=LayoutObjective)
-    construction: Construction = field(default_factory=misalignment_construction)
+    construction: GeometricErrorModel = field(default_factory=misalignment_construction)
     grid_step: float = 0.5
     """Step of the grid [m]."""
     n_yaws: int = 6

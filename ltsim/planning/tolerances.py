@@ -12,7 +12,7 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing
 from ltsim.core.units import MILLIMETRE
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.site import BrokenRule, broken_rules_text
 from ltsim.planning.spec import PlanFile
@@ -189,7 +189,7 @@ class ToleranceCheck:
 
 
 def check_tolerances(
-    survey: PlannedSurvey, tolerances: PointTolerances, construction: Construction, lost_text: str = ""
+    survey: PlannedSurvey, tolerances: PointTolerances, construction: GeometricErrorModel, lost_text: str = ""
 ) -> ToleranceCheck:
     """Check of a survey. Points that no station sees are removed from the network and reported."""
     visible: Bools = np.asarray(survey.is_visible.any(axis=0))
@@ -220,7 +220,7 @@ def check_tolerances(
 
 
 def checks_after_losses(
-    survey: PlannedSurvey, tolerances: PointTolerances, construction: Construction, loss_kind: str
+    survey: PlannedSurvey, tolerances: PointTolerances, construction: GeometricErrorModel, loss_kind: str
 ) -> Iterator[ToleranceCheck]:
     """Checks of a survey after each single loss of one kind.
 
@@ -240,7 +240,7 @@ def checks_after_losses(
 
 
 def checks_after_every_loss(
-    survey: PlannedSurvey, tolerances: PointTolerances, construction: Construction
+    survey: PlannedSurvey, tolerances: PointTolerances, construction: GeometricErrorModel
 ) -> tuple[ToleranceCheck, ...]:
     """Checks of a survey without each station, then without each sight of a point with a tolerance."""
     kinds = ("station", "sight") if tolerances else ()
@@ -248,7 +248,7 @@ def checks_after_every_loss(
 
 
 def checks_after_required_losses(
-    survey: PlannedSurvey, tolerances: PointTolerances, construction: Construction
+    survey: PlannedSurvey, tolerances: PointTolerances, construction: GeometricErrorModel
 ) -> list[ToleranceCheck]:
     """Checks for a verdict: without each station, and without each sight if the tolerances must withstand that loss."""
     kinds = ("station", "sight") if tolerances.withstood_loss == "sight" else ("station",)
@@ -256,7 +256,7 @@ def checks_after_required_losses(
 
 
 def feasibility_and_ratio(
-    survey: PlannedSurvey, tolerances: PointTolerances, construction: Construction
+    survey: PlannedSurvey, tolerances: PointTolerances, construction: GeometricErrorModel
 ) -> tuple[bool, float]:
     """Flag that a survey meets its tolerances, and the largest ratio of error to tolerance.
 

@@ -18,7 +18,7 @@ from ltsim.core.errors import SetupError
 from ltsim.core.randomness import standard_normal_trials
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects.effect import Effect, NoiseEffect
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.scene.sightings import Sightings
@@ -125,7 +125,7 @@ class TrialDistributions:
 
     sightings: Sightings
     """Pointings at the true positions."""
-    construction: Construction
+    construction: GeometricErrorModel
     """Instrument model that generates the readings."""
     instruments: tuple[str, ...]
     """Names of the trackers; '' for a tracker without a name."""

@@ -13,7 +13,7 @@ from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE
 from ltsim.geometry.polar import to_polar
 from ltsim.geometry.rigid import from_rotation_vector, rotation_about_z
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.reflectors import excess_radii_of_names
 from ltsim.scene.sightings import Sightings
 from ltsim.scene.visibility import Visibility
@@ -47,7 +47,7 @@ class MeasurementGeometry:
     reason."""
 
     @cached_property
-    def construction(self) -> Construction:
+    def construction(self) -> GeometricErrorModel:
         """Instrument model of the scenario."""
         return make_scenario_construction(self.scenario)
 

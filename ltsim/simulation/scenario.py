@@ -68,7 +68,7 @@ class Scenario(TomlSection, Result):
     instrument: ScenarioInstrument = ScenarioInstrument()
     """Tracker of all stations that name no other tracker."""
     instruments: dict[str, ScenarioInstrument] = Field(default_factory=dict)
-    """Several trackers by name, tables `[instruments.NAME]`, all of one construction."""
+    """Several trackers by name, tables `[instruments.NAME]`, all of one design."""
     smr: Smr = Smr()
     """Properties of the reflectors."""
     reflectors: dict[str, Reflector] = Field(default_factory=dict)

@@ -14,12 +14,12 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rigid import align_rigidly
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 
 
 def measured_points(
-    recording: Recording, construction: Construction | None = None, values: Floats | None = None
+    recording: Recording, construction: GeometricErrorModel | None = None, values: Floats | None = None
 ) -> Floats:
     """Measured points in instrument frames, shape (pointings, 3) [m]; NaN for incomplete pointings.
 

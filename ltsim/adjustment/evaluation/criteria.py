@@ -29,7 +29,7 @@ from ltsim.core.notation import MISSING_TEXT
 from ltsim.core.results import Column, Table, number_columns, text_columns
 from ltsim.core.units import MICROMETRE
 from ltsim.core.values import ValueEquality
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.reflectors import require_equal_radii
@@ -204,7 +204,7 @@ def coordinate_differences(aligned_clouds: Floats) -> StationDisagreement:
 
 def evaluate_criteria(
     recording: Recording,
-    construction: Construction | None = None,
+    construction: GeometricErrorModel | None = None,
     parameter_values: Floats | None = None,
     *,
     reading_changes: Floats | None = None,
@@ -300,7 +300,7 @@ def coordinate_errors(clouds: Floats, nominal_points: Floats) -> StationDisagree
 def verify_against_nominal(
     recording: Recording,
     nominal_points: dict[str, Floats],
-    construction: Construction | None = None,
+    construction: GeometricErrorModel | None = None,
     values: Floats | None = None,
     *,
     reading_changes: Floats | None = None,

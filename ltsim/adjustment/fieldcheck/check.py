@@ -48,7 +48,7 @@ from ltsim.physics.effects.index_drift import IndexDrift
 from ltsim.physics.effects.motions import StationMotion
 from ltsim.physics.effects.range_drift import RangeDrift
 from ltsim.physics.effects.station_bump import StationBump
-from ltsim.physics.model.construction import Construction, declared_construction
+from ltsim.physics.model.construction import GeometricErrorModel, declared_construction
 from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import write_result
@@ -210,7 +210,7 @@ class SetupTests:
 
 
 def _gross_and_motion_tests(
-    occupation: StationOccupation, construction: Construction, family: HypothesisFamily, row_numbers: Ints
+    occupation: StationOccupation, construction: GeometricErrorModel, family: HypothesisFamily, row_numbers: Ints
 ) -> SetupTests:
     """Tests of one set-up for gross errors, a bump, and drifts of the station and of the instrument's zeros.
 
@@ -257,7 +257,7 @@ def _scatter_by_target(occupation: StationOccupation, family: HypothesisFamily) 
 
 
 def _gross_pointings_and_bump(
-    occupation: StationOccupation, construction: Construction, family: HypothesisFamily
+    occupation: StationOccupation, construction: GeometricErrorModel, family: HypothesisFamily
 ) -> tuple[dict[int, float], StationBump | None, StationOccupation]:
     """p-values of gross pointings by index, the bump or None, and the occupation without the gross pointings.
 

@@ -25,7 +25,7 @@ from ltsim.core.errors import NetworkError
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.core.units import MICROMETRE
 from ltsim.geometry.polar import from_polar, to_polar, wrap_angle
-from ltsim.physics.model.construction import Construction, ideal_construction
+from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
 from ltsim.physics.model.measurement import NetworkState, sightings_of
 from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
@@ -90,7 +90,7 @@ class StationOccupation:
     def from_recording(
         cls,
         recording: Recording,
-        construction: Construction,
+        construction: GeometricErrorModel,
         row_mask: Bools | None = None,
         sigma: Floats | None = None,
     ) -> StationOccupation:
@@ -276,7 +276,7 @@ class TwoFaceDifferences:
         cls,
         recording: Recording,
         motion_corrected: Recording,
-        construction: Construction,
+        construction: GeometricErrorModel,
         alpha: float,
         mpe: tuple[float, float] | None,
     ) -> TwoFaceDifferences | None:
@@ -356,12 +356,12 @@ def face_pair_rows(recording: Recording) -> Ints:
 
 
 def two_face_pairs(
-    recording: Recording, construction: Construction | None = None, values: Floats | None = None
+    recording: Recording, construction: GeometricErrorModel | None = None, values: Floats | None = None
 ) -> TwoFacePairs:
     """Two-face half differences of a recording, after the correction of its readings by the instrument's parameters.
 
-    `values` are the p parameters of the construction [SI], (p,) or for each of n pointings (n, p). By default the
-    readings are not corrected. Raises NetworkError if no target was measured on both faces.
+    `values` are the p parameters of the geometric error model [SI], (p,) or for each of n pointings (n, p). By default
+    the readings are not corrected. Raises NetworkError if no target was measured on both faces.
     """
     pairs = face_pair_rows(recording)
     if not len(pairs):

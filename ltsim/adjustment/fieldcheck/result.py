@@ -211,10 +211,10 @@ def _go_or_no_go_sentence(items: Sequence[CheckItem], causes: Sequence[CheckItem
 
 @dataclass(frozen=True)
 class HypothesisFamily:
-    """Family of tests that share one false-alarm rate (Bonferroni)."""
+    """Set of tests that share one probability of a false alarm (Bonferroni)."""
 
     false_alarm_rate: float
-    """Probability of any false alarm among all tests of the family."""
+    """Probability of any false alarm among all tests of the set."""
     n_tests: int
     """Number of tests, each of which gets an equal part of the false-alarm rate."""
 

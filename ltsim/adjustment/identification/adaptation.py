@@ -19,14 +19,14 @@ from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import Hypothesis, ReadingShiftChange
 from ltsim.adjustment.identification.model_changes import apply_corrections_and_omissions
 from ltsim.physics.effects.linear_effect import LinearEffect
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 
 
 def adjust_with_causes(
     fit: NetworkFit,
     recording: Recording,
-    construction: Construction,
+    construction: GeometricErrorModel,
     hypotheses: Sequence[Hypothesis],
     *,
     effects: Sequence[LinearEffect] = (),
@@ -41,8 +41,8 @@ def adjust_with_causes(
         Fit that contains the hypotheses.
     recording : Recording
         Recording as it was read.
-    construction : Construction
-        Construction of the tracker, whose parameters are estimated.
+    construction : GeometricErrorModel
+        Geometric error model of the tracker; its parameters are estimated.
     hypotheses : sequence of Hypothesis
         Hypotheses of the fit to apply: all of its shifts of readings, or none of them.
     effects : sequence of LinearEffect

@@ -49,7 +49,7 @@ from ltsim.core.errors import NetworkError
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects.linear_effect import LinearEffect
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, with_plumb_lines
 from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from ltsim.scene.sightings import Sightings
@@ -71,9 +71,9 @@ class FitInput:
     """Input of a network fit."""
 
     recording: Recording
-    construction: Construction
+    construction: GeometricErrorModel
     prior: ParameterPrior | None = None
-    """Prior of the parameters of the construction; None for that of the set-up."""
+    """Prior of the instrument's parameters; None for the prior that the set-up declares."""
     is_usable: Bools | None = None
     """Flags (n, 3) of the readings that a fit may use; None for all."""
 

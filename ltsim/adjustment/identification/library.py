@@ -52,7 +52,7 @@ MAX_EXCHANGE_MISCLOSURE_RATIO = 0.02
 exchange, below which the exchange is a hypothesis.
 """
 PlaceKind = Literal["station", "target", "instrument"]
-"""Kind of place at which a family of hypotheses acts: one station, one target, or all stations of an instrument."""
+"""Kind of place at which a shift of readings acts: one station, one target, or all stations of an instrument."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class ShiftPlace:
 
 @dataclass(frozen=True)
 class ShiftFamily:
-    """Family of hypotheses: one kind of shift of readings at every station or target, or of every instrument.
+    """Hypotheses of one kind of shift of readings, at every station or target, or of every instrument.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class ShiftFamily:
         return middle[indices].tolist()
 
     def make_effect(self, place: ShiftPlace, onset_time: float) -> LinearEffect:
-        """Effect of this family at a place, from the time `onset_time` [s] on."""
+        """Shift of this kind at a place, from the time `onset_time` [s] on."""
         stations, targets = place.stations, place.targets
         if self.kind == "station-bump":
             return StationBump(stations, targets, time=onset_time)
@@ -156,7 +156,7 @@ def shift_places(sightings: Sightings, place_kind: PlaceKind) -> list[ShiftPlace
 
 
 def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
-    """Families of shifts that are possible in a recording."""
+    """Kinds of shifts of readings that are possible in a recording."""
     stations = len(sightings.station_names) > 1
     distance, azimuth, elevation = (
         ReadingShift(observable).design(sightings) for observable in ("distance", "azimuth", "elevation")
@@ -196,7 +196,7 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
 
 @dataclass(frozen=True)
 class ShiftCandidate:
-    """Candidate: a shift of a family at one place, from one time on."""
+    """Candidate: a shift of one kind at one place, from one time on."""
 
     family: ShiftFamily
     place: ShiftPlace
@@ -229,7 +229,7 @@ class ShiftCandidate:
 
 
 def shift_candidates(sightings: Sightings) -> list[ShiftCandidate]:
-    """Candidate shifts of all families."""
+    """Candidate shifts of all kinds."""
     places = {kind: shift_places(sightings, kind) for kind in get_args(PlaceKind)}
     shifts: list[tuple[ShiftFamily, ShiftPlace, float, Ints, Ints]] = []
     for family in shift_families(sightings):

@@ -32,7 +32,7 @@ from ltsim.adjustment.snooping import without_copied_rows
 from ltsim.core.errors import LtsimError, NetworkError
 from ltsim.core.limits import MAX_ADJUSTED_POINTINGS
 from ltsim.physics.effects.station_bump import StationBump
-from ltsim.physics.model.construction import Construction, declared_construction
+from ltsim.physics.model.construction import GeometricErrorModel, declared_construction
 from ltsim.recordings.recording import Recording
 from ltsim.solve.threads import single_threaded
 
@@ -172,7 +172,7 @@ def _is_consistent_as_a_whole(fit: NetworkFit) -> bool:
 
 
 def identify_causes(
-    recording: Recording, construction: Construction | None = None, prior: ParameterPrior | None = None
+    recording: Recording, construction: GeometricErrorModel | None = None, prior: ParameterPrior | None = None
 ) -> CauseSelection | None:
     """Simple causes of a recording, by default with instrument errors in the model; None if it is no network.
 

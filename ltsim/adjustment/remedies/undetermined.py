@@ -24,7 +24,7 @@ from ltsim.adjustment.remedies.remedy import (
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError
 from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 MIN_DETERMINED_GAIN = 0.5
@@ -135,7 +135,7 @@ class DeterminingMeasurement(NamedTuple):
 
 
 def determining_measurements(
-    adjustment: Adjustment, construction: Construction, directions: Sequence[Sequence[ParameterCombination]]
+    adjustment: Adjustment, construction: GeometricErrorModel, directions: Sequence[Sequence[ParameterCombination]]
 ) -> list[list[DeterminingMeasurement]]:
     """Measurements that determine the undetermined combinations of each instrument.
 

@@ -202,7 +202,7 @@ class SlotTerm:
 class SlotEffect(Effect):
     """Base class of geometric errors of the instrument; each parameter acts on a slot of the kinematic chain.
 
-    The construction evaluates the error exactly; `design` is its first-order form.
+    `GeometricErrorModel` evaluates the error exactly; `design` is its first-order form.
     """
 
     terms: ClassVar[tuple[SlotTerm, ...]]

@@ -89,10 +89,9 @@ COVARIATES_BY_KIND: dict[str, tuple[str, ...]] = {
     "reflector": ("time", "lapse", "last-target", *_SIGN_COVARIATES[3:], *_NEST_COVARIATES),
     "air": CLOCK_COVARIATES,
 }
-"""Covariates that each kind of response can depend on, in addition to columns of the recording. The position of a wall
-cannot depend on where a tracker points. That of a stand can, because a head is not balanced exactly and the floor
-yields under the operator.
-"""
+"""Covariates that each kind of changed quantity can depend on, in addition to columns of the recording. The position of
+a wall cannot depend on where a tracker points. That of a stand can, because a head is not balanced exactly and the
+floor yields under the operator."""
 MIN_EFFECTIVE_TARGETS = 2.5
 """Effective number of targets in a region, above which a law of the targets near it is tried. With fewer, the error is
 that of a single target."""
@@ -166,7 +165,7 @@ def _varying_covariates(sightings: Sightings, covariates: Iterable[str]) -> list
 
 
 def is_admissible(response_kind: str, regressor: Regressor, sightings: Sightings) -> bool:
-    """True if a response of a given kind (`Response.kind`) can depend on a regressor. A reading can depend on all."""
+    """True if a quantity of a given kind (`Response.kind`) can depend on a regressor. A reading can depend on all."""
     names = [*regressor.covariates, *(n for f in regressor.factors if f.kind != "field" for n in f.covariates)]
     return response_kind == "reading" or all(
         n in COVARIATES_BY_KIND[response_kind] or operator_input(n) in sightings.covariates for n in names

@@ -1,4 +1,4 @@
-"""Forward model: predicted readings and their derivatives from the network's state, the construction and effects."""
+"""Forward model: predicted readings and their derivatives, from the network's state, the instruments and effects."""
 
 import itertools
 from dataclasses import dataclass, replace
@@ -12,7 +12,7 @@ from ltsim.core.units import DEGREE, EARTH_RADIUS, MILLIMETRE
 from ltsim.geometry.rigid import align_rigidly, pose_design, rotation_about_z, smallest_rotation
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.physics.model.incidence import IncidenceErrors, incidence_errors, incidence_shift
 from ltsim.physics.model.nuisances import (
     CentringErrors,
@@ -124,10 +124,10 @@ def smr_radius_offsets(recording: Recording) -> Floats | None:
 
 @dataclass(frozen=True)
 class MeasurementModel:
-    """Forward model of a recording, with its construction and its additional effects."""
+    """Forward model of a recording, with the geometric error model of its instruments and additional effects."""
 
     recording: Recording
-    construction: Construction
+    construction: GeometricErrorModel
     effects: tuple[LinearEffect, ...] = ()
 
     @cached_property

@@ -14,7 +14,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import LtsimError, SetupError
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.planner import layout_visibility
 from ltsim.planning.result import PLAN_FILE, SCENARIO_FILE, copy_cad_files, load_plan_and_scenario, with_layout
@@ -65,7 +65,7 @@ class MovableLayout:
     """Scenario with the initial stations."""
     search_space: SearchSpace
     """Allowed places and lines of sight; the `survey` in it has the faces and rounds of the scenario."""
-    construction: Construction
+    construction: GeometricErrorModel
     tolerances: PointTolerances
     """Tolerances of the points in the plan file."""
 

@@ -129,9 +129,9 @@ def signature_figure(
 
 @style.with_figure_style
 def response_curve_figure(curve: ResponseCurve, response: str, residuals: Residuals | None = None) -> Figure:
-    """Estimated curve of a response (an observable or a constant) over its covariate, with the 95 % band.
+    """Estimated curve of an observable or a constant of the instrument over its covariate, with the 95 % band.
 
-    If the response is an observable, the residuals of the model without the finding are drawn as dots behind the curve,
+    For an observable, the residuals of the model without the finding are drawn as dots behind the curve,
     and the curve has the sign of a residual.
     """
     at, value, sigma = (np.array(values) for values in (curve.at, curve.value, curve.sigma))

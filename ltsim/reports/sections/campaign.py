@@ -61,7 +61,7 @@ MAX_LISTED_LEVELS = 8
 MAX_OPEN_BLOCKS = 4
 """Largest number of blocks that are open on the page."""
 MAX_CELL_ROWS = 48
-"""Number of cells above which means are tabulated by level and not by cell."""
+"""Number of combinations of settings (cells) above which means are tabulated by level and not by cell."""
 IMPROVEMENT_COLUMN = "distance_improvement_percent"
 """Column of the statistic that the summary of a campaign reports."""
 

@@ -66,7 +66,7 @@ MIN_SEPARATED_PROBABILITY = 0.05
 MAX_INSPECTION_ACTIONS = 2
 """Largest number of next actions in addition to the use of the coordinates."""
 MAX_STEP_POINTS = 3
-"""Smallest number of points of a response that is drawn as a curve over its covariate."""
+"""Smallest number of points of a finding that is drawn as a curve over its covariate."""
 
 
 def diagnosis_section(content: Diagnosis, context: ReportContext) -> Section:

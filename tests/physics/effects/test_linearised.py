@@ -33,7 +33,7 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("signature", "values"), CASES)
+@pytest.mark.parametrize(("effect", "values"), CASES)
 def test_derivatives_at_large_values_are_those_of_the_change(effect: LinearEffect, values: np.ndarray) -> None:
     here = sightings()
     found = effect.linearise(here, values)
