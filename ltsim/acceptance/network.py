@@ -268,11 +268,11 @@ class TestedNetwork:
         points, targets = from_polar(self.readings[pointing_rows]), self.adjustment.recording.target[pointing_rows]
         return {int(t): points[targets == t].mean(axis=0) for t in np.unique(targets)}
 
-    def _length_entries(self, station: str, rows: Ints, limits: Specification) -> list[TestEntry]:
+    def _length_entries(self, station: str, row_indices: Ints, limits: Specification) -> list[TestEntry]:
         """Entries of all lengths between the targets in some rows of a station, with their uncertainty."""
         adjustment = self.adjustment
         names, points = adjustment.recording.targets, adjustment.state.target_points
-        mean_points = self._mean_points(rows)
+        mean_points = self._mean_points(row_indices)
         targets = [
             t for t in mean_points if names[t] not in adjustment.undetermined_targets and np.isfinite(points[t]).all()
         ]
@@ -283,7 +283,7 @@ class TestedNetwork:
         lengths, reference_lengths = (_pair_vectors(p, pairs) for p in (measured, reference))
         error = np.linalg.norm(lengths, axis=1) - np.linalg.norm(reference_lengths, axis=1)
         limit = limits.length_limits(*(measured[pairs[:, end]] for end in (0, 1)))
-        variance = self._length_variance(targets, rows, pairs, lengths, reference_lengths)
+        variance = self._length_variance(targets, row_indices, pairs, lengths, reference_lengths)
         return [
             make_test_entry(
                 f"{station}: {names[targets[a]]} to {names[targets[b]]}", f"lengths from {station}", *values
@@ -294,7 +294,7 @@ class TestedNetwork:
         ]
 
     def _length_variance(
-        self, targets: list[int], rows: Ints, pairs: Ints, lengths: Floats, reference_lengths: Floats
+        self, targets: list[int], row_indices: Ints, point_pairs: Ints, lengths: Floats, reference_lengths: Floats
     ) -> Floats:
         """Variances (k,) [m^2] of measured minus reference lengths, without the errors of the instrument.
 
@@ -307,14 +307,14 @@ class TestedNetwork:
         changes = np.einsum(
             "kj,kjq->kq",
             lengths / np.linalg.norm(lengths, axis=1)[:, None],
-            _pair_vectors(self._mean_point_changes(targets, rows), pairs),
+            _pair_vectors(self._mean_point_changes(targets, row_indices), point_pairs),
         )
         is_corrected, is_nuisance = self._is_recording_error, self._is_nuisance
-        form = np.zeros((len(pairs), size, 3))
+        form = np.zeros((len(point_pairs), size, 3))
         direction = reference_lengths / np.linalg.norm(reference_lengths, axis=1)[:, None]
-        every = np.arange(len(pairs))
-        form[every, pairs[:, 0]], form[every, pairs[:, 1]] = direction, -direction
-        coefficients = np.concatenate([form.reshape(len(pairs), -1), -changes[:, is_corrected]], axis=1)
+        every = np.arange(len(point_pairs))
+        form[every, point_pairs[:, 0]], form[every, point_pairs[:, 1]] = direction, -direction
+        coefficients = np.concatenate([form.reshape(len(point_pairs), -1), -changes[:, is_corrected]], axis=1)
         columns = np.concatenate([unknowns.target_columns[targets].ravel(), unknowns.extra_columns[is_corrected]])
         unit = np.zeros((unknowns.n_columns, len(columns)))
         unit[columns, np.arange(len(columns))] = 1.0
@@ -323,15 +323,15 @@ class TestedNetwork:
         prior = self.adjustment.problem.extra_sigma[is_nuisance]
         return np.asarray(adjusted + np.sum((changes[:, is_nuisance] * prior) ** 2, axis=1))
 
-    def _mean_point_changes(self, targets: list[int], rows: Ints) -> Floats:
+    def _mean_point_changes(self, targets: list[int], row_indices: Ints) -> Floats:
         """Derivative (t, 3, q) of the mean points by the additional parameters, in the frame of the instrument."""
         adjustment = self.adjustment
-        by_reading = np.linalg.inv(polar_jacobian(self.readings[rows], adjustment.recording.face[rows]))
-        changes = by_reading @ self._extra_design[rows]
-        is_mine = adjustment.recording.target[rows] == np.array(targets)[:, None]
+        by_reading = np.linalg.inv(polar_jacobian(self.readings[row_indices], adjustment.recording.face[row_indices]))
+        changes = by_reading @ self._extra_design[row_indices]
+        is_mine = adjustment.recording.target[row_indices] == np.array(targets)[:, None]
         return np.einsum("tn,niq->tiq", is_mine / is_mine.sum(axis=1, keepdims=True), changes)
 
 
-def _pair_vectors(values: Floats, pairs: Ints) -> Floats:
+def _pair_vectors(points: Floats, point_pairs: Ints) -> Floats:
     """Second minus first of each pair (k, 2) of rows of values (t, ...)."""
-    return np.asarray(values[pairs[:, 1]] - values[pairs[:, 0]])
+    return np.asarray(points[point_pairs[:, 1]] - points[point_pairs[:, 0]])

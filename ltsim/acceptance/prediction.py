@@ -104,14 +104,14 @@ class AcceptancePlan:
         sigma = noise_sigma([self.declared_noise], flat.astype(int), polar[:, 0], flat)
         return axes, sigma * np.where([True, False, False], 1.0, polar[:, :1])
 
-    def predict(self, mean: Floats, covariance: Floats, *, trials: int, seed: int) -> AcceptancePrediction:
+    def predict(self, mean_constants: Floats, covariance: Floats, *, trials: int, seed: int) -> AcceptancePrediction:
         """Predicted errors of an instrument whose constants have a mean (p,) and a covariance (p, p) [SI].
 
         The probability to pass is estimated with `trials` draws of constants and noise, whose errors are linearised
         about the mean.
         """
         rng = stream(seed, "accept")
-        mean_errors = self.test_errors(mean)
+        mean_errors = self.test_errors(mean_constants)
         root = _covariance_root(covariance)
         passed = np.zeros(len(self.tests))
         every, groups = 0, dict.fromkeys((t.group for t in self.tests), 0)

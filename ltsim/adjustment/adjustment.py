@@ -283,16 +283,16 @@ class Adjustment(Result):
         outliers = iterative_snooping(whitened[flagged], block, scale[flagged], dof[flagged], count, alpha)
         return [FlaggedReading(*place[k], float(error * unit[k]), w, p_value) for k, error, w, p_value in outliers]
 
-    def _redundancy_block(self, rows: Ints, columns: Ints) -> Floats:
+    def _redundancy_block(self, pointing_indices: Ints, columns: Ints) -> Floats:
         """Block (k, k) of the redundancy matrix for k readings in use, given by their rows and columns (k,).
 
         Element (i, j) is the change of residual i by an error of reading j, in standard deviations. For more than
         `MAX_SUCCESSIVELY_TESTED_READINGS` readings the block is diagonal.
         """
         use = self.problem.used_readings
-        if len(rows) > MAX_SUCCESSIVELY_TESTED_READINGS:
-            return np.diag(self.redundancy[rows, columns])
-        at = (np.cumsum(use) - 1).reshape(use.shape)[rows, columns]
+        if len(pointing_indices) > MAX_SUCCESSIVELY_TESTED_READINGS:
+            return np.diag(self.redundancy[pointing_indices, columns])
+        at = (np.cumsum(use) - 1).reshape(use.shape)[pointing_indices, columns]
         design = to_dense(self.solution.system.design[at])
         response = self.factorised_normals.covariance_columns(np.ascontiguousarray(design.T))
         return np.asarray(np.eye(len(at)) - design @ response)

@@ -341,23 +341,23 @@ class StationTargetPairs:
         """Slice of the pairs of a station."""
         return slice(int(self.first_pair_of_station[station]), int(self.first_pair_of_station[station + 1]))
 
-    def values_by_pair(self, recording: Recording, values: Floats) -> Floats:
+    def values_by_pair(self, recording: Recording, pointing_values: Floats) -> Floats:
         """Values (m, 3) of the pairs from values (n, 3) of the pointings; a pair has the value of its last pointing."""
         by_pair = np.zeros((len(self), 3))
         keys = self.station_indices * len(recording.targets) + self.target_indices
         rows = recording.station * len(recording.targets) + recording.target
         pair_rows = np.flatnonzero(np.isin(rows, keys))
-        by_pair[np.searchsorted(keys, rows[pair_rows])] = values[pair_rows]
+        by_pair[np.searchsorted(keys, rows[pair_rows])] = pointing_values[pair_rows]
         return by_pair
 
-    def medians_by_target(self, values: Floats, targets: Ints) -> Floats:
+    def medians_by_target(self, pair_values: Floats, targets: Ints) -> Floats:
         """Medians (k, 3) over the stations of values (m, 3) of the pairs, for k targets; NaN if all values are NaN."""
         medians = np.full((len(targets), 3), np.nan)
         for part in batches(len(targets), 3 * int(np.diff(self.first_pair_of_target).max(initial=1))):
             first, end = self.first_pair_of_target[targets[part]], self.first_pair_of_target[targets[part] + 1]
             place = first[:, None] + np.arange((end - first).max(initial=0))
             pair = self.target_order[np.minimum(place, len(self) - 1)]
-            medians[part] = _nan_median(np.where((place < end[:, None])[:, :, None], values[pair], np.nan))
+            medians[part] = _nan_median(np.where((place < end[:, None])[:, :, None], pair_values[pair], np.nan))
         return medians
 
 

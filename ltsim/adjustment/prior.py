@@ -61,9 +61,9 @@ class ParameterPrior:
         lower_factor = np.linalg.cholesky(correlation)
         return np.linalg.inv(lower_factor) / sigma[:, None, :]
 
-    def whitened_residuals(self, values: Floats) -> Floats:
+    def whitened_residuals(self, parameter_values: Floats) -> Floats:
         """Whitened deviations (m,) of parameter values (I, p) from the means of the m parameters with a prior."""
-        gap = self.mean - values
+        gap = self.mean - parameter_values
         if self.has_correlations:
             return np.einsum("iqp,ip->iq", self.whitening_matrices, gap).ravel()
         finite = np.isfinite(self.sigma)

@@ -101,22 +101,22 @@ class FirstOrderEffect(CandidateEffect):
         """Change (n, 3, p) of the readings per unit of each parameter, which does not depend on the sightings."""
         return self.design_at_state
 
-    def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
+    def gauge_design(self, first_targets: Ints, second_targets: Ints, points: Floats) -> Floats:
         """Derivatives (g, p) of g reference lengths with respect to the p parameters of the effect."""
-        return self.exact_effect.gauge_design(first, second, points)
+        return self.exact_effect.gauge_design(first_targets, second_targets, points)
 
 
 def _shape_directions(
-    effect: CandidateEffect, values: Floats, sightings: Sightings, fixed_constants: Collection[str]
+    effect: CandidateEffect, parameter_values: Floats, sightings: Sightings, fixed_constants: Collection[str]
 ) -> list[ShapeDirection]:
     """Linearised changes of those shape constants of an effect that influence the readings, except fixed ones."""
     directions = []
-    size = float(np.abs(effect.design(sightings) @ values).max())
+    size = float(np.abs(effect.design(sightings) @ parameter_values).max())
     for shape in type(effect).shape_parameters:
         now = getattr(effect, shape.name)
         if shape.name in fixed_constants or not isinstance(now, float) or now == 0.0 or shape.n_grid_values < 2:
             continue
-        direction = ShapeDirection(effect, tuple(values), shape)
+        direction = ShapeDirection(effect, tuple(parameter_values), shape)
         if float(np.abs(direction.design(sightings)).max()) > MIN_SHAPE_CHANGE * size:
             directions.append(direction)
     return directions

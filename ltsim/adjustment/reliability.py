@@ -63,8 +63,8 @@ def noisy_groups(normalised_residuals: Floats, redundancy: Floats, target: Ints)
     """
     testable = np.where(np.nan_to_num(redundancy) > MIN_CHECKED_REDUNDANCY, normalised_residuals, np.nan)
 
-    def noise(rows: Bools) -> float:
-        return robust_sigma(testable[rows][np.isfinite(testable[rows])])
+    def noise(is_in_group: Bools) -> float:
+        return robust_sigma(testable[is_in_group][np.isfinite(testable[is_in_group])])
 
     count = np.bincount(target, np.isfinite(testable).sum(axis=1))
     scatter_of = {t: noise(target == t) for t in np.flatnonzero(count >= MIN_DOF_FOR_ESTIMATED_NOISE).tolist()}

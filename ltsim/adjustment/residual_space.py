@@ -100,9 +100,11 @@ class ResidualSpace:
         lengths = law.gauge_design(gauge.first_targets, gauge.second_targets, self.adjustment.state.target_points)
         return self.whiten(law.design(self.sightings), lengths)
 
-    def project(self, rows: Floats) -> Floats:
+    def project(self, design_columns: Floats) -> Floats:
         """Part of whitened design columns (m, q), or of one vector (m,), that remains in the residuals."""
-        return self.projector.project(rows if rows.ndim > 1 else rows[:, None]).reshape(rows.shape)
+        return self.projector.project(design_columns if design_columns.ndim > 1 else design_columns[:, None]).reshape(
+            design_columns.shape
+        )
 
     def chi2_drop(self, design_columns: Floats) -> tuple[float, int]:
         """Decrease of chi-square by parameters with the design columns (m, q), and its degrees of freedom."""

@@ -47,9 +47,9 @@ class GaugeRows(ReferenceLengths):
         """Changes (g, g) [m] of the lengths by each of g independent errors of unit size: inverse of `decorrelate`."""
         return np.diag(self.sigma) if self.correlation_root is None else self.sigma[:, None] * self.correlation_root
 
-    def decorrelate(self, values: Floats) -> Floats:
+    def decorrelate(self, length_changes: Floats) -> Floats:
         """Changes of lengths (g,) or (g, q) [m] transformed to independent errors of unit standard deviation."""
-        scaled_values = values / (self.sigma if values.ndim == 1 else self.sigma[:, None])
+        scaled_values = length_changes / (self.sigma if length_changes.ndim == 1 else self.sigma[:, None])
         return self.decorrelate_scaled(scaled_values)
 
     def decorrelate_scaled(self, length_values: Floats) -> Floats:

@@ -74,10 +74,10 @@ def _is_copied_row(recording: Recording) -> Bools:
     return is_copied & (is_copied.sum() >= max(MIN_COPIED_ROWS, int(is_repeated.sum())))
 
 
-def _equals_earlier_row(rows: np.ndarray) -> Bools:
+def _equals_earlier_row(array_rows: np.ndarray) -> Bools:
     """Flags (n,) of the rows of an array that equal an earlier row."""
-    is_later = np.ones(len(rows), dtype=bool)
-    is_later[np.unique(rows, axis=0, return_index=True)[1]] = False
+    is_later = np.ones(len(array_rows), dtype=bool)
+    is_later[np.unique(array_rows, axis=0, return_index=True)[1]] = False
     return is_later
 
 

@@ -62,16 +62,16 @@ class NetworkInitialiser:
     frame : DeclaredFrame
     """
 
-    def __init__(self, recording: Recording, pairs: StationTargetPairs, frame: DeclaredFrame) -> None:
-        self._recording, self._pairs, self._frame = recording, pairs, frame
+    def __init__(self, recording: Recording, station_target_pairs: StationTargetPairs, frame: DeclaredFrame) -> None:
+        self._recording, self._pairs, self._frame = recording, station_target_pairs, frame
         stations, targets = len(recording.stations), len(recording.targets)
         self._readings = FitReadings.from_recording(recording)
         self._front_readings = self._readings.readings
-        self._pair_offsets = pairs.values_by_pair(recording, self._readings.reflector_offsets)
+        self._pair_offsets = station_target_pairs.values_by_pair(recording, self._readings.reflector_offsets)
         self._positions = np.full((stations, 3), np.nan)
         self._rotations = np.tile(np.eye(3), (stations, 1, 1))
         self._is_joined = np.zeros(stations, dtype=bool)
-        self._pair_points = np.full((len(pairs), 3), np.nan)
+        self._pair_points = np.full((len(station_target_pairs), 3), np.nan)
         self._is_covered = np.zeros(targets, dtype=bool)
         self._located_targets = np.full((targets, 3), np.nan)
         self._is_levelled = self._is_in_frame = self._is_from_plan = False
@@ -189,10 +189,10 @@ class NetworkInitialiser:
         tried, self._failed_attempts[key] = self._failed_attempts.get(key), n_neighbours
         return tried != n_neighbours
 
-    def _locate_point(self, rows: Ints) -> Floats | None:
-        station = self._recording.station[rows]
+    def _locate_point(self, pointing_indices: Ints) -> Floats | None:
+        station = self._recording.station[pointing_indices]
         position, rotation = self._positions[station], self._rotations[station]
-        sight = self._readings.select_rows(rows)
+        sight = self._readings.select_rows(pointing_indices)
         front = sight.readings
         no_heights = np.isnan(front[:, 2]) & (np.isnan(front[:, 0]) | sight.is_horizontal)
         if self._is_levelled and self._frame.is_levelled[station].all() and no_heights.all():

@@ -58,10 +58,10 @@ class UnknownColumns:
         stations, targets = len(recording.stations), len(recording.targets)
         size = 0
 
-        def fresh(rows: int, width: int) -> Ints:
+        def fresh(n_rows: int, width: int) -> Ints:
             nonlocal size
-            first, size = size, size + rows * width
-            return np.arange(first, size).reshape(rows, width)
+            first, size = size, size + n_rows * width
+            return np.arange(first, size).reshape(n_rows, width)
 
         has_columns = np.ones((stations, 6), dtype=bool)
         has_columns[:, :3] = (~over & (marks.first_setup_on_mark == np.arange(stations)))[:, None]

@@ -101,7 +101,7 @@ class CalibrationArrays(ValueEquality):
 
 
 def arrays_from_file_rows(
-    construction: str, rows: Sequence[ParameterEntry], covariance: Sequence[Sequence[float]], file: object
+    construction: str, parameter_entries: Sequence[ParameterEntry], covariance: Sequence[Sequence[float]], file: object
 ) -> tuple[CalibrationArrays, list[str]]:
     """Arrays of the parameters in a calibration file, and the names of the parameters that the file lacks.
 
@@ -114,13 +114,13 @@ def arrays_from_file_rows(
         One sentence: key, value, expected value.
     """
     try:
-        built = construction_for_parameters(construction, [row.name for row in rows])
+        built = construction_for_parameters(construction, [row.name for row in parameter_entries])
     except ModelError as problem:
         raise RecordError(str(problem), file=file) from None
-    instruments = tuple(dict.fromkeys(row.instrument for row in rows)) or ("",)
+    instruments = tuple(dict.fromkeys(row.instrument for row in parameter_entries)) or ("",)
     place = {(i, name): k for k, (i, name) in enumerate((i, n) for i in instruments for n in built.parameter_names)}
-    at = _flat_parameter_indices(construction, rows, place, built.parameter_names, file)
-    factor = np.array([SI_PER_UNIT[row.unit] for row in rows])
+    at = _flat_parameter_indices(construction, parameter_entries, place, built.parameter_names, file)
+    factor = np.array([SI_PER_UNIT[row.unit] for row in parameter_entries])
 
     def with_file_values(default: Floats, file_values: Sequence[float | None]) -> Floats:
         """Parameters [SI] of all instruments: the values of the file, and the defaults where the file has none."""
@@ -129,14 +129,17 @@ def arrays_from_file_rows(
         return merged
 
     nominal_sigmas = np.array([p.prior_sigma for _ in instruments for p in built.parameters])
-    values = with_file_values(np.zeros(len(place)), [row.value for row in rows])
-    prior = with_file_values(nominal_sigmas, [row.prior_sigma for row in rows])
-    applied_values = with_file_values(values, [row.applied for row in rows])
-    merged = np.diag(with_file_values(prior, [row.sigma for row in rows]) ** 2)
+    values = with_file_values(np.zeros(len(place)), [row.value for row in parameter_entries])
+    prior = with_file_values(nominal_sigmas, [row.prior_sigma for row in parameter_entries])
+    applied_values = with_file_values(values, [row.applied for row in parameter_entries])
+    merged = np.diag(with_file_values(prior, [row.sigma for row in parameter_entries]) ** 2)
     if len(covariance):
         merged[np.ix_(at, at)] = np.array(covariance) * np.outer(factor, factor)
     held, prior_rejected = np.zeros((2, len(place)), dtype=bool)
-    held[at], prior_rejected[at] = [row.held for row in rows], [row.prior_rejected for row in rows]
+    held[at], prior_rejected[at] = (
+        [row.held for row in parameter_entries],
+        [row.prior_rejected for row in parameter_entries],
+    )
     shape = (len(instruments), built.n_parameters)
     arrays = CalibrationArrays(
         construction=built,
@@ -153,7 +156,7 @@ def arrays_from_file_rows(
 
 def _flat_parameter_indices(
     construction: str,
-    rows: Sequence[ParameterEntry],
+    parameter_entries: Sequence[ParameterEntry],
     index_by_instrument_and_name: dict[tuple[str, str], int],
     names: Sequence[str],
     file: object,
@@ -163,7 +166,7 @@ def _flat_parameter_indices(
     Unknown names, unknown units and repeated parameters raise RecordError.
     """
     at: list[int] = []
-    for number, row in enumerate(rows, start=1):
+    for number, row in enumerate(parameter_entries, start=1):
         if (row.instrument, row.name) not in index_by_instrument_and_name:
             kind = f"parameter of construction {construction}"
             raise RecordError(f"parameters: {unknown_name(kind, quoted_text(row.name), names)}", file=file, row=number)

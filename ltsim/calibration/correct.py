@@ -120,7 +120,8 @@ def _replacement_readings(recording: Recording) -> Floats:
     return model.predict(NetworkState(position, rotation, points, np.zeros((1, 0))))
 
 
-def _undetermined_rows_error(rows: Bools, reason: str) -> NetworkError:
+def _undetermined_rows_error(is_undetermined: Bools, reason: str) -> NetworkError:
     return NetworkError(
-        f"row {int(np.argmax(rows)) + 1} lacks a range or an angle, and its target has no coordinates: {reason}"
+        f"row {int(np.argmax(is_undetermined)) + 1} lacks a range or an angle, "
+        f"and its target has no coordinates: {reason}"
     )

@@ -176,9 +176,11 @@ class History(ResultFile):
             ),
         }
 
-    def _table_by_calibration(self, rows: Sequence[tuple[float, ...]]) -> ColumnValues:
+    def _table_by_calibration(self, values_by_parameter: Sequence[tuple[float, ...]]) -> ColumnValues:
         """Table with one row per calibration and one column per parameter, from the values of each parameter."""
-        columns = {f"{p.name} [{p.unit}]": list(column) for p, column in zip(self.parameters, rows, strict=True)}
+        columns = {
+            f"{p.name} [{p.unit}]": list(column) for p, column in zip(self.parameters, values_by_parameter, strict=True)
+        }
         return {"label": self.labels, **columns}
 
     def _changes_table(self) -> Table:

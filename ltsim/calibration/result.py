@@ -336,7 +336,7 @@ def criteria_table(
     recording: Recording,
     adjustment: Adjustment,
     construction: GeometricErrorModel,
-    values: Floats,
+    parameter_values: Floats,
     *,
     reflectors: bool = True,
 ) -> CriteriaEntry | None:
@@ -350,10 +350,10 @@ def criteria_table(
     try:
         if not construction.n_parameters:
             return evaluate_criteria(recording, row_mask=use)
-        applied = values[0] if len(values) == 1 else values[recording.instrument]
+        applied = parameter_values[0] if len(parameter_values) == 1 else parameter_values[recording.instrument]
         model, state = adjustment.problem.model, adjustment.state
         shift = model.effects_change(adjustment.sightings, state.extra_parameters)
-        if reflectors and np.any(values):
+        if reflectors and np.any(parameter_values):
             shift += model.incidence_change(adjustment.sightings, state.extra_parameters)
         return evaluate_criteria(recording, construction, applied, reading_changes=shift, row_mask=use)
     except NetworkError:

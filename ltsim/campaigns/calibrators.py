@@ -134,9 +134,9 @@ class GeometryStack(CellTruth):
         compute_readings(program, which, self.local_points, self.reading_derivatives, true_parameters, deviation)
         return deviation
 
-    def draw_numbered_trials(self, seed: int, numbers: Ints) -> TrialBatch:
+    def draw_numbered_trials(self, seed: int, trial_numbers: Ints) -> TrialBatch:
         """Trials with the given numbers, one for each geometry of the stack, with their random values."""
-        sources = StandardNormalSource(seed, numbers).single_trial_sources()
+        sources = StandardNormalSource(seed, trial_numbers).single_trial_sources()
         draws = [
             truth.distributions.draw(numbers_of_trial)
             for truth, numbers_of_trial in zip(self.truths, sources, strict=True)
@@ -153,7 +153,7 @@ class GeometryStack(CellTruth):
         )
         length_errors = np.concatenate([block.length_errors for block in single_trials], axis=1)
         deviation = self.gather(block.reading_deviations[:, :, 0] for block in single_trials)
-        return TrialBatch(numbers, values, amounts, deviation, length_errors, single_trials)
+        return TrialBatch(trial_numbers, values, amounts, deviation, length_errors, single_trials)
 
 
 def stack_geometries(truths: dict[int, CellTruth]) -> Iterator[tuple[GeometryStack, Ints]]:

@@ -202,14 +202,14 @@ def distance_criterion(clouds: Floats, is_visible: Bools, mean_coordinates: Floa
 
 
 @compile_function
-def coordinate_criterion(aligned_clouds: Floats, is_visible: Bools, mean: Floats, maximum: Floats) -> None:
+def coordinate_criterion(aligned_clouds: Floats, is_visible: Bools, mean_points: Floats, maximum: Floats) -> None:
     """Disagreement of stations in coordinates (Sensors 2021, 21, 7479): mean and maximum over targets, (B,) [um].
 
     The value of a target is the mean distance between its positions from two stations, over all pairs of stations.
     """
     stations, targets, _, trials = aligned_clouds.shape
     spread = np.empty(trials)
-    mean[:], maximum[:] = 0.0, 0.0
+    mean_points[:], maximum[:] = 0.0, 0.0
     n_used = 0
     for i in range(targets):
         count = 0
@@ -227,10 +227,10 @@ def coordinate_criterion(aligned_clouds: Floats, is_visible: Bools, mean: Floats
         n_used += 1
         for t in range(trials):
             value = MICROMETRES_PER_METRE * spread[t] / count
-            mean[t] += value
+            mean_points[t] += value
             maximum[t] = max(maximum[t], value)
     for t in range(trials):
-        mean[t] /= n_used
+        mean_points[t] /= n_used
 
 
 @compile_function

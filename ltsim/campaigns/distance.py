@@ -217,22 +217,24 @@ class BatchDistance(BatchCalibrator):
         ]
         return axes[:, order]
 
-    def _objective_terms(self, block: TrialBatch, values: Floats, trials: Ints) -> Floats:
+    def _objective_terms(self, block: TrialBatch, parameter_values: Floats, trials: Ints) -> Floats:
         """Terms (R, B) of the sum in the distance objective, for some trials at their parameters (I, p, B) [SI]."""
-        deviation, values = (np.ascontiguousarray(a) for a in (block.reading_deviations[:, :, trials], values))
+        deviation, parameter_values = (
+            np.ascontiguousarray(a) for a in (block.reading_deviations[:, :, trials], parameter_values)
+        )
         points = np.empty(deviation.shape)
-        compute_points(self._chain_program, self.truth.recording.instrument, deviation, values, points)
+        compute_points(self._chain_program, self.truth.recording.instrument, deviation, parameter_values, points)
         change = self.distance_problem.distances_of_points(points) - self._nominal_distances.lengths[:, None]
         rows, gauge = self._pair_difference_rows, self.distance_problem.reference_lengths
         length_errors = gauge.decorrelate(block.length_errors[:, trials])
         by_gauge = rows.noise_derivatives[:, rows.noise_derivatives.shape[1] - len(gauge) :]
         return rows.residuals[:, None] + rows.comparison_matrix @ change + by_gauge @ length_errors
 
-    def _adjusted_targets(self, block: TrialBatch, values: Floats) -> BatchFit:
+    def _adjusted_targets(self, block: TrialBatch, parameter_values: Floats) -> BatchFit:
         """Network adjustment of the readings that parameters (I, p, B) [SI] have corrected."""
         deviation = block.reading_deviations
         points = np.empty(deviation.shape)
-        compute_points(self._chain_program, self.truth.recording.instrument, deviation, values, points)
+        compute_points(self._chain_program, self.truth.recording.instrument, deviation, parameter_values, points)
         x, y, z = points[:, 0], points[:, 1], points[:, 2]
         horizontal = np.hypot(x, y)
         is_back_face = (self.truth.recording.face == 2)[:, None]

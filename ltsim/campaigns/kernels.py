@@ -42,7 +42,9 @@ def _rotate_by_small_vector(u: float, v: float, w: float, x: float, y: float, z:
 
 
 @compile_function
-def _motion_amounts(pointing: int, chain: ChainProgram, deviation: Floats, values: Floats, amounts: Floats) -> None:
+def _motion_amounts(
+    pointing: int, chain: ChainProgram, deviation: Floats, parameter_values: Floats, amounts: Floats
+) -> None:
     """Deviation (M, B) of each motion from its nominal size, for reading deviations (3, B) and parameters (p, B)."""
     _, _, sign, driven, _, first, fed, varies, basis, slope = chain
     trials = amounts.shape[1]
@@ -57,7 +59,7 @@ def _motion_amounts(pointing: int, chain: ChainProgram, deviation: Floats, value
                 row[t] = 0.0
         for j in range(first[m], first[m + 1]):
             k = fed[j]
-            value = values[k]
+            value = parameter_values[k]
             b = basis[k, pointing]
             if varies[k] == 0:
                 for t in range(trials):
@@ -161,12 +163,14 @@ def _backpropagate(
 
 
 @compile_function
-def compute_points(chain: ChainProgram, instrument: Ints, deviation: Floats, values: Floats, points: Floats) -> None:
+def compute_points(
+    chain: ChainProgram, instrument: Ints, deviation: Floats, parameter_values: Floats, points: Floats
+) -> None:
     """Targets in the instruments' frames, written to `points` (n, 3, B) [m], for reading deviations (n, 3, B)."""
     motions, trials = len(chain[0]), deviation.shape[2]
     amounts, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
     for i in range(len(deviation)):
-        parameters = values[instrument[i]]
+        parameters = parameter_values[instrument[i]]
         _motion_amounts(i, chain, deviation[i], parameters, amounts)
         _forward_chain(i, chain, amounts, path)
         for c in range(3):
@@ -180,7 +184,7 @@ def compute_readings(
     instrument: Ints,
     local_points: Floats,
     point_derivatives: Floats,
-    values: Floats,
+    parameter_values: Floats,
     deviation: Floats,
 ) -> None:
     """Readings minus nominal readings (n, 3, B) at which the chain reaches `local_points` (n, 3), by Newton's method.
@@ -191,7 +195,7 @@ def compute_readings(
     motions, trials = len(chain[0]), deviation.shape[2]
     amounts, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
     for i in range(len(deviation)):
-        parameters = values[instrument[i]]
+        parameters = parameter_values[instrument[i]]
         for _ in range(MAX_BATCH_NEWTON_STEPS):
             _motion_amounts(i, chain, deviation[i], parameters, amounts)
             _forward_chain(i, chain, amounts, path)
@@ -221,7 +225,7 @@ def backpropagate_mean_forces(
     target: Ints,
     mean_weights: Floats,
     deviation: Floats,
-    values: Floats,
+    parameter_values: Floats,
     forces: Floats,
     parameter_gradient: Floats,
 ) -> None:
@@ -235,7 +239,7 @@ def backpropagate_mean_forces(
     force, moment = np.empty((3, trials)), np.empty(trials)
     for i in range(len(deviation)):
         tracker = instrument[i]
-        _motion_amounts(i, chain, deviation[i], values[tracker], amounts)
+        _motion_amounts(i, chain, deviation[i], parameter_values[tracker], amounts)
         _forward_chain(i, chain, amounts, path)
         for c in range(3):
             for t in range(trials):

@@ -80,8 +80,10 @@ class ChainProgram(NamedTuple):
         The rows of these arrays are pointings; for each pointing, one row per trial follows the other.
         """
 
-        def per_trial(rows: Floats) -> Floats:
-            by_trial = rows.reshape(rows.shape[0], rows.shape[1] // trials, trials, *rows.shape[2:])
+        def per_trial(array_rows: Floats) -> Floats:
+            by_trial = array_rows.reshape(
+                array_rows.shape[0], array_rows.shape[1] // trials, trials, *array_rows.shape[2:]
+            )
             return np.ascontiguousarray(np.moveaxis(by_trial, 2, -1))
 
         return self._replace(

@@ -227,9 +227,9 @@ class CampaignFile(TomlSection):
                 values_by_name = self.settings | listed | point | dict(zip(self.grid, values, strict=True))
                 yield self.values_by_key(values_by_name)
 
-    def values_by_key(self, values: Mapping[str, Any]) -> dict[str, Any]:
+    def values_by_key(self, values_by_name: Mapping[str, Any]) -> dict[str, Any]:
         """Values by dotted key; the value of a name in `link` is assigned to each of its keys."""
-        return {key: value for name, value in values.items() for key in self.link.get(name, (name,))}
+        return {key: value for name, value in values_by_name.items() for key in self.link.get(name, (name,))}
 
 
 def load_campaign(
@@ -261,10 +261,10 @@ def load_campaign(
     return campaign, tuple(items)
 
 
-def override_campaign(campaign: CampaignFile, changes: Mapping[str, Any], path: Path) -> CampaignFile:
+def override_campaign(campaign: CampaignFile, key_changes: Mapping[str, Any], path: Path) -> CampaignFile:
     """Campaign with other values of its keys, or of keys of the scenario in all combinations of settings."""
     tables = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
-    for key, value in changes.items():
+    for key, value in key_changes.items():
         if key in CampaignFile.model_fields:
             tables[key] = value
         elif key in campaign.grid:

@@ -233,8 +233,10 @@ class CampaignStatistics:
             )
         return summaries
 
-    def _query_each_cell(self, expressions: str, condition: str = "true", rows: str = "rows") -> list[tuple[Any, ...]]:
-        sql = f"SELECT cell, method, {expressions} FROM {rows} WHERE {condition} "
+    def _query_each_cell(
+        self, expressions: str, condition: str = "true", row_selection: str = "rows"
+    ) -> list[tuple[Any, ...]]:
+        sql = f"SELECT cell, method, {expressions} FROM {row_selection} WHERE {condition} "
         sql += "GROUP BY cell, method ORDER BY cell, method"
         if sql not in self._cache:  # a page asks the same for its figures and for each of its tables
             self._cache[sql] = self.query(sql)

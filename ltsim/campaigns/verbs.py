@@ -91,7 +91,7 @@ def campaign(
         workers=workers,
         resume=resume,
         force=force,
-        changes=changes,
+        key_changes=changes,
         tables=tables,
     )
     return CampaignResults(folder)

@@ -92,13 +92,15 @@ def split_names(text: str | None) -> tuple[str, ...] | None:
     return None if text is None else tuple(dict.fromkeys(n.strip() for n in text.split(",") if n.strip()))
 
 
-def hints_from_texts(pairs: list[str] | None, columns: str | None = None, *, is_growing: bool = False) -> Hints:
+def hints_from_texts(
+    key_value_texts: list[str] | None, columns: str | None = None, *, is_growing: bool = False
+) -> Hints:
     """Hints from `KEY=VALUE` texts; raises RecordError for an invalid key or value."""
     from ltsim.recordings import Hints
 
     values: dict[str, Any] = {}
     types = {name: kind for name, kind in get_type_hints(Hints).items() if name not in ("columns", "incomplete_tail")}
-    for pair in pairs or []:
+    for pair in key_value_texts or []:
         key, _, value = pair.partition("=")
         if key not in types or not value:
             raise RecordError(f"--hint {pair}: expected KEY=VALUE with a key among {', '.join(types)}")

@@ -393,6 +393,6 @@ def _parse_value(column: Column, cell: str, file: object, row: int) -> Any:
     return value
 
 
-def columns_from_rows(rows: Sequence[Mapping[str, Any]]) -> ColumnValues:
+def columns_from_rows(table_rows: Sequence[Mapping[str, Any]]) -> ColumnValues:
     """Values of each column, from rows with the same keys."""
-    return {key: [row[key] for row in rows] for key in (rows[0] if rows else ())}
+    return {key: [row[key] for row in table_rows] for key in (table_rows[0] if table_rows else ())}

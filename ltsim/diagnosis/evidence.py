@@ -37,15 +37,15 @@ from ltsim.physics.effects.outlier import OBSERVABLE_COLUMN, Outlier
 from ltsim.recordings.recording import OBSERVABLES
 
 
-def index_of_best(values: Floats) -> int:
+def index_of_best(log_evidences: Floats) -> int:
     """Index of the largest value. If several values are equal, as on a plateau, it is the middle index of these."""
-    ties = np.flatnonzero(values >= np.max(values) - MAX_SOLUTION_ROUNDING_ERROR)
+    ties = np.flatnonzero(log_evidences >= np.max(log_evidences) - MAX_SOLUTION_ROUNDING_ERROR)
     return int(ties[(len(ties) - 1) // 2])
 
 
-def ranked_indices(values: Floats, max_difference: float = MAX_SOLUTION_ROUNDING_ERROR) -> Ints:
+def ranked_indices(log_evidences: Floats, max_difference: float = MAX_SOLUTION_ROUNDING_ERROR) -> Ints:
     """Indices in the order of decreasing values. Values within `max_difference` keep their order."""
-    falling = np.nan_to_num(-values)
+    falling = np.nan_to_num(-log_evidences)
     order = np.argsort(falling, kind="stable")
     group = np.cumsum(np.diff(falling[order]) > max_difference)
     return order[np.lexsort((order, np.append(0, group)[: len(order)]))]
@@ -208,12 +208,12 @@ def wide_prior_posterior(gram: Floats, score: Floats, plausible_sizes: Floats) -
     return coefficient_posterior(gram, score, plausible_sizes, np.array([WIDE_PRIOR_SIZES]), np.zeros(1))
 
 
-def log_sign_weight(mean: float, sigma: float) -> float:
+def log_sign_weight(posterior_mean: float, sigma: float) -> float:
     """Log factor on the evidence of a parameter that cannot be negative, from its posterior mean and deviation.
 
     The factor is twice the posterior probability of a positive size.
     """
-    return float(np.log(2.0) + log_ndtr(mean / max(sigma, 1e-300)))
+    return float(np.log(2.0) + log_ndtr(posterior_mean / max(sigma, 1e-300)))
 
 
 def log_evidence_of_effect(effect: CandidateEffect, gram: Floats, score: Floats) -> float:

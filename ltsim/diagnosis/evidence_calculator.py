@@ -138,7 +138,7 @@ class EvidenceCalculator:
                 self._rows[place] = ResidualRows(acting_rows, self._pointing[acting_rows])
         return self._rows[place]
 
-    def _adjacent_designs(self, effects: Sequence[CandidateEffect], rows: ResidualRows) -> tuple[Floats, Ints]:
+    def _adjacent_designs(self, effects: Sequence[CandidateEffect], residual_rows: ResidualRows) -> tuple[Floats, Ints]:
         """Whitened design columns of effects side by side, (r, q) on r rows, and the index of the first column of each.
 
         The q columns are the parameters of all effects. The indices end with q.
@@ -146,15 +146,15 @@ class EvidenceCalculator:
         edges = np.append(0, np.cumsum([len(effect.parameters) for effect in effects]))
         if not isinstance(effects[0], EmpiricalLaw):
             return np.hstack([self.space.whitened_design(effect) for effect in effects]), edges
-        designs = np.empty((len(rows.pointing), edges[-1]))
+        designs = np.empty((len(residual_rows.pointing), edges[-1]))
         response_changes: dict[str, Floats] = {}
         for effect, low, high in zip(effects, edges[:-1], edges[1:], strict=True):
             assert isinstance(effect, EmpiricalLaw)
             name = effect.response.name
             if name not in response_changes:
-                response_changes[name] = self._response_changes(name)[rows.rows]
-            moved = effect.change_along_direction(response_changes[name], self.space.sightings, rows.pointing)
-            columns = effect.columns(self.space.sightings)[rows.pointing]
+                response_changes[name] = self._response_changes(name)[residual_rows.rows]
+            moved = effect.change_along_direction(response_changes[name], self.space.sightings, residual_rows.pointing)
+            columns = effect.columns(self.space.sightings)[residual_rows.pointing]
             shape = len(designs), moved.shape[1], columns.shape[1]
             np.multiply(moved[:, :, None], columns[:, None, :], out=designs[:, low:high].reshape(shape))
         return designs, edges
@@ -166,7 +166,7 @@ class EvidenceCalculator:
         return self._changes_by_response[name]
 
     def _cache_projected_grams(
-        self, effects: Sequence[CandidateEffect], designs: Floats, edges: Ints, rows: ResidualRows
+        self, effects: Sequence[CandidateEffect], designs: Floats, edges: Ints, residual_rows: ResidualRows
     ) -> None:
         """Computation of the Gram matrices of the projected design columns of new effects, which are then cached.
 
@@ -179,5 +179,5 @@ class EvidenceCalculator:
         if len(new_indices) < len(effects):
             columns = np.hstack([designs[:, edges[i] : edges[i + 1]] for i in new_indices])
         ends = np.append(0, np.cumsum(np.diff(edges)[new_indices]))
-        grams = self.space.projector.gram_matrices(columns, ends, rows.rows)
+        grams = self.space.projector.gram_matrices(columns, ends, residual_rows.rows)
         self._grams.update(zip((effects[i] for i in new_indices), grams, strict=True))

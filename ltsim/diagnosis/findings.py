@@ -378,9 +378,9 @@ def law_text(law: EmpiricalLaw, driver: str) -> str:
     return f"{phrase} differs{suffix}" if law.regressor.kind == "constant" else f"{phrase} follows {driver}{suffix}"
 
 
-def _non_empty_entries(entries: Mapping[str, Any]) -> dict[str, Any]:
+def _non_empty_entries(entry_values: Mapping[str, Any]) -> dict[str, Any]:
     """Entries whose value is not empty."""
-    return {key: value for key, value in entries.items() if value}
+    return {key: value for key, value in entry_values.items() if value}
 
 
 def _is_implausible_size(effect: CandidateEffect, estimates: Sequence[ParameterEstimate]) -> bool:

@@ -232,7 +232,7 @@ def compare_constants(
 
 def _contradiction_of_change(
     adjustment: Adjustment,
-    changes: Sequence[ConstantChange],
+    constant_changes: Sequence[ConstantChange],
     log_evidences: Floats,
     change_index: int,
     difference: float,
@@ -244,8 +244,8 @@ def _contradiction_of_change(
     `log_evidences` are those of all changes, `difference` and `sigma` the difference from the reference and its
     standard deviation [SI].
     """
-    change, parameters = changes[change_index], adjustment.construction.parameters
-    rivals = [i for i, other in enumerate(changes) if other.instruments == change.instruments]
+    change, parameters = constant_changes[change_index], adjustment.construction.parameters
+    rivals = [i for i, other in enumerate(constant_changes) if other.instruments == change.instruments]
     share = normalised_probabilities(log_evidences[rivals])
     return ConstantContradiction(
         instruments=tuple(adjustment.recording.instruments[i] for i in change.instruments),
@@ -256,7 +256,7 @@ def _contradiction_of_change(
         p_value=p_value,
         against=change.reference_text,
         rivals={
-            parameters[changes[rivals[i]].constant]: float(share[i])
+            parameters[constant_changes[rivals[i]].constant]: float(share[i])
             for i in np.argsort(-share)
             if share[i] > MIN_REPORTED_PROBABILITY
         },

@@ -194,11 +194,11 @@ class Searcher:
                 best = replace(best, effect=effect, log_evidence=whole)
         return best
 
-    def _local_optima(self, members: Ints, values: Floats) -> list[int]:
+    def _local_optima(self, members: Ints, log_evidences: Floats) -> list[int]:
         """Indices of the best place and shape of a catalogue effect, and of others nearly as good."""
         chosen = [int(members[0])]
         for i in members[1:MAX_COMPARED_MEMBERS]:
-            if len(chosen) == MAX_LOCAL_OPTIMA or values[i] < values[chosen[0]] - MAX_REFINED_DEFICIT:
+            if len(chosen) == MAX_LOCAL_OPTIMA or log_evidences[i] < log_evidences[chosen[0]] - MAX_REFINED_DEFICIT:
                 break
             if all(
                 are_distinct(self.catalogue_designs.effects[int(i)], self.catalogue_designs.effects[j]) for j in chosen

@@ -128,9 +128,9 @@ def _span_moments(
     return SpanMoments(np.moveaxis(gram, 0, 2), _span_differences(score), _span_differences(beyond))
 
 
-def _span_differences(values: Floats) -> Floats:
+def _span_differences(step_values: Floats) -> Floats:
     """Values (S, ...) of the spans from the values (S, ...) of the steps: each step minus the next."""
-    return values - np.concatenate([values[1:], np.zeros_like(values[:1])])
+    return step_values - np.concatenate([step_values[1:], np.zeros_like(step_values[:1])])
 
 
 def _best_span_states(spans: SpanMoments, plausible_sizes: Floats) -> tuple[Bools, float, int]:
@@ -172,9 +172,9 @@ def _best_span_states(spans: SpanMoments, plausible_sizes: Floats) -> tuple[Bool
     return best, value, taken
 
 
-def _cumulative_sums(values: Floats) -> Floats:
+def _cumulative_sums(step_values: Floats) -> Floats:
     """Cumulative sums (S + 1, ...) of values (S, ...), the first of which is zero."""
-    return np.concatenate([np.zeros_like(values[:1]), values.cumsum(axis=0)])
+    return np.concatenate([np.zeros_like(step_values[:1]), step_values.cumsum(axis=0)])
 
 
 def _acts_temporarily(law: EmpiricalLaw, edges: Sequence[Regressor], sightings: Sightings) -> bool:

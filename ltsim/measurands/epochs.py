@@ -41,8 +41,8 @@ ALL_AXES = np.arange(3)
 
 
 def compare_adjustments(
-    first: Adjustment,
-    second: Adjustment,
+    first_adjustment: Adjustment,
+    second_adjustment: Adjustment,
     *,
     stable_names: Sequence[str] | None = None,
     with_scale: bool = False,
@@ -53,21 +53,31 @@ def compare_adjustments(
 
     Options and errors are those of `lt.compare`.
     """
-    undetermined = {*first.undetermined_targets, *second.undetermined_targets}
-    common = [n for n in first.recording.targets if n in second.recording.targets and n not in undetermined]
+    undetermined = {*first_adjustment.undetermined_targets, *second_adjustment.undetermined_targets}
+    common = [
+        n
+        for n in first_adjustment.recording.targets
+        if n in second_adjustment.recording.targets and n not in undetermined
+    ]
     stable_points = _stable_point_mask("recordings", common, stable_names, n_held=3)
-    indices = [np.array([a.recording.targets.index(n) for n in common]) for a in (first, second)]
-    common_groups = _common_observations(first, second, same_instrument)
-    before, after = (_Epoch.from_adjustment(a, i, common_groups) for a, i in zip((first, second), indices, strict=True))
-    sources = (SourceEntry.from_recording(first.recording), SourceEntry.from_recording(second.recording))
+    indices = [np.array([a.recording.targets.index(n) for n in common]) for a in (first_adjustment, second_adjustment)]
+    common_groups = _common_observations(first_adjustment, second_adjustment, same_instrument)
+    before, after = (
+        _Epoch.from_adjustment(a, i, common_groups)
+        for a, i in zip((first_adjustment, second_adjustment), indices, strict=True)
+    )
+    sources = (
+        SourceEntry.from_recording(first_adjustment.recording),
+        SourceEntry.from_recording(second_adjustment.recording),
+    )
     return _compare_epochs(
         before, after, with_scale, stable_points, stable_points & (stable_names is not None), alpha, sources
     )
 
 
 def compare_coordinates(
-    first: EpochCoordinates,
-    second: EpochCoordinates,
+    first_coordinates: EpochCoordinates,
+    second_coordinates: EpochCoordinates,
     *,
     stable_names: Sequence[str] | None = None,
     has_free_motions: bool = False,
@@ -78,32 +88,43 @@ def compare_coordinates(
 
     Options and errors are those of `lt.compare`.
     """
-    if first.axes != second.axes:
+    if first_coordinates.axes != second_coordinates.axes:
         raise ModelError(
-            f"the first list has the axes {first.axes}, the second {second.axes}; the axes must be the same"
+            f"the first list has the axes {first_coordinates.axes}, the second {second_coordinates.axes}; "
+            "the axes must be the same"
         )
-    second, renamed = _with_names_of(second, first.names)
-    common_names = [name for name in first.names if name in second.names]
-    open_ = [np.eye(6) if has_free_motions else free_motions_of_epoch(epoch) for epoch in (first, second)]
+    second_coordinates, renamed = _with_names_of(second_coordinates, first_coordinates.names)
+    common_names = [name for name in first_coordinates.names if name in second_coordinates.names]
+    open_ = [
+        np.eye(6) if has_free_motions else free_motions_of_epoch(epoch)
+        for epoch in (first_coordinates, second_coordinates)
+    ]
     is_open = with_scale or any(motions.shape[1] for motions in open_)
-    stable_points = _stable_point_mask("lists", common_names, stable_names, n_held=len(first.axes) if is_open else 0)
+    stable_points = _stable_point_mask(
+        "lists", common_names, stable_names, n_held=len(first_coordinates.axes) if is_open else 0
+    )
     before, after = (
         _Epoch.from_coordinates(epoch, common_names, motions)
-        for epoch, motions in zip((first, second), open_, strict=True)
+        for epoch, motions in zip((first_coordinates, second_coordinates), open_, strict=True)
     )
     count = 0 if has_free_motions else max(motions.shape[1] for motions in open_)
     notes = [*renamed, *([undetermined_motions_note(count)] if count else [])]
-    sources = SourceEntry.from_coordinates(first), SourceEntry.from_coordinates(second)
+    sources = SourceEntry.from_coordinates(first_coordinates), SourceEntry.from_coordinates(second_coordinates)
     stable_mask = stable_points & (stable_names is not None)
     result = _compare_epochs(
-        before, after, with_scale, stable_points, stable_mask, alpha, sources, first.axis_indices, notes
+        before, after, with_scale, stable_points, stable_mask, alpha, sources, first_coordinates.axis_indices, notes
     )
-    if is_open or len(first.axes) < len(ALL_AXES) or len(common_names) <= len(ALL_AXES):
+    if is_open or len(first_coordinates.axes) < len(ALL_AXES) or len(common_names) <= len(ALL_AXES):
         return result
     return _with_rigid_motion(
         result,
         lambda: compare_coordinates(
-            first, second, stable_names=stable_names, has_free_motions=True, with_scale=with_scale, alpha=alpha
+            first_coordinates,
+            second_coordinates,
+            stable_names=stable_names,
+            has_free_motions=True,
+            with_scale=with_scale,
+            alpha=alpha,
         ),
     )
 
@@ -150,8 +171,8 @@ def _with_rigid_motion(
 
 
 def _compare_epochs(
-    first: _Epoch,
-    second: _Epoch,
+    first_epoch: _Epoch,
+    second_epoch: _Epoch,
     with_scale: bool,
     stable_mask: Bools,
     declared_stable: Bools,
@@ -161,17 +182,19 @@ def _compare_epochs(
     notes: Sequence[str] = (),
 ) -> Comparison:
     """Comparison of epochs with the same points; points whose names are exchanged are compared by their positions."""
-    gap = _align_epochs(first, second, with_scale, stable_mask, compared_axes)
+    gap = _align_epochs(first_epoch, second_epoch, with_scale, stable_mask, compared_axes)
     result = congruence_test(gap, declared_stable, alpha, epoch_sources)
     order = exchanged_names(gap, [i for i, d in enumerate(result.displacements) if d.moved])
     if order is not None:
         result = congruence_test(
-            _align_epochs(first, second.with_order(order, len(compared_axes)), with_scale, stable_mask, compared_axes),
+            _align_epochs(
+                first_epoch, second_epoch.with_order(order, len(compared_axes)), with_scale, stable_mask, compared_axes
+            ),
             declared_stable,
             alpha,
             epoch_sources,
         )
-        notes = [*notes, exchanged_names_sentence(first.point_names, order)]
+        notes = [*notes, exchanged_names_sentence(first_epoch.point_names, order)]
     return result.model_copy(update={"notes": tuple(notes)})
 
 
@@ -249,12 +272,14 @@ class _Epoch:
         )
 
 
-def _common_observations(first: Adjustment, second: Adjustment, same_instrument: bool) -> list[str]:
+def _common_observations(
+    first_adjustment: Adjustment, second_adjustment: Adjustment, same_instrument: bool
+) -> list[str]:
     """Groups of observations whose errors are common to both epochs, because their declarations are equal."""
-    earlier, later = first.recording.setup, second.recording.setup
+    earlier, later = first_adjustment.recording.setup, second_adjustment.recording.setup
     common = []
     if same_instrument:
-        if first.problem.prior.sigma.shape != second.problem.prior.sigma.shape:
+        if first_adjustment.problem.prior.sigma.shape != second_adjustment.problem.prior.sigma.shape:
             raise ModelError("the recordings have different numbers of instruments, so they cannot be the same ones")
         common.append(PRIOR_SOURCE)
     if (
@@ -262,7 +287,7 @@ def _common_observations(first: Adjustment, second: Adjustment, same_instrument:
         and later.gauge is not None
         and _certificate_lengths(earlier.gauge) == _certificate_lengths(later.gauge)
     ):
-        shared = [a.problem.gauge_rows.shared_error_changes for a in (first, second)]
+        shared = [a.problem.gauge_rows.shared_error_changes for a in (first_adjustment, second_adjustment)]
         common += [
             LENGTHS_SOURCE,
             *(name for name in shared[0] if name in shared[1] and name.startswith(EXPANSION_ERROR_PREFIX)),
@@ -281,26 +306,26 @@ def _certificate_lengths(gauge: Gauge) -> Gauge:
 
 
 def _align_epochs(
-    first: _Epoch, second: _Epoch, with_scale: bool, stable_mask: Bools, axes: Ints = ALL_AXES
+    first_epoch: _Epoch, second_epoch: _Epoch, with_scale: bool, stable_mask: Bools, axes: Ints = ALL_AXES
 ) -> EpochDifference:
     """Differences of the points after alignment of the second epoch to the first, if their frames are free."""
-    before, after, turn = first.points, second.points, np.eye(3)
+    before, after, turn = first_epoch.points, second_epoch.points, np.eye(3)
     centre = before[stable_mask].mean(axis=0)
-    stacked = np.hstack([first.free_motions, second.free_motions])
+    stacked = np.hstack([first_epoch.free_motions, second_epoch.free_motions])
     free = scipy.linalg.orth(stacked) if stacked.shape[1] else stacked
     if free.shape[1] and len(axes) > 1:
         weights = stable_mask.astype(np.float64)
         for _ in range(MAX_ITERATIONS):
-            turn, shift = align_rigidly(second.points, before, weights)
-            after = second.points @ turn.T + shift
+            turn, shift = align_rigidly(second_epoch.points, before, weights)
+            after = second_epoch.points @ turn.T + shift
             off = np.linalg.norm(after - before, axis=1)
             # A point that moved must not turn the rest.
             previous, weights = weights, stable_mask / (off + np.median(off[stable_mask]) + 1e-12)
             if np.abs(weights - previous).max() < MAX_ROUNDING_ERROR * weights.max():
                 break
     big = np.kron(np.eye(len(before)), turn[np.ix_(axes, axes)])
-    shared = first.common_observation_response @ second.common_observation_response.T @ big.T
-    covariance = first.covariance + big @ second.covariance @ big.T - shared - shared.T
+    shared = first_epoch.common_observation_response @ second_epoch.common_observation_response.T @ big.T
+    covariance = first_epoch.covariance + big @ second_epoch.covariance @ big.T - shared - shared.T
     motions = rigid_motion_design(before, centre)
     motions = motions @ _motions_about(free, centre) if free.shape[1] else motions[:, :0]
     motions = motions.reshape(len(before), 3, -1)[:, axes].reshape(len(covariance), -1)
@@ -311,7 +336,7 @@ def _align_epochs(
     if with_scale:
         motions = np.hstack([motions, (before - centre)[:, axes].reshape(-1, 1)])
     return EpochDifference(
-        first.point_names, (after - before)[:, axes].ravel(), covariance, motions, axes, before, with_scale
+        first_epoch.point_names, (after - before)[:, axes].ravel(), covariance, motions, axes, before, with_scale
     )
 
 

@@ -138,17 +138,17 @@ class LayoutScorer:
         self._fixes_datum_rotations = problem.structure.fixes_datum_rotations
         self._target_motions = rigid_motion_design(survey.target_points) @ self._free_motions
 
-    def _fixed_blocks(self, rows: Floats, target: Ints, pose: Ints, values: Ints) -> None:
+    def _fixed_blocks(self, rows: Floats, target: Ints, pose: Ints, value_columns: Ints) -> None:
         """Normal equations of gauge, control points, levels and priors, in the order and units of this class.
 
         `rows` is the whitened design; the columns of targets (T, 3), poses (S, 6) and parameters are given.
         """
-        extra = np.zeros((len(rows), len(self.parameter_scales) - len(values)))
+        extra = np.zeros((len(rows), len(self.parameter_scales) - len(value_columns)))
         front = [
             rows[:, pose.ravel()] * INTERNAL_LENGTH_UNIT,
             rows[:, target[self._gauge_targets].ravel()] * INTERNAL_LENGTH_UNIT,
         ]
-        reduced_rows = np.hstack([*front, rows[:, values] * self.parameter_scales[: len(values)], extra])
+        reduced_rows = np.hstack([*front, rows[:, value_columns] * self.parameter_scales[: len(value_columns)], extra])
         mesh = rows[:, target[self.mesh_targets].ravel()].reshape(len(rows), -1, 3) * INTERNAL_LENGTH_UNIT
         self._fixed_reduced_block = reduced_rows.T @ reduced_rows
         self._fixed_target_blocks = np.einsum("mti,mtj->tij", mesh, mesh)

@@ -94,18 +94,18 @@ def _with_defaults(plan_file: PlanFile, path: Path) -> dict[str, Any]:
     return changes
 
 
-def _scenario_of_plan(plan_file: PlanFile, data: dict[str, Any], path: Path) -> Scenario:
+def _scenario_of_plan(plan_file: PlanFile, plan_tables: dict[str, Any], path: Path) -> Scenario:
     """Scenario that a plan file names, or that its tables describe."""
     points = plan_file.listed_points
-    tables = [name for name in SCENARIO_TABLES if name in data]
+    tables = [name for name in SCENARIO_TABLES if name in plan_tables]
     if plan_file.workshop is None and tables:
         raise SetupError(
             f"{path}: [{tables[0]}] needs a [workshop] in the same plan; remove it, or set it in the scenario"
         )
     if plan_file.workshop is not None:
-        if "scenario" in data:
+        if "scenario" in plan_tables:
             raise SetupError(f"{path}: it should have either scenario or [workshop], not both")
-        return _hall_scenario(plan_file, data, points, path)
+        return _hall_scenario(plan_file, plan_tables, points, path)
     local = path.parent / plan_file.scenario
     return _with_points(load_scenario(local if local.is_file() else plan_file.scenario), points, path)
 
@@ -199,11 +199,13 @@ def _point_from_table(table: PointList, row: int, path: Path) -> PointEntry:
         ) from None
 
 
-def _hall_scenario(plan_file: PlanFile, data: Mapping[str, Any], points: Sequence[PointEntry], file: Path) -> Scenario:
+def _hall_scenario(
+    plan_file: PlanFile, tables: Mapping[str, Any], points: Sequence[PointEntry], file: Path
+) -> Scenario:
     """Scenario of a hall that a plan file describes by tables and points; raises SetupError."""
     table: dict[str, Any] = {"format": SCENARIO_FORMAT, "title": plan_file.title}
-    table |= {name: data[name] for name in SCENARIO_TABLES if name in data}
-    table["work"] = {"order": "as-listed", **data.get("work", {})}
+    table |= {name: tables[name] for name in SCENARIO_TABLES if name in tables}
+    table["work"] = {"order": "as-listed", **tables.get("work", {})}
     wide, deep, _ = plan_file.workshop.size_mm if plan_file.workshop else (0.0, 0.0, 0.0)
     table["stations"] = {"S1": {"position_mm": [wide / 2, deep / 2, USUAL_HEAD_HEIGHTS_MM[0]], "yaw_deg": 0.0}}
     table["targets"] = {p.name: {"position_mm": [p.x_mm, p.y_mm, p.z_mm]} for p in points}

@@ -161,10 +161,10 @@ class _ChangeEvaluator:
             / self.present_objective
         )
 
-    def _parameter_sigmas(self, total: Floats) -> Floats:
+    def _parameter_sigmas(self, normal_matrix: Floats) -> Floats:
         """Standard deviations (p,) of the instrument's parameters in prior sigmas, from a normal matrix (K, K)."""
         size = self.normal_matrix_table.scorer.construction.n_parameters
-        information = self.normal_matrix_table.information(total[None])[0, :size, :size]
+        information = self.normal_matrix_table.information(normal_matrix[None])[0, :size, :size]
         return np.sqrt(np.diag(np.linalg.inv(information)))
 
     def _free_places(self, used_places: Ints) -> Ints:
@@ -213,16 +213,18 @@ class _ChangeEvaluator:
         return ReflectorChanges(tuple(reported), tried, helped)
 
     def _make_change(
-        self, kind: ChangeKind, value: float, removed: int | None, place: int | None, total: Floats
+        self, kind: ChangeKind, value: float, removed: int | None, place: int | None, normal_matrix: Floats
     ) -> PlanChange:
         common = self.present_places if removed is None else np.delete(self.present_places, removed)
-        matrices = np.stack([self.present_normal_matrix, total])
+        matrices = np.stack([self.present_normal_matrix, normal_matrix])
         before, after = self.normal_matrix_table.weighted_target_rms(matrices, common)
         if self._is_target_goal:
             now = self.normal_matrix_table.target_sigma(self.present_normal_matrix, common)
-            ratios = {name: s / now[name] for name, s in self.normal_matrix_table.target_sigma(total, common).items()}
+            ratios = {
+                name: s / now[name] for name, s in self.normal_matrix_table.target_sigma(normal_matrix, common).items()
+            }
         else:
-            ratio = self._parameter_sigmas(total) / self.present_sigmas
+            ratio = self._parameter_sigmas(normal_matrix) / self.present_sigmas
             ratios = dict(
                 zip(self.normal_matrix_table.scorer.construction.parameter_names, ratio.tolist(), strict=True)
             )
@@ -252,10 +254,10 @@ def _change_sentence(change: PlanChange) -> str:
     return f"{change.action_text}: quality {better}, {other}, {phrase} {change.serves} (sigma {sigma:+.1f} %)"
 
 
-def _best_per_place(changes: list[ChangeResult]) -> list[ChangeResult]:
+def _best_per_place(change_results: list[ChangeResult]) -> list[ChangeResult]:
     """Best change for each place, and every change that needs no place (a removal)."""
     distinct, places = [], set()
-    for change in changes:
+    for change in change_results:
         if change[2] is None or change[2] not in places:
             distinct.append(change)
         places.add(change[2])

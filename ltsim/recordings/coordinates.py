@@ -144,9 +144,9 @@ def _headerless_columns(sheet: TableSheet) -> tuple[int, list[TableColumn]] | No
     return 0, [TableColumn(place, name, name) for place, name in enumerate(names)]
 
 
-def _header_columns(rows: Sequence[SheetRow]) -> tuple[int, list[TableColumn]] | None:
+def _header_columns(sheet_rows: Sequence[SheetRow]) -> tuple[int, list[TableColumn]] | None:
     """Number of rows before the first point, and columns that the header names; None without the header of a list."""
-    for place, row in enumerate(rows):
+    for place, row in enumerate(sheet_rows):
         if not count_role_titles(row.fields) or row.n_values:
             continue
         columns = header_columns(row.fields)
@@ -234,13 +234,13 @@ class _PointRowReader:
         return np.array(scales) ** [1 + role.startswith("covariance") for role in self.numbers], notes
 
 
-def _covariance(numbers: Mapping[str, Floats], n_points: int) -> Floats:
+def _covariance(numbers_by_column: Mapping[str, Floats], n_points: int) -> Floats:
     """Covariance (n, 3, 3) [m^2] of n points from columns with a full matrix, or with standard deviations."""
-    if "covariance 0" in numbers:
-        full = np.stack([numbers[f"covariance {i}"] for i in range(9)], axis=1).reshape(n_points, 3, 3)
+    if "covariance 0" in numbers_by_column:
+        full = np.stack([numbers_by_column[f"covariance {i}"] for i in range(9)], axis=1).reshape(n_points, 3, 3)
         return np.asarray((full + full.transpose(0, 2, 1)) / 2)
     sigma = [
-        numbers.get(SIGMA_ROLES[axis], numbers.get(COMMON_SIGMA_ROLE, np.full(n_points, np.nan)))
+        numbers_by_column.get(SIGMA_ROLES[axis], numbers_by_column.get(COMMON_SIGMA_ROLE, np.full(n_points, np.nan)))
         for axis in COORDINATE_ROLES
     ]
     covariance = np.zeros((n_points, 3, 3))

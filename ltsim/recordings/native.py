@@ -128,18 +128,18 @@ def _release_lines(lines: list[str]) -> Iterator[str]:
         yield lines.pop()
 
 
-def parse(rows: list[list[str]], setup: Setup, folder: Path, *, incomplete_tail: bool = False) -> Recording:
+def parse(table_rows: list[list[str]], setup: Setup, folder: Path, *, incomplete_tail: bool = False) -> Recording:
     """Recording from the header and rows of `observations.csv` and its set-up; `folder` is named in errors."""
     file = folder / OBSERVATIONS_FILE
-    header = list(map(unguard_formula, rows[0]))
+    header = list(map(unguard_formula, table_rows[0]))
     _check_header(header, file)
     columns = {
         name: list(map(unguard_formula, column))
-        for name, column in zip(header, zip(*rows[1:], strict=True), strict=True)
+        for name, column in zip(header, zip(*table_rows[1:], strict=True), strict=True)
     }
     stations, station = index_names(columns["station"], "station", file)
     targets, target = index_names(columns["target"], "target", file)
-    n_rows = len(rows) - 1
+    n_rows = len(table_rows) - 1
     face = _integer_column(columns["face"], SourceLocation(file, column="face"), (1, 2))
     repeat = columns.get("repeat", ["1"] * n_rows)
     time = columns.get("time_s", list(map(str, range(n_rows))))
@@ -372,14 +372,14 @@ def _integer_texts(values: Ints) -> list[str]:
     return [texts[i] for i in index]
 
 
-def _number_texts(values: Floats, unit: float = 1.0, digits: int | None = None) -> list[str]:
+def _number_texts(si_values: Floats, unit: float = 1.0, digits: int | None = None) -> list[str]:
     """Texts of SI values in `unit`: with `digits` decimals if that is exact, otherwise with all digits; '' for NaN."""
-    is_finite = np.isfinite(values)
-    numbers = (values[is_finite] / unit).tolist()
+    is_finite = np.isfinite(si_values)
+    numbers = (si_values[is_finite] / unit).tolist()
     texts = list(map(repr, numbers))
     if digits is not None:
         short = [f"{number:.{digits}f}" for number in numbers]
-        exact = np.array(list(map(float, short))) * unit == values[is_finite]
+        exact = np.array(list(map(float, short))) * unit == si_values[is_finite]
         texts = [
             short_text if is_exact else full_text
             for short_text, full_text, is_exact in zip(short, texts, exact.tolist(), strict=True)

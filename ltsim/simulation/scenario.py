@@ -143,19 +143,23 @@ def validate_scenario(tables: Mapping[str, Any], file: Path) -> Scenario:
     return _resolve_paths(_with_exclusions(scenario, file), file)
 
 
-def change_scenario(scenario: Scenario, changes: Mapping[str, Any], file: Path, error_location: str = "") -> Scenario:
+def change_scenario(
+    scenario: Scenario, values_by_key: Mapping[str, Any], file: Path, error_location: str = ""
+) -> Scenario:
     """Scenario with new values at dotted keys, after validation; errors name `file` and `error_location`.
 
     A new `preset` of a tracker also sets its noise, its prior and its limits. SetupError is raised for an invalid key
     or value.
     """
-    # Checked twice: as tables with the changes, and as what a file of it would say.
+    # Checked twice: as tables with the values_by_key, and as what a file of it would say.
     table = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
     of_presets = sorted({section for sections in PRESETS.values() for section in sections})
-    brought = [f"{key.removesuffix('preset')}{s}" for key in changes if key.endswith(".preset") for s in of_presets]
-    of_sheets = [key for key, value in changes.items() if key.endswith(".preset") and value in data_sheet_names()]
+    brought = [
+        f"{key.removesuffix('preset')}{s}" for key in values_by_key if key.endswith(".preset") for s in of_presets
+    ]
+    of_sheets = [key for key, value in values_by_key.items() if key.endswith(".preset") and value in data_sheet_names()]
     brought += [key.removesuffix("preset") + "limits" for key in of_sheets]
-    for key, value in [*((key, REMOVAL_VALUE) for key in brought), *changes.items()]:
+    for key, value in [*((key, REMOVAL_VALUE) for key in brought), *values_by_key.items()]:
         _set_key(table, key, _file_value(value, effects=key == "effects"), error_location or str(file))
     return validate_scenario(table, file)
 
@@ -249,8 +253,10 @@ def _with_exclusions(scenario: Scenario, file: Path) -> Scenario:
     )
 
 
-def _check_effects(entries: Sequence[EffectEntry], stations: set[str], targets: set[str]) -> Iterator[EffectEntry]:
-    for entry in entries:
+def _check_effects(
+    effect_entries: Sequence[EffectEntry], stations: set[str], targets: set[str]
+) -> Iterator[EffectEntry]:
+    for entry in effect_entries:
         here = {
             "stations": tuple(name for name in entry.stations if name in stations),
             "targets": tuple(name for name in entry.targets if name in targets),

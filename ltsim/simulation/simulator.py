@@ -310,12 +310,14 @@ def _declared_reference_lengths(scenario: Scenario) -> Iterator[tuple[GaugeDista
         yield GaugeDistance.model_validate(ends | use | blank), length.sigma_um
 
 
-def with_certificates(recording: Recording, length: Floats, sigma: Sequence[float] | None = None) -> Recording:
+def with_certificates(
+    recording: Recording, reference_lengths: Floats, sigma: Sequence[float] | None = None
+) -> Recording:
     """Recording with other reference lengths [m] at calibration, and other standard deviations [m] if given."""
     if recording.setup.gauge is None:
         return recording
     lines = []
-    for i, (line, value) in enumerate(zip(recording.gauge.distance, length.tolist(), strict=True)):
+    for i, (line, value) in enumerate(zip(recording.gauge.distance, reference_lengths.tolist(), strict=True)):
         certificate = {"length_mm": round(value / MILLIMETRE, 12)}
         if sigma is not None:
             certificate["sigma_mm"] = max(round(sigma[i] / MILLIMETRE, 6), 1e-6)

@@ -70,7 +70,7 @@ def make_gauge_frame(gauge: ScenarioGauge) -> GaugeFrame:
     return frame
 
 
-def _declared_lengths(gauge: ScenarioGauge, pairs: list[tuple[int, int]]) -> list[float]:
+def _declared_lengths(gauge: ScenarioGauge, target_pairs: list[tuple[int, int]]) -> list[float]:
     """Declared length [mm] of each pair of targets; raises SetupError for missing or repeated lengths."""
     names = gauge.targets
     if not gauge.distance:
@@ -85,10 +85,12 @@ def _declared_lengths(gauge: ScenarioGauge, pairs: list[tuple[int, int]]) -> lis
             problem = "has two entries" if key in certificates else "is not a pair of different gauge.targets"
             raise SetupError(f"gauge.distance.{i + 1}: {line.from_}-{line.to} {problem}")
         certificates[key] = line.length_mm
-    for a, b in pairs:
+    for a, b in target_pairs:
         if frozenset((names[a], names[b])) not in certificates:
-            raise SetupError(f"gauge.distance: the length {names[a]}-{names[b]} is missing, expected all {len(pairs)}")
-    return [certificates[frozenset((names[a], names[b]))] for a, b in pairs]
+            raise SetupError(
+                f"gauge.distance: the length {names[a]}-{names[b]} is missing, expected all {len(target_pairs)}"
+            )
+    return [certificates[frozenset((names[a], names[b]))] for a, b in target_pairs]
 
 
 def points_from_distances(n_points: int, first_points: Ints, second_points: Ints, lengths: Floats) -> Floats:

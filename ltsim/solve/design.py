@@ -82,9 +82,12 @@ def column_scale(design: DesignMatrix) -> Floats:
     return 1.0 / np.sqrt(np.where(squares > 0, squares, 1.0))
 
 
-def scale_columns(rows: sp.csr_array, column_factors: Floats) -> sp.csr_array:
+def scale_columns(matrix_rows: sp.csr_array, column_factors: Floats) -> sp.csr_array:
     """Rows (m, u) with each column multiplied by its factor (u,)."""
-    return sp.csr_array((rows.data * column_factors[rows.indices], rows.indices, rows.indptr), rows.shape)
+    return sp.csr_array(
+        (matrix_rows.data * column_factors[matrix_rows.indices], matrix_rows.indices, matrix_rows.indptr),
+        matrix_rows.shape,
+    )
 
 
 def iterate_row_pieces(design: sp.csr_array, column_factors: Floats) -> Iterator[sp.csr_array]:
@@ -163,6 +166,6 @@ MEDIAN_ABSOLUTE_NORMAL = 0.6744897501960817
 """Median of |x| for a standard normal variable x."""
 
 
-def robust_sigma(values: Floats) -> float:
+def robust_sigma(residuals: Floats) -> float:
     """Standard deviation estimated from the median of absolute values; 0 for an empty array."""
-    return median(np.abs(values)) / MEDIAN_ABSOLUTE_NORMAL if len(values) else 0.0
+    return median(np.abs(residuals)) / MEDIAN_ABSOLUTE_NORMAL if len(residuals) else 0.0

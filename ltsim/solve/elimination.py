@@ -80,13 +80,13 @@ class DenseElimination:
         whitened = scipy.linalg.solve_triangular(self._cholesky_factor, rows, lower=True, check_finite=False)
         return self.inverse_of_sets(at), np.einsum("um,um->m", whitened, whitened)
 
-    def covariances_of_functions(self, rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
+    def covariances_of_functions(self, function_rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
         """Matrices R N^-1 R', with R a group of neighbouring rows and N the normal matrix.
 
         Group i has the rows from boundary i to boundary i + 1.
         """
         for low, high in pairwise(group_boundaries.tolist()):
-            group = rows[low:high].toarray() * self.column_scales
+            group = function_rows[low:high].toarray() * self.column_scales
             yield group @ self.solve(group.T)
 
 
@@ -176,11 +176,11 @@ class SparseElimination:
                 blocks[g] += carry @ inverse @ carry.T
         return blocks, leverage
 
-    def covariances_of_functions(self, rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
+    def covariances_of_functions(self, function_rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
         """Matrices R N^-1 R' for groups R of neighbouring rows, as `DenseElimination.covariances_of_functions`."""
-        rows = scale_columns(rows, self.column_scales)
-        back = sp.csr_array(rows[:, self._n_reduced :])
-        reduced = sp.csr_array(rows[:, : self._n_reduced] - back @ self._elimination_coefficients.T)
+        function_rows = scale_columns(function_rows, self.column_scales)
+        back = sp.csr_array(function_rows[:, self._n_reduced :])
+        reduced = sp.csr_array(function_rows[:, : self._n_reduced] - back @ self._elimination_coefficients.T)
         reduced_rows = sp.csr_array(back @ _block_diagonal(self._block_inverses))
         if not len(group_boundaries) > 1:
             return
@@ -369,12 +369,12 @@ class BlockFactor:
         """Smallest pivot of the normal matrix scaled to unit diagonal."""
         return self._elimination.smallest_pivot
 
-    def covariances_of_functions(self, rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
+    def covariances_of_functions(self, function_rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
         """Covariances R N^-1 R' of groups R of linear functions, rows (q, K + 3 E) of their coefficients.
 
         Group i has the rows from boundary i to boundary i + 1.
         """
-        return self._elimination.covariances_of_functions(rows, group_boundaries)
+        return self._elimination.covariances_of_functions(function_rows, group_boundaries)
 
     @single_threaded
     def leverage(self) -> Floats:

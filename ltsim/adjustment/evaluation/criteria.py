@@ -301,7 +301,7 @@ def verify_against_nominal(
     recording: Recording,
     nominal_points: dict[str, Floats],
     construction: GeometricErrorModel | None = None,
-    values: Floats | None = None,
+    parameter_values: Floats | None = None,
     *,
     reading_changes: Floats | None = None,
 ) -> CriteriaEntry:
@@ -326,11 +326,13 @@ def verify_against_nominal(
             raise NetworkError(f"a station cannot be fitted to the nominal points: {problem}") from None
 
     distance, coordinate = disagreements_at(measured_points(recording))
-    if construction is None or values is None:
+    if construction is None or parameter_values is None:
         return CriteriaEntry(
             distance=CriterionEntry.from_differences(distance), coordinate=CriterionEntry.from_differences(coordinate)
         )
-    after = disagreements_at(measured_points(_subtract_change(recording, reading_changes), construction, values))
+    after = disagreements_at(
+        measured_points(_subtract_change(recording, reading_changes), construction, parameter_values)
+    )
     return CriteriaEntry(
         distance=CriterionEntry.from_differences(distance, after[0]),
         coordinate=CriterionEntry.from_differences(coordinate, after[1]),

@@ -333,13 +333,13 @@ class TwoFacePairs:
         """Median (3,) [m, rad, rad] of the absolute half differences, insensitive to a few gross errors."""
         return np.median(np.abs(self.half_differences), axis=0)
 
-    def select(self, pairs: Bools) -> Self:
+    def select(self, is_selected: Bools) -> Self:
         """Selection of the pairs by flags (m,)."""
         return replace(
             self,
-            rows=self.rows[pairs],
-            front_face_readings=self.front_face_readings[pairs],
-            half_differences=self.half_differences[pairs],
+            rows=self.rows[is_selected],
+            front_face_readings=self.front_face_readings[is_selected],
+            half_differences=self.half_differences[is_selected],
         )
 
 

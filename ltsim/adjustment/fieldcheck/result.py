@@ -193,10 +193,10 @@ class Check(ResultFile):
         return TWO_FACE_TABLE.with_rows(rows)
 
 
-def _go_or_no_go_sentence(items: Sequence[CheckItem], causes: Sequence[CheckItem], n_setups: int) -> str:
+def _go_or_no_go_sentence(check_items: Sequence[CheckItem], cause_items: Sequence[CheckItem], n_setups: int) -> str:
     """Sentence with go or no-go and its reason: first the causes that produce other failures, then noisy targets."""
-    failed_items = [item for item in items if not item.passed]
-    n_failed_causes = sum(not item.passed for item in causes)
+    failed_items = [item for item in check_items if not item.passed]
+    n_failed_causes = sum(not item.passed for item in cause_items)
     rest = sorted(
         failed_items[n_failed_causes:],
         key=lambda i: not (i.kind in FIRST_REPORTED_KINDS or (i.kind == "closure" and i.targets)),

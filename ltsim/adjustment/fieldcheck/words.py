@@ -103,11 +103,11 @@ def gross_sentence(occupation: StationOccupation, outliers: Sequence[int], row_n
 
 
 def bump_sentence(
-    recording: Recording, time_interval: tuple[float, float], rows: tuple[int, int], fit: ColumnsFit
+    recording: Recording, time_interval: tuple[float, float], row_numbers: tuple[int, int], fit: ColumnsFit
 ) -> str:
     """Sentence on a sudden motion of a station, with its time interval [s], the rows around it, and its size."""
     when = f"between {time_text(recording, time_interval[0])} and {time_text(recording, time_interval[1])}"
-    return f"{recording.stations[0]} moved {when} (rows {rows[0]} and {rows[1]}){_motion_text(fit)}"
+    return f"{recording.stations[0]} moved {when} (rows {row_numbers[0]} and {row_numbers[1]}){_motion_text(fit)}"
 
 
 def drift_sentence(recording: Recording, fit: ColumnsFit, passed: bool) -> str:

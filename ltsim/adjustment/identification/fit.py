@@ -247,10 +247,10 @@ class NetworkFit:
         masks = [h.model_change.reading_mask for h in self.hypotheses if isinstance(h.model_change, NoiseFactor)]
         return declared * estimate_noise_factors(squares, np.where(is_used, np.nan_to_num(self.redundancy), 0.0), masks)
 
-    def without_distances(self, rows: Ints) -> NetworkFit | None:
+    def without_distances(self, pointing_indices: Ints) -> NetworkFit | None:
         """New fit without the distances of some rows; None if the network needs these distances."""
         readings = self.network.recording.readings.copy()
-        readings[rows, 0] = np.nan
+        readings[pointing_indices, 0] = np.nan
         network = replace(self.network, recording=self.network.recording.with_readings(readings))
         try:
             return NetworkFit.from_start(network, self.hypotheses)

@@ -353,10 +353,10 @@ def noise_hypotheses(fit: NetworkFit) -> Iterator[tuple[Hypothesis, Bools]]:
     places = len(columns) + len(recording.targets) + is_multiple * len(recording.stations)
 
     def noise(
-        acts_on: str, stations: tuple[str, ...], targets: tuple[str, ...], n_rivals: int, rows: Bools
+        acts_on: str, stations: tuple[str, ...], targets: tuple[str, ...], n_rivals: int, is_scaled: Bools
     ) -> Hypothesis:
         prior = log_prior_of("noise-level", n_rivals)
-        return Hypothesis("noise-level", acts_on, stations, targets, prior, NoiseFactor(rows))
+        return Hypothesis("noise-level", acts_on, stations, targets, prior, NoiseFactor(is_scaled))
 
     yield noise("noise", (), (), 1, full_mask), full_mask
     for acts_on, is_column in columns.items():

@@ -125,10 +125,10 @@ def _reading_changes(unit_columns: Floats, parameters: Floats) -> Floats:
     return np.asarray((unit_columns @ parameters[:, :, None])[:, :, 0])
 
 
-def _row_medians(values: Floats, mask: Bools) -> Floats:
+def _row_medians(row_values: Floats, mask: Bools) -> Floats:
     """Medians (h,) over the second axis of values (h, m) that `mask` (h, m) selects, at least one in each row."""
-    ordered, count = np.sort(np.where(mask, values, np.inf), axis=1), mask.sum(axis=1)
-    rows = np.arange(len(values))
+    ordered, count = np.sort(np.where(mask, row_values, np.inf), axis=1), mask.sum(axis=1)
+    rows = np.arange(len(row_values))
     return np.asarray(0.5 * (ordered[rows, (count - 1) // 2] + ordered[rows, count // 2]))
 
 

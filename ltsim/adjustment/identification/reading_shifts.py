@@ -76,16 +76,16 @@ class ReadingShift(LinearEffect):
         size = size * sightings.face_sign if self.observable == "elevation" else size
         return design_from_front_face_corrections(sightings, **{self.observable: -size[:, None]})
 
-    def linearise(self, sightings: Sightings, values: Floats) -> Linearisation:
+    def linearise(self, sightings: Sightings, parameter_values: Floats) -> Linearisation:
         """Change of the readings and its derivatives at a value of the parameter.
 
         A scale error is proportional to the range, so that its change also depends on poses and targets.
         """
         design = self.design(sightings)
         if not self.is_proportional:
-            return Linearisation(design @ values, design)
-        scaled = np.where(design != 0.0, values[0] * sightings.target_derivatives, 0.0)
-        return Linearisation(design @ values, design, (scaled, pose_design(scaled, sightings.sight_vectors)))
+            return Linearisation(design @ parameter_values, design)
+        scaled = np.where(design != 0.0, parameter_values[0] * sightings.target_derivatives, 0.0)
+        return Linearisation(design @ parameter_values, design, (scaled, pose_design(scaled, sightings.sight_vectors)))
 
 
 def displacement_per_reading(sightings: Sightings) -> Floats:

@@ -262,12 +262,15 @@ def _moved_targets(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> Ite
         yield i, saved + float(log_occam_factor_of_shift(10.0, 3)) + candidates[i].log_prior, points[1] - points[0]
 
 
-def _target_position(fit: NetworkFit, rows: Ints) -> Floats | None:
+def _target_position(fit: NetworkFit, pointing_indices: Ints) -> Floats | None:
     """Position (3,) [m] of a target from some pointings to it, with the stations unchanged; None if not unique."""
-    rows = rows[fit.problem_with_all_readings.used_readings[rows].any(axis=1)]
-    sight, station = FitReadings.from_recording(fit.recording).select_rows(rows), fit.recording.station[rows]
+    pointing_indices = pointing_indices[fit.problem_with_all_readings.used_readings[pointing_indices].any(axis=1)]
+    sight, station = (
+        FitReadings.from_recording(fit.recording).select_rows(pointing_indices),
+        fit.recording.station[pointing_indices],
+    )
     usable = replace(
-        sight, readings=np.where(fit.problem_with_all_readings.used_readings[rows], sight.readings, np.nan)
+        sight, readings=np.where(fit.problem_with_all_readings.used_readings[pointing_indices], sight.readings, np.nan)
     )
     return fit_point(usable, fit.state.station_positions[station], fit.state.station_rotations[station])
 
@@ -310,10 +313,10 @@ def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandid
     return offers
 
 
-def _outlier_log_evidence(fit: NetworkFit, rows: Ints) -> float:
+def _outlier_log_evidence(fit: NetworkFit, pointing_indices: Ints) -> float:
     """Log evidence that is gained if the outliers among some rows are explained: their Occam factors and priors."""
-    out = fit.is_outlier[rows]
-    w = np.abs(fit.whitened_residuals[rows][out])
+    out = fit.is_outlier[pointing_indices]
+    w = np.abs(fit.whitened_residuals[pointing_indices][out])
     return -float(np.sum(log_occam_factor_of_shift(w, 1))) - len(w) * log_prior_of(
         "outlier", int(fit.problem_with_all_readings.used_readings.sum())
     )

@@ -156,7 +156,7 @@ def reported_kind(fit: NetworkFit, hypothesis: Hypothesis) -> CauseKind:
     return hypothesis.kind
 
 
-def _estimated_size(hypothesis: Hypothesis, values: Floats, covariance: Floats) -> dict[str, Any]:
+def _estimated_size(hypothesis: Hypothesis, shift_components: Floats, covariance: Floats) -> dict[str, Any]:
     """Dictionary with the keys `estimate`, `sigma` and `unit` of a shift; the size of a vector is its length."""
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     unit, factor = ("mm", MILLIMETRE)
@@ -165,7 +165,7 @@ def _estimated_size(hypothesis: Hypothesis, values: Floats, covariance: Floats) 
         unit, factor = ("arcsec", ARCSECOND) if hypothesis.acts_on in ("azimuth", "elevation") else (unit, factor)
     if hypothesis.kind == "reference-scale":
         unit, factor = "ppm", PPM
-    part, spread = values[:3], covariance[:3, :3]
+    part, spread = shift_components[:3], covariance[:3, :3]
     size = float(part[0]) if len(part) == 1 else float(np.linalg.norm(part))
     sigma = float(np.sqrt(max(float(part @ spread @ part), 0.0))) / max(abs(size), 1e-300)
     return {"estimate": size / factor, "sigma": sigma / factor, "unit": unit}

@@ -116,14 +116,16 @@ class RivalExplanations:
     pointings never decrease these chi-squares."""
 
     @classmethod
-    def from_explanations(cls, space: ResidualSpace, first: Explanation, second: Explanation) -> RivalExplanations:
+    def from_explanations(
+        cls, space: ResidualSpace, first_explanation: Explanation, second_explanation: Explanation
+    ) -> RivalExplanations:
         """Pair of two possible causes, compared in the residuals of a recording."""
         return cls(
-            first,
-            second,
+            first_explanation,
+            second_explanation,
             (
-                _instances_with_unexplained_part(space, first, second.effect),
-                _instances_with_unexplained_part(space, second, first.effect),
+                _instances_with_unexplained_part(space, first_explanation, second_explanation.effect),
+                _instances_with_unexplained_part(space, second_explanation, first_explanation.effect),
             ),
         )
 

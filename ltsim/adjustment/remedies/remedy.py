@@ -318,13 +318,18 @@ def procedure_remedies(network: PlannedNetwork) -> Iterator[Remedy]:
             yield Remedy("survey", advice_sentence(key, count=MIN_RIGID_POINTS), work + len(made) * step, grown)
 
 
-def _additional_pointings(recording: Recording, rows: Ints, procedure: str) -> list[tuple[int, int]]:
+def _additional_pointings(recording: Recording, pointing_indices: Ints, procedure: str) -> list[tuple[int, int]]:
     """Target and face of the additional pointings from one set-up under another procedure."""
-    existing = list(zip(recording.target[rows].tolist(), recording.face[rows].tolist(), strict=True))
+    existing = list(
+        zip(recording.target[pointing_indices].tolist(), recording.face[pointing_indices].tolist(), strict=True)
+    )
     if procedure == "other face":
         return sorted({(t, 3 - f) for t, f in existing} - set(existing))
     if procedure == "close":
-        return [(t, existing[0][1]) for t in _targets_in_order(recording.target[rows])[:MIN_RIGID_POINTS].tolist()]
+        return [
+            (t, existing[0][1])
+            for t in _targets_in_order(recording.target[pointing_indices])[:MIN_RIGID_POINTS].tolist()
+        ]
     return existing[::-1]
 
 

@@ -150,20 +150,20 @@ class LinearEffect(Protocol):
         """Names of the targets at which the effect acts; empty for all targets."""
         return ()
 
-    def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
+    def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:
         """Change (n, 3) of the raw readings for parameter values (p,) [SI]."""
-        return self.design(sightings) @ values
+        return self.design(sightings) @ parameter_values
 
-    def linearise(self, sightings: Sightings, values: Floats) -> Linearisation:
+    def linearise(self, sightings: Sightings, parameter_values: Floats) -> Linearisation:
         """Change of the readings at parameter values (p,) [SI], with its derivatives."""
-        return Linearisation(self.reading_change(sightings, values), self.design(sightings))
+        return Linearisation(self.reading_change(sightings, parameter_values), self.design(sightings))
 
-    def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
-        """Change (g, p) of the reference lengths between targets `first` and `second` (g,) per unit of each parameter.
+    def gauge_design(self, first_targets: Ints, second_targets: Ints, points: Floats) -> Floats:
+        """Change (g, p) of g reference lengths, given by the indices of their two targets, per unit of each parameter.
 
         It is zero except for effects that change the gauge.
         """
-        return np.zeros((len(first), len(self.parameters)))
+        return np.zeros((len(first_targets), len(self.parameters)))
 
     @property
     def place_text(self) -> str:
@@ -237,7 +237,7 @@ class CandidateNoiseEffect(CandidateEffect, Protocol):
     """Smallest permitted value of a parameter divided by its prior standard deviation. At 0 noise can only increase."""
 
     @abstractmethod
-    def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
+    def variance(self, sightings: Sightings, sigma: Floats, parameter_values: Floats) -> Floats:
         """Variance (n, 3) of the readings with declared standard deviations `sigma` (n, 3).
 
         It must be sigma^2 at zero values; each reading depends on at most one of the values.

@@ -108,7 +108,7 @@ def _apparent_directions(sightings: Sightings, field: TemperatureField) -> Float
 
 
 def _trace_rays(
-    origins: Floats, direction: Floats, length: Floats, field: TemperatureField, steps: int
+    origins: Floats, direction: Floats, ray_lengths: Floats, field: TemperatureField, steps: int
 ) -> tuple[Floats, Floats, Floats]:
     """End points (n, 3) [m] and end directions (n, 3) of rays, and integrals (n,) [m] of the refractivity along them.
 
@@ -126,7 +126,7 @@ def _trace_rays(
         return turn, above
 
     place, heading, optical = origins.copy(), direction.copy(), np.zeros(len(origins))
-    h = length / steps
+    h = ray_lengths / steps
     hv = h[:, None]
     for _ in range(steps):
         t1, n1 = rates(place, heading)
@@ -155,12 +155,12 @@ class WarmAirEffect(Effect):
         """Change (n, 3, 1) of the raw readings per kelvin, to first order."""
         return first_order_change(sightings, self.field(sightings), self.row_weights(sightings) > 0)[:, :, None]
 
-    def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
+    def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:
         """Change (n, 3) of the raw readings by integration of the ray equation."""
         kelvin = self.field(sightings)
 
         def field(points: Floats) -> tuple[Floats, Floats]:
             warmer, gradient = kelvin(points)
-            return values[0] * warmer, values[0] * gradient
+            return parameter_values[0] * warmer, parameter_values[0] * gradient
 
         return integrated_change(sightings, field) * self.row_weights(sightings)[:, None]

@@ -116,10 +116,10 @@ class VarianceFunction(CandidateNoiseEffect):
             return f"larger noise in {several} of {self.covariates[0]}"
         return f"noise that {'falls' if self.decreases else 'grows'} with {self.covariates[0]}"
 
-    def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
-        """Variance (n, 3) of the readings, from the declared standard deviations `sigma` (n, 3) and added `values`."""
+    def variance(self, sightings: Sightings, sigma: Floats, parameter_values: Floats) -> Floats:
+        """Variance (n, 3) of the readings, from declared standard deviations `sigma` (n, 3) and added variances."""
         if self.group_kind:
-            added = values.reshape(len(self.group_names), -1)[noise_groups(sightings, self.group_kind)[1]]
+            added = parameter_values.reshape(len(self.group_names), -1)[noise_groups(sightings, self.group_kind)[1]]
             acts = [o in self.observables for o in OBSERVABLES]
             factor = np.ones(sigma.shape)
             factor[:, acts] += added
@@ -135,7 +135,7 @@ class VarianceFunction(CandidateNoiseEffect):
             x = noise_covariate(sightings, name)
             x = (x - x.min()) / max(float(np.ptp(x)), 1e-12)
             pattern = pattern * ((1 - x) if self.decreases else x) ** 2
-        return self._variance_plus_fraction(sigma, values[0] * pattern)
+        return self._variance_plus_fraction(sigma, parameter_values[0] * pattern)
 
     def is_in_band(self, sightings: Sightings) -> Bools:
         """Flags (n,) of the pointings whose covariate is within the band."""

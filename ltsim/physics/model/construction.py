@@ -103,26 +103,28 @@ class GeometricErrorModel:
         """Terms whose basis is not constant, with their indices."""
         return [(k, term) for k, term in enumerate(self.terms) if term.basis is not constant_basis]
 
-    def slot_errors(self, readings: Floats, values: Floats) -> dict[str, Floats]:
+    def slot_errors(self, readings: Floats, parameter_values: Floats) -> dict[str, Floats]:
         """Error of each slot [m or rad], (n,) or one number, for parameters (p,), or (n, p) by pointing [SI]."""
         amounts: dict[str, Floats] = {}
-        for term, value in zip(self.terms, values.T, strict=True):
+        for term, value in zip(self.terms, parameter_values.T, strict=True):
             amount = value if term.basis is constant_basis else term.basis(readings) * value
             amounts[term.slot] = amounts[term.slot] + amount if term.slot in amounts else amount
         return amounts
 
-    def _slot_amounts(self, bases: Floats, values: Floats) -> dict[str, Floats]:
+    def _slot_amounts(self, bases: Floats, parameter_values: Floats) -> dict[str, Floats]:
         """Error (n,) of each slot from the values (n, p) of the basis functions and the parameters."""
         amounts: dict[str, Floats] = {}
-        for term, amount in zip(self.terms, (bases * values).T, strict=True):
+        for term, amount in zip(self.terms, (bases * parameter_values).T, strict=True):
             amounts[term.slot] = amounts[term.slot] + amount if term.slot in amounts else amount
         return amounts
 
-    def point(self, readings: Floats, values: Floats) -> Floats:
+    def point(self, readings: Floats, parameter_values: Floats) -> Floats:
         """Point (n, 3) [m] in the instrument frame of raw readings (n, 3); exact."""
-        return kinematics.point_of_readings(self.kinematic_chain, readings, self.slot_errors(readings, values))
+        return kinematics.point_of_readings(
+            self.kinematic_chain, readings, self.slot_errors(readings, parameter_values)
+        )
 
-    def linearise(self, readings: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
+    def linearise(self, readings: Floats, parameter_values: Floats) -> tuple[Floats, Floats, Floats]:
         """Point (n, 3) [m], and its derivatives by the raw readings (n, 3, 3) and by the parameters (n, 3, p).
 
         The derivative by the readings neglects that the basis functions depend on them, with a relative error of 1e-5.
@@ -130,20 +132,22 @@ class GeometricErrorModel:
         """
         (chain, slots_of_readings), bases = self._chain_with_reading_slots, self.basis_values(readings)
         slots = {term.slot for term in self.terms} | set(slots_of_readings)
-        p, by_slot = kinematics.point_and_derivatives(chain, readings, self._slot_amounts(bases, values), slots)
+        p, by_slot = kinematics.point_and_derivatives(
+            chain, readings, self._slot_amounts(bases, parameter_values), slots
+        )
         by_reading = np.stack([by_slot[slot] for slot in slots_of_readings], axis=2)
         if not self.terms:
             return p, by_reading, np.zeros((len(readings), 3, 0))
         by_value = np.stack([by_slot[term.slot] for term in self.terms], axis=2)
         return p, by_reading, by_value * bases[:, None, :]
 
-    def readings(self, points: Floats, face: Ints, values: Floats) -> Floats:
+    def readings(self, points: Floats, face: Ints, parameter_values: Floats) -> Floats:
         """Raw readings (n, 3) of points (n, 3) [m] in the instrument frame; exact."""
-        raw = self._invert_chain(points, face, values, NEWTON_TOLERANCE)
+        raw = self._invert_chain(points, face, parameter_values, NEWTON_TOLERANCE)
         raw[:, 1] = wrap_angle(raw[:, 1])
         return raw
 
-    def _invert_chain(self, points: Floats, face: Ints, values: Floats, tolerance: float) -> Floats:
+    def _invert_chain(self, points: Floats, face: Ints, parameter_values: Floats, tolerance: float) -> Floats:
         """Raw readings (n, 3) of points (n, 3) [m], with errors below `tolerance` [m, rad]; azimuths may exceed pi.
 
         Each Newton step, with the derivative of an ideal tracker, reduces the error by a factor of about 1e-5. Steps
@@ -151,11 +155,11 @@ class GeometricErrorModel:
         """
         polar = to_polar(points)
         raw = to_face(polar, face)
-        if not np.any(values):
+        if not np.any(parameter_values):
             return raw
         by_point, before = polar_jacobian(polar, face), np.inf
         for _ in range(MAX_NEWTON_STEPS):
-            step = np.einsum("nij,nj->ni", by_point, points - self.point(raw, values))
+            step = np.einsum("nij,nj->ni", by_point, points - self.point(raw, parameter_values))
             raw = raw + step
             size = float(np.max(np.abs(step), initial=0.0))
             if not (size > tolerance and (before == np.inf or size * size > tolerance * before)):
@@ -163,18 +167,20 @@ class GeometricErrorModel:
             before = size
         return raw
 
-    def readings_and_design(self, points: Floats, face: Ints, values: Floats) -> tuple[Floats, Floats, Floats]:
+    def readings_and_design(
+        self, points: Floats, face: Ints, parameter_values: Floats
+    ) -> tuple[Floats, Floats, Floats]:
         """Raw readings (n, 3) of points (n, 3) [m], with derivatives by point (n, 3, 3) and parameters (n, 3, p)."""
-        raw = self._invert_chain(points, face, values, LAST_STEP_RESIDUAL)
-        reached, by_reading, by_value = self.linearise(raw, values)
+        raw = self._invert_chain(points, face, parameter_values, LAST_STEP_RESIDUAL)
+        reached, by_reading, by_value = self.linearise(raw, parameter_values)
         by_point: Floats = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
         raw = raw + np.einsum("nij,nj->ni", by_point, points - reached)
         raw[:, 1] = wrap_angle(raw[:, 1])
         return raw, by_point, -by_point @ by_value
 
-    def reading_design(self, readings: Floats, values: Floats) -> tuple[Floats, Floats]:
+    def reading_design(self, readings: Floats, parameter_values: Floats) -> tuple[Floats, Floats]:
         """Derivatives of raw readings by the point in the instrument frame (n, 3, 3), and by parameters (n, 3, p)."""
-        _, by_reading, by_value = self.linearise(readings, values)
+        _, by_reading, by_value = self.linearise(readings, parameter_values)
         by_point = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
         return by_point, -by_point @ by_value
 

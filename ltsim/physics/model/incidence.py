@@ -54,9 +54,9 @@ class IncidenceErrors(LinearEffect):
             Parameter("incidence-error", "", "error of a reflector against incidence", 1.0),
         ) * self.covariance_root.shape[1]
 
-    def smr_incidence_parameters(self, values: Floats) -> Floats:
+    def smr_incidence_parameters(self, independent_errors: Floats) -> Floats:
         """Parameters (p, ...) [SI] of the effect `smr-incidence` for independent errors (k, ...)."""
-        change: Floats = np.tensordot(self.covariance_root, values, 1)
+        change: Floats = np.tensordot(self.covariance_root, independent_errors, 1)
         return change + self.mean_parameters.reshape(-1, *[1] * (change.ndim - 1))
 
     def _range_error_design(self, sightings: Sightings) -> Floats:
@@ -72,10 +72,10 @@ class IncidenceErrors(LinearEffect):
             sightings, distance=self._range_error_design(sightings) @ self.covariance_root
         )
 
-    def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
+    def reading_change(self, sightings: Sightings, independent_errors: Floats) -> Floats:
         """Change (n, 3) of the raw readings by the mean and by independent errors (k,)."""
         return design_from_front_face_corrections(
-            sightings, distance=self._range_error_design(sightings) @ self.smr_incidence_parameters(values)
+            sightings, distance=self._range_error_design(sightings) @ self.smr_incidence_parameters(independent_errors)
         )
 
 

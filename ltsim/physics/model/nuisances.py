@@ -201,9 +201,9 @@ class Refraction(LinearEffect):
         azimuth = bend * across[:, 2] / np.cos(sightings.elevation)
         return design_from_front_face_corrections(sightings, azimuth=azimuth, elevation=bend * up[:, 2])[:, :, None]
 
-    def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
+    def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:
         """Change (n, 3) of the raw readings for a coefficient that differs from its mean by values (1,)."""
-        return self.design(sightings) @ (self.mean_coefficient + values)
+        return self.design(sightings) @ (self.mean_coefficient + parameter_values)
 
 
 def refraction_unknown(recording: Recording) -> tuple[Refraction, ...]:

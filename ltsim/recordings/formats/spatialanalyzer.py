@@ -204,14 +204,14 @@ def _check_heading(fields: Sequence[str], location: SourceLocation) -> None:
             raise location.error(message, required_title.capitalize())
 
 
-def _sheet_of_block(block: _Block, name: str, rows: list[SheetRow], file: Path) -> TableSheet:
+def _sheet_of_block(block: _Block, name: str, sheet_rows: list[SheetRow], file: Path) -> TableSheet:
     """Table of a set-up with only the columns that are read; the titles of offsets contain their unit."""
     titles = {}
     for place, title in enumerate(block.rows[0].fields):
         word, unit = title_words_and_unit(title)
         if word in RETAINED_COLUMNS:
             titles[place] = f"{word}_{unit}" if word.startswith("offset") else title
-    body = [SheetRow(row.line, tuple(row.cell(place) for place in titles)) for row in rows]
+    body = [SheetRow(row.line, tuple(row.cell(place) for place in titles)) for row in sheet_rows]
     return TableSheet(file, (SheetRow(block.rows[0].line, tuple(titles.values())), *body), name)
 
 

@@ -75,9 +75,9 @@ def sample_rows(sheet: TableSheet) -> list[SheetRow]:
     return [row for row, _ in takewhile(lambda pair: pair[1] < MAX_SAMPLE_CELLS, pairs)]
 
 
-def _likely_assignments(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+def _likely_assignments(titles: Sequence[str], first_rows: Sequence[Sequence[str]]) -> list[str]:
     """Values of ``--columns`` that the cells permit, most likely first: names, a face, then readings or coordinates."""
-    columns: list[tuple[str, ...]] = list(zip(*rows, strict=True))
+    columns: list[tuple[str, ...]] = list(zip(*first_rows, strict=True))
     time_columns = [
         i for i, column in enumerate(columns) if any(column) and all(cells.has_clock(t) for t in column if t)
     ]

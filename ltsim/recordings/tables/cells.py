@@ -105,13 +105,13 @@ _COMMA_AND_POINT_PATTERN = {
 }
 
 
-def thousands_separator(rows: Iterable[Sequence[str]], file: object) -> str:
+def thousands_separator(sheet_rows: Iterable[Sequence[str]], file: object) -> str:
     """Thousands separator of the cells of a sheet, point or comma; '' if there is none.
 
     ``7.000,5`` in one cell shows that ``7.000`` in another cell is 7000. Raises RecordError if the cells have both
     separators.
     """
-    mixed_cells = (cell for row in rows for cell in row if "," in cell and "." in cell)
+    mixed_cells = (cell for row in sheet_rows for cell in row if "," in cell and "." in cell)
     cell_by_separator = {
         mark: cell for cell in mixed_cells for mark, form in _COMMA_AND_POINT_PATTERN.items() if form.fullmatch(cell)
     }

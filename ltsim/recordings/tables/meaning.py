@@ -97,13 +97,13 @@ class ColumnInterpretation:
         ]
         return np.stack(polar, axis=1) * [MILLIMETRE, DEGREE, DEGREE]
 
-    def unit_of(self, role: str, values: Floats) -> str:
+    def unit_of(self, role: str, column_values: Floats) -> str:
         """Unit of a column of sigmas or heights (n,) that declares none: the unit of the readings.
 
         Heights are in millimetres, or metres, if only that unit makes them plausible.
         """
         if role in HEIGHT_ROLES and self.length_unit in ("m", "mm"):
-            sizes = np.abs(values[np.isfinite(values) & (values != 0)])
+            sizes = np.abs(column_values[np.isfinite(column_values) & (column_values != 0)])
             height = float(np.median(sizes)) if len(sizes) else 0.0
             for unit, low, high in PLAUSIBLE_HEIGHTS:
                 if unit != self.length_unit and low < height < high:

@@ -168,9 +168,9 @@ class _SheetReader:
         self.reading_positions = [c.position for c in columns if c.role in READING_ROLES]
         self.station_position = next((c.position for c in columns if c.role == "station"), None)
 
-    def _read_rows(self, rows: Sequence[SheetRow], *, reads_all: bool = False) -> PointingTable:
-        last_index = len(rows) - 1
-        for i, row in enumerate(rows):
+    def _read_rows(self, sheet_rows: Sequence[SheetRow], *, reads_all: bool = False) -> PointingTable:
+        last_index = len(sheet_rows) - 1
+        for i, row in enumerate(sheet_rows):
             measured = (reads_all and not row.is_comment) or self._is_measured(row)
             again = parse_header(row, self.hints, self.sheet.file) if not measured else None
             if again is not None:

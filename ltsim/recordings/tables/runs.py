@@ -180,8 +180,8 @@ def pad_cells(fields: Sequence[str], width: int) -> Sequence[str]:
     return (*fields[:width], *[""] * (width - len(fields)))
 
 
-def _joined_cells(first: Sequence[str] | None, second: Sequence[str] | None) -> list[str] | None:
+def _joined_cells(first_cells: Sequence[str] | None, second_cells: Sequence[str] | None) -> list[str] | None:
     """Cells of two columns, joined by a blank; those of one column if the other is None, and None if both are."""
-    if first is None or second is None:
-        return list(first or second or ()) or None
-    return [" ".join(filter(None, pair)) for pair in zip(first, second, strict=True)]
+    if first_cells is None or second_cells is None:
+        return list(first_cells or second_cells or ()) or None
+    return [" ".join(filter(None, pair)) for pair in zip(first_cells, second_cells, strict=True)]

@@ -369,9 +369,9 @@ def _cell_text(cell: object) -> str:
     return "" if cell is None else cell.isoformat() if isinstance(cell, _DATE_TYPES) else str(cell).strip()
 
 
-def _cell_texts(values: tuple[Any, ...]) -> list[str]:
+def _cell_texts(cell_values: tuple[Any, ...]) -> list[str]:
     """Texts of the cells of a row: ISO dates, numbers with their shortest digits, no empty cells at the end."""
-    texts = list(map(_cell_text, values))
+    texts = list(map(_cell_text, cell_values))
     while texts and not texts[-1]:
         texts.pop()
     return texts

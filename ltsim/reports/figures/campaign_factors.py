@@ -52,10 +52,10 @@ def levels_of_cells(results: CampaignResults, factor: Factor) -> list[Any]:
     return [level[factor.name] for level in results.levels]
 
 
-def _is_bijection(first: Sequence[Any], second: Sequence[Any]) -> bool:
+def _is_bijection(first_column: Sequence[Any], second_column: Sequence[Any]) -> bool:
     """True if the values of two columns correspond one to one."""
-    pairs = len(set(zip(first, second, strict=True)))
-    return pairs == len(set(first)) == len(set(second))
+    pairs = len(set(zip(first_column, second_column, strict=True)))
+    return pairs == len(set(first_column)) == len(set(second_column))
 
 
 def statistic_figures(

@@ -178,10 +178,10 @@ def _observable_label(observable: str) -> str:
     return f"{observable} [{style.unit_text(OBSERVABLE_UNITS[observable])}]"
 
 
-def _draw_residuals(ax: Axes, residuals: Residuals, rows: Bools, covariate: str, **style_options: Any) -> None:
+def _draw_residuals(ax: Axes, residuals: Residuals, is_drawn: Bools, covariate: str, **style_options: Any) -> None:
     """Draw residuals over a covariate with a line at zero; `style_options` is passed to matplotlib."""
-    is_rasterized = int(rows.sum()) > MAX_VECTOR_DOTS
-    x, y = residuals.covariates[covariate][rows], residuals.residual[rows]
+    is_rasterized = int(is_drawn.sum()) > MAX_VECTOR_DOTS
+    x, y = residuals.covariates[covariate][is_drawn], residuals.residual[is_drawn]
     ax.plot(x, y, ".", alpha=0.7, rasterized=is_rasterized, zorder=1.5, **style_options)
     ax.axhline(0.0, color=style.INK_COLOUR, linewidth=0.6)
     style.set_grid(ax, grid_axis="both")

@@ -169,8 +169,8 @@ def _extreme_cells_sentence(results: CampaignResults, summaries: Mapping[str, li
     return f" The error of the targets is smallest with {lowest_text} and largest with {highest_text}."
 
 
-def _list_text(items: Sequence[str]) -> str:
-    return " and ".join(filter(None, [", ".join(items[:-1]), *items[-1:]]))
+def _list_text(texts: Sequence[str]) -> str:
+    return " and ".join(filter(None, [", ".join(texts[:-1]), *texts[-1:]]))
 
 
 def _key_figures(

@@ -58,10 +58,10 @@ def coverage_blocks(results: CampaignResults, z_scores: Sequence[ZScoreSummary])
     )
 
 
-def coverage_sentence(rows: Sequence[ZScoreSummary]) -> str:
+def coverage_sentence(z_scores: Sequence[ZScoreSummary]) -> str:
     """Sentence on the parameters whose interval of coverage lies outside the allowed band."""
     low, high = (f"{100 * bound:.1f}" for bound in ALLOWED_COVERAGE)
-    outside = [row.parameter for row, out in zip(rows, is_outside_allowed_coverage(rows), strict=True) if out]
+    outside = [row.parameter for row, out in zip(z_scores, is_outside_allowed_coverage(z_scores), strict=True) if out]
     band = f"the allowed band of {low} to {high} %"
     if not outside:
         return f"No parameter is red: each interval overlaps {band}."

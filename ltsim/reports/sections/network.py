@@ -138,16 +138,20 @@ def scene_block(workshop: PlacedWorkshop) -> SceneBlock | NoteBlock:
     return SceneBlock("The workshop in 3D", webp_data_uri(picture), caption, page)
 
 
-def undetermined_table(title: str, entries: Sequence[UndeterminedEntry], *, note: str = "") -> list[TableBlock]:
+def undetermined_table(
+    title: str, undetermined_entries: Sequence[UndeterminedEntry], *, note: str = ""
+) -> list[TableBlock]:
     """Table of undetermined combinations of parameters, with the measurement that determines each."""
-    rows = [[entry.text, entry.cure, None if entry.gain is None else 100 * entry.gain] for entry in entries]
+    rows = [
+        [entry.text, entry.cure, None if entry.gain is None else 100 * entry.gain] for entry in undetermined_entries
+    ]
     return table_block(title, UNDETERMINED_TABLE.with_rows(rows), note=note)
 
 
-def determined_table(title: str, entries: Sequence[DeterminedEntry]) -> list[TableBlock]:
+def determined_table(title: str, determined_entries: Sequence[DeterminedEntry]) -> list[TableBlock]:
     """Table of combinations of parameters that are determined far better than the single parameters."""
     note = "The combination is determined far better than its single parameters."
-    return entries_table(title, entries, "text=combination", "instrument", "value+-sigma", "unit", note=note)
+    return entries_table(title, determined_entries, "text=combination", "instrument", "value+-sigma", "unit", note=note)
 
 
 def target_table(file: Path | None, *, note: str) -> list[TableBlock]:
