@@ -162,9 +162,9 @@ def evaluate_network(recording: Recording, instrument_specification: Specificati
     causes = [test for test in calibration.tests if test.is_fault and test.kind != "outlier"]
     corrected = tuple(c for c in causes if not may_be_tracker(c) and network.is_corrected(c))
     tracker = tuple(c for c in causes if may_be_tracker(c))
-    rest = tuple(c for c in causes if c not in corrected and c not in tracker)
+    other_causes = tuple(c for c in causes if c not in corrected and c not in tracker)
     factor = 1.0 if causes else calibration.uncertainty_factor
-    return NetworkTests(tuple(entries), corrected, tracker, rest, outliers, factor)
+    return NetworkTests(tuple(entries), corrected, tracker, other_causes, outliers, factor)
 
 
 def _calibrate_without_outliers(recording: Recording) -> tuple[Calibration, tuple[CauseTest, ...]]:
@@ -214,8 +214,8 @@ class TestedNetwork:
     @cached_property
     def _is_nuisance(self) -> Bools:
         """Flags (q,) of the additional parameters of nuisance errors, such as centring."""
-        count = self.adjustment.problem.model.n_effect_parameters
-        return np.arange(len(self._is_recording_error)) >= count
+        n_effect_parameters = self.adjustment.problem.model.n_effect_parameters
+        return np.arange(len(self._is_recording_error)) >= n_effect_parameters
 
     @cached_property
     def _extra_design(self) -> Floats:
@@ -276,20 +276,20 @@ class TestedNetwork:
         targets = [
             t for t in mean_points if names[t] not in adjustment.undetermined_targets and np.isfinite(points[t]).all()
         ]
-        pairs = np.array(list(combinations(range(len(targets)), 2)), dtype=np.int64).reshape(-1, 2)
-        if not len(pairs):
+        target_pairs = np.array(list(combinations(range(len(targets)), 2)), dtype=np.int64).reshape(-1, 2)
+        if not len(target_pairs):
             return []
         measured, reference = np.array([mean_points[t] for t in targets]), points[targets]
-        lengths, reference_lengths = (_pair_vectors(p, pairs) for p in (measured, reference))
+        lengths, reference_lengths = (_pair_vectors(p, target_pairs) for p in (measured, reference))
         error = np.linalg.norm(lengths, axis=1) - np.linalg.norm(reference_lengths, axis=1)
-        limit = limits.length_limits(*(measured[pairs[:, end]] for end in (0, 1)))
-        variance = self._length_variance(targets, row_indices, pairs, lengths, reference_lengths)
+        limit = limits.length_limits(*(measured[target_pairs[:, end]] for end in (0, 1)))
+        variance = self._length_variance(targets, row_indices, target_pairs, lengths, reference_lengths)
         return [
             make_test_entry(
                 f"{station}: {names[targets[a]]} to {names[targets[b]]}", f"lengths from {station}", *values
             )
             for (a, b), *values in zip(
-                pairs, error.tolist(), limit.tolist(), (2 * np.sqrt(variance)).tolist(), strict=True
+                target_pairs, error.tolist(), limit.tolist(), (2 * np.sqrt(variance)).tolist(), strict=True
             )
         ]
 

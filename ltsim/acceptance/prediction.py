@@ -86,8 +86,8 @@ class AcceptancePlan:
         squares = np.zeros((len(first), 2))
         near, far = (self._point_noise(points) for points in (first, second))
         way = second - first
-        length = np.linalg.norm(way, axis=1, keepdims=True)
-        direction = way / np.where(length > 0, length, 1.0)
+        line_lengths = np.linalg.norm(way, axis=1, keepdims=True)
+        direction = way / np.where(line_lengths > 0, line_lengths, 1.0)
         for axes, sigma in (near, far):
             squares[:, 0] += np.sum((np.einsum("kai,ki->ka", axes, direction) * sigma) ** 2, axis=1)
         squares[~self.is_length] = 2 * near[1][~self.is_length, 1:] ** 2
@@ -151,12 +151,12 @@ class AcceptancePlan:
         indices = np.argmax(per_unit, axis=0)
         max_errors = per_unit[indices, np.arange(len(indices))]
         prior_sigmas = np.array([p.prior_sigma for p in self.construction.parameters])
-        size = np.where(
+        failing_sizes = np.where(
             max_errors * prior_sigmas > MAX_ROUNDING_FRACTION,
             1.0 / np.maximum(max_errors, np.finfo(float).tiny),
             np.inf,
         )
-        return size, [self.tests[i] for i in indices]
+        return failing_sizes, [self.tests[i] for i in indices]
 
     def worst_passing(self, prior: Floats, points: Floats) -> tuple[Floats, float, float]:
         """Constants (p,) [SI] with the largest point errors that still meet every limit, and two sizes of the errors.
@@ -236,8 +236,8 @@ def predicted_result(
     `prior` (p,) [SI] are standard deviations of its constants, `instrument_description` is the subject of the sentence.
     """
     values, rms, largest = plan.worst_passing(prior, envelope_points())
-    size = np.hypot(prediction.expected_errors[:, 0], prediction.expected_errors[:, 1])
-    errors = np.where(plan.is_length, prediction.expected_errors[:, 0], size)
+    error_sizes = np.hypot(prediction.expected_errors[:, 0], prediction.expected_errors[:, 1])
+    errors = np.where(plan.is_length, prediction.expected_errors[:, 0], error_sizes)
     expanded_uncertainties = 2 * np.sqrt(np.sum(prediction.error_sigmas**2, axis=1))
     tests = tuple(
         TestEntry(name=t.name, group=t.group, limit_um=limit, error_um=e, expanded_um=u, passes=float(p))

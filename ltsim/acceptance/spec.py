@@ -148,12 +148,12 @@ def _test_from_row(row: dict[str, str], line_number: int, file: Path) -> Accepta
     kind = row["kind"]
     if kind not in ("length", "two-face"):
         raise SetupError(f"{file}: row {line_number}: kind is '{quoted_text(kind)}', expected length or two-face")
-    first = _point_from_row(row, "1", line_number, file)
-    second = _point_from_row(row, "2", line_number, file) if kind == "length" else first
-    if kind == "length" and first == second:
+    first_point = _point_from_row(row, "1", line_number, file)
+    second = _point_from_row(row, "2", line_number, file) if kind == "length" else first_point
+    if kind == "length" and first_point == second:
         raise SetupError(f"{file}: row {line_number}: both ends of the length are the same point")
     name = row["test"] or f"{kind} in line {line_number}"
-    return AcceptanceTest(name, row["group"] or kind, kind, first, second)  # type: ignore[arg-type]
+    return AcceptanceTest(name, row["group"] or kind, kind, first_point, second)  # type: ignore[arg-type]
 
 
 def _point_from_row(row: dict[str, str], end_name: str, line_number: int, file: Path) -> tuple[float, float, float]:

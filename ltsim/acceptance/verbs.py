@@ -192,8 +192,8 @@ def _judgement_sentence(test_entries: Sequence[TestEntry], n_unmeasured_tests: i
     order: tuple[Judgement, ...] = ("rejected", "undecided", "accepted")
     judgement = next(j for j in order if numbers[j])
     worst = _worst_entry(test_entries, judgement)
-    size = f"{worst.error_um:.1f} um" + (f" +- {worst.expanded_um:.1f} um" if worst.expanded_um else "")
-    phrase = f"{worst.name}: {size} where {worst.limit_um:.1f} um are permitted"
+    error_text = f"{worst.error_um:.1f} um" + (f" +- {worst.expanded_um:.1f} um" if worst.expanded_um else "")
+    phrase = f"{worst.name}: {error_text} where {worst.limit_um:.1f} um are permitted"
     if judgement == "rejected":
         exceed = "exceeds its limit" if numbers["rejected"] == 1 else "exceed their limits"
         sentence = f"{numbers['rejected']} of {total} errors {exceed}; the worst is {phrase}"

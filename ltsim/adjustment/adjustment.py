@@ -292,10 +292,10 @@ class Adjustment(Result):
         use = self.problem.used_readings
         if len(pointing_indices) > MAX_SUCCESSIVELY_TESTED_READINGS:
             return np.diag(self.redundancy[pointing_indices, columns])
-        at = (np.cumsum(use) - 1).reshape(use.shape)[pointing_indices, columns]
-        design = to_dense(self.solution.system.design[at])
+        residual_rows = (np.cumsum(use) - 1).reshape(use.shape)[pointing_indices, columns]
+        design = to_dense(self.solution.system.design[residual_rows])
         response = self.factorised_normals.covariance_columns(np.ascontiguousarray(design.T))
-        return np.asarray(np.eye(len(at)) - design @ response)
+        return np.asarray(np.eye(len(residual_rows)) - design @ response)
 
     def covariance_of(self, columns: Ints) -> Floats:
         """Covariances (c, k, k) of c sets of k unknowns each; `columns` (c, k) are their columns in the design matrix.

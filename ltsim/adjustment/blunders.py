@@ -110,11 +110,11 @@ def _swapped_targets(adjustment: Adjustment, is_gross: Bools) -> Iterator[Correc
     )
     nearest_targets = np.argmin(gaps, axis=1)
     lands = gaps[np.arange(len(indices)), nearest_targets] < MAX_TRACKER_ERROR
-    pairs: dict[tuple[int, int, int], list[int]] = {}
+    rows_by_pair: dict[tuple[int, int, int], list[int]] = {}
     for i in np.flatnonzero(lands & (nearest_targets != recording.target[indices])):
         a, b = sorted((int(recording.target[indices[i]]), int(nearest_targets[i])))
-        pairs.setdefault((int(recording.station[indices[i]]), a, b), []).append(int(i))
-    for (s, a, b), members in pairs.items():
+        rows_by_pair.setdefault((int(recording.station[indices[i]]), a, b), []).append(int(i))
+    for (s, a, b), members in rows_by_pair.items():
         station, names = recording.stations[s], (recording.targets[a], recording.targets[b])
         gap = float(np.linalg.norm(points[a] - points[b]))
         booked = sorted(set(recording.target[indices[members]].tolist()))

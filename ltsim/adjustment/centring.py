@@ -154,8 +154,14 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
     columns = whole.project(np.hstack([shifts[i] for i in occupations]))
     cofactor = np.linalg.pinv(columns.T @ columns)
     values = (cofactor @ (columns.T @ whole.residuals)).reshape(-1, axes)
-    number = range(len(occupations))
-    spread = cofactor.reshape(len(number), axes, len(number), axes)[number, :, number] * chi2 / dof
+    occupation_indices = range(len(occupations))
+    spread = (
+        cofactor.reshape(len(occupation_indices), axes, len(occupation_indices), axes)[
+            occupation_indices, :, occupation_indices
+        ]
+        * chi2
+        / dof
+    )
     return CentringErrors(adjustment, tuple(candidates[i] for i in occupations), values, spread, chi2, dof, noisy)
 
 

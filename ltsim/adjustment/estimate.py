@@ -172,9 +172,9 @@ def _require_unoccupied_targets(recording: Recording) -> None:
 
 def _is_over_wrong_mark(recording: Recording, is_gross: Bools) -> Bools:
     """Flags (n,) of pointings from set-ups over marks with mostly gross pointings: mark or height may be wrong."""
-    count = len(recording.stations)
+    n_stations = len(recording.stations)
     has_mark = np.array([recording.station_setup(name).over is not None for name in recording.stations])
-    share = np.bincount(recording.station, is_gross, count) / np.bincount(recording.station, minlength=count)
+    share = np.bincount(recording.station, is_gross, n_stations) / np.bincount(recording.station, minlength=n_stations)
     return np.asarray((has_mark & (share > MIN_FAULTY_FRACTION_OF_PLACE))[recording.station])
 
 

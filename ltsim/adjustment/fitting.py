@@ -93,8 +93,8 @@ def fit_point(sight: FitReadings, position: Floats, rotation: Floats) -> Floats 
     def evaluate(x: Floats, _: Floats) -> tuple[Floats, Floats]:
         local = np.einsum("kji,bkj->bki", rotation, x[:, None] - lifted[None])
         gap, by_local = sight.residuals(local)
-        by = by_local.reshape(len(x), -1, 3, 3) @ np.swapaxes(rotation, 1, 2)[None]
-        return gap, by.reshape(len(x), -1, 3)
+        point_derivatives = by_local.reshape(len(x), -1, 3, 3) @ np.swapaxes(rotation, 1, 2)[None]
+        return gap, point_derivatives.reshape(len(x), -1, 3)
 
     starts = _start_points(sight.readings, lifted, rotation)
     is_free = np.arange(6) < 3
@@ -298,9 +298,9 @@ def _measured_lengths_of_directions(lines: PlanLengths, starts: Ints, ends: Ints
     ):
         lengths.setdefault((start_place, end_place), length)
         lengths.setdefault((end_place, start_place), length)
-    pairs = list(zip(starts.tolist(), ends.tolist(), strict=True))
-    along = np.flatnonzero([pair in lengths for pair in pairs])
-    return along, np.array([lengths[pairs[i]] for i in along])
+    measured_pairs = list(zip(starts.tolist(), ends.tolist(), strict=True))
+    along = np.flatnonzero([pair in lengths for pair in measured_pairs])
+    return along, np.array([lengths[measured_pairs[i]] for i in along])
 
 
 def lines_without_length(

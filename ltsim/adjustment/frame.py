@@ -366,9 +366,9 @@ def _nan_median(values: Floats) -> Floats:
     if not values.shape[1]:
         return np.full((len(values), 3), np.nan)
     sorted_values = np.sort(values, axis=1)
-    count = np.isfinite(values[:, :, 0]).sum(axis=1)
-    at = np.arange(len(values))
-    return 0.5 * (sorted_values[at, (count - 1) // 2] + sorted_values[at, count // 2])
+    n_finite = np.isfinite(values[:, :, 0]).sum(axis=1)
+    group_indices = np.arange(len(values))
+    return 0.5 * (sorted_values[group_indices, (n_finite - 1) // 2] + sorted_values[group_indices, n_finite // 2])
 
 
 def points_with_slope_distances(recording: Recording) -> Floats | None:

@@ -215,12 +215,12 @@ class NetworkProblem(NetworkRows):
 
     def _decorrelate_lengths(self, design: DesignMatrix) -> DesignMatrix:
         """Design matrix in which the rows of lengths with shared errors are decorrelated."""
-        first = int(self.used_readings.sum())
-        end_row = first + len(self.gauge_rows)
-        lengths = self.gauge_rows.decorrelate_scaled(to_dense(design[first:end_row]))
+        first_length_row = int(self.used_readings.sum())
+        end_row = first_length_row + len(self.gauge_rows)
+        lengths = self.gauge_rows.decorrelate_scaled(to_dense(design[first_length_row:end_row]))
         if isinstance(design, np.ndarray):
-            return np.vstack([design[:first], lengths, design[end_row:]])
-        return sp.vstack([design[:first], sp.csr_array(lengths), design[end_row:]], format="csr")
+            return np.vstack([design[:first_length_row], lengths, design[end_row:]])
+        return sp.vstack([design[:first_length_row], sp.csr_array(lengths), design[end_row:]], format="csr")
 
     @cached_property
     def _sparsity_pattern(self) -> SparsityPattern:
@@ -332,14 +332,14 @@ class NetworkProblem(NetworkRows):
     @cached_property
     def level_row_slice(self) -> slice:
         """Slice of the equations that are levels, two per station."""
-        first = (
+        first_level_row = (
             int(self.used_readings.sum())
             + len(self.gauge_rows)
             + self.control_rows.n_coordinates
             + self.control_rows_of_marks.n_coordinates
         )
-        first += self.difference_rows.n_coordinates
-        return slice(first, first + 2 * len(self.level_rows))
+        first_level_row += self.difference_rows.n_coordinates
+        return slice(first_level_row, first_level_row + 2 * len(self.level_rows))
 
     @property
     def dof(self) -> int:

@@ -283,9 +283,9 @@ def _centring_sentences(adjustment: Adjustment) -> Iterator[str]:
 def _sparse_station_sentences(adjustment: Adjustment) -> Iterator[str]:
     """Sentences on stations that lost most of their pointings."""
     recording, measured = adjustment.recording, adjustment.recording.is_measured.any(axis=1)
-    count = len(recording.stations)
-    n_complete = np.bincount(recording.station[measured], minlength=count)
-    n_used = np.bincount(recording.station[adjustment.problem.used_readings.any(axis=1)], minlength=count)
+    n_stations = len(recording.stations)
+    n_complete = np.bincount(recording.station[measured], minlength=n_stations)
+    n_used = np.bincount(recording.station[adjustment.problem.used_readings.any(axis=1)], minlength=n_stations)
     for s in np.flatnonzero((n_used > 0) & (n_used < MIN_FAULTY_FRACTION_OF_PLACE * n_complete)):
         yield (
             f"station {recording.stations[s]} has {n_used[s]} of its {n_complete[s]} pointings in use: its position is "

@@ -107,11 +107,11 @@ class ReferenceTest(ReferenceValue):
     @property
     def error_text(self) -> str:
         """Text of the length of the error with its standard deviation and unit."""
-        size = float(np.linalg.norm(self.error))
-        along = self.error / size if size else np.zeros(len(self.error))
+        error_size = float(np.linalg.norm(self.error))
+        along = self.error / error_size if error_size else np.zeros(len(self.error))
         sigma = float(np.linalg.norm(along * np.where(np.isfinite(self.sigma_error), self.sigma_error, 0.0)))
         unit, factor = ERROR_UNITS.get(self.kind, ("mm", MILLIMETRE))
-        return with_sigma(size / factor, sigma / factor, unit)
+        return with_sigma(error_size / factor, sigma / factor, unit)
 
     @property
     def sentence(self) -> str:
@@ -133,11 +133,11 @@ class ReferenceTest(ReferenceValue):
         if self.indistinguishable_from:
             both = f"{', '.join((self.name, *self.indistinguishable_from))} are inconsistent"
             return f"{both} ({what} by {self.error_text}); the data do not show which one is wrong"
-        rest = "by the other points: excluded from the datum" if self.kind == "axes" else "not its readings: excluded"
+        note = "by the other points: excluded from the datum" if self.kind == "axes" else "not its readings: excluded"
         if self.occupied_by and self.is_height:
-            rest = f"or the height of set-up {self.occupied_by} over it: excluded"
+            note = f"or the height of set-up {self.occupied_by} over it: excluded"
         verb = "are" if self.kind in ("point", "axes") else "is"
-        return f"{what} {verb} off by {self.error_text} (w = {self.normalised_error:.3g}), {rest}"
+        return f"{what} {verb} off by {self.error_text} (w = {self.normalised_error:.3g}), {note}"
 
     @property
     def redundancy(self) -> Floats:
@@ -318,8 +318,8 @@ def _penalised_chi2(
     """
     accepted, ended = snoop_readings(problem, solution.x)
     readings = int(problem.used_readings.sum())
-    count = len(list(reference_values(problem, solution.x))) + len(excluded_values)
-    paid = sum(float(special.chdtri(test.rank, level_of_single_test(count, FAMILY_LEVEL))) for test in excluded_values)
+    n_values = len(list(reference_values(problem, solution.x))) + len(excluded_values)
+    paid = sum(float(special.chdtri(t.rank, level_of_single_test(n_values, FAMILY_LEVEL))) for t in excluded_values)
     return ended.sum_of_squares + paid + critical_w(readings) ** 2 * (readings - int(accepted.used_readings.sum()))
 
 
@@ -346,12 +346,12 @@ def _largest_error(
     def neg_log_corrected_p(chi2_drop: float, rank: int, n_tests: int) -> float:
         return float(neg_log_p_chi2(chi2_drop, rank)) - float(np.log(n_tests))
 
-    count = len(list(reference_values(problem, solution.x)))
-    chances = [neg_log_corrected_p(test.chi2_drop / noise(test) ** 2, test.rank, count) for test in tests]
+    n_values = len(list(reference_values(problem, solution.x)))
+    chances = [neg_log_corrected_p(test.chi2_drop / noise(test) ** 2, test.rank, n_values) for test in tests]
     best = int(np.argmax(chances))
     chance, scatter = chances[best], noise(tests[best])
     scaled = tests[best].chi2_drop / scatter**2
-    if scaled < max(MIN_CLEAR_SIGMAS, critical_w(count)) ** 2 or chance < -np.log(FAMILY_LEVEL):
+    if scaled < max(MIN_CLEAR_SIGMAS, critical_w(n_values)) ** 2 or chance < -np.log(FAMILY_LEVEL):
         return None
     worst = int(np.argmax(np.nan_to_num(np.abs(w))))
     reading = float(np.nan_to_num(w).flat[worst]) / scatter  # two causes are weighed by one noise

@@ -111,13 +111,13 @@ def _shape_directions(
 ) -> list[ShapeDirection]:
     """Linearised changes of those shape constants of an effect that influence the readings, except fixed ones."""
     directions = []
-    size = float(np.abs(effect.design(sightings) @ parameter_values).max())
+    largest_change = float(np.abs(effect.design(sightings) @ parameter_values).max())
     for shape in type(effect).shape_parameters:
         now = getattr(effect, shape.name)
         if shape.name in fixed_constants or not isinstance(now, float) or now == 0.0 or shape.n_grid_values < 2:
             continue
         direction = ShapeDirection(effect, tuple(parameter_values), shape)
-        if float(np.abs(direction.design(sightings)).max()) > MIN_SHAPE_CHANGE * size:
+        if float(np.abs(direction.design(sightings)).max()) > MIN_SHAPE_CHANGE * largest_change:
             directions.append(direction)
     return directions
 

@@ -66,8 +66,8 @@ def noisy_groups(normalised_residuals: Floats, redundancy: Floats, target: Ints)
     def noise(is_in_group: Bools) -> float:
         return robust_sigma(testable[is_in_group][np.isfinite(testable[is_in_group])])
 
-    count = np.bincount(target, np.isfinite(testable).sum(axis=1))
-    scatter_of = {t: noise(target == t) for t in np.flatnonzero(count >= MIN_DOF_FOR_ESTIMATED_NOISE).tolist()}
+    n_testable = np.bincount(target, np.isfinite(testable).sum(axis=1))
+    scatter_of = {t: noise(target == t) for t in np.flatnonzero(n_testable >= MIN_DOF_FOR_ESTIMATED_NOISE).tolist()}
     named: list[int] = []
     for t in sorted(scatter_of, key=lambda t: -scatter_of[t])[: len(scatter_of) - 1]:
         if not scatter_of[t] > MIN_NOISY_SCATTER_RATIO * noise(~np.isin(target, [*named, t])):

@@ -73,8 +73,8 @@ class GaugeRows(ReferenceLengths):
         They are the derivatives of the lengths with respect to the first target.
         """
         gap = points[self.first_targets] - points[self.second_targets]
-        length = np.linalg.norm(gap, axis=1, keepdims=True)
-        return gap / np.where(length > 0.0, length, 1.0)
+        gap_lengths = np.linalg.norm(gap, axis=1, keepdims=True)
+        return gap / np.where(gap_lengths > 0.0, gap_lengths, 1.0)
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,7 @@ class NetworkInitialiser:
     Parameters
     ----------
     recording : Recording
-    pairs : StationTargetPairs
+    station_target_pairs : StationTargetPairs
         Completely measured targets of each station, in the frame of the station.
     frame : DeclaredFrame
     """
@@ -277,8 +277,10 @@ class NetworkInitialiser:
         self._level_stations()
         if self._is_in_frame or not self._is_joined.any() or self._to_declared_frame():
             return
-        first = int(np.argmax(self._is_joined))
-        self._transform(self._rotations[first].T.copy(), -self._rotations[first].T @ self._positions[first])
+        first_station = int(np.argmax(self._is_joined))
+        self._transform(
+            self._rotations[first_station].T.copy(), -self._rotations[first_station].T @ self._positions[first_station]
+        )
         turn = self._frame.levelling_rotation(self._rotations, self._is_joined)
         heading = self._frame.heading_rotation(turn @ self._rotations, self._is_joined)
         turn = turn if heading is None else heading @ turn
@@ -320,12 +322,12 @@ class NetworkInitialiser:
         counts = np.diff(self._pairs.first_pair_of_station)
         if not counts.any():
             return
-        first = 0 if counts[0] >= 3 else int(np.argmax(counts))
+        first_station = 0 if counts[0] >= 3 else int(np.argmax(counts))
         rotation = np.eye(3)
-        if self._frame.is_levelled[first]:
-            rotation = smallest_rotation(VERTICAL, self._frame.marks.plumb_directions[first])
+        if self._frame.is_levelled[first_station]:
+            rotation = smallest_rotation(VERTICAL, self._frame.marks.plumb_directions[first_station])
             self._is_levelled = True
-        self._join_station(first, np.zeros(3), rotation)
+        self._join_station(first_station, np.zeros(3), rotation)
 
     def _begin_with_ranges(self) -> None:
         """Start with all stations that measured ranges to the same targets."""

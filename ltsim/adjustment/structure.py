@@ -177,13 +177,13 @@ class UndeterminedUnknowns:
             network.marks,
             network.level_rows,
         )
-        count = len(recording.stations)
-        range_, azimuth, elevation = (np.bincount(recording.station, use[:, i], count) > 0 for i in range(3))
+        n_stations = len(recording.stations)
+        range_, azimuth, elevation = (np.bincount(recording.station, use[:, i], n_stations) > 0 for i in range(3))
         high = use[:, 2] | (use[:, 0] & ~recording.is_horizontal)
-        feels = np.bincount(recording.station, high, count) > 0
+        feels = np.bincount(recording.station, high, n_stations) > 0
         level, alone = (
-            np.zeros(count, dtype=bool),
-            (marks.first_setup_on_mark == np.arange(count)) & (marks.target_indices < 0),
+            np.zeros(n_stations, dtype=bool),
+            (marks.first_setup_on_mark == np.arange(n_stations)) & (marks.target_indices < 0),
         )
         level[levels.station_indices] = True
         alone[network.control_rows_of_marks.place_indices] = False
@@ -191,7 +191,7 @@ class UndeterminedUnknowns:
         is_read = np.bincount(recording.target, use.any(axis=1), len(recording.targets)) > 0
         is_read[network.control_rows.place_indices[network.control_rows.declared_components.all(axis=1)]] = True
         is_read[marks.target_indices[marks.target_indices >= 0]] = True
-        upright = np.zeros(count, dtype=bool)
+        upright = np.zeros(n_stations, dtype=bool)
         upright[levels.station_indices] = np.abs(levels.plumb_directions @ VERTICAL) > MIN_COS_PLUMB_INCLINATION
         on = marks.target_indices >= 0
         n_rows = np.bincount(recording.target, use.any(axis=1), len(recording.targets)) > 0
@@ -310,8 +310,8 @@ def _has_approximate_scale(network: NetworkRows) -> bool:
 def _scale_target(network: NetworkRows) -> Ints:
     """Index (1,) of a target with an azimuth from the first station that has azimuths."""
     recording, rows = network.model.recording, np.flatnonzero(network.used_readings[:, 1])
-    first = rows[np.argsort(recording.station[rows], kind="stable")][:1]
-    return recording.target[first]
+    first_row = rows[np.argsort(recording.station[rows], kind="stable")][:1]
+    return recording.target[first_row]
 
 
 DecoratedParameters = ParamSpec("DecoratedParameters")
@@ -337,9 +337,9 @@ def raise_for_singular_network(
 
 def _sparsest_measurement_sentence(recording: Recording) -> str:
     """Sentence on the station and target of a network with the fewest readings."""
-    count = recording.is_measured.sum(axis=1)
-    stations = np.bincount(recording.station, count, len(recording.stations))
-    targets = np.bincount(recording.target, count, len(recording.targets))
+    n_measured = recording.is_measured.sum(axis=1)
+    stations = np.bincount(recording.station, n_measured, len(recording.stations))
+    targets = np.bincount(recording.target, n_measured, len(recording.targets))
     clause = (
         f"station {recording.stations[int(stations.argmin())]} has {stations.min():.0f} readings, "
         f"target {recording.targets[int(targets.argmin())]} has {targets.min():.0f}"

@@ -135,10 +135,10 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     @model_validator(mode="after")
     def _covariance_is_square(self) -> Self:
-        count = len(self.parameters)
+        n_parameters = len(self.parameters)
         rows = self.parameter_covariance
-        if rows and {len(rows), *map(len, rows)} != {count}:
-            raise ValueError(f"the covariance is not a square of {count} x {count} numbers")
+        if rows and {len(rows), *map(len, rows)} != {n_parameters}:
+            raise ValueError(f"the covariance is not a square of {n_parameters} x {n_parameters} numbers")
         return self
 
     @field_serializer("criteria")

@@ -86,9 +86,9 @@ def pair_difference_rows(problem: DistanceProblem, distances: SetDistances) -> C
     """Comparisons that are the single terms of eq. 9: differences of two sets, and deviations from gauge lengths."""
     first, second = set_pairs(distances)
     problem._check_matrix_size(len(first))
-    count = len(distances.lengths)
+    n_distances = len(distances.lengths)
     return _append_gauge_rows(
-        problem, distances, sp.csr_array(_selection_matrix(first, count) - _selection_matrix(second, count))
+        problem, distances, sp.csr_array(_selection_matrix(first, n_distances) - _selection_matrix(second, n_distances))
     )
 
 
@@ -189,9 +189,9 @@ def _start_values(
     problem: DistanceProblem, start_values: Floats | None, fixed_mask: Bools | None
 ) -> tuple[Floats, Bools]:
     """Start values of the unknowns, and mask of the unknowns to estimate, both of shape (unknowns,)."""
-    size = problem.prior_sigma.size
-    unknowns: Floats = np.zeros(size) if start_values is None else start_values.copy()
-    return unknowns, np.ones(size, dtype=bool) if fixed_mask is None else ~fixed_mask
+    n_parameters = problem.prior_sigma.size
+    unknowns: Floats = np.zeros(n_parameters) if start_values is None else start_values.copy()
+    return unknowns, np.ones(n_parameters, dtype=bool) if fixed_mask is None else ~fixed_mask
 
 
 def _require_compared_distances(compared_distances: ComparedDistances, free_unknowns: Bools) -> None:
@@ -387,9 +387,9 @@ def sentences_on_minimum(
     minimum = solve_equation_9(problem, norm, start_values=estimate.unknowns, fixed_mask=fixed_mask).objective_value
     power, unit = (1e6, "mm^2") if norm == "squares" else (1e3, "mm")
     method = "equation-9" if norm == "squares" else "equation-9-l1"
-    count = len(estimate.undetermined_combinations)
+    n_undetermined = len(estimate.undetermined_combinations)
     return (
-        f"eq. 9 is {power * estimate.objective_value:.4g} {unit} here: {count} combinations that the readings hardly "
-        f"determine are set to zero. The minimum of eq. 9 is {power * minimum:.4g} {unit} (method {method}): "
-        "there these combinations are fitted to the noise",
+        f"eq. 9 is {power * estimate.objective_value:.4g} {unit} here: {n_undetermined} combinations "
+        f"that the readings hardly determine are set to zero. The minimum of eq. 9 is {power * minimum:.4g} {unit} "
+        f"(method {method}): there these combinations are fitted to the noise",
     )

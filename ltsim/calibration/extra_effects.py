@@ -102,12 +102,14 @@ def fit_with_extra_effects(
                 effect=name, place_text=place, chi2_drop=drop, n_distinguishable_parameters=freedom, n_candidates=tried
             )
         )
-    first = len(unreported_effects)
+    n_unreported = len(unreported_effects)
     rows = (
         _law_size_entries(effect, adjustment)
         if isinstance(effect, EmpiricalLaw)
         else _effect_entries(effect, estimated, given)
-        for effect, estimated, given in zip(fit.effects[first:], fit.estimates[first:], fixed[first:], strict=True)
+        for effect, estimated, given in zip(
+            fit.effects[n_unreported:], fit.estimates[n_unreported:], fixed[n_unreported:], strict=True
+        )
     )
     return adjustment, tuple(
         entry.model_copy(update={"parameters": next(rows)}) if entry.n_distinguishable_parameters else entry
@@ -142,8 +144,8 @@ def effect_display_name(effect: LinearEffect, adjustment: Adjustment) -> str:
 def _law_size_entries(law: EmpiricalLaw, adjustment: Adjustment) -> tuple[FittedParameterEntry, ...]:
     """Entries of the estimated sizes of an empirical law, one of the effects of an adjustment."""
     effects_before = adjustment.effects[: adjustment.effects.index(law)]
-    first = sum(len(effect.parameters) for effect in effects_before)
-    columns = slice(first, first + len(law.parameters))
+    first_parameter = sum(len(effect.parameters) for effect in effects_before)
+    columns = slice(first_parameter, first_parameter + len(law.parameters))
     sizes = displayed_sizes(
         law,
         adjustment.sightings,
@@ -157,7 +159,7 @@ def _effect_entries(
     effect: CandidateEffect, estimates: Sequence[ParameterEstimate], fixed_fields: frozenset[str]
 ) -> tuple[FittedParameterEntry, ...]:
     """Entries of an effect for the result: sizes, constants with names as values, fixed and estimated constants."""
-    numbers = [_parameter_entry(*estimate) for estimate in estimates]
+    parameter_entries = [_parameter_entry(*estimate) for estimate in estimates]
     words = [
         FittedParameterEntry(name=key, value=value if isinstance(value, str) else float(value), unit="")
         for key, value in vars(effect).items()
@@ -166,8 +168,8 @@ def _effect_entries(
     shape_entries = [
         _parameter_entry(s, getattr(effect, s.name), np.inf) for s in effect.shape_parameters if s.name in fixed_fields
     ]
-    count = len(effect.parameters)
-    return (*numbers[:count], *words, *shape_entries, *numbers[count:])
+    n_parameters = len(effect.parameters)
+    return (*parameter_entries[:n_parameters], *words, *shape_entries, *parameter_entries[n_parameters:])
 
 
 def _parameter_entry(parameter: Parameter | ShapeParameter, estimate: float, sigma: float) -> FittedParameterEntry:

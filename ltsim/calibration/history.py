@@ -206,9 +206,9 @@ class History(ResultFile):
 
     @model_validator(mode="after")
     def _values_match_calibrations(self) -> Self:
-        count = len(self.calibrations)
+        n_calibrations = len(self.calibrations)
         for course in self.parameters:
-            if len(course.values) != count or len(course.sigmas) != count:
+            if len(course.values) != n_calibrations or len(course.sigmas) != n_calibrations:
                 raise ValueError(f"the parameter {course.name} needs one value and one sigma per calibration")
         return self
 

@@ -255,7 +255,7 @@ def frame_text(adjustment: Adjustment) -> str:
     """Description of the coordinate frame."""
     problem, recording = adjustment.problem, adjustment.recording
     free = problem.free_motions.shape[1]
-    first = recording.stations[0]
+    first_station = recording.stations[0]
     control_rows, flat = problem.control_rows, adjustment.undetermined_heights[problem.control_rows.place_indices]
     control = [
         recording.targets[i]
@@ -271,15 +271,15 @@ def frame_text(adjustment: Adjustment) -> str:
     points = [f"the control point{'s' if len(control) > 1 else ''} {listing(control)}"] if control else []
     if free == 0:
         return f"the frame of {' and '.join([*points, *zeros])}"
-    rest = f"is {_free_frame_text(adjustment, first)}"
+    definition = f"is {_free_frame_text(adjustment, first_station)}"
     if adjustment.datum is not None:
-        rest += f", standard deviations by inner constraints over {listing(adjustment.datum.point_names)}"
+        definition += f", standard deviations by inner constraints over {listing(adjustment.datum.point_names)}"
     if free == 6 or not (points or zeros or not adjustment.undetermined_heights.all()):
-        return rest.removeprefix("is ")
+        return definition.removeprefix("is ")
     if not control and not problem.difference_rows.names:
-        return f"{', x '.join([f'z is defined by the levels of {listing(levelled)}', *zeros])}; the rest {rest}"
+        return f"{', x '.join([f'z is defined by the levels of {listing(levelled)}', *zeros])}; the rest {definition}"
     levels = ["the levels"] if levelled else []
-    return f"{' and '.join([*points, *levels, *zeros])}; the remaining freedom {rest}"
+    return f"{' and '.join([*points, *levels, *zeros])}; the remaining freedom {definition}"
 
 
 def _free_frame_text(adjustment: Adjustment, station: str) -> str:

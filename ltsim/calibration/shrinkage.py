@@ -240,11 +240,11 @@ class ScaledPrior:
     ) -> tuple[float, float]:
         """Expected rms error [m] of a new point from the constants, uncorrected and with the applied parameters."""
         scale = self.scale_of_applied_values
-        mean = prior_mean + self.estimate(scale)
+        posterior_mean = prior_mean + self.estimate(scale)
         spread = (self._basis / (self._strength + scale**-2)) @ self._basis.T
         remaining_variance = float(np.sum(spread * point_error_form))
-        bias = mean - applied_values
-        return float(np.sqrt(mean @ point_error_form @ mean + remaining_variance)), float(
+        bias = posterior_mean - applied_values
+        return float(np.sqrt(posterior_mean @ point_error_form @ posterior_mean + remaining_variance)), float(
             np.sqrt(bias @ point_error_form @ bias + remaining_variance)
         )
 
@@ -267,7 +267,7 @@ def point_error_form(adjustment: Adjustment) -> Floats:
     """
     recording, state = adjustment.recording, adjustment.state
     count, size = state.instrument_parameters.shape
-    total = np.zeros((count * size, count * size))
+    form = np.zeros((count * size, count * size))
     is_complete = recording.is_measured.all(axis=1)
     for number in range(len(recording.stations)):
         rows = np.flatnonzero(is_complete & (recording.station == number))
@@ -278,8 +278,8 @@ def point_error_form(adjustment: Adjustment) -> Floats:
         points, _, by_value = adjustment.construction.linearise(readings, values)
         error = remove_rigid_motion(by_value.reshape(-1, size), points)
         block = slice(instrument * size, (instrument + 1) * size)
-        total[block, block] += error.T @ error
-    return total / max(int(is_complete.sum()), 1)
+        form[block, block] += error.T @ error
+    return form / max(int(is_complete.sum()), 1)
 
 
 @dataclass(frozen=True)

@@ -48,8 +48,8 @@ class NewPointErrors(Result):
     """Rms errors [m] before and after correction of the readings, by name of the calibration."""
 
     def _lines(self) -> list[str]:
-        first = next(iter(self.errors.values()))
-        raw, floor = first.raw_rms / MICROMETRE, first.true_parameters_rms / MICROMETRE
+        first_errors = next(iter(self.errors.values()))
+        raw, floor = first_errors.raw_rms / MICROMETRE, first_errors.true_parameters_rms / MICROMETRE
         errors = ", ".join(f"{name} {error.calibrated_rms / MICROMETRE:.1f} um" for name, error in self.errors.items())
         return [f"Error of a new point: raw {raw:.1f} um, {errors}; with the true parameters {floor:.1f} um"]
 

@@ -71,8 +71,8 @@ class GeometryStack(CellTruth):
     @classmethod
     def from_truths(cls, truths: tuple[CellTruth, ...]) -> Self:
         """Stack of true geometries with the same sightings."""
-        first = truths[0]
-        shared_fields = {f.name: getattr(first, f.name) for f in fields(CellTruth) if f.name != "state"}
+        first_truth = truths[0]
+        shared_fields = {f.name: getattr(first_truth, f.name) for f in fields(CellTruth) if f.name != "state"}
         states = [truth.state for truth in truths]
         position, rotation, points = (
             np.ascontiguousarray(np.stack([getattr(state, name) for state in states], axis=-1))
@@ -83,7 +83,7 @@ class GeometryStack(CellTruth):
         rows[order[0]] = np.stack(order, axis=1)
         return cls(
             **shared_fields,
-            state=NetworkState(position, rotation, points, first.state.instrument_parameters),
+            state=NetworkState(position, rotation, points, first_truth.state.instrument_parameters),
             truths=truths,
             row_of_pointing=rows,
         )
@@ -195,8 +195,8 @@ class StackCalibrator(TrialCalibrator):
     @classmethod
     def for_stack(cls, method: Method, stack: GeometryStack) -> Self:
         """Calibrator of a stack by a method of the campaign file."""
-        first = make_calibrator(method, stack.truths[0])
-        return cls(stack, first.construction, first.effects, method.method, method)
+        first_calibrator = make_calibrator(method, stack.truths[0])
+        return cls(stack, first_calibrator.construction, first_calibrator.effects, method.method, method)
 
     def single_trial_calibrator(self, trial: int) -> TrialCalibrator:
         """Calibrator of a single trial."""
@@ -316,8 +316,8 @@ class StackedNetwork(BatchNetwork):
 
     @cached_property
     def _affected_readings(self) -> tuple[Ints, Floats, Floats]:
-        count = 3 * len(self.recording)
-        flattened = [part._extra_design.reshape(count, -1) for part in self.networks]
+        n_readings = 3 * len(self.recording)
+        flattened = [part._extra_design.reshape(n_readings, -1) for part in self.networks]
         rows = np.flatnonzero(np.any([design.any(axis=1) for design in flattened], axis=0))
         design = np.stack([design[rows] for design in flattened])
         sigma = np.stack([part.reading_sigmas.ravel()[rows] for part in self.networks])

@@ -112,11 +112,11 @@ def method_table(cell: int, method: str, column_groups: list[ResultColumns]) -> 
     order = np.argsort(merged["trial"])
     merged = {name: values[order] for name, values in merged.items()}
     trial, status = merged.pop("trial"), merged.pop("status").astype(np.int64)
-    count = len(trial)
+    n_trials = len(trial)
     is_lost = status == TRIAL_STATUSES.index(WITHOUT_RESULT)
     columns: dict[str, pa.Array] = {
-        "cell": pa.array(np.full(count, cell), pa.int32()),
-        "method": pa.array([method] * count, pa.string()),
+        "cell": pa.array(np.full(n_trials, cell), pa.int32()),
+        "method": pa.array([method] * n_trials, pa.string()),
         "trial": pa.array(trial, pa.int64()),
         "status": pa.array([TRIAL_STATUSES[s] for s in status], pa.string()),
     }

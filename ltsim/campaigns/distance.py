@@ -150,7 +150,7 @@ class BatchDistance(BatchCalibrator):
         deviation, prior = block.reading_deviations, self.distance_problem.prior_sigma[:, :, None]
         sets, visible, share, gauge = self._set_membership
         recording, trials = self.truth.recording, deviation.shape[2]
-        length = self.distance_problem.reference_lengths.lengths[:, None] + block.length_errors
+        reference_lengths = self.distance_problem.reference_lengths.lengths[:, None] + block.length_errors
         values = np.zeros((*self.distance_problem.prior_sigma.shape, trials))
         points, moved = np.empty(deviation.shape), np.full(trials, np.inf)
         for _ in range(MAX_DISTANCE_STEPS):
@@ -158,7 +158,7 @@ class BatchDistance(BatchCalibrator):
             clouds = np.zeros((*visible.shape, 3, trials))
             add_station_means(points, sets, recording.target, share, clouds)
             forces, gradient = np.zeros_like(clouds), np.zeros_like(values)
-            distance_gradient(clouds, visible, gauge, length, forces, np.zeros(trials))
+            distance_gradient(clouds, visible, gauge, reference_lengths, forces, np.zeros(trials))
             membership = (recording.instrument, sets, recording.target, share)
             backpropagate_mean_forces(self._chain_program, *membership, deviation, values, forces, gradient)
             step = self.step_matrix @ (gradient * prior).reshape(-1, trials)

@@ -159,8 +159,8 @@ def set_membership(truth: CellTruth, sets: Ints) -> tuple[Bools, Floats]:
     recording, targets = truth.recording, len(truth.recording.targets)
     is_complete = np.asarray(recording.is_measured.all(axis=1) & truth.recorded_observables.all())
     key = sets * targets + recording.target
-    count = np.bincount(key[is_complete], minlength=(int(sets.max()) + 1) * targets)
-    return count.reshape(-1, targets) > 0, np.where(is_complete, 1.0 / np.maximum(count[key], 1), 0.0)
+    n_members = np.bincount(key[is_complete], minlength=(int(sets.max()) + 1) * targets)
+    return n_members.reshape(-1, targets) > 0, np.where(is_complete, 1.0 / np.maximum(n_members[key], 1), 0.0)
 
 
 def is_suspect_trial(deviation: Floats, local_points: Floats) -> Bools:

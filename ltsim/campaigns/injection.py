@@ -174,12 +174,12 @@ def compare_with_injection(
     located_findings = [f for f in new_findings if _has_same_place(cause.effect, f)]
     name = cause.effect.name
     identified_findings = [f for f in located_findings if name in (f.effect, *(e.effect for e in f.equivalents))]
-    first = new_findings[:1]
+    first_finding = new_findings[:1]
     return {
         "detections": bool(new_findings),
         "placed": bool(located_findings),
         "named": bool(identified_findings),
-        "right": bool(first) and first[0].effect == name and first[0] in located_findings,
+        "right": bool(first_finding) and first_finding[0].effect == name and first_finding[0] in located_findings,
     }
 
 
@@ -192,8 +192,8 @@ def _finding_key(finding: Any) -> tuple[Any, ...]:
 def _has_same_place(cause: CandidateEffect, finding: Any) -> bool:
     """True if a finding names the stations and targets of the injected effect, and a common observable."""
     scope = finding.where
-    pairs = [(set(cause.stations), set(scope.stations)), (set(cause.targets), set(scope.targets))]
-    overlaps = all(a == b if len(a) < 2 else len(a & b) >= MIN_PLACE_OVERLAP * len(a | b) for a, b in pairs)
+    place_pairs = [(set(cause.stations), set(scope.stations)), (set(cause.targets), set(scope.targets))]
+    overlaps = all(a == b if len(a) < 2 else len(a & b) >= MIN_PLACE_OVERLAP * len(a | b) for a, b in place_pairs)
     observables = set(scope.observables) or set(cause.observables)
     return overlaps and bool(observables & set(cause.observables))
 

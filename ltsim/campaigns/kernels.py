@@ -34,9 +34,9 @@ def _add_small_angle(cosine: float, sine: float, small_angle: float) -> tuple[fl
 @compile_inlined
 def _rotate_by_small_vector(u: float, v: float, w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Vector (x, y, z) rotated by a small rotation vector (u, v, w), by Rodrigues' formula."""
-    size = u * u + v * v + w * w
-    a = 1.0 - size * (1.0 / 6.0) * (1.0 - size * (1.0 / 20.0))
-    b = 0.5 - size * (1.0 / 24.0) * (1.0 - size * (1.0 / 30.0))
+    squared_angle = u * u + v * v + w * w
+    a = 1.0 - squared_angle * (1.0 / 6.0) * (1.0 - squared_angle * (1.0 / 20.0))
+    b = 0.5 - squared_angle * (1.0 / 24.0) * (1.0 - squared_angle * (1.0 / 30.0))
     cx, cy, cz = v * z - w * y, w * x - u * z, u * y - v * x
     return (x + a * cx + b * (v * cz - w * cy), y + a * cy + b * (w * cx - u * cz), z + a * cz + b * (u * cy - v * cx))
 
@@ -84,11 +84,11 @@ def _forward_chain(pointing: int, chain: ChainProgram, amounts: Floats, path: Fl
     """Points along the chain at one pointing, written to `path` (M + 1, 3, B); path[0] is in the instrument's frame."""
     is_rotation, axis, _, _, amount, _, _, _, _, _ = chain
     trials = amounts.shape[1]
-    last = len(is_rotation)
+    n_motions = len(is_rotation)
     for c in range(3):
         for t in range(trials):
-            path[last, c, t] = 0.0
-    for m in range(last - 1, -1, -1):
+            path[n_motions, c, t] = 0.0
+    for m in range(n_motions - 1, -1, -1):
         a = axis[m]
         b, c = (a + 1) % 3, (a + 2) % 3
         delta = amounts[m]
@@ -163,14 +163,12 @@ def _backpropagate(
 
 
 @compile_function
-def compute_points(
-    chain: ChainProgram, instrument: Ints, deviation: Floats, parameter_values: Floats, points: Floats
-) -> None:
+def compute_points(chain: ChainProgram, instrument: Ints, deviation: Floats, values: Floats, points: Floats) -> None:
     """Targets in the instruments' frames, written to `points` (n, 3, B) [m], for reading deviations (n, 3, B)."""
     motions, trials = len(chain[0]), deviation.shape[2]
     amounts, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
     for i in range(len(deviation)):
-        parameters = parameter_values[instrument[i]]
+        parameters = values[instrument[i]]
         _motion_amounts(i, chain, deviation[i], parameters, amounts)
         _forward_chain(i, chain, amounts, path)
         for c in range(3):

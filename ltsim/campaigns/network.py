@@ -133,8 +133,8 @@ class BatchNetwork:
     def _non_reading_design(self) -> tuple[Floats, Floats]:
         """Whitened design (r, K) of the r observations other than readings, and their nominal residuals (r, 1)."""
         design, residual = self._whitened_system
-        count = int(self.problem.used_readings.sum())
-        return design[count:, self.column_order], residual[count:, None]
+        n_readings = int(self.problem.used_readings.sum())
+        return design[n_readings:, self.column_order], residual[n_readings:, None]
 
     @cached_property
     def _whitened_system(self) -> tuple[Floats, Floats]:

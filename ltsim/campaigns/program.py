@@ -107,10 +107,10 @@ def _reading_index(motion: ElementaryMotion) -> int:
 
 def _nominal_amount(motion: ElementaryMotion, readings: Floats) -> Floats:
     """Size of a motion at readings (n, 3): translation and 0, or cosine and sine of a rotation, (n, 2)."""
-    amount = np.zeros(len(readings)) if motion.nominal is None else motion.sign * motion.nominal(readings)
+    nominal_amounts = np.zeros(len(readings)) if motion.nominal is None else motion.sign * motion.nominal(readings)
     if isinstance(motion, RotationStep):
-        return np.stack([np.cos(amount), np.sin(amount)], axis=1)
-    return np.stack([amount, np.zeros_like(amount)], axis=1)
+        return np.stack([np.cos(nominal_amounts), np.sin(nominal_amounts)], axis=1)
+    return np.stack([nominal_amounts, np.zeros_like(nominal_amounts)], axis=1)
 
 
 def _basis_derivatives(construction: GeometricErrorModel, readings: Floats) -> Floats:

@@ -150,11 +150,13 @@ class ExpectedTruth:
 
 def _true_incidence_parameters(truth: Truth) -> Floats:
     """True parameters (14,) [SI] of the range error over incidence (effect `smr-incidence`) of all reflectors."""
-    total = SmrIncidence().parameters_from_table
+    incidence_parameters = SmrIncidence().parameters_from_table
     for applied in truth.applied_effects:
         if isinstance(applied.effect, SmrIncidence) and not applied.effect.place_text:
-            total = total + applied.effect.parameters_from_table + applied.parameter_values
-    return total
+            incidence_parameters = (
+                incidence_parameters + applied.effect.parameters_from_table + applied.parameter_values
+            )
+    return incidence_parameters
 
 
 def score_calibration(
@@ -167,11 +169,11 @@ def score_calibration(
     """
     check_true_parameters(calibration.instrument_parameter_names, truth.instrument_values, truth)
     expected = ExpectedTruth.from_calibration(calibration, truth, distribution)
-    count = len(calibration.instrument_parameter_names)
+    n_parameters = len(calibration.instrument_parameter_names)
     true = np.array([truth.instrument_values[name] for name in calibration.instrument_parameter_names])
     prior = calibration.prior_sigma.ravel()
     error, sigma_scaled = (calibration.estimates.ravel() - true) / prior, calibration.sigma.ravel() / prior
-    missed = expected.bias_matrix[:count]
+    missed = expected.bias_matrix[:n_parameters]
     variance = sigma_scaled**2 - missed**2 @ expected.missing_variance
     noisy = variance > MIN_NOISE_FRACTION * sigma_scaled**2
     standard = np.where(noisy, (error + missed @ expected.mean_truth) / np.sqrt(np.where(noisy, variance, 1.0)), np.nan)
@@ -188,8 +190,8 @@ def score_calibration(
     )
     more = true_parameters(truth)
     fitted = {name: entry for name, entry in _effect_parameters(calibration).items() if name in more}
-    plain = np.all(expected.truth_sigmas[:count] == 1.0) and not np.any(
-        expected.mean_truth[:count]
+    plain = np.all(expected.truth_sigmas[:n_parameters] == 1.0) and not np.any(
+        expected.mean_truth[:n_parameters]
     )  # else priors move effects too
     extra = np.array(
         [[e.value, e.sigma or np.nan, more[name].value / SI_PER_UNIT[e.unit]] for name, e in fitted.items()]
@@ -287,13 +289,13 @@ def score_estimates(
     scale = np.array([SI_PER_UNIT[estimates[name].unit] for name in names]) / factor
     value = scale * np.array([estimates[name].value for name in names])
     sigma = scale * np.array([estimates[name].sigma or np.nan for name in names])
-    right = np.array([true[name].value for name in names]) / factor
-    standard = (value - right) / sigma if errors == "drawn" else np.full(len(value), np.nan)
+    true_values = np.array([true[name].value for name in names]) / factor
+    standard = (value - true_values) / sigma if errors == "drawn" else np.full(len(value), np.nan)
     other = None
     if reference is not None:
         places = [
             reference.parameter_names.index(name) if name in reference.parameter_names else None for name in names
         ]
         same = np.array([np.nan if k is None else reference.estimates[k] for k in places])
-        other = TrialScore(names, units, same, np.full(len(same), np.nan), right, standard)
-    return TrialScore(names, units, value, sigma, right, standard, is_external=True, ltsim_estimates=other)
+        other = TrialScore(names, units, same, np.full(len(same), np.nan), true_values, standard)
+    return TrialScore(names, units, value, sigma, true_values, standard, is_external=True, ltsim_estimates=other)

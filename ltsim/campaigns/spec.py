@@ -220,8 +220,8 @@ class CampaignFile(TomlSection):
 
     def cell_changes(self) -> Iterator[dict[str, Any]]:
         """Changes of the scenario for each combination of settings, by dotted key."""
-        first = {name: self.link.get(name, (name,))[0] for name in self.varied_keys}
-        points = self.design.points(self.seed, first) if self.design else [{}]
+        first_key_by_name = {name: self.link.get(name, (name,))[0] for name in self.varied_keys}
+        points = self.design.points(self.seed, first_key_by_name) if self.design else [{}]
         for listed, point in itertools.product(self.cells or ({},), points):
             for values in itertools.product(*self.grid.values()):
                 values_by_name = self.settings | listed | point | dict(zip(self.grid, values, strict=True))

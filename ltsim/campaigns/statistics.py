@@ -204,8 +204,8 @@ class CampaignStatistics:
         name = self._sql_column(column)
         if column in RATIO_STATISTICS:
             return self._ratios_of_means(column)
-        size = self.manifest.trials * len(self.manifest.cells) * len(self.manifest.methods)
-        kind = "quantile_cont" if size <= MAX_ROWS_EXACT_QUANTILES else "approx_quantile"
+        n_values = self.manifest.trials * len(self.manifest.cells) * len(self.manifest.methods)
+        kind = "quantile_cont" if n_values <= MAX_ROWS_EXACT_QUANTILES else "approx_quantile"
         what = (
             f"count({name}), avg({name}), stddev_samp({name}), min({name}), max({name}), {kind}({name}, "
             f"{[*QUANTILE_LEVELS]})"

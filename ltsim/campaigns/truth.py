@@ -123,14 +123,14 @@ class CellTruth:
 
         The parameters (14, B) [SI] are those of the effect `smr-incidence`, the range error over incidence.
         """
-        total = np.zeros((len(self.recording), 1))
+        range_errors = np.zeros((len(self.recording), 1))
         for name, pointings in self.reflector_masks.items():
             if name in reflectors:
                 design, values = self.effect_design_function((SmrIncidence(),))[:, 0], reflectors[name]
                 shared = design.shape[2] == 1  # one geometry for all trials
                 errors = design[..., 0] @ values if shared else np.einsum("nqb,qb->nb", design, values)
-                total = total + pointings[:, None] * errors
-        return total
+                range_errors = range_errors + pointings[:, None] * errors
+        return range_errors
 
     @cached_property
     def _chain_cache(self) -> list[tuple[GeometricErrorModel, tuple[ChainProgram, Floats]]]:

@@ -26,10 +26,10 @@ def number_text(value: float | None, n_digits: int = 3) -> str:
         return MISSING_TEXT
     if value == 0:
         return "0"
-    size = abs(value)
-    if not 1e-4 <= size < 1e6:
+    absolute_value = abs(value)
+    if not 1e-4 <= absolute_value < 1e6:
         return f"{value:.{max(n_digits - 1, 0)}e}"
-    return fixed_point_text(value, max(n_digits - 1 - math.floor(math.log10(size)), 0))
+    return fixed_point_text(value, max(n_digits - 1 - math.floor(math.log10(absolute_value)), 0))
 
 
 def with_sigma(value: float | None, sigma: float | None, unit: str = "") -> str:

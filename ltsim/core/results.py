@@ -213,8 +213,8 @@ class Table(ValueEquality):
         """All values of one column; raises ModelError for an unknown name."""
         if column_name not in self.header:
             raise unknown_name(f"column of {self.name}", column_name, self.header)
-        at = self.header.index(column_name)
-        return [row[at] for row in self.rows]
+        column_index = self.header.index(column_name)
+        return [row[column_index] for row in self.rows]
 
     def json(self) -> list[dict[str, Any]]:
         """Rows of the table as mappings from column name to value."""
@@ -307,8 +307,8 @@ class Table(ValueEquality):
             for row in replace(self, rows=self.rows[:MAX_NOTEBOOK_ROWS]).cells()
         )
         more = len(self.rows) - MAX_NOTEBOOK_ROWS
-        rest = f"<p>and {more} more rows: to_dataframe()</p>" if more > 0 else ""
-        return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{rest}"
+        more_rows_html = f"<p>and {more} more rows: to_dataframe()</p>" if more > 0 else ""
+        return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{more_rows_html}"
 
 
 class Result(ValueEquality):
@@ -375,8 +375,8 @@ def unguard_formula(text: str) -> str:
 
 
 def _column_kind(column: Sequence[Any]) -> ColumnKind:
-    first = next((value for value in column if value is not None), None)
-    return "flag" if isinstance(first, bool | np.bool_) else "text" if isinstance(first, str) else "number"
+    first_value = next((value for value in column if value is not None), None)
+    return "flag" if isinstance(first_value, bool | np.bool_) else "text" if isinstance(first_value, str) else "number"
 
 
 def _parse_value(column: Column, cell: str, file: object, row: int) -> Any:

@@ -173,8 +173,10 @@ def first_order_change(searcher: Searcher, model: Model) -> Floats:
     """Linear approximation of the change (m,) of the whitened readings by all effects in a refitted model."""
     if not model.members:
         return np.zeros(searcher.space.n_rows)
-    mean = wide_prior_posterior(*model.gram_and_scores, np.concatenate([h.plausible_sizes for h in model.members]))[0]
-    change: Floats = np.hstack([searcher.space.whitened_design(h.effect) for h in model.members]) @ mean
+    coefficient_means = wide_prior_posterior(
+        *model.gram_and_scores, np.concatenate([h.plausible_sizes for h in model.members])
+    )[0]
+    change: Floats = np.hstack([searcher.space.whitened_design(h.effect) for h in model.members]) @ coefficient_means
     return change
 
 

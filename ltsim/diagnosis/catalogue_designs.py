@@ -293,8 +293,8 @@ def _sparse_group(n_parameters: int, designs: Sequence[tuple[int, Ints, Singles]
     ends = np.cumsum([0, *(len(row_indices) for _, row_indices, _ in designs for _ in range(n_parameters))]).astype(
         np.int32
     )
-    data = np.concatenate([design_rows.ravel() for _, _, design_rows in designs])
-    design_rows = sp.csr_array((data, indices, ends), (len(designs) * n_parameters, n_rows))
+    nonzero_values = np.concatenate([design_rows.ravel() for _, _, design_rows in designs])
+    design_rows = sp.csr_array((nonzero_values, indices, ends), (len(designs) * n_parameters, n_rows))
     weight, effect_indices = np.ones(n_rows, dtype=np.float32), np.array([i for i, _, _ in designs])
     return EffectGroup(
         n_parameters, effect_indices, slice(None), design_rows, weight, products, np.zeros_like(products)

@@ -82,10 +82,11 @@ def _undetectable_entry(space: ResidualSpace, effect: Effect, size_ratio: float)
     """
     sizes = np.diag([p.prior_sigma for p in effect.parameters])
     distortion = round(
-        max(target_distortion(space, space.whitened_design(effect) @ size) for size in sizes), DISTORTION_DECIMALS
+        max(target_distortion(space, space.whitened_design(effect) @ size_text) for size_text in sizes),
+        DISTORTION_DECIMALS,
     )
-    size = f"only from {size_ratio:.0f} times its plausible size on" if np.isfinite(size_ratio) else "at no size"
-    reason = f"poses, targets and instrument parameters absorb the effect, which would be detected {size}"
+    size_text = f"only from {size_ratio:.0f} times its plausible size on" if np.isfinite(size_ratio) else "at no size"
+    reason = f"poses, targets and instrument parameters absorb the effect, which would be detected {size_text}"
     factor = size_ratio if np.isfinite(size_ratio) else None
     return Undetectable(
         effect=effect.name,

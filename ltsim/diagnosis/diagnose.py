@@ -183,14 +183,15 @@ def _contradicting_constants(
     if not model.members:
         return with_model
     contradictions = comparison(case.space.adjustment, MIN_EFFECT_LOG_EVIDENCE).contradictions
-    size = {
+    difference_by_constant = {
         (contradiction.instruments, contradiction.parameter.name): abs(contradiction.difference)
         for contradiction in contradictions
     }
     return tuple(
         c
         for c in with_model
-        if abs(c.difference) > MIN_REMAINING_OFFSET * size.get((c.instruments, c.parameter.name), np.inf)
+        if abs(c.difference)
+        > MIN_REMAINING_OFFSET * difference_by_constant.get((c.instruments, c.parameter.name), np.inf)
     )
 
 

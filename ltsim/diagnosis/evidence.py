@@ -62,18 +62,18 @@ def simulated_log_evidence(scores: Floats, eigenvalues: Floats) -> Floats:
 
     `scores` (h, k, trials) and `eigenvalues` (h, k) are those of k eigenvectors.
     """
-    parts = [
+    log_evidence_parts = [
         _log_sum_exp_in_place(logs, 1) for logs in _simulated_log_evidence(scores, eigenvalues, np.zeros(len(scores)))
     ]
-    evidence: Floats = np.concatenate(parts).astype(np.float64)
+    evidence: Floats = np.concatenate(log_evidence_parts).astype(np.float64)
     return evidence
 
 
 def simulated_log_total(scores: Singles, eigenvalues: Floats, log_prior: Floats) -> Floats:
     """Log (trials,) of the sum of the evidence of all hypotheses with their priors (h,), for simulated residuals."""
     flattened = scores.reshape(-1, *scores.shape[-2:]), eigenvalues.reshape(-1, scores.shape[-2])
-    parts = [_log_sum_exp_in_place(logs, (0, 1)) for logs in _simulated_log_evidence(*flattened, log_prior)]
-    return log_sum_exp(np.stack(parts).astype(np.float64))
+    log_total_parts = [_log_sum_exp_in_place(logs, (0, 1)) for logs in _simulated_log_evidence(*flattened, log_prior)]
+    return log_sum_exp(np.stack(log_total_parts).astype(np.float64))
 
 
 def _simulated_log_evidence(scores: Floats | Singles, eigenvalues: Floats, log_prior: Floats) -> Iterator[Singles]:
@@ -90,8 +90,8 @@ def _log_sum_exp_in_place(logs: Singles, axis: int | tuple[int, ...]) -> Singles
     """Log of the sum of exp(logs) along `axis`. The array `logs` is overwritten."""
     top = logs.max(axis=axis, keepdims=True)
     np.exp(np.subtract(logs, top, out=logs), out=logs)
-    total: Singles = np.log(logs.sum(axis=axis)) + top.squeeze(axis)
-    return total
+    log_total: Singles = np.log(logs.sum(axis=axis)) + top.squeeze(axis)
+    return log_total
 
 
 def log_restricted_likelihood_ratio(squares: Floats, redundancy: Floats, variance_factor: Floats) -> Floats:
@@ -133,9 +133,9 @@ def log_means_by_group(values: Floats, groups: Ints, n_groups: int) -> Floats:
     order = np.argsort(groups, kind="stable")
     starts = np.searchsorted(groups[order], np.arange(n_groups))
     top = np.maximum.reduceat(values[order], starts, axis=0)
-    total = np.add.reduceat(np.exp(values[order] - top[groups[order]]), starts, axis=0)
-    size = np.bincount(groups, minlength=n_groups).reshape(-1, *([1] * (values.ndim - 1)))
-    means: Floats = top + np.log(total / size)
+    group_sums = np.add.reduceat(np.exp(values[order] - top[groups[order]]), starts, axis=0)
+    group_sizes = np.bincount(groups, minlength=n_groups).reshape(-1, *([1] * (values.ndim - 1)))
+    means: Floats = top + np.log(group_sums / group_sizes)
     return means
 
 
@@ -173,10 +173,10 @@ def coefficient_posterior(
     weight = normalised_probabilities(log_evidences)
     variances = sizes[:, None] ** 2 / (1.0 + sizes[:, None] ** 2 * eigenvalues)
     means = variances * z
-    mean = weight @ means
-    deviations = means - mean
+    averaged_mean = weight @ means
+    deviations = means - averaged_mean
     inner = np.diag(weight @ variances) + (weight[:, None] * deviations).T @ deviations
-    return turn @ mean, turn @ inner @ turn.T, float(log_sum_exp(log_evidences))
+    return turn @ averaged_mean, turn @ inner @ turn.T, float(log_sum_exp(log_evidences))
 
 
 def _eigen_decomposition(gram: Floats, plausible_sizes: Floats) -> tuple[Floats, Floats]:
@@ -295,8 +295,8 @@ def log_bayes_factor_discrepancy(space: ResidualSpace, shift: Floats, residual: 
     kind = np.nonzero(space.used_readings)[1]
     rows = np.flatnonzero(shift[: len(kind)])
     kind, square, share = kind[rows], residual[rows] ** 2, redundancy[rows]
-    count = np.maximum(np.bincount(kind, minlength=3), 1)
-    size = (np.bincount(kind, shift[rows] ** 2, minlength=3) / count)[kind]
-    variance = 1.0 + DISCREPANCY_RATIOS[:, None] ** 2 * size
+    n_by_kind = np.maximum(np.bincount(kind, minlength=3), 1)
+    mean_squares = (np.bincount(kind, shift[rows] ** 2, minlength=3) / n_by_kind)[kind]
+    variance = 1.0 + DISCREPANCY_RATIOS[:, None] ** 2 * mean_squares
     log_likelihood_ratios = log_restricted_likelihood_ratio(square, share, variance).sum(axis=1)
     return float(log_sum_exp(log_likelihood_ratios) - np.log(len(DISCREPANCY_RATIOS)))

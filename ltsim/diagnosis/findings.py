@@ -82,9 +82,9 @@ class ExplainedRecording:
         ]
         effect, spread = self.refit.effects[member], model.members[member].plausible_sizes
         moments = searcher.evidence_calculator.gram_and_score([effect], other_members)[0]
-        mean = coefficient_posterior(*moments, spread)[0]
+        coefficient_means = coefficient_posterior(*moments, spread)[0]
         redundancy = searcher.space.redundancy - np.sum(model.basis**2, axis=1)
-        shift = searcher.space.whitened_design(effect) @ mean
+        shift = searcher.space.whitened_design(effect) @ coefficient_means
         likeness = log_bayes_factor_discrepancy(searcher.space, shift, model.residual, redundancy)
         return searcher.ranking(other_members).with_rivals(noises).with_unmodelled_cause(likeness)
 
@@ -171,12 +171,12 @@ class ExplainedRecording:
         probability, rivals = self.probability(member), name_probabilities(ranking.probabilities_by_name(), name)[1]
         p_located = self.p_located[member]
         gain = self.squared_residual_decreases[member]
-        mean = coefficient_posterior(
+        coefficient_means = coefficient_posterior(
             *searcher.evidence_calculator.gram_and_score([effect], others)[0], hypothesis.plausible_sizes
         )[0]
         design_columns, rows = space.whitened_design(effect), int(space.used_readings.sum())
-        shift = design_columns @ mean
-        projected_design = searcher.model_of([hypothesis]).projected_designs[0] @ mean
+        shift = design_columns @ coefficient_means
+        projected_design = searcher.model_of([hypothesis]).projected_designs[0] @ coefficient_means
         scope = self._scope(effect, active_observables(space.used_readings, shift[:rows], projected_design[:rows]))
         estimates = self._estimates_of(member, hypothesis, others)
         extra_fields: dict[str, Any] = {}
@@ -225,16 +225,17 @@ class ExplainedRecording:
         reading_gain = chi2_decreases[: int(use.sum())]
         order = np.argsort(-reading_gain)
         min_sum = MIN_LISTED_CHI2_FRACTION * max(float(chi2_decreases.sum()), MAX_ROUNDING_ERROR)
-        count = int(np.searchsorted(np.cumsum(reading_gain[order]), min_sum)) + 1
-        if count > MAX_LISTED_ITEMS:
+        n_readings = int(np.searchsorted(np.cumsum(reading_gain[order]), min_sum)) + 1
+        if n_readings > MAX_LISTED_ITEMS:
             return ""
-        at = [
-            (int(row), int(kind)) for row, kind in zip(*(part[order[:count]] for part in np.nonzero(use)), strict=True)
+        row_and_observable = [
+            (int(row), int(kind))
+            for row, kind in zip(*(part[order[:n_readings]] for part in np.nonzero(use)), strict=True)
         ]
         station, target = recording.stations, recording.targets
         names = (
             f"{OBSERVABLES[k]} from {station[recording.station[i]]} to {target[recording.target[i]]} (row {i + 1})"
-            for i, k in at
+            for i, k in row_and_observable
         )
         return f" Most of it is in the {', the '.join(names)}."
 

@@ -92,6 +92,8 @@ def _selected_model_shift(space: ResidualSpace, searcher: Searcher, threshold: f
     model = searcher.select_model(threshold, requires_member=True)
     if not model.members:
         return np.zeros(space.n_rows)
-    mean = wide_prior_posterior(*model.gram_and_scores, np.concatenate([h.plausible_sizes for h in model.members]))[0]
+    coefficient_means = wide_prior_posterior(
+        *model.gram_and_scores, np.concatenate([h.plausible_sizes for h in model.members])
+    )[0]
     designs: Sequence[Floats] = [space.whitened_design(effect) for effect in model.effects]
-    return np.hstack(designs) @ mean
+    return np.hstack(designs) @ coefficient_means

@@ -142,8 +142,8 @@ class Ranking:
     def with_rivals(self, rivals: Sequence[Hypothesis]) -> Ranking:
         """Ranking that also contains the hypotheses `rivals`."""
         entries = sorted([*self.entries, *rivals], key=lambda h: -h.log_evidence)
-        total = float(log_sum_exp(np.array([self.log_evidence_total, *(h.log_evidence for h in rivals)])))
-        return Ranking(tuple(entries), total)
+        log_total = float(log_sum_exp(np.array([self.log_evidence_total, *(h.log_evidence for h in rivals)])))
+        return Ranking(tuple(entries), log_total)
 
     def with_unmodelled_cause(self, log_bayes_factor: float) -> Ranking:
         """Ranking with an unmodelled cause, from its log Bayes factor against the best hypothesis."""
@@ -232,8 +232,8 @@ def _log_evidence_over_sizes(model: Model) -> float:
         scale = np.pad(EVIDENCE_SIZES[sizes][:, owner] * spread, ((0, 0), (0, 1)), constant_values=1.0)
         factor = np.linalg.cholesky(bordered_matrix * scale[:, :, None] * scale[:, None, :] + unit_prior)
         fit = 0.5 * np.sum(factor[:, -1, :-1] ** 2, axis=1)  # the last row of the factor holds the solved residual
-        size = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)[:, :-1]), axis=1)
-        value: Floats = fit - size + LOG_SIZE_PRIOR[sizes].sum(axis=1)
+        half_log_determinants = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)[:, :-1]), axis=1)
+        value: Floats = fit - half_log_determinants + LOG_SIZE_PRIOR[sizes].sum(axis=1)
         return value
 
     best, every = np.full(count, int(np.flatnonzero(EVIDENCE_SIZES == 1.0)[0])), np.arange(len(EVIDENCE_SIZES))

@@ -309,19 +309,26 @@ class HistoryExpectation:
     def find_contradictions(self, adjustment: Adjustment, min_log_evidence: float) -> ContradictingConstants:
         """Constants that changed since the earlier calibrations, each with a log evidence above `min_log_evidence`."""
         parameters, unit = adjustment.construction.parameters, self.specification
-        at = [k for k, p in enumerate(parameters) if p.name in self.earlier.parameters]
-        names = [parameters[k].name for k in at]
+        parameter_indices = [k for k, p in enumerate(parameters) if p.name in self.earlier.parameters]
+        names = [parameters[k].name for k in parameter_indices]
         covariance = [block / np.outer(u, u) for block, u in zip(self.expected.covariance, unit, strict=True)]
         changes: list[ConstantChange] = []
         for i, block in enumerate(covariance):
-            spreads = zip(*self._additional_variances(block[np.ix_(at, at)], unit[i, at], names), strict=True)
+            spreads = zip(
+                *self._additional_variances(
+                    block[np.ix_(parameter_indices, parameter_indices)], unit[i, parameter_indices], names
+                ),
+                strict=True,
+            )
             changes += [
                 ConstantChange((i,), k, self._reference_phrase(parameters[k]), *s)
-                for k, s in zip(at, spreads, strict=True)
+                for k, s in zip(parameter_indices, spreads, strict=True)
             ]
-        mean = (self.expected.mean / unit).ravel()
+        expected_means = (self.expected.mean / unit).ravel()
         return compare_constants(
-            adjustment, ExpectedConstants(mean, linalg.block_diag(*covariance), tuple(changes)), min_log_evidence
+            adjustment,
+            ExpectedConstants(expected_means, linalg.block_diag(*covariance), tuple(changes)),
+            min_log_evidence,
         )
 
     def _additional_variances(self, variance: Floats, unit: Floats, names: list[str]) -> tuple[Floats, Floats]:
@@ -333,8 +340,8 @@ class HistoryExpectation:
         manufacturer. `variance` (k, k) is the expected covariance, `unit` (k,) the specification [SI], and `names` are
         the names of the constants.
         """
-        count = self.earlier.n_calibrations
-        if count == 1:
+        n_calibrations = self.earlier.n_calibrations
+        if n_calibrations == 1:
             return np.zeros((len(unit), 1)), np.zeros((len(unit), 1))
         spread = (
             self.earlier.between_calibration_sigma[[self.earlier.parameters.index(name) for name in names]] ** 2
@@ -343,14 +350,16 @@ class HistoryExpectation:
         precision = (
             np.diag(np.linalg.inv(variance - np.diag(spread))) - 1.0
         )  # of the mean, without the maker's guarantee
-        variances = count / np.maximum(precision, MAX_ROUNDING_ERROR)
+        variances = n_calibrations / np.maximum(precision, MAX_ROUNDING_ERROR)
         usual_variance = variances + np.median(spread) - spread
         added_variance = np.minimum(
             np.outer(variances, VARIANCE_RATIO_GRID - 1.0), np.maximum(1.0 - spread, 0.0)[:, None]
         )
-        shown = (count - 1 + PRIOR_DOF * usual_variance / variances)[:, None]
-        weights = -0.5 * (count - 1 + PRIOR_DOF) * np.log(VARIANCE_RATIO_GRID) - 0.5 * shown / VARIANCE_RATIO_GRID
-        return np.maximum(added_variance * (1.0 + 1.0 / count), -spread[:, None]), weights
+        shown = (n_calibrations - 1 + PRIOR_DOF * usual_variance / variances)[:, None]
+        weights = (
+            -0.5 * (n_calibrations - 1 + PRIOR_DOF) * np.log(VARIANCE_RATIO_GRID) - 0.5 * shown / VARIANCE_RATIO_GRID
+        )
+        return np.maximum(added_variance * (1.0 + 1.0 / n_calibrations), -spread[:, None]), weights
 
     def _reference_phrase(self, parameter: Parameter) -> str:
         """Text of the reference with which a constant is compared."""

@@ -118,8 +118,8 @@ class RegressorColumns:
             return self._compute_columns(self._regressors[regressor_range])
         if self._all_columns is None:
             self._all_columns = self._compute_columns(self._regressors)
-        size = self._regressors[0].n_columns
-        return self._all_columns[:, regressor_range.start * size : regressor_range.stop * size]
+        n_columns = self._regressors[0].n_columns
+        return self._all_columns[:, regressor_range.start * n_columns : regressor_range.stop * n_columns]
 
     def release(self) -> None:
         """Removal of the columns from memory, unless they are always cached."""
@@ -127,11 +127,11 @@ class RegressorColumns:
             self._all_columns = None
 
     def _compute_columns(self, regressors: Sequence[Regressor]) -> Singles:
-        size = regressors[0].n_columns
-        columns = np.empty((len(self._sightings), len(regressors) * size), dtype=np.float32)
+        n_columns = regressors[0].n_columns
+        columns = np.empty((len(self._sightings), len(regressors) * n_columns), dtype=np.float32)
         for i, driver in enumerate(regressors):
             made = driver.columns(self._sightings, acts_on_targets=self._acts_on_targets)
-            columns[:, i * size : (i + 1) * size] = made[self._order]
+            columns[:, i * n_columns : (i + 1) * n_columns] = made[self._order]
         return columns
 
 

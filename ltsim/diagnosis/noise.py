@@ -142,8 +142,8 @@ class NoiseBank:
 
     def family_evidence(self, residual: Floats | Singles, redundancy: Floats) -> Floats:
         """Log evidence (families, trials) with priors in the diagonal form, of `families`, then of `group_noises`."""
-        parts = batches(residual.shape[1], len(residual))
-        return np.hstack([self._family_evidence(residual[:, part].astype(np.float64), redundancy) for part in parts])
+        slices = batches(residual.shape[1], len(residual))
+        return np.hstack([self._family_evidence(residual[:, part].astype(np.float64), redundancy) for part in slices])
 
     def _family_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         patterns = self._log_evidence_by_family(self.log_likelihood_ratio(residual, redundancy))
@@ -246,8 +246,8 @@ class NoiseBank:
             values.append(value)
             factors.append(np.ones(space.sigma.shape))
             factors[-1][space.used_readings] = change.expected_factors(residual, redundancy)[:rows]
-        mean = np.einsum("k,kij->ij", normalised_probabilities(np.array(values)), np.stack(factors))
-        return np.nan_to_num(mean, nan=1.0)
+        mean_factors = np.einsum("k,kij->ij", normalised_probabilities(np.array(values)), np.stack(factors))
+        return np.nan_to_num(mean_factors, nan=1.0)
 
     def _ranked_patterns(self, residual: Floats, redundancy: Floats) -> list[tuple[NoiseHypothesis, float]]:
         """Most probable patterns of noise, each at its best size, with the log evidence summed over its sizes."""
@@ -257,8 +257,8 @@ class NoiseBank:
         members: dict[CandidateNoiseEffect, list[int]] = {}
         for i, hypothesis in enumerate(self.hypotheses):
             members.setdefault(hypothesis.effect, []).append(i)
-        logs = ratio + prior[self.family_index]
-        evidence = np.array([float(log_sum_exp(logs[same])) for same in members.values()])
+        log_evidence = ratio + prior[self.family_index]
+        evidence = np.array([float(log_sum_exp(log_evidence[same])) for same in members.values()])
         none, groups, ranked = np.zeros((len(residual), 0)), list(members.values()), []
         for i in np.argsort(-evidence)[:MAX_AVERAGED_HYPOTHESES]:
             best = groups[i][int(np.argmax(ratio[groups[i]]))]
@@ -345,17 +345,17 @@ def _tail_with_variances(hypothesis: NoiseHypothesis, reml_gain: Callable[[Float
     weight is (1 - p) + p E[1 / f], as in the EM algorithm for scale mixtures (Little 1988, Applied Statistics 37, 23).
     The fraction of readings in the tail is the one with the largest likelihood.
     """
-    count = len(hypothesis.effect.parameters)
-    logs = np.stack([reml_gain(np.full(count, factor - 1.0)) for factor in TAIL_VARIANCE_FACTORS])
-    logs -= reml_gain(np.zeros(count))
-    ratio = log_sum_exp(logs) - np.log(len(TAIL_VARIANCE_FACTORS))
+    n_parameters = len(hypothesis.effect.parameters)
+    base_gain = reml_gain(np.zeros(n_parameters))
+    log_gains = np.stack([reml_gain(np.full(n_parameters, f - 1.0)) - base_gain for f in TAIL_VARIANCE_FACTORS])
+    ratio = log_sum_exp(log_gains) - np.log(len(TAIL_VARIANCE_FACTORS))
     likelihood = [np.logaddexp(np.log1p(-q), np.log(q) + ratio).sum() for q in NOISY_GROUP_FRACTIONS]
     q = float(NOISY_GROUP_FRACTIONS[int(np.argmax(likelihood))])
     inside = expit(ratio + np.log(q / (1.0 - q)))
-    weight = 1.0 - inside + inside * (np.exp(logs - log_sum_exp(logs)) / TAIL_VARIANCE_FACTORS[:, None]).sum(axis=0)
+    probabilities = np.exp(log_gains - log_sum_exp(log_gains))
+    weight = 1.0 - inside + inside * (probabilities / TAIL_VARIANCE_FACTORS[:, None]).sum(axis=0)
     values = 1.0 / weight - 1.0
-    drop = 2.0 * float((reml_gain(values) - reml_gain(np.zeros(count))).sum())
-    sigma = np.sqrt(2.0) * (1.0 + values)  # of a variance from one reading
+    drop, sigma = 2.0 * float((reml_gain(values) - base_gain).sum()), np.sqrt(2.0) * (1.0 + values)  # one reading each
     return replace(hypothesis, sizes=tuple(values.tolist()), chi2_drop=drop, size_sigmas=tuple(sigma.tolist()))
 
 

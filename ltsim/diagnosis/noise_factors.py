@@ -49,8 +49,8 @@ class PatternGroup:
             Redundancy numbers k.
         """
         squares, redundancy = squares[self.row_indices], redundancy[self.row_indices]
-        count = self.added_variance.size if isinstance(self.added_variance, np.ndarray) else self.added_variance.nnz
-        for part in batches(len(self.members), count // max(self.added_variance.shape[0], 1)):
+        n_nonzero = self.added_variance.size if isinstance(self.added_variance, np.ndarray) else self.added_variance.nnz
+        for part in batches(len(self.members), n_nonzero // max(self.added_variance.shape[0], 1)):
             logs = self._log_variance_factors_of(part)
             fit = (_precision_loss(logs) @ squares).astype(np.float64)
             yield self.members[part], 0.5 * (fit - (logs @ redundancy)[:, None])
@@ -69,8 +69,8 @@ class PatternGroup:
         added_variance, size = self.added_variance[self.pattern_index[members]], self.size[members]
         if isinstance(added_variance, np.ndarray):
             return np.log1p(size[:, None] * added_variance)
-        data = np.log1p(np.repeat(size, np.diff(added_variance.indptr)) * added_variance.data)
-        return sp.csr_array((data, added_variance.indices, added_variance.indptr), added_variance.shape)
+        log_factors = np.log1p(np.repeat(size, np.diff(added_variance.indptr)) * added_variance.data)
+        return sp.csr_array((log_factors, added_variance.indices, added_variance.indptr), added_variance.shape)
 
 
 def _precision_loss(logs: Singles | sp.csr_array) -> Singles | sp.csr_array:
@@ -156,8 +156,8 @@ def _pattern_group(
 ) -> PatternGroup:
     members = np.concatenate([first + np.arange(len(sizes)) for first, sizes in owners])
     pattern_index = np.repeat(np.arange(len(owners)), [len(sizes) for _, sizes in owners])
-    size = np.concatenate([sizes for _, sizes in owners]).astype(np.float32)
-    return PatternGroup(members, pattern_index, size, row_indices, added_variance)
+    pattern_sizes = np.concatenate([sizes for _, sizes in owners]).astype(np.float32)
+    return PatternGroup(members, pattern_index, pattern_sizes, row_indices, added_variance)
 
 
 def _sparse_rows(row_entries: Sequence[tuple[Ints, Singles]], n_rows: int) -> sp.csr_array:

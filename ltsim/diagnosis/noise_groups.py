@@ -63,8 +63,8 @@ class GroupNoise:
         `residual` (m, trials) are whitened residuals, and `redundancy` (m,) their redundancy numbers.
         """
         squares, share = self.members @ residual**2, self.members @ redundancy
-        total = log_sum_exp(log_restricted_likelihood_ratio(squares, share[:, None], self.factors[:, None, None]))
-        return total - np.log(len(self.factors))
+        log_totals = log_sum_exp(log_restricted_likelihood_ratio(squares, share[:, None], self.factors[:, None, None]))
+        return log_totals - np.log(len(self.factors))
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (trials,) for residuals (m, trials)."""
@@ -86,11 +86,13 @@ class GroupNoise:
 
     def _added_variance_if_noisy(self, residual: Floats, redundancy: Floats) -> Floats:
         """Posterior mean (g,) of the added variance of each group, if its noise differs from the declared noise."""
-        logs = log_restricted_likelihood_ratio(
+        log_ratios = log_restricted_likelihood_ratio(
             self.members @ residual**2, self.members @ redundancy, self.factors[:, None]
         )
-        mean: Floats = np.sum(normalised_probabilities(logs) * (self.factors[:, None] - 1.0), axis=0)
-        return mean
+        mean_added_variance: Floats = np.sum(
+            normalised_probabilities(log_ratios) * (self.factors[:, None] - 1.0), axis=0
+        )
+        return mean_added_variance
 
     def most_likely_effect(self, residual: Floats, redundancy: Floats) -> CandidateNoiseEffect:
         """Change of the noise whose sizes are to be estimated for whitened residuals (m,)."""

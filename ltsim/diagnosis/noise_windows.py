@@ -106,13 +106,13 @@ class NoiseWindows(GroupNoise):
         gains = np.exp(self._log_likelihood_ratios(residual, redundancy))
         p_change = self._change_probabilities[:, None, None, None]
         quiet = noisy = np.full((len(p_change), *gains.shape[1:]), 0.5)
-        total = np.zeros(quiet.shape)
+        log_totals = np.zeros(quiet.shape)
         for gain in gains:
             quiet, noisy = quiet + p_change * (noisy - quiet), (noisy + p_change * (quiet - noisy)) * gain
             scale = quiet + noisy
-            total += np.log(scale)
+            log_totals += np.log(scale)
             quiet, noisy = quiet / scale, noisy / scale
-        flattened = total.reshape(-1, total.shape[-1])
+        flattened = log_totals.reshape(-1, log_totals.shape[-1])
         return log_sum_exp(flattened) - np.log(len(flattened) * self.n_places)
 
     def _expected_added_variance(self, residual: Floats, redundancy: Floats) -> Floats:
@@ -172,8 +172,8 @@ class NoiseWindows(GroupNoise):
             index_of_best(np.array([self._log_evidence_of(effect, residual, redundancy) for effect in places]))
         ]
         whole = replace(place, observables=OBSERVABLES, covariate_band=(self.times[0], self.times[-1]))
-        here = (whole.variance(s, self.space.sigma, np.ones(1)) > self.space.sigma**2)[self.space.used_readings]
-        rows = np.pad(here, (0, len(residual) - len(here))).astype(np.float64)
+        is_noisy = (whole.variance(s, self.space.sigma, np.ones(1)) > self.space.sigma**2)[self.space.used_readings]
+        rows = np.pad(is_noisy, (0, len(residual) - len(is_noisy))).astype(np.float64)
         members = sp.csr_array(self.members @ sp.diags_array(rows))
         return (replace(self, effect=whole, members=members, n_places=len(places)),)
 

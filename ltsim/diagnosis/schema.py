@@ -205,8 +205,10 @@ class DetectableEntry(Entry):
     @classmethod
     def from_minimal_size(cls, minimal_size: MinimalSize) -> Self:
         """Entry of a minimal detectable size at a median place."""
-        size = minimal_size.median_size / SI_PER_UNIT[minimal_size.unit]
-        return cls(effect=minimal_size.effect, parameter=minimal_size.parameter, size=size, unit=minimal_size.unit)
+        displayed_size = minimal_size.median_size / SI_PER_UNIT[minimal_size.unit]
+        return cls(
+            effect=minimal_size.effect, parameter=minimal_size.parameter, size=displayed_size, unit=minimal_size.unit
+        )
 
 
 class InstrumentEntry(Entry):

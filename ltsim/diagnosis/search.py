@@ -124,15 +124,15 @@ class Searcher:
         """
         unit = np.zeros((self.space.n_rows, len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
-        rest = copy(self)
-        rest.space, rest.is_large_network = self.space.with_design_columns(unit), True
-        rest._n_refined, rest._refines_every_kind = N_REFINED_IN_LARGE_NETWORK, False
-        rest.null_ensemble = self.null_ensemble.with_model(rest.space.residuals, self.empty_model.basis)
-        rest.empty_model = Model((), (), (), rest.space.residuals)
-        rest._rankings, rest._projected_designs = {}, OrderedDict()
-        rest.evidence_calculator = EvidenceCalculator(rest.space)
-        rest.empty_model_screening = rest._screening(rest.empty_model)
-        return rest
+        reduced = copy(self)
+        reduced.space, reduced.is_large_network = self.space.with_design_columns(unit), True
+        reduced._n_refined, reduced._refines_every_kind = N_REFINED_IN_LARGE_NETWORK, False
+        reduced.null_ensemble = self.null_ensemble.with_model(reduced.space.residuals, self.empty_model.basis)
+        reduced.empty_model = Model((), (), (), reduced.space.residuals)
+        reduced._rankings, reduced._projected_designs = {}, OrderedDict()
+        reduced.evidence_calculator = EvidenceCalculator(reduced.space)
+        reduced.empty_model_screening = reduced._screening(reduced.empty_model)
+        return reduced
 
     def ranking(self, base_model: Model) -> Ranking:
         """Ranking of all hypotheses given a model: all are screened, and the best are evaluated exactly."""
@@ -295,8 +295,8 @@ class Searcher:
         """Model with the given hypotheses."""
         if not members:
             return self.empty_model
-        parts = [self._projected_design(h) for h in members]
-        return Model(tuple(members), tuple(p[0] for p in parts), tuple(p[1] for p in parts), self.space.residuals)
+        designs = [self._projected_design(h) for h in members]
+        return Model(tuple(members), tuple(p[0] for p in designs), tuple(p[1] for p in designs), self.space.residuals)
 
     def model_without(self, model: Model, member_index: int) -> Model:
         """Model without the effect that has the index `member_index`."""

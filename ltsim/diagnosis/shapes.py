@@ -168,14 +168,20 @@ def centre_estimates(
     k = len(centre)
     steps = PLACE_DIFFERENCE_STEP * np.eye(k)
     moves = [np.zeros(k), *steps, *-steps]
-    pairs = list(combinations(range(k), 2))
-    moves += [steps[i] + steps[j] for i, j in pairs] + [steps[i] - steps[j] for i, j in pairs]
-    moves += [steps[j] - steps[i] for i, j in pairs] + [-steps[i] - steps[j] for i, j in pairs]
-    logs = calculator.log_evidence([effect.centred_at(tuple((centre + move).tolist())) for move in moves], base_model)
-    ahead, behind, crossed = logs[1 : k + 1], logs[k + 1 : 2 * k + 1], logs[2 * k + 1 :].reshape(4, -1)
-    hessian = np.diag((2.0 * logs[0] - ahead - behind) / PLACE_DIFFERENCE_STEP**2)
+    axis_pairs = list(combinations(range(k), 2))
+    moves += [steps[i] + steps[j] for i, j in axis_pairs] + [steps[i] - steps[j] for i, j in axis_pairs]
+    moves += [steps[j] - steps[i] for i, j in axis_pairs] + [-steps[i] - steps[j] for i, j in axis_pairs]
+    log_evidences = calculator.log_evidence(
+        [effect.centred_at(tuple((centre + move).tolist())) for move in moves], base_model
+    )
+    ahead, behind, crossed = (
+        log_evidences[1 : k + 1],
+        log_evidences[k + 1 : 2 * k + 1],
+        log_evidences[2 * k + 1 :].reshape(4, -1),
+    )
+    hessian = np.diag((2.0 * log_evidences[0] - ahead - behind) / PLACE_DIFFERENCE_STEP**2)
     mixed = -(crossed[0] - crossed[1] - crossed[2] + crossed[3]) / (4.0 * PLACE_DIFFERENCE_STEP**2)
-    for (i, j), value in zip(pairs, mixed, strict=True):
+    for (i, j), value in zip(axis_pairs, mixed, strict=True):
         hessian[i, j] = hessian[j, i] = value
     eigenvalues, eigenvectors = np.linalg.eigh(hessian)
     variance = eigenvectors**2 @ (
@@ -202,8 +208,8 @@ def shape_posterior(
     weight = normalised_probabilities(np.array([node.log_weight for node in shapes]))
     values = np.array([[*node.mean, *node.constants.values()] for node in shapes])
     within = np.array([[*s.variance, *((name == "time") * s.gap**2 / 12.0 for name in s.constants)] for s in shapes])
-    mean = weight @ values
-    sigma = np.sqrt(np.maximum(weight @ (within + values**2) - mean**2, 0.0))
+    posterior_mean = weight @ values
+    sigma = np.sqrt(np.maximum(weight @ (within + values**2) - posterior_mean**2, 0.0))
     units = (
         {"time": "s"}
         | {s.name: s.unit for s in type(effect).shape_parameters}
@@ -214,5 +220,5 @@ def shape_posterior(
         name: ParameterEstimate(
             name=name, value=m / SI_PER_UNIT[units[name]], sigma=d / SI_PER_UNIT[units[name]], unit=units[name]
         )
-        for name, m, d in zip(names, mean, sigma, strict=True)
+        for name, m, d in zip(names, posterior_mean, sigma, strict=True)
     }

@@ -217,10 +217,10 @@ class _LawBatchBuilder:
             k: tuple(p for p in places if len(p.rows) >= MIN_POINTINGS_PER_COEFFICIENT * k[0] * n_components)
             for k in by_shape
         }
-        count = sum(len(members) * scales * len(fit[k, scales]) for (k, scales), members in by_shape.items())
+        n_laws = sum(len(members) * scales * len(fit[k, scales]) for (k, scales), members in by_shape.items())
         for size, same in by_shape.items():
             if fit[size]:
-                self._registered.setdefault((responses, tuple(same)), []).append((fit[size], weight / count))
+                self._registered.setdefault((responses, tuple(same)), []).append((fit[size], weight / n_laws))
 
     def law_batches(self) -> list[LawBatch]:
         """Batches of the registered laws.

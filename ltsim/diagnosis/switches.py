@@ -74,17 +74,17 @@ def switched_forms(
         return []
     if law.depends_on_fixed_region and refine:
         law = calculator.refine_locally([law], base_model)[0][0]
-    first = scalar_regressor(edges[0].covariates[0], "step", -np.inf)
-    spans = _span_moments(calculator, law, [first, *edges], base_model)
-    plausible_sizes = law.with_switch([first]).size_scales
+    always_on = scalar_regressor(edges[0].covariates[0], "step", -np.inf)
+    spans = _span_moments(calculator, law, [always_on, *edges], base_model)
+    plausible_sizes = law.with_switch([always_on]).size_scales
     on, value, toggled = _best_span_states(spans, plausible_sizes)
     chosen = [edges[i] for i in np.flatnonzero(np.diff(on.astype(int)))]
     starts_on = bool(on[0]) and law.depends_on_fixed_region  # elsewhere a constant is absorbed: on and off are alike
     if not _acts_temporarily(law, chosen, sightings):
         return []
-    refined, mean = calculator.refine_locally([law.with_switch([first, *chosen] if starts_on else chosen)], base_model)[
-        0
-    ]
+    refined, mean = calculator.refine_locally(
+        [law.with_switch([always_on, *chosen] if starts_on else chosen)], base_model
+    )[0]
     price = float(np.log(len(edges) * (len(edges) + 1) / 2)) * toggled
     form = Hypothesis(refined, log_prior - price, max(value, mean - price) + log_prior, catalogue_name(refined))
     return [form, *_formulas_of_second_factor(calculator, form, base_model)]

@@ -82,11 +82,11 @@ def _motion_amount(
     elementary_motion: ElementaryMotion, raw_readings: Floats, errors: Mapping[str, Floats]
 ) -> Floats | None:
     """Signed angle [rad] or length [m] of a motion, nominal amount plus error, (n,) or a number; None for no motion."""
-    amount = None if elementary_motion.nominal is None else elementary_motion.nominal(raw_readings)
+    motion_amount = None if elementary_motion.nominal is None else elementary_motion.nominal(raw_readings)
     error = errors.get(elementary_motion.slot)
     if error is not None:
-        amount = error if amount is None else amount + error
-    return None if amount is None else elementary_motion.sign * amount
+        motion_amount = error if motion_amount is None else motion_amount + error
+    return None if motion_amount is None else elementary_motion.sign * motion_amount
 
 
 def _rotate(axis: int, angle: Floats, *vectors: Floats) -> None:

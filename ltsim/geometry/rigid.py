@@ -122,8 +122,8 @@ def determines_pose(
     min_relative_width : float
         Distance of targets from a common line, as a fraction of their extent, up to which they count as collinear.
     """
-    count = np.maximum(is_sighted.sum(axis=-1), 1)
-    centre = (is_sighted @ points) / count[..., None]
+    n_sighted = np.maximum(is_sighted.sum(axis=-1), 1)
+    centre = (is_sighted @ points) / n_sighted[..., None]
     centred_points = (points - centre[..., None, :]) * is_sighted[..., None]
     scatter = np.swapaxes(centred_points, -1, -2) @ centred_points
     spread = np.linalg.eigvalsh(scatter)

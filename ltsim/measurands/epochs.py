@@ -41,8 +41,8 @@ ALL_AXES = np.arange(3)
 
 
 def compare_adjustments(
-    first_adjustment: Adjustment,
-    second_adjustment: Adjustment,
+    first: Adjustment,
+    second: Adjustment,
     *,
     stable_names: Sequence[str] | None = None,
     with_scale: bool = False,
@@ -53,31 +53,21 @@ def compare_adjustments(
 
     Options and errors are those of `lt.compare`.
     """
-    undetermined = {*first_adjustment.undetermined_targets, *second_adjustment.undetermined_targets}
-    common = [
-        n
-        for n in first_adjustment.recording.targets
-        if n in second_adjustment.recording.targets and n not in undetermined
-    ]
+    undetermined = {*first.undetermined_targets, *second.undetermined_targets}
+    common = [n for n in first.recording.targets if n in second.recording.targets and n not in undetermined]
     stable_points = _stable_point_mask("recordings", common, stable_names, n_held=3)
-    indices = [np.array([a.recording.targets.index(n) for n in common]) for a in (first_adjustment, second_adjustment)]
-    common_groups = _common_observations(first_adjustment, second_adjustment, same_instrument)
-    before, after = (
-        _Epoch.from_adjustment(a, i, common_groups)
-        for a, i in zip((first_adjustment, second_adjustment), indices, strict=True)
-    )
-    sources = (
-        SourceEntry.from_recording(first_adjustment.recording),
-        SourceEntry.from_recording(second_adjustment.recording),
-    )
+    indices = [np.array([a.recording.targets.index(n) for n in common]) for a in (first, second)]
+    common_groups = _common_observations(first, second, same_instrument)
+    before, after = (_Epoch.from_adjustment(a, i, common_groups) for a, i in zip((first, second), indices, strict=True))
+    sources = (SourceEntry.from_recording(first.recording), SourceEntry.from_recording(second.recording))
     return _compare_epochs(
         before, after, with_scale, stable_points, stable_points & (stable_names is not None), alpha, sources
     )
 
 
 def compare_coordinates(
-    first_coordinates: EpochCoordinates,
-    second_coordinates: EpochCoordinates,
+    first: EpochCoordinates,
+    second: EpochCoordinates,
     *,
     stable_names: Sequence[str] | None = None,
     has_free_motions: bool = False,
@@ -88,43 +78,32 @@ def compare_coordinates(
 
     Options and errors are those of `lt.compare`.
     """
-    if first_coordinates.axes != second_coordinates.axes:
+    if first.axes != second.axes:
         raise ModelError(
-            f"the first list has the axes {first_coordinates.axes}, the second {second_coordinates.axes}; "
-            "the axes must be the same"
+            f"the first list has the axes {first.axes}, the second {second.axes}; the axes must be the same"
         )
-    second_coordinates, renamed = _with_names_of(second_coordinates, first_coordinates.names)
-    common_names = [name for name in first_coordinates.names if name in second_coordinates.names]
-    open_ = [
-        np.eye(6) if has_free_motions else free_motions_of_epoch(epoch)
-        for epoch in (first_coordinates, second_coordinates)
-    ]
+    second, renamed = _with_names_of(second, first.names)
+    common_names = [name for name in first.names if name in second.names]
+    open_ = [np.eye(6) if has_free_motions else free_motions_of_epoch(epoch) for epoch in (first, second)]
     is_open = with_scale or any(motions.shape[1] for motions in open_)
-    stable_points = _stable_point_mask(
-        "lists", common_names, stable_names, n_held=len(first_coordinates.axes) if is_open else 0
-    )
+    stable_points = _stable_point_mask("lists", common_names, stable_names, n_held=len(first.axes) if is_open else 0)
     before, after = (
         _Epoch.from_coordinates(epoch, common_names, motions)
-        for epoch, motions in zip((first_coordinates, second_coordinates), open_, strict=True)
+        for epoch, motions in zip((first, second), open_, strict=True)
     )
-    count = 0 if has_free_motions else max(motions.shape[1] for motions in open_)
-    notes = [*renamed, *([undetermined_motions_note(count)] if count else [])]
-    sources = SourceEntry.from_coordinates(first_coordinates), SourceEntry.from_coordinates(second_coordinates)
+    n_open = 0 if has_free_motions else max(motions.shape[1] for motions in open_)
+    notes = [*renamed, *([undetermined_motions_note(n_open)] if n_open else [])]
+    sources = SourceEntry.from_coordinates(first), SourceEntry.from_coordinates(second)
     stable_mask = stable_points & (stable_names is not None)
     result = _compare_epochs(
-        before, after, with_scale, stable_points, stable_mask, alpha, sources, first_coordinates.axis_indices, notes
+        before, after, with_scale, stable_points, stable_mask, alpha, sources, first.axis_indices, notes
     )
-    if is_open or len(first_coordinates.axes) < len(ALL_AXES) or len(common_names) <= len(ALL_AXES):
+    if is_open or len(first.axes) < len(ALL_AXES) or len(common_names) <= len(ALL_AXES):
         return result
     return _with_rigid_motion(
         result,
         lambda: compare_coordinates(
-            first_coordinates,
-            second_coordinates,
-            stable_names=stable_names,
-            has_free_motions=True,
-            with_scale=with_scale,
-            alpha=alpha,
+            first, second, stable_names=stable_names, has_free_motions=True, with_scale=with_scale, alpha=alpha
         ),
     )
 
@@ -144,8 +123,8 @@ def _with_names_of(epoch: EpochCoordinates, names: Sequence[str]) -> tuple[Epoch
     }
     if not changed:
         return epoch, []
-    pairs = listing([f"'{name}' and '{first}'" for name, first in changed.items()])
-    note = f"names that differ only in case, blanks or leading zeros are the same point: {pairs}"
+    renaming_text = listing([f"'{name}' and '{first}'" for name, first in changed.items()])
+    note = f"names that differ only in case, blanks or leading zeros are the same point: {renaming_text}"
     return replace(epoch, names=tuple(changed.get(name, name) for name in epoch.names)), [note]
 
 
@@ -156,23 +135,23 @@ def _with_rigid_motion(
 
     `compare_with_free_motions` compares the lists with each in its own frame.
     """
-    count = len(fixed_frame_result.displacements)
-    if 2 * len(fixed_frame_result.moved_points) <= count:
+    n_points = len(fixed_frame_result.displacements)
+    if 2 * len(fixed_frame_result.moved_points) <= n_points:
         return fixed_frame_result
     free = compare_with_free_motions()
-    if 2 * len(free.moved_points) > count:
+    if 2 * len(free.moved_points) > n_points:
         return fixed_frame_result
     suffix = f": {listing(list(free.moved_points))}" if free.moved_points else ""
     note = (
         f"the points moved together, like one rigid body: aligned by {option('free=True')}, "
-        f"{len(free.moved_points)} of {count} points moved{suffix}"
+        f"{len(free.moved_points)} of {n_points} points moved{suffix}"
     )
     return fixed_frame_result.model_copy(update={"notes": (*fixed_frame_result.notes, note), "is_rigid_motion": True})
 
 
 def _compare_epochs(
-    first_epoch: _Epoch,
-    second_epoch: _Epoch,
+    first: _Epoch,
+    second: _Epoch,
     with_scale: bool,
     stable_mask: Bools,
     declared_stable: Bools,
@@ -182,19 +161,17 @@ def _compare_epochs(
     notes: Sequence[str] = (),
 ) -> Comparison:
     """Comparison of epochs with the same points; points whose names are exchanged are compared by their positions."""
-    gap = _align_epochs(first_epoch, second_epoch, with_scale, stable_mask, compared_axes)
+    gap = _align_epochs(first, second, with_scale, stable_mask, compared_axes)
     result = congruence_test(gap, declared_stable, alpha, epoch_sources)
     order = exchanged_names(gap, [i for i, d in enumerate(result.displacements) if d.moved])
     if order is not None:
         result = congruence_test(
-            _align_epochs(
-                first_epoch, second_epoch.with_order(order, len(compared_axes)), with_scale, stable_mask, compared_axes
-            ),
+            _align_epochs(first, second.with_order(order, len(compared_axes)), with_scale, stable_mask, compared_axes),
             declared_stable,
             alpha,
             epoch_sources,
         )
-        notes = [*notes, exchanged_names_sentence(first_epoch.point_names, order)]
+        notes = [*notes, exchanged_names_sentence(first.point_names, order)]
     return result.model_copy(update={"notes": tuple(notes)})
 
 
@@ -272,14 +249,12 @@ class _Epoch:
         )
 
 
-def _common_observations(
-    first_adjustment: Adjustment, second_adjustment: Adjustment, same_instrument: bool
-) -> list[str]:
+def _common_observations(first: Adjustment, second: Adjustment, same_instrument: bool) -> list[str]:
     """Groups of observations whose errors are common to both epochs, because their declarations are equal."""
-    earlier, later = first_adjustment.recording.setup, second_adjustment.recording.setup
+    earlier, later = first.recording.setup, second.recording.setup
     common = []
     if same_instrument:
-        if first_adjustment.problem.prior.sigma.shape != second_adjustment.problem.prior.sigma.shape:
+        if first.problem.prior.sigma.shape != second.problem.prior.sigma.shape:
             raise ModelError("the recordings have different numbers of instruments, so they cannot be the same ones")
         common.append(PRIOR_SOURCE)
     if (
@@ -287,7 +262,7 @@ def _common_observations(
         and later.gauge is not None
         and _certificate_lengths(earlier.gauge) == _certificate_lengths(later.gauge)
     ):
-        shared = [a.problem.gauge_rows.shared_error_changes for a in (first_adjustment, second_adjustment)]
+        shared = [a.problem.gauge_rows.shared_error_changes for a in (first, second)]
         common += [
             LENGTHS_SOURCE,
             *(name for name in shared[0] if name in shared[1] and name.startswith(EXPANSION_ERROR_PREFIX)),

@@ -153,9 +153,10 @@ class TaskEvaluation:
             {name: float(share[result_index]) for name, share in self.linear.variance_by_source.items()},
             self.linear.evaluation_types,
         )
-        total = sum(shares.values())
+        total_variance = sum(shares.values())
         ranked = [
-            (name, shares[name] / total if total > 0 else 0.0) for name in sorted(shares, key=lambda n: -shares[n])
+            (name, shares[name] / total_variance if total_variance > 0 else 0.0)
+            for name in sorted(shares, key=lambda n: -shares[n])
         ]
         return tuple(
             BudgetPart(source=name, type=kinds[name], share=share, standard_uncertainty=float(np.sqrt(share)) * sigma)

@@ -347,8 +347,8 @@ def _batch_statistics(trial_results: Floats, coverage_probability: float) -> Flo
 def shortest_intervals(trial_results: Floats, coverage_probability: float) -> Floats:
     """Shortest coverage interval of each result, shape (results, 2), from trials (trials, results) (JCGM 101, 7.7)."""
     ordered = np.sort(trial_results, axis=0)
-    count = len(ordered)
-    inside = int(np.clip(round(coverage_probability * count), 1, count - 1))
-    best_index = np.argmin(ordered[inside:] - ordered[: count - inside], axis=0)
+    n_samples = len(ordered)
+    inside = int(np.clip(round(coverage_probability * n_samples), 1, n_samples - 1))
+    best_index = np.argmin(ordered[inside:] - ordered[: n_samples - inside], axis=0)
     columns = np.arange(trial_results.shape[1])
     return np.stack([ordered[best_index, columns], ordered[best_index + inside, columns]], axis=1)

@@ -285,10 +285,10 @@ def normalised_errors_of_files(first_result: Uncertainty, second_result: Uncerta
     E_n applies to independent results, for example from two recordings or two instruments.
     """
     others = {(r.task, r.name, r.unit): r for r in second_result.results}
-    pairs = [(r, others[key]) for r in first_result.results if (key := (r.task, r.name, r.unit)) in others]
+    result_pairs = [(r, others[key]) for r in first_result.results if (key := (r.task, r.name, r.unit)) in others]
     return [
         (f"{r.task}, {r.name}", normalised_error(r.value, r.expanded_uncertainty, o.value, o.expanded_uncertainty))
-        for r, o in pairs
+        for r, o in result_pairs
     ]
 
 

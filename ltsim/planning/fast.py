@@ -236,14 +236,14 @@ class LayoutScorer:
         `station_indices` (N,) is the station that each set-up replaces, because some effects depend on the time or name
         of the station. `is_visible` (N, T) marks the measured targets, default all.
         """
-        at = np.zeros(len(position), dtype=np.int64) if station_indices is None else station_indices
+        station_of_position = np.zeros(len(position), dtype=np.int64) if station_indices is None else station_indices
         is_visible = (
             np.ones((len(position), len(self.survey.target_points)), dtype=bool) if is_visible is None else is_visible
         )
-        t, x = self.whitened_rows(position, yaw, at, is_visible)
+        t, x = self.whitened_rows(position, yaw, station_of_position, is_visible)
         flattened = x.reshape(len(position), -1, x.shape[3])
         across = np.swapaxes(t, 2, 3)
-        has_pose = determines_pose(self.survey.target_points, is_visible, self._plumb_directions[at])
+        has_pose = determines_pose(self.survey.target_points, is_visible, self._plumb_directions[station_of_position])
         return NormalBlocks(
             position, yaw, is_visible, has_pose, across @ t, across @ x, np.swapaxes(flattened, 1, 2) @ flattened
         )
@@ -256,8 +256,8 @@ class LayoutScorer:
         Each row of `setup_indices` (B, S) has the indices in `blocks` of the set-ups of one layout.
         """
         schur, squared_norms, inverses, coefficients = self.eliminate_targets(blocks, setup_indices)
-        size = len(self.parameter_scales) - self._n_nuisances
-        information, rms = np.full((len(schur), size, size), np.nan), np.full(len(schur), np.nan)
+        n_parameters = len(self.parameter_scales) - self._n_nuisances
+        information, rms = np.full((len(schur), n_parameters, n_parameters), np.nan), np.full(len(schur), np.nan)
         has_poses = blocks.has_determined_pose[setup_indices].all(axis=1) & np.isfinite(schur[:, 0, 0])
         information[has_poses] = self.marginal_information(schur[has_poses], squared_norms[has_poses])
         if with_target_errors:
@@ -293,8 +293,11 @@ class LayoutScorer:
             reduced[open_.any(axis=1)] = np.nan
         inverses = np.asarray(np.linalg.inv(tt), dtype=np.float64)
         coefficients = inverses @ tk
-        size = reduced.shape[1]
-        flat, flat_weights = tk.reshape(len(reduced), -1, size), coefficients.reshape(len(reduced), -1, size)
+        n_unknowns = reduced.shape[1]
+        flat, flat_weights = (
+            tk.reshape(len(reduced), -1, n_unknowns),
+            coefficients.reshape(len(reduced), -1, n_unknowns),
+        )
         schur = reduced - np.swapaxes(flat, 1, 2) @ flat_weights
         return 0.5 * (schur + np.swapaxes(schur, 1, 2)), np.einsum("bkk->bk", reduced), inverses, coefficients
 
@@ -302,11 +305,11 @@ class LayoutScorer:
         """Blocks of the normal matrices: other unknowns (B, K, K), E targets (B, E, 3, 3), coupling (B, E, 3, K)."""
         layouts, stations = setup_indices.shape
         params, gauge = len(self.parameter_scales), len(self._gauge_targets)
-        size = 6 * stations + 3 * gauge + params
-        reduced = np.broadcast_to(self._fixed_reduced_block, (layouts, size, size)).copy()
-        tk = np.zeros((layouts, len(self.survey.target_points), 3, size))
+        n_unknowns = 6 * stations + 3 * gauge + params
+        reduced = np.broadcast_to(self._fixed_reduced_block, (layouts, n_unknowns, n_unknowns)).copy()
+        tk = np.zeros((layouts, len(self.survey.target_points), 3, n_unknowns))
         tt = np.zeros((layouts, len(self.survey.target_points), 3, 3))
-        parameter_slice = slice(size - params, size)
+        parameter_slice = slice(n_unknowns - params, n_unknowns)
         for s in range(stations):
             which = setup_indices[:, s]
             at = slice(6 * s, 6 * s + 6)
@@ -373,9 +376,9 @@ class LayoutScorer:
         count, gauge = inverses.shape[1], len(self._gauge_targets)
         carry = np.zeros((layouts, count + gauge, 3, size))
         carry[:, :count] = -coefficients[..., :size]
-        first = size - estimated - 3 * gauge
+        first_target_column = size - estimated - 3 * gauge
         for g in range(gauge):
-            carry[:, count + g, :, first + 3 * g : first + 3 * g + 3] = np.eye(3)
+            carry[:, count + g, :, first_target_column + 3 * g : first_target_column + 3 * g + 3] = np.eye(3)
         motion = np.broadcast_to(
             self._target_motions.reshape(-1, 3, self._n_free_motions)[self.requested_targets(mesh)],
             (layouts, count + gauge, 3, self._n_free_motions),

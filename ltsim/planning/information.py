@@ -252,16 +252,16 @@ def expected_length(variances: Floats, nodes: int = 48) -> Floats:
     E sqrt(q) = 1 / (2 sqrt(pi)) integral of (1 - E exp(-t q)) t^(-3/2) dt, with E exp(-t q) the product of
     (1 + 2 t variance)^(-1/2); substituted t = (x / (1 - x))^2 over the total variance, Gauss-Legendre in x.
     """
-    total = np.maximum(variances.sum(axis=-1, keepdims=True), np.finfo(np.float64).tiny)
-    share = np.maximum(variances, 0.0) / total
+    total_variance = np.maximum(variances.sum(axis=-1, keepdims=True), np.finfo(np.float64).tiny)
+    share = np.maximum(variances, 0.0) / total_variance
     at, weight = np.polynomial.legendre.leggauss(nodes)
     x, weight = 0.5 * (at + 1.0), 0.5 * weight
     root = x / (1.0 - x)
     product = np.ones((*share.shape[:-1], nodes))
     for axis in range(3):
         product /= np.sqrt(1.0 + 2.0 * share[..., axis, None] * root**2)
-    length: Floats = ((1.0 - product) / root**2 * (weight / (1.0 - x) ** 2)).sum(axis=-1) / np.sqrt(np.pi)
-    return length * np.sqrt(total[..., 0])
+    mean_length: Floats = ((1.0 - product) / root**2 * (weight / (1.0 - x) ** 2)).sum(axis=-1) / np.sqrt(np.pi)
+    return mean_length * np.sqrt(total_variance[..., 0])
 
 
 def _displacements_by_error(
@@ -278,10 +278,13 @@ def _displacements_by_error(
     count, lengths, params = int(problem.used_readings.sum()), len(problem.gauge_rows), len(information.prior_sigma)
     extra = problem.model.n_extra_parameters
     priors = design.shape[0] - problem.free_motions.shape[1] - params - extra
-    mean = _averaging_matrix(information)
+    averaging_matrix = _averaging_matrix(information)
     _, by_reading, by_value = construction.linearise(sightings.raw_readings, np.zeros(construction.n_parameters))
-    noise = np.einsum("rn,nij->rinj", mean, by_reading).reshape(3 * len(mean), -1) * problem.sigma.ravel()
-    parameters = -np.einsum("rn,nij->rij", mean, by_value).reshape(3 * len(mean), -1)
+    noise = (
+        np.einsum("rn,nij->rinj", averaging_matrix, by_reading).reshape(3 * len(averaging_matrix), -1)
+        * problem.sigma.ravel()
+    )
+    parameters = -np.einsum("rn,nij->rij", averaging_matrix, by_value).reshape(3 * len(averaging_matrix), -1)
     places = np.concatenate([problem.unknowns.instrument_columns[0], problem.unknowns.extra_columns])
     columns = np.eye(problem.unknowns.n_columns)[:, places]
     answer = adjustment.factorised_normals.covariance_columns(columns).T @ design.T
@@ -312,9 +315,9 @@ def _averaging_matrix(information: LayoutInformation) -> Floats:
     """Matrix (S T, n) of the means over faces and repeats of each station's pointings to each target."""
     recording = information.adjustment.recording
     place = recording.station * len(recording.targets) + recording.target
-    mean = np.zeros((len(recording.stations) * len(recording.targets), len(recording)))
-    mean[place, np.arange(len(recording))] = 1.0
-    return mean / mean.sum(axis=1, keepdims=True)
+    averaging_matrix = np.zeros((len(recording.stations) * len(recording.targets), len(recording)))
+    averaging_matrix[place, np.arange(len(recording))] = 1.0
+    return averaging_matrix / averaging_matrix.sum(axis=1, keepdims=True)
 
 
 def _distance_deviation_matrix(information: LayoutInformation) -> Floats:

@@ -211,8 +211,8 @@ def _hall_scenario(
     table["targets"] = {p.name: {"position_mm": [p.x_mm, p.y_mm, p.z_mm]} for p in points}
     scenario = validate_scenario(table, file)
     _require_plausible_extent(points, scenario, file)
-    count = plan_file.stations.count or N_INITIAL_STATIONS
-    places = _initial_places(plan_file, scenario, count)
+    n_stations = plan_file.stations.count or N_INITIAL_STATIONS
+    places = _initial_places(plan_file, scenario, n_stations)
     stations = {
         f"S{i}": PlannedStation(position_mm=tuple(np.round(place / MILLIMETRE, 1).tolist()), yaw_deg=0.0)
         for i, place in enumerate(places, 1)

@@ -97,9 +97,9 @@ class LayoutObjective:
     def objective_values(self, precision: LayoutPrecision, parameters: int) -> Floats:
         """Weighted geometric mean of the qualities of B layouts, (B,)."""
         qualities = self.qualities(precision, parameters)
-        total = sum(self.quality_weights[name] for name in qualities)
-        logs = [self.quality_weights[name] / total * np.log(value) for name, value in qualities.items()]
-        return np.exp(np.sum(logs, axis=0))
+        weight_sum = sum(self.quality_weights[name] for name in qualities)
+        weighted_logs = [self.quality_weights[name] / weight_sum * np.log(value) for name, value in qualities.items()]
+        return np.exp(np.sum(weighted_logs, axis=0))
 
     def _instrument_quality(self, information: Floats) -> Floats:
         """Criterion (B,) of the instrument parameters for information matrices (B, p, p)."""

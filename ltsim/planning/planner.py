@@ -225,9 +225,11 @@ def _reference_evaluation(
         return None
     work = ("faces", "repeats", "seconds_per_pointing", "seconds_per_move", "air")
     reference = planned_survey(scenario).replace(**{name: getattr(procedure, name) for name in work})
-    count = len(reference.station_positions)
+    n_stations = len(reference.station_positions)
     least = (
-        count if file.stations.min_stations_per_target == "all" else min(file.stations.min_stations_per_target, count)
+        n_stations
+        if file.stations.min_stations_per_target == "all"
+        else min(file.stations.min_stations_per_target, n_stations)
     )
     try:
         return evaluate_layout(

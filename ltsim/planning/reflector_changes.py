@@ -163,8 +163,8 @@ class _ChangeEvaluator:
 
     def _parameter_sigmas(self, normal_matrix: Floats) -> Floats:
         """Standard deviations (p,) of the instrument's parameters in prior sigmas, from a normal matrix (K, K)."""
-        size = self.normal_matrix_table.scorer.construction.n_parameters
-        information = self.normal_matrix_table.information(normal_matrix[None])[0, :size, :size]
+        n_parameters = self.normal_matrix_table.scorer.construction.n_parameters
+        information = self.normal_matrix_table.information(normal_matrix[None])[0, :n_parameters, :n_parameters]
         return np.sqrt(np.diag(np.linalg.inv(information)))
 
     def _free_places(self, used_places: Ints) -> Ints:

@@ -316,8 +316,8 @@ class LayoutSearcher:
 
 def _with_each_candidate(layout: NormalBlocks, station_index: int, candidates: NormalBlocks) -> tuple[Floats, Bools]:
     """Positions (N, S, 3) and visibility (N, S, T) of the layout with each candidate in place of one station."""
-    count = len(candidates.setup_positions)
-    position: Floats = np.repeat(layout.setup_positions[None], count, axis=0)
-    visible: Bools = np.repeat(layout.is_visible[None], count, axis=0)
+    n_candidates = len(candidates.setup_positions)
+    position: Floats = np.repeat(layout.setup_positions[None], n_candidates, axis=0)
+    visible: Bools = np.repeat(layout.is_visible[None], n_candidates, axis=0)
     position[:, station_index], visible[:, station_index] = candidates.setup_positions, candidates.is_visible
     return position, visible

@@ -314,11 +314,11 @@ class StationPlacement:
 
         Sights beyond the wanted number have a small weight.
         """
-        count = len(self.candidate_positions)
+        n_candidates = len(self.candidate_positions)
         rows = (
-            np.arange(count)
+            np.arange(n_candidates)
             if random_generator is None
-            else random_generator.integers(count, size=min(N_PLACEMENT_DRAWS, count))
+            else random_generator.integers(n_candidates, size=min(N_PLACEMENT_DRAWS, n_candidates))
         )
         present_sights = self.n_fixed_sights + self.is_visible[used_places].sum(axis=0)
         added_sights = (
@@ -349,7 +349,9 @@ class StationPlacement:
         )
         first, second = np.nonzero(np.triu(near, 1))
         rows = np.arange(len(first))
-        pairs = sp.csr_array((np.ones(2 * len(first)), (np.r_[rows, rows], np.r_[first, second])), (len(first), places))
+        pair_matrix = sp.csr_array(
+            (np.ones(2 * len(first)), (np.r_[rows, rows], np.r_[first, second])), (len(first), places)
+        )
         sights = sp.hstack([sp.csr_array(self.is_visible.T.astype(np.float64)), sp.eye_array(targets)])
         need = np.maximum(wanted_sights - self.n_fixed_sights, 0)
         limits = [
@@ -357,7 +359,7 @@ class StationPlacement:
             LinearConstraint(np.r_[np.ones(places), np.zeros(targets)][None], n_stations, n_stations),
         ]
         if len(first):
-            limits.append(LinearConstraint(sp.hstack([pairs, sp.csr_array((len(first), targets))]), -np.inf, 1.0))
+            limits.append(LinearConstraint(sp.hstack([pair_matrix, sp.csr_array((len(first), targets))]), -np.inf, 1.0))
         cost = np.zeros(places) if random_generator is None else RANDOM_PLACE_COST * random_generator.random(places)
         solution = milp(
             np.r_[cost, np.ones(targets)],

@@ -139,10 +139,10 @@ class PlannedSurvey:
     def pointing_ranks(self, station: Ints, target: Ints, face: Ints) -> Ints:
         """Rank (n,) of pointings, from 0, in the first round of their station."""
         rank = target if self.target_ranks is None else self.target_ranks[station, target]
-        number = np.searchsorted(np.sort(self.faces), face)
+        face_ranks = np.searchsorted(np.sort(self.faces), face)
         if self.measures_face_by_face:
-            return np.asarray(number * len(self.target_points) + rank)
-        return np.asarray(rank * len(self.faces) + number)
+            return np.asarray(face_ranks * len(self.target_points) + rank)
+        return np.asarray(rank * len(self.faces) + face_ranks)
 
     @property
     def _placed_setup(self) -> Setup:

@@ -99,10 +99,10 @@ def error_radius(covariance: Floats, confidence_level: float) -> Floats:
     Biometrics Bulletin 2 (1946) 110-114), which is exact for errors along one axis and for isotropic errors in a plane
     or in space.
     """
-    mean = np.einsum("tii->t", covariance)
+    variance_sums = np.einsum("tii->t", covariance)
     square = np.einsum("tij,tji->t", covariance, covariance)
-    freedom = np.where(square > 0, mean**2 / np.where(square > 0, square, 1.0), 1.0)
-    return np.sqrt(mean / freedom * 2.0 * gammaincinv(0.5 * freedom, confidence_level))
+    freedom = np.where(square > 0, variance_sums**2 / np.where(square > 0, square, 1.0), 1.0)
+    return np.sqrt(variance_sums / freedom * 2.0 * gammaincinv(0.5 * freedom, confidence_level))
 
 
 @dataclass(frozen=True)
@@ -292,14 +292,14 @@ def plan_verdict(
         loss for loss in loss_checks if tolerances.withstood_loss == ("sight" if loss.is_sight_loss else "station")
     ]
     reached = not broken_rules and tolerance_check.meets_all and all(loss.meets_all for loss in asked)
-    count = len(tolerances.tolerance_by_point)
-    number = (
-        f"all {count}"
+    n_points = len(tolerances.tolerance_by_point)
+    count_text = (
+        f"all {n_points}"
         if tolerance_check.meets_all
-        else f"{len(tolerance_check.error_by_point) - len(tolerance_check.exceeding_points)} of {count}"
+        else f"{len(tolerance_check.error_by_point) - len(tolerance_check.exceeding_points)} of {n_points}"
     )
     words = (
-        f"{number} tolerances are met at {100 * tolerances.confidence_level:g} % confidence; "
+        f"{count_text} tolerances are met at {100 * tolerances.confidence_level:g} % confidence; "
         f"{tolerance_check.worst_point_text}"
     )
     worst = max((loss for loss in loss_checks if not loss.is_sight_loss), key=lambda loss: loss.max_ratio, default=None)

@@ -304,6 +304,6 @@ def _evaluate_alternative(
     if not check.error_by_point or check.unseen_points:
         return StationAlternative(description, survey, rules + check.open_points_clause, np.inf, False, move)
     worst = max(check.error_by_point, key=lambda name: check.error_by_point[name])
-    size = check.error_by_point[worst]
-    text = f"{rules}worst {worst}, within {size / MICROMETRE:.1f} um at 95 %"
-    return StationAlternative(description, survey, text, size, not broken, move)
+    worst_error = check.error_by_point[worst]
+    text = f"{rules}worst {worst}, within {worst_error / MICROMETRE:.1f} um at 95 %"
+    return StationAlternative(description, survey, text, worst_error, not broken, move)

@@ -214,8 +214,8 @@ def length_meaning(distance: Floats, hints: Hints) -> tuple[LengthUnit, list[str
     if hints.length is not None:
         return hints.length, []
     longest = float(np.nanmax(distance, initial=0))
-    length: LengthUnit = "m" if longest < MIN_DISTANCE_MM else "mm"
-    return length, [f"distances are interpreted as {length} (the longest is {longest:.6g})"]
+    length_unit: LengthUnit = "m" if longest < MIN_DISTANCE_MM else "mm"
+    return length_unit, [f"distances are interpreted as {length_unit} (the longest is {longest:.6g})"]
 
 
 SENSE_UNKNOWN_NOTE = (

@@ -132,12 +132,12 @@ def _drop_trailing_field(row: SheetRow) -> Sequence[str]:
 
 def _headerless_columns(sheet: TableSheet) -> tuple[int, list[TableColumn]] | None:
     """Number of rows before the first point (0), and columns of a list without header; None for other content."""
-    first = next((row for row in sheet.rows if not row.is_comment), None)
-    if first is None or not all(map(cells.is_value, _drop_trailing_field(first)[1:])):
+    first_row = next((row for row in sheet.rows if not row.is_comment), None)
+    if first_row is None or not all(map(cells.is_value, _drop_trailing_field(first_row)[1:])):
         return None
-    width = len(_drop_trailing_field(first))
+    width = len(_drop_trailing_field(first_row))
     if width not in FIELD_COUNTS:
-        raise SourceLocation(sheet.file, first.line).error(f"{width} fields, {EXPECTED_CONTENT}")
+        raise SourceLocation(sheet.file, first_row.line).error(f"{width} fields, {EXPECTED_CONTENT}")
     names = ["target", *COORDINATE_ROLES, *(SIGMA_ROLES[axis] for axis in COORDINATE_ROLES if width > 6)]
     covariance = [f"covariance {i}" for i in range(9 * (width > 15))]
     names += [""] * (width - len(names) - len(covariance)) + covariance
@@ -193,13 +193,13 @@ class _PointRowReader:
             raise RecordError("holds no points", file=self.sheet.file)
         table = np.array([values for _, values in named_rows.values()])
         scale, decisions = self._scales(table)
-        numbers = dict(zip(self.numbers, (table * scale).T, strict=True))
+        numbers_by_column = dict(zip(self.numbers, (table * scale).T, strict=True))
         missing = np.full(len(named_rows), np.nan)
-        points = np.stack([numbers.get(axis, missing) for axis in COORDINATE_ROLES], axis=1)
+        points = np.stack([numbers_by_column.get(axis, missing) for axis in COORDINATE_ROLES], axis=1)
         additional = [c for c in self.columns if c.is_additional and c.role not in self.numbers]
         texts = {c.title: tuple(row.cell(c.position) for row, _ in named_rows.values()) for c in additional}
         lines = tuple(row.line for row, _ in named_rows.values())
-        covariance = _covariance(numbers, len(named_rows))
+        covariance = _covariance(numbers_by_column, len(named_rows))
         axes = [role in COORDINATE_ROLES for role in self.numbers]
         gaps_m = np.array([np.subtract(*pair) for pair in ignored]).reshape(-1, len(axes)) * scale
         largest_gap_m = float(np.nanmax(np.linalg.norm(gaps_m[:, axes], axis=1), initial=0.0))

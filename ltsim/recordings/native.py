@@ -202,15 +202,15 @@ def _check_header(header: Sequence[str], file: Path) -> None:
 
 def _integer_column(column: list[str], location: SourceLocation, bounds: tuple[int, int]) -> Ints:
     low, high = bounds
-    numbers: dict[str, int] = {}
+    number_by_text: dict[str, int] = {}
     for text in dict.fromkeys(column):
         if not (text.isascii() and text.isdigit() and len(text) < 8 and low <= int(text) <= high):
             expected = f"{low} or {high}" if high == low + 1 else f"a whole number from {low}"
             raise replace(location, row=column.index(text) + 1).error(
                 f"found '{quoted_text(text)}', expected {expected}"
             )
-        numbers[text] = int(text)
-    return np.array([numbers[text] for text in column], dtype=np.int64)
+        number_by_text[text] = int(text)
+    return np.array([number_by_text[text] for text in column], dtype=np.int64)
 
 
 def _float_column(column: list[str], location: SourceLocation, *, optional: bool = True) -> Floats:
@@ -375,10 +375,10 @@ def _integer_texts(values: Ints) -> list[str]:
 def _number_texts(si_values: Floats, unit: float = 1.0, digits: int | None = None) -> list[str]:
     """Texts of SI values in `unit`: with `digits` decimals if that is exact, otherwise with all digits; '' for NaN."""
     is_finite = np.isfinite(si_values)
-    numbers = (si_values[is_finite] / unit).tolist()
-    texts = list(map(repr, numbers))
+    finite_values = (si_values[is_finite] / unit).tolist()
+    texts = list(map(repr, finite_values))
     if digits is not None:
-        short = [f"{number:.{digits}f}" for number in numbers]
+        short = [f"{number:.{digits}f}" for number in finite_values]
         exact = np.array(list(map(float, short))) * unit == si_values[is_finite]
         texts = [
             short_text if is_exact else full_text

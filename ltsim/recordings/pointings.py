@@ -212,10 +212,10 @@ def _pointing(row: dict[str, SingleObservation], file: str) -> Pointing:
     height_columns = {name: next((h / MILLIMETRE for h in of if h == h), NOT_MEASURED) for name, of in heights}
     is_horizontal = "distance" in row and row["distance"].is_horizontal
     lines = sorted({observation.line for observation in row.values() if observation.line})
-    first = next(iter(row.values()))
+    first_observation = next(iter(row.values()))
     return Pointing(
-        first.station,
-        first.target,
+        first_observation.station,
+        first_observation.target,
         1,
         **{kind: observation.value for kind, observation in row.items()},
         covariates={

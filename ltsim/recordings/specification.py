@@ -241,5 +241,7 @@ def _data_sheets() -> dict[str, dict[str, Any]]:
 
 
 def _figures_from_row(row: dict[str, str]) -> dict[str, Any]:
-    numbers = {key: float(text) for key, text in row.items() if text and key not in ("name", "instrument", "source")}
-    return {"name": row["instrument"], "source": row["source"], **numbers}
+    number_by_key = {
+        key: float(text) for key, text in row.items() if text and key not in ("name", "instrument", "source")
+    }
+    return {"name": row["instrument"], "source": row["source"], **number_by_key}

@@ -108,14 +108,14 @@ def station_clouds(points: Floats, station: Ints, target: Ints) -> dict[int, dic
     `points` (n, 3) are the positions of single pointings; rows with NaN are ignored.
     """
     is_valid = np.all(np.isfinite(points), axis=1)
-    count = int(target.max(initial=0)) + 1
-    keys, place = np.unique(station[is_valid] * count + target[is_valid], return_inverse=True)
-    mean = np.zeros((len(keys), 3))
-    np.add.at(mean, place, points[is_valid])
-    mean /= np.bincount(place, minlength=len(keys))[:, None]
+    n_targets = int(target.max(initial=0)) + 1
+    keys, place = np.unique(station[is_valid] * n_targets + target[is_valid], return_inverse=True)
+    mean_points = np.zeros((len(keys), 3))
+    np.add.at(mean_points, place, points[is_valid])
+    mean_points /= np.bincount(place, minlength=len(keys))[:, None]
     clouds: dict[int, dict[int, Floats]] = {}
-    for key, point in zip(keys.tolist(), mean, strict=True):
-        clouds.setdefault(key // count, {})[key % count] = point
+    for key, point in zip(keys.tolist(), mean_points, strict=True):
+        clouds.setdefault(key // n_targets, {})[key % n_targets] = point
     return clouds
 
 

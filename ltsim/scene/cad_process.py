@@ -64,9 +64,9 @@ def read_triangles(path: Path) -> Floats:
 
 def max_stl_facets(file_content: bytes) -> int:
     """Upper bound of the number of triangles of an STL file: from its length (binary) or from its keywords (text)."""
-    count = (len(file_content) - 84) // 50
-    if len(file_content) >= 84 and int.from_bytes(file_content[80:84], "little") == count:
-        return count
+    n_facets = (len(file_content) - 84) // 50
+    if len(file_content) >= 84 and int.from_bytes(file_content[80:84], "little") == n_facets:
+        return n_facets
     return file_content.lower().count(b"vertex") // 3
 
 

@@ -108,11 +108,11 @@ def areas_and_keep_outs(
     default_heights = (
         heights if floor_spec.height_mm is None else (floor_spec.height_mm[0] * mm, floor_spec.height_mm[1] * mm)
     )
-    parts = floor_spec.areas or (
+    floor_areas = floor_spec.areas or (
         FloorArea(corners_mm=floor_spec.corners_mm or _room_outline(floor_spec, room_size_mm)),
     )
     areas = []
-    for i, part in enumerate(parts, 1):
+    for i, part in enumerate(floor_areas, 1):
         key = f"floor.areas.{i}.corners_mm" if floor_spec.areas else "floor.corners_mm"
         low, high = default_heights if part.height_mm is None else (part.height_mm[0] * mm, part.height_mm[1] * mm)
         if part.ceiling_mm is not None:
@@ -257,8 +257,8 @@ def grid_step(standing_areas: Sequence[StandingArea], requested_step_mm: float |
     """
     if requested_step_mm is not None:
         return requested_step_mm * MILLIMETRE
-    size = sum(float(np.prod(np.ptp(area.outline, axis=0))) for area in standing_areas)
-    return max(round(float(np.sqrt(size / N_DEFAULT_PLACES)), 1), 0.5)
+    total_area = sum(float(np.prod(np.ptp(area.outline, axis=0))) for area in standing_areas)
+    return max(round(float(np.sqrt(total_area / N_DEFAULT_PLACES)), 1), 0.5)
 
 
 def is_allowed_position(
@@ -311,8 +311,8 @@ def grid_over_area(standing_area: StandingArea, grid_spacing: float, heights: in
     `heights` is the number of heights between the lowest and the highest of the area; the lowest alone if both agree.
     """
     low, high = standing_area.outline.min(axis=0), standing_area.outline.max(axis=0)
-    count = np.maximum(np.ceil((high - low) / grid_spacing).astype(int), 1)
-    axes = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, count, strict=True)]
+    n_grid_points = np.maximum(np.ceil((high - low) / grid_spacing).astype(int), 1)
+    axes = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, n_grid_points, strict=True)]
     bottom, top = standing_area.heights
     levels = np.linspace(bottom, top, heights if top - bottom > EDGE_TOLERANCE else 1)
     return np.stack([g.ravel() for g in np.meshgrid(*axes, levels, indexing="ij")], axis=1)

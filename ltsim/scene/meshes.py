@@ -86,12 +86,14 @@ class Obstacles:
         hit = self._is_met(origins, end_points)
         if self._ray_caster is None or not hit.size:
             return hit
-        length = np.linalg.norm(end_points - origins, axis=1)
-        beam = (end_points - origins) / length[:, None]
+        sight_lengths = np.linalg.norm(end_points - origins, axis=1)
+        beam = (end_points - origins) / sight_lengths[:, None]
         side, other = (RAY_BUNDLE_RADIUS * way for way in perpendicular_vectors(beam))
         votes = [self._is_met(origins + shift, end_points + shift) for shift in (side, -side, other, -other)]
         doubtful = np.flatnonzero(np.any(np.stack(votes) != hit, axis=0))
-        hit[doubtful] = count_native_hits(self.triangles, origins[doubtful], beam[doubtful], length[doubtful]) > 0
+        hit[doubtful] = (
+            count_native_hits(self.triangles, origins[doubtful], beam[doubtful], sight_lengths[doubtful]) > 0
+        )
         return hit
 
     def is_blocked_near(self, origins: Floats, end_points: Floats, position_tolerance: float) -> Bools:
@@ -117,14 +119,14 @@ class Obstacles:
         """
         if not len(origins):
             return np.zeros(len(origins), dtype=bool)
-        length = np.linalg.norm(end_points - origins, axis=1)
-        beam = (end_points - origins) / length[:, None]
+        sight_lengths = np.linalg.norm(end_points - origins, axis=1)
+        beam = (end_points - origins) / sight_lengths[:, None]
         if self._ray_caster is None:
-            return np.asarray(count_native_hits(self.triangles, origins, beam, length) > 0)
+            return np.asarray(count_native_hits(self.triangles, origins, beam, sight_lengths) > 0)
         point, ray, _ = self._ray_caster.intersects_location(origins, beam, multiple_hits=False)
         hit = np.zeros(len(origins), dtype=bool)
         way = np.linalg.norm(point - origins[ray], axis=1)
-        hit[ray] = way < length[ray] - RAY_BUNDLE_RADIUS
+        hit[ray] = way < sight_lengths[ray] - RAY_BUNDLE_RADIUS
         return hit
 
     def is_inside_body(self, points: Floats) -> Bools:
@@ -206,23 +208,23 @@ def count_native_hits(triangles: Floats, origins: Floats, beam: Floats, ray_leng
     Rays have origins (n, 3) and unit vectors `beam` (n, 3). Edges belong to a triangle. A ray in the plane of a
     triangle does not meet it. Source: Moeller and Trumbore, Journal of Graphics Tools 2 (1997) 21-28.
     """
-    count = np.zeros(len(origins), dtype=np.int64)
+    n_hits = np.zeros(len(origins), dtype=np.int64)
     step = max(1, MAX_RAY_TRIANGLE_PAIRS // max(len(triangles), 1))
     for start in range(0, len(origins), step):
         rows = slice(start, start + step)
         met = _ray_hits_triangle(triangles, origins[rows, None], beam[rows, None], ray_lengths[rows, None])
-        count[rows] = met.sum(axis=1)
-    return count
+        n_hits[rows] = met.sum(axis=1)
+    return n_hits
 
 
 def _ray_hits_triangle(triangles: Floats, origins: Floats, beam: Floats, length: Floats | float) -> Bools:
     """Flags (...) of rays that meet their triangle (..., 3, 3) within `length` (...) [m]."""
     first, second, third = np.moveaxis(triangles, -2, 0)
     along, across = second - first, third - first
-    size = np.linalg.norm(along, axis=-1) * np.linalg.norm(across, axis=-1)
+    edge_product = np.linalg.norm(along, axis=-1) * np.linalg.norm(across, axis=-1)
     cross = np.cross(beam, across)
     determinant = _row_dot_products(cross, along)
-    flat = np.abs(determinant) < 1e-12 * np.maximum(size, 1e-300)
+    flat = np.abs(determinant) < 1e-12 * np.maximum(edge_product, 1e-300)
     inverse = 1.0 / np.where(flat, 1.0, determinant)
     gap = origins - first
     turned = np.cross(gap, along)
@@ -238,8 +240,8 @@ def _ray_hits_triangle(triangles: Floats, origins: Floats, beam: Floats, length:
 def _normals_and_areas(triangles: Floats) -> tuple[Floats, Floats]:
     """Unit normals (m, 3) and areas (m,) [m2] of triangles (m, 3, 3) [m]; the normal is zero if the area is zero."""
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    size = np.linalg.norm(cross, axis=1)
-    return cross / np.where(size > 0.0, size, 1.0)[:, None], 0.5 * size
+    cross_lengths = np.linalg.norm(cross, axis=1)
+    return cross / np.where(cross_lengths > 0.0, cross_lengths, 1.0)[:, None], 0.5 * cross_lengths
 
 
 def nearest_points(triangles: Floats, point: Floats) -> Floats:
@@ -350,9 +352,9 @@ def _random_points(body_triangles: Floats, mean_spacing: float) -> tuple[Floats,
     """
     normal, area = _normals_and_areas(body_triangles)
     rng = stream(0, "nests")
-    count = int(np.clip(N_DRAWS_PER_PLACE * area.sum() / mean_spacing**2, 200, MAX_DRAWN_PLACES))
-    face = rng.choice(len(body_triangles), size=count, p=area / area.sum())
-    root, share = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
+    n_points = int(np.clip(N_DRAWS_PER_PLACE * area.sum() / mean_spacing**2, 200, MAX_DRAWN_PLACES))
+    face = rng.choice(len(body_triangles), size=n_points, p=area / area.sum())
+    root, share = np.sqrt(rng.random(n_points))[:, None], rng.random(n_points)[:, None]
     a, b, c = np.moveaxis(body_triangles[face], 1, 0)
     return (1 - root) * a + root * (1 - share) * b + root * share * c, normal[face]
 

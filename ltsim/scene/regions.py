@@ -267,8 +267,8 @@ def is_distinctive(is_crossed: Bools, sightings: Sightings) -> Bools:
 
     `is_crossed` (r, n) flags the lines of sight that pass each region.
     """
-    count = is_crossed.sum(axis=1)
-    is_sufficient = (count >= MIN_PASSING_LINES) & (count <= MAX_PASSING_FRACTION * len(sightings))
+    n_crossed = is_crossed.sum(axis=1)
+    is_sufficient = (n_crossed >= MIN_PASSING_LINES) & (n_crossed <= MAX_PASSING_FRACTION * len(sightings))
     of_target = (sightings.target[:, None] == np.arange(len(sightings.target_points))).astype(np.float32)
     by_target = is_crossed[is_sufficient].astype(np.float32) @ of_target
     is_sufficient[is_sufficient] = (by_target > 0.0).sum(axis=1) >= MIN_TARGETS_BEHIND

@@ -183,15 +183,15 @@ def _target_order(
     *stream_key: str | int,
 ) -> Ints:
     """Indices of the targets in the order in which a station measures them in one round."""
-    count = len(workshop_layout.target_names)
+    n_targets = len(workshop_layout.target_names)
     if scenario.work.order == "as-listed":
-        return np.arange(count)
+        return np.arange(n_targets)
     if scenario.work.order == "level-by-level":
         azimuth = to_polar(workshop_layout.target_points - workshop_layout.station_positions[station])[:, 1]
         levels = _height_levels(workshop_layout.target_points[:, 2])
         return np.lexsort((azimuth, levels))
     draw = stream(seed, *stream_key, "order", workshop_layout.station_names[station], repeat_number)
-    return draw.permutation(count)
+    return draw.permutation(n_targets)
 
 
 def _height_levels(heights: Floats) -> Floats:

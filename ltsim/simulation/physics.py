@@ -53,10 +53,10 @@ def _error_distribution(
         with as_setup_error(f"{tracker_table_name(parameter_name)}.errors.{error}"):
             construction.index(error)
     parameters = construction.parameters
-    mean = np.array([errors.get(p.name, 0.0) * p.si_per_display_unit for p in parameters])
+    error_means = np.array([errors.get(p.name, 0.0) * p.si_per_display_unit for p in parameters])
     free = [instrument.draws and p.name not in errors for p in parameters]
     prior = np.array([p.sigma_from(instrument.prior) for p in parameters])
-    return mean, np.where(free, instrument.error_factor * prior, 0.0)
+    return error_means, np.where(free, instrument.error_factor * prior, 0.0)
 
 
 def nominal_noise(scenario: Scenario, sightings: Sightings) -> Floats:

@@ -143,23 +143,19 @@ def validate_scenario(tables: Mapping[str, Any], file: Path) -> Scenario:
     return _resolve_paths(_with_exclusions(scenario, file), file)
 
 
-def change_scenario(
-    scenario: Scenario, values_by_key: Mapping[str, Any], file: Path, error_location: str = ""
-) -> Scenario:
+def change_scenario(scenario: Scenario, changes: Mapping[str, Any], file: Path, error_location: str = "") -> Scenario:
     """Scenario with new values at dotted keys, after validation; errors name `file` and `error_location`.
 
     A new `preset` of a tracker also sets its noise, its prior and its limits. SetupError is raised for an invalid key
     or value.
     """
-    # Checked twice: as tables with the values_by_key, and as what a file of it would say.
+    # Checked twice: as tables with the changes, and as what a file of it would say.
     table = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
     of_presets = sorted({section for sections in PRESETS.values() for section in sections})
-    brought = [
-        f"{key.removesuffix('preset')}{s}" for key in values_by_key if key.endswith(".preset") for s in of_presets
-    ]
-    of_sheets = [key for key, value in values_by_key.items() if key.endswith(".preset") and value in data_sheet_names()]
+    brought = [f"{key.removesuffix('preset')}{s}" for key in changes if key.endswith(".preset") for s in of_presets]
+    of_sheets = [key for key, value in changes.items() if key.endswith(".preset") and value in data_sheet_names()]
     brought += [key.removesuffix("preset") + "limits" for key in of_sheets]
-    for key, value in [*((key, REMOVAL_VALUE) for key in brought), *values_by_key.items()]:
+    for key, value in [*((key, REMOVAL_VALUE) for key in brought), *changes.items()]:
         _set_key(table, key, _file_value(value, effects=key == "effects"), error_location or str(file))
     return validate_scenario(table, file)
 
@@ -253,10 +249,8 @@ def _with_exclusions(scenario: Scenario, file: Path) -> Scenario:
     )
 
 
-def _check_effects(
-    effect_entries: Sequence[EffectEntry], stations: set[str], targets: set[str]
-) -> Iterator[EffectEntry]:
-    for entry in effect_entries:
+def _check_effects(effects: Sequence[EffectEntry], stations: set[str], targets: set[str]) -> Iterator[EffectEntry]:
+    for entry in effects:
         here = {
             "stations": tuple(name for name in entry.stations if name in stations),
             "targets": tuple(name for name in entry.targets if name in targets),
@@ -354,13 +348,13 @@ def _instrument_errors(scenario: Scenario) -> Iterator[str]:
 
 
 def _place_errors(scenario: Scenario) -> Iterator[str]:
-    size = scenario.workshop.size_mm
+    room_size_mm = scenario.workshop.size_mm
     placed = {f"stations.{name}": station.position_mm for name, station in scenario.stations.items()}
     placed |= {f"targets.{name}": target.position_mm for name, target in scenario.targets.items()}
     placed |= {"gauge": scenario.gauge.position_mm} if scenario.gauge else {}
     for key, place in placed.items():
-        if any(not -1.0 <= x <= high + 1.0 for x, high in zip(place, size, strict=True)):
-            room = " x ".join(f"{x:g}" for x in size)
+        if any(not -1.0 <= x <= high + 1.0 for x, high in zip(place, room_size_mm, strict=True)):
+            room = " x ".join(f"{x:g}" for x in room_size_mm)
             where = f"outside the workshop of {room} mm whose corner is the origin"
             yield f"{key}.position_mm is {list(place)}, {where}"
     for name, target in scenario.targets.items():

@@ -57,9 +57,9 @@ def make_gauge_frame(gauge: ScenarioGauge) -> GaugeFrame:
     SetupError is raised if a length is missing or repeated, or if the lengths contradict each other.
     """
     names = gauge.targets
-    pairs = list(combinations(range(len(names)), 2))
-    lengths = np.array(_declared_lengths(gauge, pairs)) * MILLIMETRE
-    first, second = np.array(pairs, dtype=np.int64).T
+    target_pairs = list(combinations(range(len(names)), 2))
+    lengths = np.array(_declared_lengths(gauge, target_pairs)) * MILLIMETRE
+    first, second = np.array(target_pairs, dtype=np.int64).T
     frame = GaugeFrame(names, points_from_distances(len(names), first, second, lengths), first, second)
     worst = int(np.argmax(np.abs(frame.lengths - lengths)))
     if abs(frame.lengths[worst] - lengths[worst]) > MAX_RELATIVE_LENGTH_ERROR:
@@ -248,8 +248,8 @@ class PlacedObstacle:
 
 def make_obstacles(scenario: Scenario) -> Obstacles | None:
     """Obstacles that can block lines of sight; None in a workshop without obstacles; raises SetupError."""
-    parts = placed_obstacles(scenario)
-    return join_obstacles(body.triangles for body in parts) if parts else None
+    obstacle_parts = placed_obstacles(scenario)
+    return join_obstacles(body.triangles for body in obstacle_parts) if obstacle_parts else None
 
 
 def placed_obstacles(scenario: Scenario) -> list[PlacedObstacle]:
@@ -258,7 +258,7 @@ def placed_obstacles(scenario: Scenario) -> list[PlacedObstacle]:
     SetupError is raised for a CAD file that cannot be read, or whose size or position is implausible.
     """
     room = np.array(scenario.workshop.size_mm) * MILLIMETRE
-    parts = []
+    obstacle_parts = []
     for i, entry in enumerate(scenario.workshop.obstacles, 1):
         cad = None
         if entry.file is not None:
@@ -276,8 +276,8 @@ def placed_obstacles(scenario: Scenario) -> list[PlacedObstacle]:
             asked := implausible_size_question(cad, room) or _implausible_place_question(entry, body, cad, room)
         ):
             raise SetupError(asked)
-        parts.append(body)
-    return parts
+        obstacle_parts.append(body)
+    return obstacle_parts
 
 
 def _placed_triangles(obstacle_entry: Obstacle, triangles: Floats) -> Floats:
@@ -295,13 +295,14 @@ def _implausible_place_question(
         return ""
     other = "z" if cad_file.vertical_axis == "y" else "y"
     turned = _placed_triangles(obstacle_entry, cad_file.with_other_vertical)
-    size = " x ".join(f"{v:g}" for v in room_size)
+    size_text = " x ".join(f"{v:g}" for v in room_size)
     what = "reaches below the floor" if placed_body.triangles[..., 2].min() < 0 else "reaches beyond the room"
     fits = (
         f'with up = "{other}" it is inside the room' if is_inside_room(turned, room_size) else "move it by position_mm"
     )
     return (
-        f"{cad_file.file}: {what} of {size} m ({cad_file.interpretation_text}: {extent_text(placed_body.triangles)}); "
+        f"{cad_file.file}: {what} of {size_text} m "
+        f"({cad_file.interpretation_text}: {extent_text(placed_body.triangles)}); "
         f"{fits}; if this is correct, set beyond_room = true"
     )
 

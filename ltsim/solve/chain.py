@@ -32,11 +32,11 @@ def arrange_as_chain(matrix: sp.csr_array) -> tuple[Ints, Ints]:
 
     Block i has the positions from limit i to limit i + 1. The border is last.
     """
-    size = matrix.shape[0]
-    whole = np.arange(size), np.array([0, size, size])
-    if size <= MAX_SINGLE_BLOCK:
+    n_unknowns = matrix.shape[0]
+    whole = np.arange(n_unknowns), np.array([0, n_unknowns, n_unknowns])
+    if n_unknowns <= MAX_SINGLE_BLOCK:
         return whole
-    shared = np.diff(matrix.indptr) > MIN_BORDER_COUPLING * size
+    shared = np.diff(matrix.indptr) > MIN_BORDER_COUPLING * n_unknowns
     inner = np.flatnonzero(~shared)
     if len(inner) <= MAX_SINGLE_BLOCK:
         return whole
@@ -47,7 +47,7 @@ def arrange_as_chain(matrix: sp.csr_array) -> tuple[Ints, Ints]:
     width = max(int(np.max(np.abs(rows - place[part.indices]), initial=0)), MIN_BLOCK_SIZE)
     if 3 * width >= len(inner):
         return whole
-    edges = np.append(np.arange(0, len(inner) - width + 1, width), [len(inner), size])
+    edges = np.append(np.arange(0, len(inner) - width + 1, width), [len(inner), n_unknowns])
     return np.concatenate([inner[order], np.flatnonzero(shared)]), edges
 
 
@@ -145,12 +145,12 @@ class BlockChain:
         """Complete inverse (K, K)."""
         if self.n_blocks == 1:
             return self.inverse_windows[0].inverse
-        size = len(self._column_order)
-        parts = [slice(i, i + N_INVERSE_COLUMNS) for i in range(0, size, N_INVERSE_COLUMNS)]
-        inverse = np.empty((size, size))
-        for part in parts:
-            inverse[:, part] = self.solve(np.eye(size, len(range(size)[part]), -part.start))
-        for part in parts:
+        n_unknowns = len(self._column_order)
+        column_slices = [slice(i, i + N_INVERSE_COLUMNS) for i in range(0, n_unknowns, N_INVERSE_COLUMNS)]
+        inverse = np.empty((n_unknowns, n_unknowns))
+        for part in column_slices:
+            inverse[:, part] = self.solve(np.eye(n_unknowns, len(range(n_unknowns)[part]), -part.start))
+        for part in column_slices:
             symmetric = 0.5 * (inverse[part] + inverse[:, part].T)
             inverse[part], inverse[:, part] = symmetric, symmetric.T
         return inverse
@@ -187,11 +187,11 @@ class BlockChain:
 
     def _block_span(self, block_index: int) -> tuple[int, int, int]:
         """First position of a block, end of the block, and end of the next block, in the order of the columns."""
-        last = len(self._block_limits) - 2
+        last_block = len(self._block_limits) - 2
         return (
             int(self._block_limits[block_index]),
             int(self._block_limits[block_index + 1]),
-            int(self._block_limits[min(block_index + 2, last)]),
+            int(self._block_limits[min(block_index + 2, last_block)]),
         )
 
 

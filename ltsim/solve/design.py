@@ -98,19 +98,19 @@ def iterate_row_pieces(design: sp.csr_array, column_factors: Floats) -> Iterator
 
 def gram_matrix(row_batches: Iterable[sp.csr_array], n_columns: int) -> sp.csr_array:
     """Normal matrix A' A (n_columns, n_columns) of a sparse design A, given in batches of rows."""
-    total = sp.csr_array((n_columns, n_columns))
+    gram = sp.csr_array((n_columns, n_columns))
     for part in row_batches:
-        total = total + sp.csr_array(part.T @ part)
-    return sp.csr_array(total)
+        gram = gram + sp.csr_array(part.T @ part)
+    return sp.csr_array(gram)
 
 
 def weight_rows(design: DesignMatrix, weight: Floats) -> DesignMatrix:
     """Design matrix with each row multiplied by its weight (m,)."""
     if isinstance(design, np.ndarray):
         return np.asarray(design * weight[:, None])
-    data = np.repeat(weight, np.diff(design.indptr))
-    data *= design.data
-    return sp.csr_array((data, design.indices, design.indptr), design.shape)
+    entry_weights = np.repeat(weight, np.diff(design.indptr))
+    entry_weights *= design.data
+    return sp.csr_array((entry_weights, design.indices, design.indptr), design.shape)
 
 
 MIN_RELIABLE_PIVOT = 1e-8

@@ -200,8 +200,8 @@ def make_projection(block_system: BlockSystem, factor: BlockFactor | None) -> Pr
 
 def _group_gram_matrices(columns: Floats, group_boundaries: Ints) -> list[Floats]:
     """Gram matrices (k, k) of groups of k columns; group i has the columns from boundary i to boundary i + 1."""
-    parts = (columns[:, low:high] for low, high in pairwise(group_boundaries.tolist()))
-    return [part.T @ part for part in parts]
+    column_groups = (columns[:, low:high] for low, high in pairwise(group_boundaries.tolist()))
+    return [part.T @ part for part in column_groups]
 
 
 def _spectrum_of_thin_root(matrix_root: Floats) -> tuple[Floats, Floats]:

@@ -217,23 +217,26 @@ def _gross_and_motion_tests(
     `row_numbers` (n,) are the rows of the pointings in the whole recording, from 1.
     """
     gross, bump, occupation = _gross_pointings_and_bump(occupation, construction, family)
-    items = [_gross_item(occupation, gross, row_numbers, family), _bump_item(occupation, bump, row_numbers, family)]
+    check_items = [
+        _gross_item(occupation, gross, row_numbers, family),
+        _bump_item(occupation, bump, row_numbers, family),
+    ]
     recording, uniform_motion = occupation.recording, UniformMotion((occupation.recording.stations[0],))
     motions: list[StationMotion] = [] if bump is None else [bump]
     designs = [motion.design(occupation.sightings) for motion in motions]
     remaining = reduce(StationOccupation.with_fitted_columns, designs, occupation)
     drift_design, zeros = uniform_motion.design(occupation.sightings), _zero_drift_design(occupation)
-    items.append(_drift_item(remaining, family, "drift", drift_design, drift_sentence))
-    if not items[-1].passed:
+    check_items.append(_drift_item(remaining, family, "drift", drift_design, drift_sentence))
+    if not check_items[-1].passed:
         motions.append(uniform_motion)
         designs, remaining = [*designs, drift_design], remaining.with_fitted_columns(drift_design)
-    items.append(_drift_item(remaining, family, "instrument-drift", zeros, instrument_sentence))
-    if not items[-1].passed:
+    check_items.append(_drift_item(remaining, family, "instrument-drift", zeros, instrument_sentence))
+    if not check_items[-1].passed:
         designs, remaining = [*designs, zeros], remaining.with_fitted_columns(zeros)
     if designs:
         together = np.concatenate(designs, axis=2)
         recording = recording.with_readings(recording.readings - together @ occupation.fit_columns(together).estimates)
-    return SetupTests(tuple(items), remaining, tuple(motions), recording)
+    return SetupTests(tuple(check_items), remaining, tuple(motions), recording)
 
 
 def _scatter_by_target(occupation: StationOccupation, family: HypothesisFamily) -> Floats | None:

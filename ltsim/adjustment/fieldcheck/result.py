@@ -150,8 +150,8 @@ class Check(ResultFile):
         """Result with the items in this order: identified causes, blunders, set-ups, network."""
         causes = tuple(map(item_from_cause, tests))
         mistakes = (item for item in network if item.kind == "mistake")
-        rest = (item for item in network if item.kind != "mistake")
-        items = (*causes, *mistakes, *(item for setup in arrays.setups for item in setup.items), *rest)
+        other_network_items = (item for item in network if item.kind != "mistake")
+        items = (*causes, *mistakes, *(item for setup in arrays.setups for item in setup.items), *other_network_items)
         result = cls(
             recording=SourceEntry.from_recording(arrays.recording),
             passed=all(item.passed for item in items),

@@ -166,8 +166,8 @@ def _centring_places(recording: Recording, used_readings: Bools) -> list[_Centri
     recurs in both faces.
     """
     is_used = np.asarray(used_readings.any(axis=1))
-    pairs = np.unique(np.stack([recording.target[is_used], recording.station[is_used]]), axis=1)
-    is_shared = np.bincount(pairs[0], minlength=len(recording.targets)) > 1
+    target_station_pairs = np.unique(np.stack([recording.target[is_used], recording.station[is_used]]), axis=1)
+    is_shared = np.bincount(target_station_pairs[0], minlength=len(recording.targets)) > 1
     shared = tuple(name for name, is_tied in zip(recording.targets, is_shared.tolist(), strict=True) if is_tied)
     centrings = [CentringUncertainty(sigma_mm=1.0, stations=(name,), targets=shared) for name in recording.stations]
     centrings += [CentringUncertainty(sigma_mm=1.0, targets=(name,)) for name in shared]
@@ -237,21 +237,21 @@ def common_displacement(fit: NetworkFit, hypothesis: Hypothesis) -> CommonDispla
     linear = np.hstack([2.0 * displacement, np.ones((len(arm), 1))])
     centre = np.linalg.lstsq(linear, np.sum(displacement**2, axis=1))[0]
     motion = np.append(-centre[:3], np.zeros(3))
-    length = float(np.sqrt(max(centre[3] + centre[:3] @ centre[:3], 0.0)))
+    displacement_size = float(np.sqrt(max(centre[3] + centre[:3] @ centre[:3], 0.0)))
     for _ in range(MAX_ITERATIONS):
         corrected = displacement + motion[:3] + np.cross(motion[3:], arm)
         size = np.linalg.norm(corrected, axis=1)
         direction = corrected / np.maximum(size, 1e-300)[:, None]
         design = np.hstack([direction, np.cross(arm, direction), -np.ones((len(arm), 1))])
-        residual = length - size
+        residual = displacement_size - size
         step = np.linalg.lstsq(design, residual)[0]
-        motion, length = motion + step[:6], length + float(step[6])
+        motion, displacement_size = motion + step[:6], displacement_size + float(step[6])
         if np.abs(step).max() < MAX_ROUNDING_ERROR:
             break
     scatter = float(np.sqrt(np.sum((residual - design @ step) ** 2) / (len(arm) - design.shape[1])))
     rms = float(np.sqrt(np.mean(np.sum(displacement**2, axis=1))))
-    if not 0.0 < length < MAX_LENGTH_RATIO * rms or scatter > MAX_RELATIVE_LENGTH_SCATTER * rms:
+    if not 0.0 < displacement_size < MAX_LENGTH_RATIO * rms or scatter > MAX_RELATIVE_LENGTH_SCATTER * rms:
         return None
     is_away_from_nests = float(np.sum(corrected * arm)) < 0.0
     sigma = scatter * float(np.sqrt(np.linalg.pinv(design.T @ design)[6, 6]))
-    return CommonDisplacement(length if is_away_from_nests else -length, sigma)
+    return CommonDisplacement(displacement_size if is_away_from_nests else -displacement_size, sigma)

@@ -165,10 +165,14 @@ class NetworkFit:
     @property
     def shifts_with_slices(self) -> Iterator[tuple[Hypothesis, ReadingShiftChange, slice]]:
         """Triples of a hypothesis that is a shift, its model change, and the slice of its parameters in the state."""
-        first = 0
+        first_column = 0
         for h in self.hypotheses:
             if isinstance(h.model_change, ReadingShiftChange):
-                yield h, h.model_change, slice(first, first := first + len(h.model_change.effect.parameters))
+                yield (
+                    h,
+                    h.model_change,
+                    slice(first_column, first_column := first_column + len(h.model_change.effect.parameters)),
+                )
 
     def estimate(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
         """Estimate (p,) and covariance (p, p) of a shift, or of the centring errors, of a hypothesis [SI]."""
@@ -371,8 +375,8 @@ class NetworkFit:
     @cached_property
     def log_evidence(self) -> float:
         """Log marginal likelihood up to a constant: chi-square, Occam factors and priors of hypotheses and outliers."""
-        total = -0.5 * self.solution.sum_of_squares + self.outlier_log_evidence
-        return total + sum(h.log_prior + self._log_occam_factor_of(h) for h in self.hypotheses)
+        log_evidence_sum = -0.5 * self.solution.sum_of_squares + self.outlier_log_evidence
+        return log_evidence_sum + sum(h.log_prior + self._log_occam_factor_of(h) for h in self.hypotheses)
 
     def _log_occam_factor_of(self, hypothesis: Hypothesis) -> float:
         """Logarithm of the Occam factor of a hypothesis in the model; for a noise factor with its log determinant."""

@@ -147,10 +147,10 @@ def shift_places(sightings: Sightings, place_kind: PlaceKind) -> list[ShiftPlace
     )
     order = order[np.argsort(index[order], kind="stable")]
     edges = np.searchsorted(index[order], np.arange(len(names) + 1))
-    parts = [(name, order[edges[i] : edges[i + 1]]) for i, name in enumerate(names)]
+    rows_by_name = [(name, order[edges[i] : edges[i + 1]]) for i, name in enumerate(names)]
     return [
         ShiftPlace((name,), (), rows) if place_kind == "station" else ShiftPlace((), (name,), rows)
-        for name, rows in parts
+        for name, rows in rows_by_name
         if len(rows)
     ]
 
@@ -238,10 +238,10 @@ def shift_candidates(sightings: Sightings) -> list[ShiftCandidate]:
             for since in family.candidate_onsets(sightings, rows):
                 late = sightings.time[rows] >= since
                 shifts.append((family, place, since, rows[late], rows[~late]))
-    count: dict[CauseKind, int] = {}
+    n_by_kind: dict[CauseKind, int] = {}
     for family, *_ in shifts:
-        count[family.kind] = count.get(family.kind, 0) + 1
-    return [ShiftCandidate(*shift, count[shift[0].kind]) for shift in shifts]
+        n_by_kind[family.kind] = n_by_kind.get(family.kind, 0) + 1
+    return [ShiftCandidate(*shift, n_by_kind[shift[0].kind]) for shift in shifts]
 
 
 def reference_omissions(fit: NetworkFit) -> list[Hypothesis]:

@@ -36,10 +36,10 @@ class LocalShift:
         """Problem of a shift from the whitened design (n, 3, q), residuals (n, 3) and outlier flags (n, 3)."""
         whole = design.reshape(-1, design.shape[2])
         acts = whole.any(axis=1)
-        size = np.linalg.norm(whole[acts], axis=0)
-        columns = size > 0.0
-        unit = whole[acts][:, columns] / size[columns]
-        return cls(unit, size[columns], residual.ravel()[acts], is_outlier.ravel()[acts], columns)
+        column_norms = np.linalg.norm(whole[acts], axis=0)
+        columns = column_norms > 0.0
+        unit = whole[acts][:, columns] / column_norms[columns]
+        return cls(unit, column_norms[columns], residual.ravel()[acts], is_outlier.ravel()[acts], columns)
 
     @property
     def has_outliers_and_parameters(self) -> bool:

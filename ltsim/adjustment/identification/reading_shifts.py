@@ -72,9 +72,9 @@ class ReadingShift(LinearEffect):
         if self.is_drift:
             elapsed = acts * sightings.station_time
             acts = elapsed / (float(elapsed.max(initial=0.0)) or 1.0)  # readings made at one time do not drift
-        size = acts * sightings.range_ if self.is_proportional else acts
-        size = size * sightings.face_sign if self.observable == "elevation" else size
-        return design_from_front_face_corrections(sightings, **{self.observable: -size[:, None]})
+        shift_per_unit = acts * sightings.range_ if self.is_proportional else acts
+        shift_per_unit = shift_per_unit * sightings.face_sign if self.observable == "elevation" else shift_per_unit
+        return design_from_front_face_corrections(sightings, **{self.observable: -shift_per_unit[:, None]})
 
     def linearise(self, sightings: Sightings, parameter_values: Floats) -> Linearisation:
         """Change of the readings and its derivatives at a value of the parameter.

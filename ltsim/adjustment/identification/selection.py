@@ -90,7 +90,7 @@ def select_causes(network: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) ->
         If the readings determine no network with any hypothesis.
     """
     fit = beginning = _initial_fit(network)
-    last: FitKey | None = None
+    last_key: FitKey | None = None
     spared: list[Hypothesis] = []
     while len(fit.hypotheses) < MAX_SELECTED_HYPOTHESES and not _is_consistent_as_a_whole(fit):
         tried = _fit_best_hypotheses(fit)
@@ -101,9 +101,9 @@ def select_causes(network: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) ->
         if isinstance(tried[0][0].model_change, CentringChange):
             best = max(best, _fit_with_other_causes(fit, needed, best), key=lambda made: made.log_evidence)
         chosen = _drop_unneeded(best, min_gain, len(beginning.hypotheses), spared)
-        last = (fit, tried) if chosen is tried[0][1] else None
+        last_key = (fit, tried) if chosen is tried[0][1] else None
         fit = chosen
-    return _compare_again(fit, min_gain, beginning, last, spared)
+    return _compare_again(fit, min_gain, beginning, last_key, spared)
 
 
 def _fit_with_other_causes(fit: NetworkFit, needed: float, rival: NetworkFit) -> NetworkFit:

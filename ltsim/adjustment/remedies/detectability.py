@@ -123,11 +123,11 @@ def _noise_effect_information(space: ResidualSpace, places: Sequence[NoiseEffect
             upper = effect.variance(space.sightings, problem.sigma, step)
             changes.append(((upper - problem.sigma**2) / (problem.sigma**2 * step.sum()))[problem.used_readings])
     stack = np.array(changes)
-    count = stack.shape[1]
+    n_parameters = stack.shape[1]
     spread = np.empty_like(stack)
-    for part in batches(count, space.n_rows):
+    for part in batches(n_parameters, space.n_rows):
         units = np.eye(space.n_rows, part.stop - part.start, -part.start)
-        spread[:, part] = stack @ space.project(units)[:count] ** 2
+        spread[:, part] = stack @ space.project(units)[:n_parameters] ** 2
     edges = np.cumsum([0, *(len(effect.parameters) for effect in places)])
     return [0.5 * stack[a:b] @ spread[a:b].T for a, b in pairwise(edges)]
 
@@ -183,9 +183,9 @@ def visible_information(gram: Floats, norm: Floats, min_visible_fraction: float)
 def _minimal_sizes(information: Floats, noncentrality: float) -> Floats:
     """Minimal detectable size of each parameter if it acts alone; infinite without information."""
     diagonal = np.diag(information)
-    size = np.full(len(diagonal), np.inf)
-    size[diagonal > 0] = np.sqrt(noncentrality / diagonal[diagonal > 0])
-    return size
+    minimal_sizes = np.full(len(diagonal), np.inf)
+    minimal_sizes[diagonal > 0] = np.sqrt(noncentrality / diagonal[diagonal > 0])
+    return minimal_sizes
 
 
 def _place_text(effect: Effect) -> str:
@@ -257,11 +257,11 @@ class CatalogueDetectability:
         first, second = np.nonzero(
             (self.similarity > MIN_EQUIVALENT_CORRELATION) & ~np.eye(len(self.detectable_effects), dtype=bool)
         )
-        pairs = [
+        effect_pairs = [
             (self.detectable_effects[i], self.detectable_effects[j], float(self.similarity[i, j]))
             for i, j in zip(first, second, strict=True)
         ]
-        return sorted(pairs, key=lambda pair: -pair[2])
+        return sorted(effect_pairs, key=lambda pair: -pair[2])
 
 
 def catalogue_detectability(

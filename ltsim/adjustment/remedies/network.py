@@ -163,7 +163,7 @@ class PlannedNetwork:
             set(pair) for pair in zip(rows.first_targets.tolist(), rows.second_targets.tolist(), strict=True)
         ):
             return self
-        length = (
+        length_mm = (
             float(np.linalg.norm(self.state.target_points[first_target] - self.state.target_points[second_target]))
             / MILLIMETRE
         )
@@ -171,7 +171,7 @@ class PlannedNetwork:
         end_names: dict[str, Any] = {
             "from": recording.targets[first_target],
             "to": recording.targets[second_target],
-            "length_mm": length,
+            "length_mm": length_mm,
         }
         new_length = GaugeDistance(**end_names, sigma_mm=sigma_mm, measured_in_place=True)
         gauge = recording.gauge.model_copy(update={"distance": (*recording.gauge.distance, new_length)})

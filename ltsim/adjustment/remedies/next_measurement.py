@@ -324,7 +324,7 @@ def rank_deciding_measurements(
     nearby_remedies = sorted(pointing_remedies(network, suspects, site_sights), key=_effort_rank)
     repeat_remedies = sorted(return_remedies(network, seconds_per_move), key=_effort_rank)
     costly_remedies = sorted([*procedure_remedies(network), *calibrated_length_remedy(network)], key=_effort_rank)
-    total = len(nearby_remedies) + len(repeat_remedies) + N_EVALUATED_PLACES + len(costly_remedies)
+    n_proposals = len(nearby_remedies) + len(repeat_remedies) + N_EVALUATED_PLACES + len(costly_remedies)
     proposals: list[MeasurementProposal] = []
     stations = _most_informative_stations(network, seconds_per_move, site_sights)
     every = chain(nearby_remedies, repeat_remedies, stations, costly_remedies)
@@ -335,7 +335,7 @@ def rank_deciding_measurements(
         longer = residual_space_of(longer_adjustment, extra_effects)
         evidence = {name: pair.expected_evidence(longer) for name, pair in rivals.items()}
         proposals.append(MeasurementProposal.from_remedy(remedy, planned_adjustment, longer_adjustment, evidence))
-        progress("weighing the explanations", min(len(proposals) / total, 1.0))
+        progress("weighing the explanations", min(len(proposals) / n_proposals, 1.0))
         if stops_at_first and proposals[-1].distinguishes_all:
             break
     ranked_proposals = tuple(sorted(proposals, key=lambda p: p.sort_key))

@@ -49,10 +49,10 @@ class ParameterCombination:
 
     def coefficients(self, names: Sequence[str]) -> dict[str, float]:
         """Coefficients above 0.1 by parameter name, the largest first; the largest is positive."""
-        size = np.abs(self.vector)
-        order = np.argsort(-np.round(size / MAX_SOLUTION_ROUNDING_ERROR), kind="stable")
-        sign = np.sign(self.vector[_first_of_largest(size)])
-        return {names[i]: float(sign * self.vector[i]) for i in order if size[i] > MIN_REPORTED_COEFFICIENT}
+        abs_coefficients = np.abs(self.vector)
+        order = np.argsort(-np.round(abs_coefficients / MAX_SOLUTION_ROUNDING_ERROR), kind="stable")
+        sign = np.sign(self.vector[_first_of_largest(abs_coefficients)])
+        return {names[i]: float(sign * self.vector[i]) for i in order if abs_coefficients[i] > MIN_REPORTED_COEFFICIENT}
 
 
 def gains_and_combinations(covariance: Floats, prior_sigma: Floats) -> tuple[Floats, Floats]:

@@ -245,8 +245,8 @@ class CandidateNoiseEffect(CandidateEffect, Protocol):
 
     def size_grid(self) -> list[tuple[float, ...]]:
         """Parameter values [SI] that a diagnosis tries: each parameter alone and all together, in several sizes."""
-        count = len(self.parameters)
-        subsets = [*np.eye(count), *([np.ones(count)] if count > 1 else [])]
+        n_parameters = len(self.parameters)
+        subsets = [*np.eye(n_parameters), *([np.ones(n_parameters)] if n_parameters > 1 else [])]
         return [
             tuple(size * subset * self.size_scales) for subset in subsets for size in (0.05, 0.15, 0.4, 1.0, 3.0, 10.0)
         ]

@@ -67,8 +67,8 @@ def neighbouring_gap_times(times: Floats, time: float) -> list[float]:
 
 def station_target_pairs(sightings: Sightings) -> list[tuple[str, str]]:
     """Pairs of the names of station and target with at least one pointing."""
-    pairs = np.unique(np.stack([sightings.station, sightings.target], axis=1), axis=0)
-    return [(sightings.station_names[s], sightings.target_names[t]) for s, t in pairs]
+    index_pairs = np.unique(np.stack([sightings.station, sightings.target], axis=1), axis=0)
+    return [(sightings.station_names[s], sightings.target_names[t]) for s, t in index_pairs]
 
 
 def first_pointing_time(sightings: Sightings) -> float:
@@ -144,6 +144,6 @@ class Drift(Effect):
         return time_since_start if self.law == "linear" else np.asarray(np.exp(-time_since_start / self.time_constant))
 
     def design(self, sightings: Sightings) -> Floats:
-        amount = self.row_weights(sightings) * self.time_law_values(sightings)
-        column: Floats = sightings.slot_responses[self.slot] * amount[:, None]
+        drift_per_unit = self.row_weights(sightings) * self.time_law_values(sightings)
+        column: Floats = sightings.slot_responses[self.slot] * drift_per_unit[:, None]
         return column[:, :, None]

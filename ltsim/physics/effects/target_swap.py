@@ -34,8 +34,8 @@ class TargetSwap(Blunder):
     @classmethod
     def possible_blunders(cls, sightings: Sightings) -> list[Self]:
         """Possible blunders: every pair of targets at every station."""
-        pairs = list(combinations(sightings.target_names, 2))
-        return [cls((station,), pair) for station in sightings.station_names for pair in pairs]
+        name_pairs = list(combinations(sightings.target_names, 2))
+        return [cls((station,), pair) for station in sightings.station_names for pair in name_pairs]
 
     def measured_sightings(self, sightings: Sightings) -> Sightings:
         """Sightings in which the two targets are exchanged."""

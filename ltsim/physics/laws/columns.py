@@ -71,8 +71,8 @@ def has_natural_zero(covariate: Floats) -> bool:
 
 def scaled_to_unit_rms(column: Floats) -> Floats:
     """Column (n, 1) divided by its rms. A column of zeros is unchanged."""
-    size = float(np.sqrt(np.mean(column**2)))
-    return column / size if size > 0 else column
+    rms = float(np.sqrt(np.mean(column**2)))
+    return column / rms if rms > 0 else column
 
 
 N_HARMONICS = 5
@@ -86,8 +86,8 @@ def fourier_columns(phase: Floats, n_harmonics: int) -> Floats:
 
 def _unit_phasors(phase: Floats, n_harmonics: int) -> NDArray[np.complex128]:
     """Complex numbers exp(i k phase), (n, n_harmonics), for a phase (n,) [rad] and k = 1 to `n_harmonics`."""
-    first = np.broadcast_to(np.exp(1j * phase)[:, None], (len(phase), n_harmonics))
-    return np.cumprod(first, axis=1)
+    first_harmonic = np.broadcast_to(np.exp(1j * phase)[:, None], (len(phase), n_harmonics))
+    return np.cumprod(first_harmonic, axis=1)
 
 
 def smooth_curve_columns(name: str, covariate: Floats, n_modes: int) -> Floats:

@@ -93,11 +93,13 @@ def connected_groups(sightings: Sightings, lengths: Iterable[tuple[str, str]]) -
     `lengths` are the pairs of names at the ends of the reference lengths.
     """
     index = {name: i for i, name in enumerate(sightings.target_names)}
-    pairs = [(index[a], index[b]) for a, b in lengths if a in index and b in index]
-    if not pairs:
+    index_pairs = [(index[a], index[b]) for a, b in lengths if a in index and b in index]
+    if not index_pairs:
         return set()
-    count, (first, second) = len(index), np.array(pairs).T
-    _, body = connected_components(sp.coo_array((np.ones(len(pairs)), (first, second)), (count, count)), directed=False)
+    count, (first, second) = len(index), np.array(index_pairs).T
+    _, body = connected_components(
+        sp.coo_array((np.ones(len(index_pairs)), (first, second)), (count, count)), directed=False
+    )
     members = [tuple(np.flatnonzero(body == k).tolist()) for k in np.unique(body)]
     return {group for group in members if MIN_GROUP_SIZE <= len(group) <= count - MIN_GROUP_SIZE}
 

@@ -292,8 +292,11 @@ def _step_regressors(sightings: Sightings) -> list[Regressor]:
     clock = np.unique(sightings.time)
     if len(clock) < MAX_SEPARATE_PARTS:
         return []
-    at = np.linspace(0, len(clock) - 1, MAX_SEPARATE_PARTS + 2).round().astype(int)[1:-1]
-    return [piecewise_regressor([scalar_regressor("time", "step", float(0.5 * (clock[i] + clock[i + 1])))]) for i in at]
+    step_indices = np.linspace(0, len(clock) - 1, MAX_SEPARATE_PARTS + 2).round().astype(int)[1:-1]
+    return [
+        piecewise_regressor([scalar_regressor("time", "step", float(0.5 * (clock[i] + clock[i + 1])))])
+        for i in step_indices
+    ]
 
 
 def _seating_parity_differs(sightings: Sightings) -> bool:
@@ -307,14 +310,14 @@ def visits(sightings: Sightings, min_setups: int) -> list[Regressor]:
 
     The list is empty for fewer set-ups than `min_setups`, or more than `MAX_SEPARATE_PARTS`.
     """
-    count = len(np.unique(sightings.station))
-    return [group_amounts_regressor("station", count)] if min_setups <= count <= MAX_SEPARATE_PARTS else []
+    n_stations = len(np.unique(sightings.station))
+    return [group_amounts_regressor("station", n_stations)] if min_setups <= n_stations <= MAX_SEPARATE_PARTS else []
 
 
 def _per_previous_target_regressors(sightings: Sightings) -> list[Regressor]:
     """Regressor with a separate value for each previous target, in a list, which is empty for too many targets."""
-    count = len(sightings.target_names)
-    return [group_amounts_regressor("last-target", count)] if 1 < count <= MAX_SEPARATE_TARGETS else []
+    n_targets = len(sightings.target_names)
+    return [group_amounts_regressor("last-target", n_targets)] if 1 < n_targets <= MAX_SEPARATE_TARGETS else []
 
 
 def lag_regressors(sightings: Sightings, covariates: Iterable[str]) -> list[Regressor]:

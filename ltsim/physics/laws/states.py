@@ -110,9 +110,11 @@ def latch_column(sightings: Sightings, covariate: str, set_threshold: float, rel
     """
     x, rows = sightings.quantities[covariate], sightings.order_by_setup
     event = np.where(x > set_threshold, 1.0, np.where(x < release_threshold, 0.0, np.nan))[rows]
-    first = sightings.previous_rows[rows] < 0
+    is_first_pointing = sightings.previous_rows[rows] < 0
     event = np.where(
-        first & np.isnan(event), (x[rows] > 0.5 * (set_threshold + release_threshold)).astype(np.float64), event
+        is_first_pointing & np.isnan(event),
+        (x[rows] > 0.5 * (set_threshold + release_threshold)).astype(np.float64),
+        event,
     )
     last_events = np.maximum.accumulate(np.where(np.isnan(event), 0, np.arange(len(rows))))
     values = np.empty(len(rows))

@@ -190,8 +190,8 @@ def law_suffix(law: EmpiricalLaw) -> str:
 
 def region_text(region: HallRegion) -> str:
     """Text form of a region of the hall."""
-    at = ", ".join(f"{axis} {value:.4g} m" for axis, value in zip(region.bounded_axes, region.centre, strict=True))
-    return f"a {REGION_SHAPES[region.bounded_axes]} at {at}, width {region.width:.4g} m"
+    centre = ", ".join(f"{axis} {value:.4g} m" for axis, value in zip(region.bounded_axes, region.centre, strict=True))
+    return f"a {REGION_SHAPES[region.bounded_axes]} at {centre}, width {region.width:.4g} m"
 
 
 TEXT_FORM_EXAMPLES = (

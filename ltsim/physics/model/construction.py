@@ -74,8 +74,8 @@ class GeometricErrorModel:
 
     def with_parameter_subset(self, indices: Iterable[int]) -> Self:
         """Geometric error model with a selection of the parameters."""
-        numbers = [int(k) for k in indices]
-        parameters, terms = tuple(self.parameters[k] for k in numbers), tuple(self.terms[k] for k in numbers)
+        subset = [int(k) for k in indices]
+        parameters, terms = tuple(self.parameters[k] for k in subset), tuple(self.terms[k] for k in subset)
         return replace(self, parameters=parameters, terms=terms)
 
     @cached_property
@@ -118,13 +118,11 @@ class GeometricErrorModel:
             amounts[term.slot] = amounts[term.slot] + amount if term.slot in amounts else amount
         return amounts
 
-    def point(self, readings: Floats, parameter_values: Floats) -> Floats:
+    def point(self, readings: Floats, values: Floats) -> Floats:
         """Point (n, 3) [m] in the instrument frame of raw readings (n, 3); exact."""
-        return kinematics.point_of_readings(
-            self.kinematic_chain, readings, self.slot_errors(readings, parameter_values)
-        )
+        return kinematics.point_of_readings(self.kinematic_chain, readings, self.slot_errors(readings, values))
 
-    def linearise(self, readings: Floats, parameter_values: Floats) -> tuple[Floats, Floats, Floats]:
+    def linearise(self, readings: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
         """Point (n, 3) [m], and its derivatives by the raw readings (n, 3, 3) and by the parameters (n, 3, p).
 
         The derivative by the readings neglects that the basis functions depend on them, with a relative error of 1e-5.
@@ -132,9 +130,7 @@ class GeometricErrorModel:
         """
         (chain, slots_of_readings), bases = self._chain_with_reading_slots, self.basis_values(readings)
         slots = {term.slot for term in self.terms} | set(slots_of_readings)
-        p, by_slot = kinematics.point_and_derivatives(
-            chain, readings, self._slot_amounts(bases, parameter_values), slots
-        )
+        p, by_slot = kinematics.point_and_derivatives(chain, readings, self._slot_amounts(bases, values), slots)
         by_reading = np.stack([by_slot[slot] for slot in slots_of_readings], axis=2)
         if not self.terms:
             return p, by_reading, np.zeros((len(readings), 3, 0))
@@ -167,12 +163,10 @@ class GeometricErrorModel:
             before = size
         return raw
 
-    def readings_and_design(
-        self, points: Floats, face: Ints, parameter_values: Floats
-    ) -> tuple[Floats, Floats, Floats]:
+    def readings_and_design(self, points: Floats, face: Ints, values: Floats) -> tuple[Floats, Floats, Floats]:
         """Raw readings (n, 3) of points (n, 3) [m], with derivatives by point (n, 3, 3) and parameters (n, 3, p)."""
-        raw = self._invert_chain(points, face, parameter_values, LAST_STEP_RESIDUAL)
-        reached, by_reading, by_value = self.linearise(raw, parameter_values)
+        raw = self._invert_chain(points, face, values, LAST_STEP_RESIDUAL)
+        reached, by_reading, by_value = self.linearise(raw, values)
         by_point: Floats = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
         raw = raw + np.einsum("nij,nj->ni", by_point, points - reached)
         raw[:, 1] = wrap_angle(raw[:, 1])

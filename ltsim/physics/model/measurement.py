@@ -144,8 +144,8 @@ class MeasurementModel:
     @property
     def incidence_columns(self) -> tuple[slice, ...]:
         """Slice of the q additional parameters that belongs to each of `incidence_errors`."""
-        first = self.n_effect_parameters + sum(len(heads.parameters) for heads in self.head_heights)
-        boundaries = first + np.cumsum([0, *(len(error.parameters) for error in self.incidence_errors)])
+        first_column = self.n_effect_parameters + sum(len(heads.parameters) for heads in self.head_heights)
+        boundaries = first_column + np.cumsum([0, *(len(error.parameters) for error in self.incidence_errors)])
         return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(boundaries))
 
     def incidence_parameters_by_reflector(self, parameters: Floats) -> dict[str, Floats]:

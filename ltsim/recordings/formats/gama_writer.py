@@ -110,8 +110,8 @@ def _coordinate_lines(name: str, target: Target) -> Iterator[str]:
     if target.known_covariance_mm2 is not None:
         matrix, band = symmetric_matrix(target.known_covariance_mm2), len(axes) - 1
     block = matrix[np.ix_(axes, axes)].tolist()
-    numbers = " ".join(repr(block[i][j]) for i in range(len(axes)) for j in range(i, min(i + band + 1, len(axes))))
-    yield f'<cov-mat dim="{len(axes)}" band="{band}">{numbers}</cov-mat></coordinates>'
+    band_text = " ".join(repr(block[i][j]) for i in range(len(axes)) for j in range(i, min(i + band + 1, len(axes))))
+    yield f'<cov-mat dim="{len(axes)}" band="{band}">{band_text}</cov-mat></coordinates>'
 
 
 def _first_setup_points(recording: Recording) -> dict[str, Vector]:

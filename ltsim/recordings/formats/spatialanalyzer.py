@@ -217,9 +217,9 @@ def _sheet_of_block(block: _Block, name: str, sheet_rows: list[SheetRow], file: 
 
 def _station_names(blocks: Sequence[_Block]) -> list[str]:
     """Names of the stations: ``Instrument_0`` if the numbers are unique, otherwise ``COLLECTION::0``."""
-    numbers = [block.number for block in blocks]
-    if len(set(numbers)) == len(numbers):
-        return [f"Instrument_{number}" for number in numbers]
+    block_numbers = [block.number for block in blocks]
+    if len(set(block_numbers)) == len(block_numbers):
+        return [f"Instrument_{number}" for number in block_numbers]
     return [f"{block.collection}::{block.number}" for block in blocks]
 
 
@@ -241,8 +241,10 @@ def _prefix_ambiguous_points(
     if not ambiguous_names:
         return []
     examples = ", ".join(ambiguous_names[:4])
-    count = len(ambiguous_names)
-    return [f"{count} names stand for points at different places ({examples}, ...): their group is added to the name"]
+    n_ambiguous = len(ambiguous_names)
+    return [
+        f"{n_ambiguous} names stand for points at different places ({examples}, ...): their group is added to the name"
+    ]
 
 
 def _names_by_place(name: str, groups: dict[str, list[tuple[str, Floats]]]) -> dict[str, str]:

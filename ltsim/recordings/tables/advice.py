@@ -71,8 +71,8 @@ def _column_reference(position: int, titles: Sequence[str]) -> str:
 def sample_rows(sheet: TableSheet) -> list[SheetRow]:
     """First rows of a sheet, with about `MAX_SAMPLE_CELLS` cells in total."""
     cells_before = accumulate((len(row.fields) for row in sheet.rows), initial=0)
-    pairs = zip(sheet.rows, cells_before, strict=False)
-    return [row for row, _ in takewhile(lambda pair: pair[1] < MAX_SAMPLE_CELLS, pairs)]
+    rows_and_counts = zip(sheet.rows, cells_before, strict=False)
+    return [row for row, _ in takewhile(lambda pair: pair[1] < MAX_SAMPLE_CELLS, rows_and_counts)]
 
 
 def _likely_assignments(titles: Sequence[str], first_rows: Sequence[Sequence[str]]) -> list[str]:
@@ -170,7 +170,7 @@ def _possible_conventions(
     horizontal: Sequence[int], vertical: Sequence[int], columns: CellsByColumn, titles: Sequence[str]
 ) -> list[tuple[str, str]]:
     """Pairs of unit and kind of the vertical angle that its numbers and its title permit, most likely first."""
-    numbers = _column_numbers(columns[vertical[0]])
+    vertical_angles = _column_numbers(columns[vertical[0]])
     max_value = max(_largest_magnitude(columns[horizontal[0]]), _largest_magnitude(columns[vertical[0]]))
     if _is_sexagesimal(horizontal, columns):
         units: tuple[AngleUnit, ...] = ("deg",)
@@ -178,7 +178,7 @@ def _possible_conventions(
         units = ("rad",)
     else:
         units = ("deg", "gon") if max_value <= FULL_CIRCLE_BY_UNIT["deg"] else ("gon",)
-    lowest = min(numbers, default=Decimal(0))
+    lowest = min(vertical_angles, default=Decimal(0))
     is_zenith = "zenit" in normalised_title(titles[vertical[0]])
     kind = "elevation" if lowest < 0 else "zenith" if is_zenith else "vertical"
     return [(unit, kind) for unit in units if lowest >= -FULL_CIRCLE_BY_UNIT[unit] / 4]

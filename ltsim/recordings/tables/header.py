@@ -100,8 +100,10 @@ class TableColumn:
         """Cells of this column, from the cells of each column in `table`; joined with those of minutes and seconds."""
         if not self.part_positions:
             return table[self.position]
-        parts = zip(*(table[place] for place in (self.position, *self.part_positions)), strict=True)
-        return [" ".join(cell + mark for cell, mark in zip(row, ANGLE_MARKS, strict=False) if cell) for row in parts]
+        cell_rows = zip(*(table[place] for place in (self.position, *self.part_positions)), strict=True)
+        return [
+            " ".join(cell + mark for cell, mark in zip(row, ANGLE_MARKS, strict=False) if cell) for row in cell_rows
+        ]
 
     @property
     def is_additional(self) -> bool:

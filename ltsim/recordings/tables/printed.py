@@ -150,9 +150,9 @@ class PrintedPointings:
         """Pointings at the given positions, in this order."""
         positions = list(order)
         list_columns: list[Any] = [[column[i] for i in positions] for column in self.complete_columns]
-        numbers = {role: digits[positions] for role, digits in self.numbers.items()}
+        digits_by_role = {role: digits[positions] for role, digits in self.numbers.items()}
         additional_cells = {title: [column[i] for i in positions] for title, column in self.additional_cells.items()}
-        return PrintedPointings(*[*list_columns, numbers, additional_cells])
+        return PrintedPointings(*[*list_columns, digits_by_role, additional_cells])
 
 
 def join_pointings(tables: Sequence[PrintedPointings]) -> PrintedPointings:
@@ -164,12 +164,12 @@ def join_pointings(tables: Sequence[PrintedPointings]) -> PrintedPointings:
     ]
     roles = dict.fromkeys(role for part in tables for role in part.numbers)
     titles = dict.fromkeys(title for part in tables for title in part.additional_cells)
-    numbers = {
+    digits_by_role = {
         role: np.concatenate([part.numbers.get(role, np.zeros(len(part), dtype="S1")) for part in tables])
         for role in roles
     }
     additional_cells = {title: _concatenate(part.texts(title) for part in tables) for title in titles}
-    return PrintedPointings(*[*list_columns, numbers, additional_cells])
+    return PrintedPointings(*[*list_columns, digits_by_role, additional_cells])
 
 
 def _concatenate(columns: Iterable[list[ValueType]]) -> list[ValueType]:

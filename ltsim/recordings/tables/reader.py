@@ -81,10 +81,10 @@ def pointing_times(table: PointingTable, hints: Hints) -> tuple[list[float], str
         )
     if values is not None:
         return (values * SI_PER_UNIT[column.unit or "s"]).tolist(), "", []
-    numbers = [cells.parse_number(text) for text in texts]
-    if all(number is not None for number in numbers):
+    times = [cells.parse_number(text) for text in texts]
+    if all(number is not None for number in times):
         factor = SI_PER_UNIT[column.unit or "s"]
-        return [float(number) * factor for number in numbers if number is not None], "", []
+        return [float(number) * factor for number in times if number is not None], "", []
     seconds, start = cells.parse_times(texts, hints.date)
     if seconds is None and start:
         message = (
@@ -315,9 +315,9 @@ def _covariate_values(
     if not any(texts):
         return None
     bare_texts, cell_unit = cells.split_common_unit(texts) if column.role in ROLE_UNITS else (texts, "")
-    numbers = cells.plain_numbers(bare_texts) if not any(pointings.group_separator) else None
-    if numbers is None:
-        numbers = np.full(len(texts), NOT_MEASURED)
+    column_numbers = cells.plain_numbers(bare_texts) if not any(pointings.group_separator) else None
+    if column_numbers is None:
+        column_numbers = np.full(len(texts), NOT_MEASURED)
         for i, (text, group_separator) in enumerate(zip(bare_texts, pointings.group_separator, strict=True)):
             if text and text not in cells.MISSING_MARKS:
                 number = cells.parse_quantity(text, group_separator)
@@ -326,12 +326,12 @@ def _covariate_values(
                     raise pointings.source_location(i).error(message, quoted_text(column.title))
                 if number is None:
                     return None
-                numbers[i] = number
-    unit = cell_unit or column.unit or interpretation.unit_of(column.role, numbers)
+                column_numbers[i] = number
+    unit = cell_unit or column.unit or interpretation.unit_of(column.role, column_numbers)
     target_unit = column.role.rpartition("_")[2]
     if target_unit in ("mm", "arcsec") and unit in (*ROLE_UNITS[column.role], "dms"):
-        numbers = numbers * float(unit_ratio(unit, target_unit))
-    return numbers, unit
+        column_numbers = column_numbers * float(unit_ratio(unit, target_unit))
+    return column_numbers, unit
 
 
 def _unread_lines_note(table: PointingTable) -> list[str]:

@@ -141,8 +141,8 @@ class _SheetReader:
 
     def read_positional(self) -> PointingTable:
         """Pointings of lines with station, target and three numbers, or with target and three numbers."""
-        first = next((row for row in self.sheet.rows if not row.is_comment), None)
-        roles = POSITIONAL_ROLES[1:] if first is not None and len(first.fields) == 4 else POSITIONAL_ROLES
+        first_row = next((row for row in self.sheet.rows if not row.is_comment), None)
+        roles = POSITIONAL_ROLES[1:] if first_row is not None and len(first_row.fields) == 4 else POSITIONAL_ROLES
         for row in self.sheet.rows:
             if not row.is_comment and len(row.fields) != len(roles):
                 message = f"{len(row.fields)} fields, expected station, target, two angles and a distance"

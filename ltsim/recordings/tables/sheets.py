@@ -209,9 +209,13 @@ def _detect_separator(lines: Sequence[str]) -> str:
     Lines with three or more columns decide first, then those with two or more, and then the number of columns. In case
     of a tie it is the first of `FIELD_SEPARATORS`.
     """
-    first = zip(lines[:N_SAMPLE_LINES], accumulate(map(len, lines[:N_SAMPLE_LINES]), initial=0), strict=False)
+    lines_and_offsets = zip(
+        lines[:N_SAMPLE_LINES], accumulate(map(len, lines[:N_SAMPLE_LINES]), initial=0), strict=False
+    )
     sample = [
-        line for line, before in first if before < MAX_SAMPLE_CHARACTERS and line.strip() and line.lstrip()[0] != "#"
+        line
+        for line, before in lines_and_offsets
+        if before < MAX_SAMPLE_CHARACTERS and line.strip() and line.lstrip()[0] != "#"
     ]
     if sample and all(line.count("\t") == sample[0].count("\t") > 2 for line in sample):
         return "\t"

@@ -88,7 +88,7 @@ def _median_spread(values: Floats, groups: Ints) -> float:
         return 0.0
     order = np.lexsort((values[finite], groups[finite]))
     values, groups = values[finite][order], groups[finite][order]
-    first = np.flatnonzero(np.diff(groups, prepend=-1))
-    last = np.append(first[1:], len(groups)) - 1
-    spreads = (values[last] - values[first])[last > first]
+    first_indices = np.flatnonzero(np.diff(groups, prepend=-1))
+    last_indices = np.append(first_indices[1:], len(groups)) - 1
+    spreads = (values[last_indices] - values[first_indices])[last_indices > first_indices]
     return float(np.median(spreads)) if len(spreads) else 0.0

@@ -164,7 +164,7 @@ def factor_panels_figure(
 
     Parameters
     ----------
-    rows : sequence of SweepPoint
+    plotted_points : sequence of SweepPoint
     label : str
         The statistic with its unit.
     axis : str
@@ -273,7 +273,7 @@ def setting_rows_figure(
 
     Parameters
     ----------
-    rows : sequence of SweepPoint
+    plotted_points : sequence of SweepPoint
         `level` is the setting, `line` the method.
     label : str
         The statistic with its unit.

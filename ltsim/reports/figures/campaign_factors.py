@@ -54,8 +54,8 @@ def levels_of_cells(results: CampaignResults, factor: Factor) -> list[Any]:
 
 def _is_bijection(first_column: Sequence[Any], second_column: Sequence[Any]) -> bool:
     """True if the values of two columns correspond one to one."""
-    pairs = len(set(zip(first_column, second_column, strict=True)))
-    return pairs == len(set(first_column)) == len(set(second_column))
+    n_pairs = len(set(zip(first_column, second_column, strict=True)))
+    return n_pairs == len(set(first_column)) == len(set(second_column))
 
 
 def statistic_figures(

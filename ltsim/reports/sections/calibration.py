@@ -184,10 +184,10 @@ def _corrections_sentence(content: Calibration) -> str:
     if not faults:
         return ""
     places = dict.fromkeys(name for test in faults for name in (*test.where.stations, *test.where.targets))
-    at = f" at {listing(list(places))}" if places else ""
+    place_text = f" at {listing(list(places))}" if places else ""
     dof = sum(test.dof for test in faults if test.sigma is not None)
     degrees = f", with {count_text(dof, 'degree')} of freedom" if dof else ""
-    return f" The model corrects {count_text(len(faults), 'error')}{at}{degrees}."
+    return f" The model corrects {count_text(len(faults), 'error')}{place_text}{degrees}."
 
 
 def _has_larger_noise(content: Calibration) -> bool:
@@ -380,7 +380,9 @@ def _residual_sights(
         for names, column in ((stations, residuals.station), (targets, residuals.target))
     )
     matched = (station >= 0) & (target >= 0)
-    size = np.abs(np.nan_to_num(residuals.normalised_residual[matched]))
+    residual_sizes = np.abs(np.nan_to_num(residuals.normalised_residual[matched]))
     return (
-        DrawnSights(station[matched], target[matched], size, "largest normalised residual") if matched.any() else None
+        DrawnSights(station[matched], target[matched], residual_sizes, "largest normalised residual")
+        if matched.any()
+        else None
     )

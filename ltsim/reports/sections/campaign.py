@@ -292,8 +292,8 @@ def _column_label(column: str) -> str:
     """Label of a column, such as `distance, mean before` for `distance_before_mean_um`."""
     if column.startswith("new_point_"):
         return f"new point: {_column_label(column.removeprefix('new_point_'))}"
-    parts = column.removesuffix("_um").removesuffix("_percent").replace("max", "largest").split("_")
-    return f"{parts[0]}, {' '.join(reversed(parts[1:]))}" if len(parts) > 1 else column
+    name_words = column.removesuffix("_um").removesuffix("_percent").replace("max", "largest").split("_")
+    return f"{name_words[0]}, {' '.join(reversed(name_words[1:]))}" if len(name_words) > 1 else column
 
 
 def _error_tables(results: CampaignResults, summaries: Mapping[str, list[StatisticSummary]]) -> list[Block]:

@@ -339,7 +339,7 @@ def _finding_place_blocks(finding: Finding, finding_number: int, adjustments: Ad
 
 def _place_text(scope: FindingScope) -> str:
     """Observables, instruments, stations, targets and covariates of a finding as text."""
-    parts = [
+    place_texts = [
         f"{word} {listing(list(names))}"
         for word, names in (
             ("in", scope.observables),
@@ -350,7 +350,7 @@ def _place_text(scope: FindingScope) -> str:
         )
         if names
     ]
-    return ", ".join(parts) or "everywhere"
+    return ", ".join(place_texts) or "everywhere"
 
 
 def _fit_table(content: Diagnosis) -> list[TableBlock]:
