@@ -101,12 +101,12 @@ class NetworkTests:
     @property
     def sentences(self) -> tuple[str, ...]:
         """Sentences on the errors in the recording, and on their treatment."""
-        groups = (
+        cause_groups = (
             (self.uncorrected_causes, "no error of the tracker, but it remains in the tests, which are not valid"),
             (self.corrected_causes, "no error of the tracker, and it is removed before the tests"),
             (self.tracker_causes, "possibly an error of the tracker, and it remains in the tests"),
         )
-        lines = [f"{c.sentence} This is {_treatment(c, words)}." for causes, words in groups for c in causes]
+        lines = [f"{c.sentence} This is {_treatment(c, words)}." for causes, words in cause_groups for c in causes]
         if self.outliers:
             lines.append(f"Pointings with outlying readings are not tested: {self._outlier_names}.")
         if self.unexplained_factor > 1.0:
@@ -154,17 +154,17 @@ def evaluate_network(recording: Recording, instrument_specification: Specificati
     adjustment.solution.require_success()
     network = TestedNetwork(adjustment, calibration.uncertainty_factor)
     is_tested: Bools = np.asarray(adjustment.problem.used_readings.all(axis=1))
-    entries: list[TestEntry] = []
+    test_entries: list[TestEntry] = []
     for s in range(len(recording.stations)):
-        entries += network.station_entries(s, is_tested, instrument_specification)
-    if not entries:
+        test_entries += network.station_entries(s, is_tested, instrument_specification)
+    if not test_entries:
         raise NetworkError("no station measured two whole targets; a length needs both ends")
     causes = [test for test in calibration.tests if test.is_fault and test.kind != "outlier"]
     corrected = tuple(c for c in causes if not may_be_tracker(c) and network.is_corrected(c))
     tracker = tuple(c for c in causes if may_be_tracker(c))
     other_causes = tuple(c for c in causes if c not in corrected and c not in tracker)
     factor = 1.0 if causes else calibration.uncertainty_factor
-    return NetworkTests(tuple(entries), corrected, tracker, other_causes, outliers, factor)
+    return NetworkTests(tuple(test_entries), corrected, tracker, other_causes, outliers, factor)
 
 
 def _calibrate_without_outliers(recording: Recording) -> tuple[Calibration, tuple[CauseTest, ...]]:
@@ -254,14 +254,14 @@ class TestedNetwork:
             np.flatnonzero(is_tested & (recording.station == station) & (recording.face == f)) for f in (1, 2)
         ]
         tested_rows = rows_by_face[0] if len(rows_by_face[0]) else rows_by_face[1]
-        entries = self._length_entries(recording.stations[station], tested_rows, limits)
+        test_entries = self._length_entries(recording.stations[station], tested_rows, limits)
         front, back = map(self._mean_points, rows_by_face)
         for t in sorted(front.keys() & back.keys()):
             error = float(np.linalg.norm(parts_across_beam((front[t] - back[t])[None], front[t][None])))
             limit = float(limits.two_face_limits(front[t][None])[0])
             name = f"{recording.stations[station]}: {recording.targets[t]}"
-            entries.append(make_test_entry(name, "two-face", error, limit))
-        return entries
+            test_entries.append(make_test_entry(name, "two-face", error, limit))
+        return test_entries
 
     def _mean_points(self, pointing_rows: Ints) -> dict[int, Floats]:
         """Mean points (3,) [m] in the instrument's frame, by target, of the pointings in some rows."""
@@ -304,7 +304,7 @@ class TestedNetwork:
         added.
         """
         unknowns, size = self.adjustment.problem.unknowns, len(targets)
-        changes = np.einsum(
+        length_changes = np.einsum(
             "kj,kjq->kq",
             lengths / np.linalg.norm(lengths, axis=1)[:, None],
             _pair_vectors(self._mean_point_changes(targets, row_indices), point_pairs),
@@ -314,22 +314,22 @@ class TestedNetwork:
         direction = reference_lengths / np.linalg.norm(reference_lengths, axis=1)[:, None]
         every = np.arange(len(point_pairs))
         form[every, point_pairs[:, 0]], form[every, point_pairs[:, 1]] = direction, -direction
-        coefficients = np.concatenate([form.reshape(len(point_pairs), -1), -changes[:, is_corrected]], axis=1)
+        coefficients = np.concatenate([form.reshape(len(point_pairs), -1), -length_changes[:, is_corrected]], axis=1)
         columns = np.concatenate([unknowns.target_columns[targets].ravel(), unknowns.extra_columns[is_corrected]])
         unit = np.zeros((unknowns.n_columns, len(columns)))
         unit[columns, np.arange(len(columns))] = 1.0
         covariance = self.adjustment.factorised_normals.covariance_columns(unit)[columns]
         adjusted = self.uncertainty_factor**2 * np.einsum("ki,ij,kj->k", coefficients, covariance, coefficients)
         prior = self.adjustment.problem.extra_sigma[is_nuisance]
-        return np.asarray(adjusted + np.sum((changes[:, is_nuisance] * prior) ** 2, axis=1))
+        return np.asarray(adjusted + np.sum((length_changes[:, is_nuisance] * prior) ** 2, axis=1))
 
     def _mean_point_changes(self, targets: list[int], row_indices: Ints) -> Floats:
         """Derivative (t, 3, q) of the mean points by the additional parameters, in the frame of the instrument."""
         adjustment = self.adjustment
         by_reading = np.linalg.inv(polar_jacobian(self.readings[row_indices], adjustment.recording.face[row_indices]))
-        changes = by_reading @ self._extra_design[row_indices]
+        point_changes = by_reading @ self._extra_design[row_indices]
         is_mine = adjustment.recording.target[row_indices] == np.array(targets)[:, None]
-        return np.einsum("tn,niq->tiq", is_mine / is_mine.sum(axis=1, keepdims=True), changes)
+        return np.einsum("tn,niq->tiq", is_mine / is_mine.sum(axis=1, keepdims=True), point_changes)
 
 
 def _pair_vectors(points: Floats, point_pairs: Ints) -> Floats:

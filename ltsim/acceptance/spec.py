@@ -158,13 +158,13 @@ def _test_from_row(row: dict[str, str], line_number: int, file: Path) -> Accepta
 
 def _point_from_row(row: dict[str, str], end_name: str, line_number: int, file: Path) -> tuple[float, float, float]:
     columns = (f"{axis}{end_name}_mm" for axis in "xyz")
-    values = [parse_comma_number(row[name], file=file, row=line_number, column=name) / 1000 for name in columns]
-    if not np.isfinite(values).all() or np.hypot(values[0], values[1]) < 1e-3:
+    coordinates = [parse_comma_number(row[name], file=file, row=line_number, column=name) / 1000 for name in columns]
+    if not np.isfinite(coordinates).all() or np.hypot(coordinates[0], coordinates[1]) < 1e-3:
         raise SetupError(
             f"{file}: row {line_number}: point {end_name} is on the vertical axis of the instrument, "
             "where azimuth is undefined; give a point beside the axis"
         )
-    return values[0], values[1], values[2]
+    return coordinates[0], coordinates[1], coordinates[2]
 
 
 def envelope_points() -> Floats:

@@ -153,7 +153,7 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
         return None
     columns = whole.project(np.hstack([shifts[i] for i in occupations]))
     cofactor = np.linalg.pinv(columns.T @ columns)
-    values = (cofactor @ (columns.T @ whole.residuals)).reshape(-1, axes)
+    displacements = (cofactor @ (columns.T @ whole.residuals)).reshape(-1, axes)
     occupation_indices = range(len(occupations))
     spread = (
         cofactor.reshape(len(occupation_indices), axes, len(occupation_indices), axes)[
@@ -162,7 +162,9 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
         * chi2
         / dof
     )
-    return CentringErrors(adjustment, tuple(candidates[i] for i in occupations), values, spread, chi2, dof, noisy)
+    return CentringErrors(
+        adjustment, tuple(candidates[i] for i in occupations), displacements, spread, chi2, dof, noisy
+    )
 
 
 def correct_centring(adjustment: Adjustment) -> tuple[Recording, list[IdentifiedBlunder]]:

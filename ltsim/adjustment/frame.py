@@ -321,14 +321,16 @@ class StationTargetPairs:
         """
         stations, targets = len(recording.stations), len(recording.targets)
         measured = from_polar(recording.readings) if points is None else points
-        rows = np.flatnonzero(np.isfinite(measured).all(axis=1))
-        key = recording.station[rows] * targets + recording.target[rows]
+        complete_rows = np.flatnonzero(np.isfinite(measured).all(axis=1))
+        key = recording.station[complete_rows] * targets + recording.target[complete_rows]
         by_key = np.argsort(key, kind="stable")
         where, first, count = np.unique(key[by_key], return_index=True, return_counts=True)
         centres = np.zeros((len(where), 3))
         for repeats in np.unique(count):
             group = np.flatnonzero(count == repeats)
-            centres[group] = np.median(measured[rows[by_key[first[group][:, None] + np.arange(repeats)]]], axis=1)
+            centres[group] = np.median(
+                measured[complete_rows[by_key[first[group][:, None] + np.arange(repeats)]]], axis=1
+            )
         station, target = np.divmod(where, max(targets, 1))
         order = np.argsort(target, kind="stable")
         starts = np.searchsorted(station, np.arange(stations + 1))
@@ -345,9 +347,9 @@ class StationTargetPairs:
         """Values (m, 3) of the pairs from values (n, 3) of the pointings; a pair has the value of its last pointing."""
         by_pair = np.zeros((len(self), 3))
         keys = self.station_indices * len(recording.targets) + self.target_indices
-        rows = recording.station * len(recording.targets) + recording.target
-        pair_rows = np.flatnonzero(np.isin(rows, keys))
-        by_pair[np.searchsorted(keys, rows[pair_rows])] = pointing_values[pair_rows]
+        pair_keys = recording.station * len(recording.targets) + recording.target
+        pair_rows = np.flatnonzero(np.isin(pair_keys, keys))
+        by_pair[np.searchsorted(keys, pair_keys[pair_rows])] = pointing_values[pair_rows]
         return by_pair
 
     def medians_by_target(self, pair_values: Floats, targets: Ints) -> Floats:

@@ -73,8 +73,8 @@ class ParameterPrior:
 def prior_sigmas(recording: Recording, construction: GeometricErrorModel) -> Floats:
     """Prior standard deviations (I, p) [SI] of the p geometric error parameters of each of I instruments."""
     priors = [recording.setup.instrument_named(name).prior for name in recording.instruments]
-    rows = [[p.sigma_from(prior) for p in construction.parameters] for prior in priors]
-    return np.array(rows, dtype=np.float64).reshape(len(priors), construction.n_parameters)
+    sigma_rows = [[p.sigma_from(prior) for p in construction.parameters] for prior in priors]
+    return np.array(sigma_rows, dtype=np.float64).reshape(len(priors), construction.n_parameters)
 
 
 def expected_sigmas(recording: Recording, construction: GeometricErrorModel) -> Floats:

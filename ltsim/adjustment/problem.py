@@ -82,13 +82,13 @@ class NetworkProblem(NetworkRows):
         )
         mark_control, yaws = ControlRows.from_stations(recording, marks), YawRows.from_recording(recording, is_used)
         differences = DifferenceRows.from_marks(recording, marks)
-        sizes = [effect_prior_sigma * size for effect in model.effects for size in effect.size_scales]
-        sizes += [size for errors in model.nuisance_errors for size in errors.size_scales]
+        effect_sigmas = [effect_prior_sigma * size for effect in model.effects for size in effect.size_scales]
+        effect_sigmas += [size for errors in model.nuisance_errors for size in errors.size_scales]
         return cls(
             model=model,
             sigma=recording.sigma() if sigma is None else sigma,
             prior=prior or ParameterPrior.independent(prior_sigmas(recording, model.construction)),
-            extra_sigma=np.array(sizes, dtype=np.float64),
+            extra_sigma=np.array(effect_sigmas, dtype=np.float64),
             free_motions=free_motions(control, mark_control, differences, levels, yaws),
             used_readings=is_used,
             gauge_rows=gauge,
@@ -174,10 +174,10 @@ class NetworkProblem(NetworkRows):
         yaws = self.yaw_rows.yaw_residuals(state.station_rotations) / self.yaw_rows.sigma
         fixed_residuals = np.zeros(self.structure.n_fixed)
         prior = self.prior.whitened_residuals(state.instrument_parameters)
-        extra = -(state.extra_parameters / self.extra_sigma)[np.isfinite(self.extra_sigma)]
+        effect_residuals = -(state.extra_parameters / self.extra_sigma)[np.isfinite(self.extra_sigma)]
         datum = np.zeros(self.free_motions.shape[1])
         references = pointings, gauge, control, marks, differences, levels.ravel(), yaws
-        return np.concatenate([*references, fixed_residuals, prior, extra, datum])
+        return np.concatenate([*references, fixed_residuals, prior, effect_residuals, datum])
 
     def length_residuals(self, state: NetworkState) -> Floats:
         """Declared minus adjusted lengths (g,) [m]."""
@@ -326,8 +326,10 @@ class NetworkProblem(NetworkRows):
         turn = np.broadcast_to(motion[3:].T[:, None, :], (motion.shape[1], len(anchors), 3))
         rotation_part = (cross_matrix(turn) @ state.station_positions[anchors][:, :, None])[..., 0]
         shift = motion[:3].T[:, None, :] + rotation_part
-        rows = np.concatenate([shift, turn if self.structure.fixes_datum_rotations else np.zeros_like(shift)], axis=2)
-        return rows.reshape(len(rows), 6 * len(anchors)) / np.tile(DATUM_SIGMA, len(anchors))
+        datum_rows = np.concatenate(
+            [shift, turn if self.structure.fixes_datum_rotations else np.zeros_like(shift)], axis=2
+        )
+        return datum_rows.reshape(len(datum_rows), 6 * len(anchors)) / np.tile(DATUM_SIGMA, len(anchors))
 
     @cached_property
     def level_row_slice(self) -> slice:

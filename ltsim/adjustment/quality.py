@@ -111,10 +111,10 @@ def _control_difference_text(network_points: Floats, control_points: Floats) -> 
         ),
         f"they fit mirrored; {mirrored}": _rigid_fit_misfit(-network_points, control_points),
     }
-    best = min(ways, key=lambda way: ways[way])
+    best_way = min(ways, key=lambda way: ways[way])
     return (
-        best
-        if MIN_MISFIT_RATIO * ways[best] < _rigid_fit_misfit(network_points, control_points)
+        best_way
+        if MIN_MISFIT_RATIO * ways[best_way] < _rigid_fit_misfit(network_points, control_points)
         else "check their coordinates and names"
     )
 

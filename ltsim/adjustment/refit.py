@@ -218,8 +218,8 @@ def _damped_step(
 
 def _values_by_effect(effects: Sequence[LinearEffect], parameter_values: Floats) -> list[Floats]:
     """Values of the parameters of each effect, from an array with the values of all effects in order."""
-    sizes = [len(e.parameters) for e in effects]
-    return np.split(parameter_values[: sum(sizes)], np.cumsum(sizes)[:-1]) if sizes else []
+    n_parameters = [len(e.parameters) for e in effects]
+    return np.split(parameter_values[: sum(n_parameters)], np.cumsum(n_parameters)[:-1]) if n_parameters else []
 
 
 def _effects_with_changed_shapes(
@@ -248,7 +248,7 @@ def _estimates_with_uncertainty(
         return tuple(() for _ in effects)
     sigma = _values_by_effect(source.effects, np.sqrt(np.maximum(np.diag(source.extra_covariance), 0.0)))
     relative = iter(sigma[len(effects) :]) if has_shape_estimates else repeat(np.full(1, np.inf))
-    rows = []
+    estimates = []
     for i, (effect, values) in enumerate(
         zip(effects, _values_by_effect(effects, adjustment.state.extra_parameters), strict=True)
     ):
@@ -256,5 +256,5 @@ def _estimates_with_uncertainty(
         for direction in directions[i]:
             now = float(getattr(effect, direction.shape_parameter.name))
             row.append(ParameterEstimate(direction.shape_parameter, now, float(next(relative)[0]) * abs(now)))
-        rows.append(tuple(row))
-    return tuple(rows)
+        estimates.append(tuple(row))
+    return tuple(estimates)

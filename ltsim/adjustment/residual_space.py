@@ -80,13 +80,13 @@ class ResidualSpace:
 
         Each of the q columns is the change by one parameter; equations other than readings and lengths are 0.
         """
-        rows = np.zeros((self.n_rows, design.shape[2]))
+        whitened_rows = np.zeros((self.n_rows, design.shape[2]))
         place, weight = self._used_reading_weights
         readings = design.reshape(-1, design.shape[2])
-        np.multiply(readings if self.used_readings.all() else readings[place], weight, out=rows[: len(place)])
+        np.multiply(readings if self.used_readings.all() else readings[place], weight, out=whitened_rows[: len(place)])
         if gauge is not None and len(gauge):
-            rows[len(place) : len(place) + len(gauge)] = self.adjustment.problem.gauge_rows.decorrelate(gauge)
-        return rows
+            whitened_rows[len(place) : len(place) + len(gauge)] = self.adjustment.problem.gauge_rows.decorrelate(gauge)
+        return whitened_rows
 
     def unwhiten(self, change: Floats) -> Floats:
         """Changes (n, 3) [m, rad, rad] of the readings from whitened changes (m,); 0 for readings not in use."""

@@ -64,8 +64,8 @@ class FitReadings:
     def thin_rows(self) -> tuple[Ints, FitReadings]:
         """Indices of at most `MAX_FIT_ROWS` evenly selected pointings, and the readings of these."""
         k = len(self.readings)
-        rows = np.arange(k) if k <= MAX_FIT_ROWS else np.linspace(0, k - 1, MAX_FIT_ROWS).astype(np.int64)
-        return rows, self.select_rows(rows)
+        thinned_rows = np.arange(k) if k <= MAX_FIT_ROWS else np.linspace(0, k - 1, MAX_FIT_ROWS).astype(np.int64)
+        return thinned_rows, self.select_rows(thinned_rows)
 
     def residuals(self, local_points: Floats) -> tuple[Floats, Floats]:
         """Whitened residuals (b, 3 k) of b trial solutions, and their derivatives (b, 3 k, 3) by the local points.

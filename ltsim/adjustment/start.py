@@ -277,10 +277,8 @@ class NetworkInitialiser:
         self._level_stations()
         if self._is_in_frame or not self._is_joined.any() or self._to_declared_frame():
             return
-        first_station = int(np.argmax(self._is_joined))
-        self._transform(
-            self._rotations[first_station].T.copy(), -self._rotations[first_station].T @ self._positions[first_station]
-        )
+        first = int(np.argmax(self._is_joined))
+        self._transform(self._rotations[first].T.copy(), -self._rotations[first].T @ self._positions[first])
         turn = self._frame.levelling_rotation(self._rotations, self._is_joined)
         heading = self._frame.heading_rotation(turn @ self._rotations, self._is_joined)
         turn = turn if heading is None else heading @ turn
@@ -356,8 +354,8 @@ class NetworkInitialiser:
     def _begin_with_bearings(self) -> None:
         """Start with the plan from directions of upright stations and from horizontal lengths."""
         recording, frame, marks = self._recording, self._frame, self._frame.marks
-        rows = np.flatnonzero(frame.is_levelled[recording.station] & np.isfinite(self._front_readings[:, 1]))
-        if not len(rows) or np.isfinite(self._front_readings[:, 2]).any():
+        bearing_rows = np.flatnonzero(frame.is_levelled[recording.station] & np.isfinite(self._front_readings[:, 1]))
+        if not len(bearing_rows) or np.isfinite(self._front_readings[:, 2]).any():
             return
         over, extra = marks.target_indices, len(self._located_targets) + marks.first_setup_on_mark
         stands = np.where(over >= 0, over, extra)
@@ -365,10 +363,12 @@ class NetworkInitialiser:
         ranged_indices = np.flatnonzero(np.isfinite(self._front_readings[:, 0]))
         starts, ends = stands[recording.station[ranged_indices]], recording.target[ranged_indices]
         lines = PlanLengths(starts, ends, self._front_readings[ranged_indices, 0])
-        station, end = recording.station[rows], recording.target[rows]
-        plan = fit_plan(station, stands[station], end, self._front_readings[rows, 1], control, lines)
+        station, end = recording.station[bearing_rows], recording.target[bearing_rows]
+        plan = fit_plan(station, stands[station], end, self._front_readings[bearing_rows, 1], control, lines)
         if plan is None:
-            self._open_lines = lines_without_length(station, stands[station], end, self._front_readings[rows, 1], lines)
+            self._open_lines = lines_without_length(
+                station, stands[station], end, self._front_readings[bearing_rows, 1], lines
+            )
             return
         places, yaw, in_frame = np.pad(plan[0], ((0, 0), (0, 1))), plan[1], plan[2]
         if in_frame:

@@ -230,12 +230,12 @@ class UndeterminedUnknowns:
             unknowns.pose_columns[self.height_free_stations, 2:3],
             unknowns.target_columns[self.height_free_targets, 2:3],
         ]
-        rows = [
+        column_groups = [
             unknowns.pose_columns[self.yaw_free_stations, 3:],
             np.repeat(unknowns.pose_columns[self.tilt_free_stations, 3:], 2, axis=0),
         ]
-        rows.append(unknowns.target_columns[self.scale_target])
-        return np.concatenate([*rows, *(np.repeat(columns.reshape(-1, 1), 3, axis=1) for columns in single)])
+        column_groups.append(unknowns.target_columns[self.scale_target])
+        return np.concatenate([*column_groups, *(np.repeat(columns.reshape(-1, 1), 3, axis=1) for columns in single)])
 
     def fixed_directions(self, state: NetworkState) -> Floats:
         """Coefficients (h, 3) of the h equations that fix undetermined unknowns, in `fixed_columns`."""

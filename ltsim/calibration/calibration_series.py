@@ -265,12 +265,12 @@ class CalibrationSeries(ValueEquality):
         `combination` (p, r) holds the coefficients of p parameters. The differences have the shape (m r,), in prior
         standard deviations.
         """
-        values = contrast @ (self.estimates / self.prior_sigma) @ combination
+        contrasts = contrast @ (self.estimates / self.prior_sigma) @ combination
         half_product: Floats = np.einsum(
             "mi,iajb,as->msjb", contrast, self._joint_covariance, combination, optimize=True
         )
         spread: Floats = np.einsum("msjb,nj,bt->msnt", half_product, contrast, combination, optimize=True)
-        return values.ravel(), spread.reshape(values.size, values.size)
+        return contrasts.ravel(), spread.reshape(contrasts.size, contrasts.size)
 
     @cached_property
     def population(self) -> ParameterPopulation:
@@ -319,9 +319,9 @@ class CalibrationSeries(ValueEquality):
             unit,
         )
         covariance = np.linalg.inv(likelihood.information + np.diag(spread**-2))
-        values = covariance @ (likelihood.information_vector + population.mean / unit * spread**-2)
+        posterior_means = covariance @ (likelihood.information_vector + population.mean / unit * spread**-2)
         return input_calibration.with_changes(
-            estimates=(values * unit)[None],
+            estimates=(posterior_means * unit)[None],
             covariance=covariance * np.outer(unit, unit),
             prior_sigma=population.spread[None],
             correction=None,

@@ -62,9 +62,9 @@ def correct(
             "and another cause may be in its parameters: run ltsim diagnose on its recording and calibrate again "
             f"without that cause, or give {option('allow_rejected=True')} to use it nevertheless"
         )
-    values = corrections.values_for(source)
+    parameter_values = corrections.values_for(source)
     uncorrected = source.with_readings(source.readings - incidence_correction_change(source, corrections))
-    readings = corrected_readings(uncorrected, corrections.construction, values)
+    readings = corrected_readings(uncorrected, corrections.construction, parameter_values)
     setup, mark = source.setup, {"corrected": True}
     instruments = {name: i.model_copy(update=mark) for name, i in setup.instruments.items()}
     marked_setup = {"instrument": setup.instrument.model_copy(update=mark), "instruments": instruments}

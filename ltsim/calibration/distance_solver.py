@@ -136,17 +136,21 @@ def solve_distances(
         If no pair of targets was measured from two stations (or faces), and there is no gauge.
     """
     unknowns, free = _start_values(problem, start_values, fixed_mask)
-    rows = mean_deviation_rows(problem, problem.distances_at(unknowns))
-    _require_compared_distances(rows, np.ones_like(free))
-    estimated, undetermined = determined_combinations(rows, free)
+    deviation_rows = mean_deviation_rows(problem, problem.distances_at(unknowns))
+    _require_compared_distances(deviation_rows, np.ones_like(free))
+    estimated, undetermined = determined_combinations(deviation_rows, free)
     moved, iterations = np.inf, 0
     while iterations < MAX_ITERATIONS and not moved < MAX_ROUNDING_ERROR:
         iterations += 1
-        rows = compared_rows(problem, unknowns, norm)
-        step = estimated @ _unbounded_step(rows.unknown_derivatives @ estimated, rows.residuals, norm)
+        deviation_rows = compared_rows(problem, unknowns, norm)
+        step = estimated @ _unbounded_step(
+            deviation_rows.unknown_derivatives @ estimated, deviation_rows.residuals, norm
+        )
         unknowns = unknowns + step
         moved = float(np.max(np.abs(step), initial=0.0))
-    return _make_estimate(rows, norm, (unknowns, estimated, undetermined), iterations, moved < MAX_ROUNDING_ERROR)
+    return _make_estimate(
+        deviation_rows, norm, (unknowns, estimated, undetermined), iterations, moved < MAX_ROUNDING_ERROR
+    )
 
 
 def solve_equation_9(

@@ -146,13 +146,13 @@ def _law_size_entries(law: EmpiricalLaw, adjustment: Adjustment) -> tuple[Fitted
     effects_before = adjustment.effects[: adjustment.effects.index(law)]
     first_parameter = sum(len(effect.parameters) for effect in effects_before)
     columns = slice(first_parameter, first_parameter + len(law.parameters))
-    sizes = displayed_sizes(
+    component_sizes = displayed_sizes(
         law,
         adjustment.sightings,
         adjustment.state.extra_parameters[columns],
         adjustment.extra_covariance[columns, columns],
     )
-    return tuple(FittedParameterEntry(**size._asdict()) for size in sizes)
+    return tuple(FittedParameterEntry(**size._asdict()) for size in component_sizes)
 
 
 def _effect_entries(

@@ -122,7 +122,11 @@ def calibrate_network(
         effects=fits,
         tests=tests,
     )
-    changes: dict[str, Any] = {"prior_sigma": prior.sigma, "is_prior_rejected": freed, "history_prior": history_prior}
+    new_fields: dict[str, Any] = {
+        "prior_sigma": prior.sigma,
+        "is_prior_rejected": freed,
+        "history_prior": history_prior,
+    }
     if choose_correction:
         wider = NO_PRIOR_SIGMA_FACTOR if chosen.has_no_prior else None
         factor = uncertainty_factor(calibration.fit, is_noise_estimated=calibration.verdict.scale_by_sigma0)
@@ -134,8 +138,8 @@ def calibrate_network(
             noise_factor=factor,
         )
         criteria = result.criteria_table(adjustment.recording, adjustment, model, applied_values)
-        changes |= {"correction": worth, "applied_values": applied_values, "criteria": criteria}
-    calibration = calibration.with_changes(**changes)
+        new_fields |= {"correction": worth, "applied_values": applied_values, "criteria": criteria}
+    calibration = calibration.with_changes(**new_fields)
     sentence = f"the readings scatter {quiet_by} times as much as declared: the noise was estimated instead"
     notes = [*calibration.notes, *([sentence] if quiet_by else []), *prior_conflict_sentences(calibration)]
     return calibration.with_changes(notes=tuple(notes))

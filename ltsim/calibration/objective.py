@@ -124,10 +124,10 @@ class DistanceProblem:
         instruments in prior standard deviations, shape (n, 3, q).
         """
         recording, (count, size) = self.recording, self.prior_sigma.shape
-        values = unknowns.reshape(self.prior_sigma.shape) * self.prior_sigma
+        parameter_values = unknowns.reshape(self.prior_sigma.shape) * self.prior_sigma
         raw_readings = np.where(recording.is_measured, readings, 1.0)
         index = recording.instrument
-        point, by_reading, by_value = self.construction.linearise(raw_readings, values[index])
+        point, by_reading, by_value = self.construction.linearise(raw_readings, parameter_values[index])
         design = np.zeros((len(raw_readings), 3, count * size))
         for i in range(count):
             rows = index == i
@@ -155,8 +155,8 @@ class DistanceProblem:
         upper_targets = np.maximum(self.reference_lengths.first_targets, self.reference_lengths.second_targets)
         index = {int(key): i for i, key in enumerate(lower_targets * n_targets + upper_targets)}
         which = np.array([index.get(int(group), -1) for group in distances.pair_indices], dtype=np.int64)
-        rows = np.flatnonzero(which >= 0)
-        return rows, which[rows]
+        matched_rows = np.flatnonzero(which >= 0)
+        return matched_rows, which[matched_rows]
 
 
 def centring_matrix(distances: SetDistances) -> tuple[sp.csr_array, Floats]:

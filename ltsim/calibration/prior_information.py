@@ -166,7 +166,7 @@ class ParameterSelection:
             ]
 
         is_fixed = np.zeros(nominal_prior.mean.shape, dtype=bool)
-        values = np.zeros(nominal_prior.mean.shape)
+        prior_means = np.zeros(nominal_prior.mean.shape)
         if self.estimated_parameters is not None:
             is_fixed[:] = True
             is_fixed.flat[indices_of(*self.estimated_parameters)] = False
@@ -176,7 +176,7 @@ class ParameterSelection:
             if len({k % construction.n_parameters for k in at}) > 1:
                 raise ModelError(f"'{name}' names several parameters; expected one parameter for a value")
             is_fixed.flat[at] = True
-            values.flat[at] = (
+            prior_means.flat[at] = (
                 float(value) * construction.parameters[at[0] % construction.n_parameters].si_per_display_unit
             )
         if is_fixed.all():
@@ -184,7 +184,7 @@ class ParameterSelection:
         # Held parameters carry no information on the others.
         covariance, diagonal = nominal_prior.covariance.copy(), np.eye(construction.n_parameters, dtype=bool)
         covariance[(is_fixed[:, :, None] | is_fixed[:, None, :]) & ~diagonal] = 0.0
-        return ParameterPrior(np.where(is_fixed, values, nominal_prior.mean), covariance, is_fixed)
+        return ParameterPrior(np.where(is_fixed, prior_means, nominal_prior.mean), covariance, is_fixed)
 
 
 def flat_parameter_indices(

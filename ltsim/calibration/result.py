@@ -67,7 +67,7 @@ def reflector_entries(adjustment: Adjustment) -> tuple[ReflectorEntry, ...]:
     """Entries of the estimated incidence errors of reflectors in fixed nests."""
     model, covariance = adjustment.problem.model, adjustment.extra_covariance
     values, units = model.incidence_parameters_by_reflector(adjustment.state.extra_parameters), SmrIncidence.parameters
-    entries = []
+    reflector_list = []
     for error, at in zip(model.incidence_errors, model.incidence_columns, strict=True):
         sigma = np.sqrt(np.einsum("ij,jk,ik->i", error.covariance_root, covariance[at, at], error.covariance_root))
         cells = zip(units, values[error.reflector].tolist(), sigma.tolist(), strict=True)
@@ -77,8 +77,8 @@ def reflector_entries(adjustment: Adjustment) -> tuple[ReflectorEntry, ...]:
             )
             for p, value, spread in cells
         )
-        entries.append(ReflectorEntry(reflector=error.reflector, parameters=parameters))
-    return tuple(entries)
+        reflector_list.append(ReflectorEntry(reflector=error.reflector, parameters=parameters))
+    return tuple(reflector_list)
 
 
 def station_poses(adjustment: Adjustment, covariance: Floats | None = None) -> tuple[StationPose, ...]:
@@ -111,16 +111,16 @@ def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
         named = {"row": i + 1, "station": station, "target": target, "observable": observable, "unit": unit}
         return OutlierRow(size=normalised_residual / factor, w=w, **named, **other_fields)
 
-    rows = []
+    outliers = []
     for i in np.flatnonzero(adjustment.is_gross_pointing).tolist():
         k = int(np.argmax(np.abs(scaled[i])))
-        rows.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), gross=True, excluded=True))
+        outliers.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), gross=True, excluded=True))
     single = adjustment.is_rejected & ~adjustment.is_gross_pointing[:, None] & _has_estimated_error(adjustment, scaled)
     for i, k in sorted(np.argwhere(single).tolist(), key=lambda at: -abs(scaled[at[0], at[1]])):
-        rows.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), excluded=True))
+        outliers.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), excluded=True))
     trusted = adjustment.flagged_readings(uses_estimated_noise=verdict_entry(adjustment).uses_estimated_noise)
     return (
-        *rows,
+        *outliers,
         *(
             row(o.row, o.observable_column, o.estimated_error, o.normalised_residual, p_value=o.p_value)
             for o in trusted
@@ -147,7 +147,7 @@ def verdict_entry(adjustment: Adjustment, fit: FitEntry | None = None) -> Verdic
 def noise_rows(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
     """Entries of the estimated noise, one per group of readings."""
     problem, recording = adjustment.problem, adjustment.recording
-    rows = []
+    noise_entries = []
     for c in adjustment.variance_components:
         if c.observable == "level":
             unit, factor, sigmas = "arcsec", ARCSECOND, problem.level_rows.sigma
@@ -160,7 +160,7 @@ def noise_rows(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
             ]
         if len(sigmas):
             typical = float(np.median(sigmas)) / factor
-            rows.append(
+            noise_entries.append(
                 NoiseRow(
                     observable=c.observable,
                     instrument=c.instrument,
@@ -171,12 +171,12 @@ def noise_rows(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
                     unit=unit,
                 )
             )
-    return tuple(rows)
+    return tuple(noise_entries)
 
 
 def reference_value_entries(adjustment: Adjustment) -> tuple[ReferenceValueEntry, ...]:
     """Entries of reference coordinates, lengths and levels with their tests, one entry per component."""
-    entries = []
+    value_entries = []
     for test, k in ((each, k) for each in adjustment.reference_tests for k in range(len(each.error))):
         unit, factor = ERROR_UNITS.get(test.kind, ("mm", MILLIMETRE))
         is_scalar, is_tested = (
@@ -196,8 +196,8 @@ def reference_value_entries(adjustment: Adjustment) -> tuple[ReferenceValueEntry
             w=test.normalised_error,
             excluded=test.is_excluded,
         )
-        entries.append(entry)
-    return tuple(entries)
+        value_entries.append(entry)
+    return tuple(value_entries)
 
 
 def axes_entry(adjustment: Adjustment) -> AxesEntry | None:
@@ -205,18 +205,18 @@ def axes_entry(adjustment: Adjustment) -> AxesEntry | None:
 
     None if no coordinates are declared.
     """
-    used = [test for test in adjustment.axis_tests if not test.is_excluded]
-    if not used:
+    accepted_tests = [test for test in adjustment.axis_tests if not test.is_excluded]
+    if not accepted_tests:
         return None
-    places = adjustment.state.target_points[[adjustment.recording.targets.index(test.name) for test in used]]
+    places = adjustment.state.target_points[[adjustment.recording.targets.index(test.name) for test in accepted_tests]]
     centre = places.mean(axis=0)
     free = motions_about_centre(adjustment.problem.free_motions, centre)
     motion = rigid_motion_design(places, centre) @ free
-    misses = np.concatenate([test.residual for test in used])
+    misses = np.concatenate([test.residual for test in accepted_tests])
     variance = float(misses @ misses) / max(len(misses) - free.shape[1], 1)
     sigma = np.sqrt(variance * np.diag(free @ np.linalg.inv(motion.T @ motion) @ free.T))
     return AxesEntry(
-        target_names=tuple(test.name for test in used),
+        target_names=tuple(test.name for test in accepted_tests),
         sigma_position_mm=(sigma[:3] / MILLIMETRE).tolist(),
         sigma_rotation_arcsec=(sigma[3:] / ARCSECOND).tolist(),
     )
@@ -230,19 +230,19 @@ def network_notes(adjustment: Adjustment) -> tuple[str, ...]:
 
 def _axes_notes(adjustment: Adjustment) -> tuple[str, ...]:
     """Note on how well declared coordinates define the axes; empty if no coordinates define only the axes."""
-    used = [test for test in adjustment.axis_tests if not test.is_excluded]
+    accepted_tests = [test for test in adjustment.axis_tests if not test.is_excluded]
     fitted = axes_entry(adjustment)
     if fitted is None:
         return ()
-    within = max(float(np.linalg.norm(test.residual)) for test in used) / MILLIMETRE
+    within = max(float(np.linalg.norm(test.residual)) for test in accepted_tests) / MILLIMETRE
     source = adjustment.recording.setup.axes
     out = [f"{test.name} ({test.error_text})" for test in adjustment.axis_tests if test.is_excluded]
     place, turn = (
         " ".join(f"{v:.2g}" for v in values) for values in (fitted.sigma_position_mm, fitted.sigma_rotation_arcsec)
     )
     sentence = (
-        f"coordinates in the axes of {source}: {len(used)} targets fit it within {within:.3g} mm, which leaves "
-        f"the axes uncertain by {place} mm (x y z, at the centroid) and {turn} arcsec (1 sigma)"
+        f"coordinates in the axes of {source}: {len(accepted_tests)} targets fit it within {within:.3g} mm, "
+        f"which leaves the axes uncertain by {place} mm (x y z, at the centroid) and {turn} arcsec (1 sigma)"
     )
     scale = scale_of_declared_axes(adjustment)
     if scale is not None:

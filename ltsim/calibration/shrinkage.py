@@ -105,8 +105,8 @@ def recommend_correction(
         words, plural = listing(list(map(parameter_text, not_applied))), len(not_applied) > 1
         terms, they = ("terms", "they are") if plural else ("term", "it is")
         notes.append(f"held-out targets are predicted better without the {terms} {words}: {they} not applied")
-    values = mean * held
-    values[used_terms] = spread @ applied
+    held_means = mean * held
+    held_means[used_terms] = spread @ applied
     correction = RecommendedCorrection(
         prior_scale=evidence.most_likely_scale,
         plausible_scale=evidence.plausible_scale_limits,
@@ -116,7 +116,7 @@ def recommend_correction(
         not_applied=not_applied,
         sentences=tuple(notes),
     )
-    return correction, values.reshape(prior.mean.shape)
+    return correction, held_means.reshape(prior.mean.shape)
 
 
 class ScaledPrior:
@@ -329,12 +329,12 @@ def terms_to_drop(adjustment: Adjustment, noise_factor: float = 1.0) -> Ints:
     targets = held_out_targets(adjustment)
     if len(targets) < MIN_PREDICTED_TARGETS:
         return none
-    values = adjustment.state.instrument_parameters.ravel()
-    gone, now = none, sum(t.sum_of_squares(values, none) for t in targets)
+    parameter_values = adjustment.state.instrument_parameters.ravel()
+    gone, now = none, sum(t.sum_of_squares(parameter_values, none) for t in targets)
     candidates = _informative_terms(adjustment)
     while candidates:
         tried = [np.concatenate([gone, term]) for term in candidates]
-        after = [sum(t.sum_of_squares(values, fixed) for t in targets) for fixed in tried]
+        after = [sum(t.sum_of_squares(parameter_values, fixed) for t in targets) for fixed in tried]
         best = int(np.argmin(after))
         if now - after[best] <= MIN_HELD_OUT_IMPROVEMENT * noise_factor**2:
             break

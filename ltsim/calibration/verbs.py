@@ -232,9 +232,9 @@ def evaluate(recording: RecordingSource, calibration: CalibrationSource | None =
         return Criteria.from_criteria(source, criteria_of(source, row_mask=use))
     corrections = load_calibration(calibration)
     change = incidence_correction_change(source, corrections)
-    values = corrections.values_for(source)
+    parameter_values = corrections.values_for(source)
     return Criteria.from_criteria(
-        source, criteria_of(source, corrections.construction, values, reading_changes=change, row_mask=use)
+        source, criteria_of(source, corrections.construction, parameter_values, reading_changes=change, row_mask=use)
     )
 
 
@@ -261,10 +261,10 @@ def verify(recording: RecordingSource, nominal: str | Path, calibration: Calibra
     """
     source, corrections = load_recording(recording), load_calibration(calibration)
     change = incidence_correction_change(source, corrections)
-    values = corrections.values_for(source)
+    parameter_values = corrections.values_for(source)
     points = read_nominal(Path(nominal))
     return Criteria.from_criteria(
-        source, verified(source, points, corrections.construction, values, reading_changes=change)
+        source, verified(source, points, corrections.construction, parameter_values, reading_changes=change)
     )
 
 

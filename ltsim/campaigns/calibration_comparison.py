@@ -126,19 +126,19 @@ def compare_calibrations(
             raise SetupError(f"'{name}' calibrates another recording than that of seed {seed}, trial {trial}")
     if not by_name:
         raise SetupError("no calibration is given, expected at least one")
-    values = np.array([*truth.instrument_values.values()]).reshape(len(base_scenario.trackers_in_use), -1)
+    true_values = np.array([*truth.instrument_values.values()]).reshape(len(base_scenario.trackers_in_use), -1)
     geometry = make_geometry(
         make_validation_scenario(str(validation_scenario), base_scenario, place), seed, VALIDATION_STREAM_KEY
     )
     recording, there = measure_trial(
-        geometry, seed, trial, true_instrument_errors=values, stream_key=VALIDATION_STREAM_KEY
+        geometry, seed, trial, true_instrument_errors=true_values, stream_key=VALIDATION_STREAM_KEY
     )
 
     def error(points: Any) -> float:
         return cloud_error(recording, points, there.target_points)
 
     raw_errors = error(measured_points(recording))
-    floor = error(measured_points(recording, geometry.construction, values[geometry.sightings.instrument]))
+    floor = error(measured_points(recording, geometry.construction, true_values[geometry.sightings.instrument]))
     calibration_by_name = (
         by_name
         if applied

@@ -79,13 +79,13 @@ class GeometryStack(CellTruth):
             for name in ("station_positions", "station_rotations", "target_points")
         )
         order = [np.argsort(_pointing_keys(truth)) for truth in truths]
-        rows = np.empty((len(order[0]), len(truths)), dtype=np.int64)
-        rows[order[0]] = np.stack(order, axis=1)
+        row_order = np.empty((len(order[0]), len(truths)), dtype=np.int64)
+        row_order[order[0]] = np.stack(order, axis=1)
         return cls(
             **shared_fields,
             state=NetworkState(position, rotation, points, first_truth.state.instrument_parameters),
             truths=truths,
-            row_of_pointing=rows,
+            row_of_pointing=row_order,
         )
 
     def gather(self, arrays: Iterable[Floats]) -> Floats:
@@ -141,19 +141,19 @@ class GeometryStack(CellTruth):
             truth.distributions.draw(numbers_of_trial)
             for truth, numbers_of_trial in zip(self.truths, sources, strict=True)
         ]
-        values = np.concatenate([draw.instrument_values for draw in draws], axis=2)
-        exact = self._exact_deviations(values)
+        instrument_values = np.concatenate([draw.instrument_values for draw in draws], axis=2)
+        exact = self._exact_deviations(instrument_values)
         single_trials = tuple(
             truth.block_from_draw(draw, self.array_of_trial(exact, k)[:, :, None])
             for k, (truth, draw) in enumerate(zip(self.truths, draws, strict=True))
         )
-        amounts = tuple(
+        effect_values = tuple(
             np.concatenate(parts, axis=1)
             for parts in zip(*(block.effect_values for block in single_trials), strict=True)
         )
         length_errors = np.concatenate([block.length_errors for block in single_trials], axis=1)
         deviation = self.gather(block.reading_deviations[:, :, 0] for block in single_trials)
-        return TrialBatch(trial_numbers, values, amounts, deviation, length_errors, single_trials)
+        return TrialBatch(trial_numbers, instrument_values, effect_values, deviation, length_errors, single_trials)
 
 
 def stack_geometries(truths: dict[int, CellTruth]) -> Iterator[tuple[GeometryStack, Ints]]:
@@ -161,15 +161,15 @@ def stack_geometries(truths: dict[int, CellTruth]) -> Iterator[tuple[GeometrySta
 
     `truths` holds the true geometry of each trial by its number. A trial with an incomplete pointing has its own stack.
     """
-    groups: dict[tuple[object, ...], list[int]] = {}
+    trials_by_pattern: dict[tuple[object, ...], list[int]] = {}
     for number, truth in truths.items():
         judge = TrialEvaluator(truth)
         names = truth.recording.stations, truth.recording.targets
         whole = truth.recording.is_measured.all(axis=0).all()
         pattern = np.sort(_pointing_keys(truth)).tobytes() if whole else number
         key = (*names, pattern, judge.has_criteria, judge.has_frame.tobytes())
-        groups.setdefault(key, []).append(number)
-    for numbers in groups.values():
+        trials_by_pattern.setdefault(key, []).append(number)
+    for numbers in trials_by_pattern.values():
         yield GeometryStack.from_truths(tuple(truths[number] for number in numbers)), np.array(numbers)
 
 
@@ -318,10 +318,10 @@ class StackedNetwork(BatchNetwork):
     def _affected_readings(self) -> tuple[Ints, Floats, Floats]:
         n_readings = 3 * len(self.recording)
         flattened = [part._extra_design.reshape(n_readings, -1) for part in self.networks]
-        rows = np.flatnonzero(np.any([design.any(axis=1) for design in flattened], axis=0))
-        design = np.stack([design[rows] for design in flattened])
-        sigma = np.stack([part.reading_sigmas.ravel()[rows] for part in self.networks])
-        return rows, design, design / sigma[:, :, None]
+        affected_rows = np.flatnonzero(np.any([design.any(axis=1) for design in flattened], axis=0))
+        design = np.stack([design[affected_rows] for design in flattened])
+        sigma = np.stack([part.reading_sigmas.ravel()[affected_rows] for part in self.networks])
+        return affected_rows, design, design / sigma[:, :, None]
 
     @cached_property
     def _non_reading_design(self) -> tuple[Floats, Floats]:

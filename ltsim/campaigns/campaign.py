@@ -100,7 +100,7 @@ def run_campaign(
     workers: WorkerSettings | None = None,
     resume: bool = False,
     force: bool = False,
-    key_changes: Mapping[str, Any] | None = None,
+    changes: Mapping[str, Any] | None = None,
     tables: Mapping[str, Any] | None = None,
     progress: ProgressCallback = lambda trials: None,
 ) -> RunResult:
@@ -111,10 +111,10 @@ def run_campaign(
     """
     with as_setup_error():
         check_writable(folder, folder=True)
-    campaign, scenarios = load_campaign(file, key_changes, tables)
+    campaign, scenarios = load_campaign(file, changes, tables)
     factors, cells = make_cells(campaign, scenarios, file)
     notes, store = _configuration_notes(campaign, factors, cells, file), CampaignFolder(folder)
-    sources = _input_files(campaign, cells, file, is_existing=not key_changes and tables is None)
+    sources = _input_files(campaign, cells, file, is_existing=not changes and tables is None)
     taken = [] if store.has_campaign or force else store.conflicting_files(sources)
     if taken:
         raise SetupError(

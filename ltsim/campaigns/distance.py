@@ -151,22 +151,22 @@ class BatchDistance(BatchCalibrator):
         sets, visible, share, gauge = self._set_membership
         recording, trials = self.truth.recording, deviation.shape[2]
         reference_lengths = self.distance_problem.reference_lengths.lengths[:, None] + block.length_errors
-        values = np.zeros((*self.distance_problem.prior_sigma.shape, trials))
+        parameter_values = np.zeros((*self.distance_problem.prior_sigma.shape, trials))
         points, moved = np.empty(deviation.shape), np.full(trials, np.inf)
         for _ in range(MAX_DISTANCE_STEPS):
-            compute_points(self._chain_program, recording.instrument, deviation, values, points)
+            compute_points(self._chain_program, recording.instrument, deviation, parameter_values, points)
             clouds = np.zeros((*visible.shape, 3, trials))
             add_station_means(points, sets, recording.target, share, clouds)
-            forces, gradient = np.zeros_like(clouds), np.zeros_like(values)
+            forces, gradient = np.zeros_like(clouds), np.zeros_like(parameter_values)
             distance_gradient(clouds, visible, gauge, reference_lengths, forces, np.zeros(trials))
             membership = (recording.instrument, sets, recording.target, share)
-            backpropagate_mean_forces(self._chain_program, *membership, deviation, values, forces, gradient)
+            backpropagate_mean_forces(self._chain_program, *membership, deviation, parameter_values, forces, gradient)
             step = self.step_matrix @ (gradient * prior).reshape(-1, trials)
-            values += step.reshape(values.shape) * prior
+            parameter_values += step.reshape(parameter_values.shape) * prior
             moved = np.abs(step).max(axis=0)
             if not np.any(moved >= CONVERGED_CHANGE):
                 break
-        return values, moved
+        return parameter_values, moved
 
     def _values_by_trial(self, block: TrialBatch, trial_numbers: Ints) -> tuple[Floats, Floats]:
         """Parameters (I, p, B) [SI] of selected trials, and their largest change (B,) in the last step [prior sigma].

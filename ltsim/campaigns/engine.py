@@ -73,21 +73,30 @@ class CalibratedBlock:
         trials = len(self.chi2)
         sigma = self.instrument_sigmas if self.instrument_sigmas.ndim == 3 else self.instrument_sigmas[:, :, None]
         value_groups = [(self.instrument_values, sigma), (self.effect_values, self.effect_sigmas)]
-        values = [v.reshape(-1, trials) for v, _ in value_groups]
+        flat_values = [v.reshape(-1, trials) for v, _ in value_groups]
         sigmas = [np.broadcast_to(s, v.shape).reshape(-1, trials) for v, s in value_groups]
-        return np.concatenate(values), np.concatenate(sigmas)
+        return np.concatenate(flat_values), np.concatenate(sigmas)
 
     @classmethod
     def without_solution(
         cls, truth: CellTruth, construction: GeometricErrorModel, effects: Sequence[Effect], trials: int
     ) -> CalibratedBlock:
         """Results of trials without a solution: all estimates are NaN, the status is that of a failure."""
-        values = np.full((len(truth.recording.instruments), construction.n_parameters, trials), np.nan)
+        instrument_values = np.full((len(truth.recording.instruments), construction.n_parameters, trials), np.nan)
         points = np.full((*truth.state.target_points.shape[:2], trials), np.nan)
-        extra = np.full((sum(len(e.parameters) for e in effects), trials), np.nan)
+        effect_values = np.full((sum(len(e.parameters) for e in effects), trials), np.nan)
         is_lost = np.full(trials, TRIAL_STATUSES.index(WITHOUT_RESULT))
         reflectors = {name: np.zeros((len(SmrIncidence.parameters), trials)) for name in truth.reflector_masks}
-        return cls(values, values.copy(), points, np.full(trials, np.nan), is_lost, extra, extra.copy(), reflectors)
+        return cls(
+            instrument_values,
+            instrument_values.copy(),
+            points,
+            np.full(trials, np.nan),
+            is_lost,
+            effect_values,
+            effect_values.copy(),
+            reflectors,
+        )
 
     def copy_trial(self, trial: int, source: CalibratedBlock, place: int) -> None:
         """Copy of a trial's result from trial `place` of another block, written to trial `trial` of this block.
@@ -259,8 +268,8 @@ class BatchCalibrator(TrialCalibrator):
         network, fit = self.batch_network, self.batch_network.fit_trials(block.reading_deviations, block.length_errors)
         status, sigma = np.zeros(len(fit.chi2), dtype=np.int64), network.parameter_sigmas
         extra_columns = slice(network.end_indices[2], network.end_indices[2] + len(fit.effect_values))
-        extra = np.sqrt(np.diag(network.covariance)[extra_columns, None]) if self.effects else np.zeros((0, 1))
-        other_arrays = fit.effect_values, extra, fit.incidence_parameters
+        effect_sigmas = np.sqrt(np.diag(network.covariance)[extra_columns, None]) if self.effects else np.zeros((0, 1))
+        other_arrays = fit.effect_values, effect_sigmas, fit.incidence_parameters
         return CalibratedBlock(
             fit.instrument_values, sigma, fit.target_increments, fit.chi2, status, *other_arrays
         ), fit.has_converged
@@ -290,7 +299,7 @@ class BatchCalibrator(TrialCalibrator):
         serial_block = self.serial_calibrator.calibrate(block, np.array([trial]))
         if serial_block.status_indices[trial] != 0:
             return float("nan")
-        values = (
+        value_differences = (
             np.abs(serial_block.instrument_values[:, :, trial] - results.instrument_values[:, :, trial])
             / results.instrument_sigmas
         )
@@ -299,7 +308,7 @@ class BatchCalibrator(TrialCalibrator):
         gap = (
             np.abs(align_to_points(truth + serial_block.target_errors[:, :, trial], batch) - batch) / self.target_sigmas
         )
-        return float(max(values.max(initial=0.0), np.nanmax(gap)))
+        return float(max(value_differences.max(initial=0.0), np.nanmax(gap)))
 
     @cached_property
     def target_sigmas(self) -> Floats:

@@ -145,15 +145,15 @@ def injection_curve(
         )
     original = load_recording(recording)
     background = diagnose(original)
-    rows = []
+    curve_rows = []
     for strength in strengths:
         draws = [inject(original, cause, noncentrality=strength, seed=seed + k) for k in range(injections)]
         judged = [
             compare_with_injection(diagnose(made), truth.injected_effects[0], background) for made, truth in draws
         ]
-        rows.append(_curve_row(strength, [truth.injected_effects[0] for _, truth in draws], judged))
+        curve_rows.append(_curve_row(strength, [truth.injected_effects[0] for _, truth in draws], judged))
     effect_names = tuple(sorted({f.effect for f in background.findings}))
-    return DetectionCurve(_catalogue_name(cause), effect_names, tuple(rows))
+    return DetectionCurve(_catalogue_name(cause), effect_names, tuple(curve_rows))
 
 
 def _catalogue_name(cause: str | CandidateEffect | SizedEffect) -> str:
@@ -281,19 +281,21 @@ def _parameter_values(
     cause: CandidateEffect, given_values: Mapping[str, float], injector: Injector, random_generator: np.random.Generator
 ) -> Floats:
     """Values (q,) [SI] of the parameters of an effect: those given, or random ones from their priors."""
-    sizes = np.array([p.prior_sigma for p in cause.parameters]) * random_generator.standard_normal(
+    drawn_values = np.array([p.prior_sigma for p in cause.parameters]) * random_generator.standard_normal(
         len(cause.parameters)
     )
     positive = [p.is_positive or isinstance(cause, NoiseEffect) for p in cause.parameters]
-    sizes = np.where(positive, np.abs(sizes), sizes)
+    drawn_values = np.where(positive, np.abs(drawn_values), drawn_values)
     if isinstance(cause, Blunder):
         return np.ones(len(cause.parameters))
     if not given_values:
-        return sizes
+        return drawn_values
     if isinstance(cause, EmpiricalLaw):
-        law_changes = cause.columns(injector.residual_space.sightings) @ sizes.reshape(-1, cause.regressor.n_columns).T
+        law_changes = (
+            cause.columns(injector.residual_space.sightings) @ drawn_values.reshape(-1, cause.regressor.n_columns).T
+        )
         rms = float(
             np.sqrt(np.mean(np.sum(law_changes[cause.row_weights(injector.residual_space.sightings) > 0] ** 2, axis=1)))
         )
-        return sizes * given_values[AMPLITUDE_NAME] * cause.parameters[0].si_per_display_unit / rms
+        return drawn_values * given_values[AMPLITUDE_NAME] * cause.parameters[0].si_per_display_unit / rms
     return np.array([given_values.get(p.name, 0.0) * p.si_per_display_unit for p in cause.parameters])

@@ -109,8 +109,8 @@ class BatchNetwork:
         unknowns = self.problem.unknowns
         pose = unknowns.pose_columns.size
         targets = pose + unknowns.target_columns.size
-        values = targets + unknowns.instrument_columns.size
-        return pose, targets, values, values + unknowns.extra_columns.size
+        end_of_parameters = targets + unknowns.instrument_columns.size
+        return pose, targets, end_of_parameters, end_of_parameters + unknowns.extra_columns.size
 
     @cached_property
     def column_order(self) -> Ints:
@@ -313,8 +313,8 @@ class BatchNetwork:
         Effects include declared nuisance errors. For trials with separate geometries the designs are (B, r, q).
         """
         flattened = self._extra_design.reshape(self.reading_sigmas.size, -1)
-        rows = np.flatnonzero(flattened.any(axis=1))
-        return rows, flattened[rows], flattened[rows] / self.reading_sigmas.reshape(-1, 1)[rows]
+        indices = np.flatnonzero(flattened.any(axis=1))
+        return indices, flattened[indices], flattened[indices] / self.reading_sigmas.reshape(-1, 1)[indices]
 
     @cached_property
     def _start_matrices(self) -> tuple[Floats, Floats, Floats]:
@@ -373,7 +373,7 @@ class BatchNetwork:
         The residuals of lengths are exact; all others are linear in the increments (K, B).
         """
         design, nominal = self._non_reading_design
-        rows = nominal - multiply_by_trial(design, increments)
+        residuals = nominal - multiply_by_trial(design, increments)
         gauge = self.problem.gauge_rows
         if len(gauge):
             moved = self.split_unknowns(increments)[1]
@@ -386,8 +386,8 @@ class BatchNetwork:
             bent = linear - np.sqrt(np.sum((arm + change) ** 2, axis=1))
             if length_errors is not None:
                 bent += length_errors
-            rows[: len(gauge)] += gauge.decorrelate(bent)
-        return rows
+            residuals[: len(gauge)] += gauge.decorrelate(bent)
+        return residuals
 
 
 def multiply_by_trial(matrix: Floats, columns: Floats) -> Floats:

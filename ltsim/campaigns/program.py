@@ -101,8 +101,8 @@ def _reading_index(motion: ElementaryMotion) -> int:
     if motion.nominal is None:
         return -1
     probe = np.vstack([np.zeros(3), np.eye(3)])
-    amounts = np.asarray(motion.nominal(probe))
-    return next((c for c in range(3) if amounts[c + 1] != amounts[0]), -1)
+    probed_amounts = np.asarray(motion.nominal(probe))
+    return next((c for c in range(3) if probed_amounts[c + 1] != probed_amounts[0]), -1)
 
 
 def _nominal_amount(motion: ElementaryMotion, readings: Floats) -> Floats:

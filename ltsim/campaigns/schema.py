@@ -55,23 +55,23 @@ def _parameter_column(name: str, unit: str, group: StatisticGroup, description: 
 
 
 def _criterion_columns(criterion_kind: str, description: str) -> list[RowColumn]:
-    sizes = {
+    meaning_by_column = {
         f"{criterion_kind}_{when}_{which}_um": f"{word} of {description}, {words}"
         for when, words in (("before", "readings without corrections"), ("after", "readings corrected"))
         for which, word in (("mean", "mean"), ("max", "largest"))
     }
     gain = {f"{criterion_kind}_improvement_percent": f"100 (1 - after / before) of the mean {criterion_kind} criterion"}
-    return _result_columns("criteria", "um", **sizes) + _result_columns("criteria", "%", **gain)
+    return _result_columns("criteria", "um", **meaning_by_column) + _result_columns("criteria", "%", **gain)
 
 
 def _error_columns(prefix: str, description: str) -> list[RowColumn]:
     floor = "readings corrected by the true parameters: the limit of noise and unmodelled effects"
-    sizes = {
+    meaning_by_column = {
         f"{prefix}error_raw_um": f"{description}; readings without corrections",
         f"{prefix}error_calibrated_um": f"{description}; readings corrected by the estimates",
         f"{prefix}error_true_parameters_um": f"{description}; {floor}",
     }
-    return _result_columns("errors", "um", **sizes) + _result_columns(
+    return _result_columns("errors", "um", **meaning_by_column) + _result_columns(
         "errors", "", **{f"{prefix}share_removed": POOLED_RATIOS.format(prefix)}
     )
 

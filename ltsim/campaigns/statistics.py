@@ -157,8 +157,8 @@ class CampaignStatistics:
     def _summary(self) -> Table:
         table = summary_table({factor.name: factor.kind for factor in self.factors})
         quantiles = table.header[-len(QUANTILE_LEVELS) :]
-        rows = self._with_settings(self.summary().columns)
-        return table.with_rows(row | dict(zip(quantiles, row["quantiles"], strict=True)) for row in rows)
+        summary_rows = self._with_settings(self.summary().columns)
+        return table.with_rows(row | dict(zip(quantiles, row["quantiles"], strict=True)) for row in summary_rows)
 
     def _rows(self) -> ColumnValues:
         with _interruptible():
@@ -167,8 +167,8 @@ class CampaignStatistics:
             return dict(zip(names, zip(*rows.fetchall(), strict=True), strict=True))
 
     def _with_settings(self, entries: Sequence[Entry]) -> list[dict[str, Any]]:
-        rows = [entry.model_dump(mode="json") for entry in entries]
-        return [{"cell": row["cell"]} | self.levels[row["cell"]] | row for row in rows]
+        entry_rows = [entry.model_dump(mode="json") for entry in entries]
+        return [{"cell": row["cell"]} | self.levels[row["cell"]] | row for row in entry_rows]
 
     def query(self, sql: str) -> list[tuple[Any, ...]]:
         """Result rows of any query over `rows` and `cells`.
@@ -267,11 +267,11 @@ class CampaignStatistics:
     def term_values(self, terms: Sequence[str], cell: int, method: str, condition: str) -> Floats:
         """Values (k, n) of k SQL expressions for the n trials of a combination of settings that meet a condition."""
         word = method.replace("'", "''")
-        rows = self.query(
+        query_rows = self.query(
             f"SELECT {', '.join(terms)} FROM rows WHERE cell = {int(cell)} AND method = '{word}' AND {condition} "
             "ORDER BY trial"
         )
-        return np.array(rows, dtype=np.float64).reshape(len(rows), len(terms)).T
+        return np.array(query_rows, dtype=np.float64).reshape(len(query_rows), len(terms)).T
 
     def z_score_summaries(self) -> list[ZScoreSummary]:
         """Mean, standard deviation and coverage of the z-scores of every parameter."""
@@ -287,8 +287,8 @@ class CampaignStatistics:
     def solver_comparisons(self) -> list[SolverComparison]:
         """Numbers of trials by solver, and largest difference between the solvers in the verified sample."""
         ended = f"count(*) FILTER (status = '{WITHOUT_RESULT}'), count(*) FILTER (status = '{FULL_SOLVER}')"
-        rows = self._query_each_cell(f"count(*), {ended}, count({DIFFERENCE_COLUMN}), max({DIFFERENCE_COLUMN})")
-        return [SolverComparison(**dict(zip(SolverComparison.model_fields, row, strict=True))) for row in rows]
+        query_rows = self._query_each_cell(f"count(*), {ended}, count({DIFFERENCE_COLUMN}), max({DIFFERENCE_COLUMN})")
+        return [SolverComparison(**dict(zip(SolverComparison.model_fields, row, strict=True))) for row in query_rows]
 
     def summary(self) -> CampaignSummary:
         """Statistics of all columns, combinations of settings and methods."""

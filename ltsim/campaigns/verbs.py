@@ -91,7 +91,7 @@ def campaign(
         workers=workers,
         resume=resume,
         force=force,
-        key_changes=changes,
+        changes=changes,
         tables=tables,
     )
     return CampaignResults(folder)

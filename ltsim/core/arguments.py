@@ -68,8 +68,8 @@ def bounded_parser(argument_name: str) -> Callable[[object], int | float]:
                 value = kind(text)
             except ValueError:
                 value = text
-        values: dict[str, Any] = {argument_name: value}
-        check_bounds(**values)
+        value_by_name: dict[str, Any] = {argument_name: value}
+        check_bounds(**value_by_name)
         return value  # type: ignore[return-value]
 
     return parse_bounded

@@ -302,13 +302,13 @@ class Table(ValueEquality):
         head = "".join(
             f'<th title="{escape(self.meanings.get(name, ""))}">{escape(name)}</th>' for name in self.headings
         )
-        rows = "".join(
+        row_html = "".join(
             "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>"
             for row in replace(self, rows=self.rows[:MAX_NOTEBOOK_ROWS]).cells()
         )
-        more = len(self.rows) - MAX_NOTEBOOK_ROWS
-        more_rows_html = f"<p>and {more} more rows: to_dataframe()</p>" if more > 0 else ""
-        return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{more_rows_html}"
+        n_more = len(self.rows) - MAX_NOTEBOOK_ROWS
+        more_rows_html = f"<p>and {n_more} more rows: to_dataframe()</p>" if n_more > 0 else ""
+        return f"<table><thead><tr>{head}</tr></thead><tbody>{row_html}</tbody></table>{more_rows_html}"
 
 
 class Result(ValueEquality):

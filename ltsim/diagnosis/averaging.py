@@ -137,15 +137,15 @@ def model_weights(
         np.array([0.0, *(h.log_evidence for h in ranking.entries)]) / temperature
     ).tolist()
     probable = [(h, p) for h, p in zip(ranking.entries, rest_of, strict=True) if p > MIN_AVERAGED_PROBABILITY]
-    entries = [(h, p) for h, p in probable if not _is_noise_hypothesis(h)]
-    entries = [(h, p) for h, p in entries[:MAX_AVERAGED_HYPOTHESES] if h.key != selected.key]
+    other_models = [(h, p) for h, p in probable if not _is_noise_hypothesis(h)]
+    other_models = [(h, p) for h, p in other_models[:MAX_AVERAGED_HYPOTHESES] if h.key != selected.key]
     none += sum(p for h, p in zip(ranking.entries, rest_of, strict=True) if _is_noise_hypothesis(h))
-    p_rest = max(1.0 - none - sum(p for _, p in entries), 0.0)
+    p_rest = max(1.0 - none - sum(p for _, p in other_models), 0.0)
     instances = _instances_at_probable_shapes(searcher, other_effects, selected)
-    changes = [expected_change(searcher, other_effects, h) for h, _ in (*instances, *entries)]
-    changes.append(np.zeros_like(changes[0]))
-    weights = np.array([*(p_rest * p for _, p in instances), *(p for _, p in entries), none])
-    return weights / weights.sum(), np.array(changes)
+    coordinate_changes = [expected_change(searcher, other_effects, h) for h, _ in (*instances, *other_models)]
+    coordinate_changes.append(np.zeros_like(coordinate_changes[0]))
+    weights = np.array([*(p_rest * p for _, p in instances), *(p for _, p in other_models), none])
+    return weights / weights.sum(), np.array(coordinate_changes)
 
 
 def _is_noise_hypothesis(hypothesis: Hypothesis) -> bool:

@@ -155,17 +155,17 @@ class CatalogueDesigns:
                 effect_indices.append(len(touching))
                 made.append(design_rows)
             touching.append(effect)
-        groups = [
+        effect_groups = [
             _sparse_group(n_parameters, sparse_designs.pop(n_parameters), space.n_rows)
             for n_parameters in sorted(sparse_designs)
         ]
-        groups += [
+        effect_groups += [
             _dense_group(n_parameters, effect_indices, stack_and_release(made), np.flatnonzero(np.array(kinds)[kind]))
             for (n_parameters, kinds), (effect_indices, made) in sorted(dense_designs.items())
         ]
         names = tuple(dict.fromkeys(effect.name for effect in touching))
         index = {name: i for i, name in enumerate(names)}
-        return cls(touching, groups, names, np.array([index[e.name] for e in touching], dtype=np.int64))
+        return cls(touching, effect_groups, names, np.array([index[e.name] for e in touching], dtype=np.int64))
 
     def with_weights_of(self, old_space: ResidualSpace, new_space: ResidualSpace) -> CatalogueDesigns:
         """Design matrices with the weights of another adjustment of the same readings.

@@ -59,7 +59,7 @@ def _detectability_of_effects(space: ResidualSpace, effects: Sequence[Effect]) -
 
     `effects` are the effect at all its places and shapes.
     """
-    entries: list[tuple[Effect, Floats, float, int, Floats]] = []
+    visible_effects: list[tuple[Effect, Floats, float, int, Floats]] = []
     for size, same in groupby(select_places(effects), key=lambda effect: len(effect.parameters)):
         sample = list(same)
         for batch in (sample[part] for part in batches(len(sample), space.n_rows * size)):
@@ -71,8 +71,8 @@ def _detectability_of_effects(space: ResidualSpace, effects: Sequence[Effect]) -
             information, share, rank = visible_information(
                 grams / (unit[:, :, None] * unit[:, None, :]), norm, MAX_SOLUTION_ROUNDING_ERROR
             )
-            entries += zip(batch, information, share.tolist(), rank.tolist(), repeat(np.zeros((0, 0))))
-    return effect_detectability(entries, len(effects))
+            visible_effects += zip(batch, information, share.tolist(), rank.tolist(), repeat(np.zeros((0, 0))))
+    return effect_detectability(visible_effects, len(effects))
 
 
 def _undetectable_entry(space: ResidualSpace, effect: Effect, size_ratio: float) -> Undetectable:
@@ -80,9 +80,9 @@ def _undetectable_entry(space: ResidualSpace, effect: Effect, size_ratio: float)
 
     `size_ratio` is its smallest detectable size divided by a large but plausible size.
     """
-    sizes = np.diag([p.prior_sigma for p in effect.parameters])
+    plausible_changes = np.diag([p.prior_sigma for p in effect.parameters])
     distortion = round(
-        max(target_distortion(space, space.whitened_design(effect) @ size_text) for size_text in sizes),
+        max(target_distortion(space, space.whitened_design(effect) @ size_text) for size_text in plausible_changes),
         DISTORTION_DECIMALS,
     )
     size_text = f"only from {size_ratio:.0f} times its plausible size on" if np.isfinite(size_ratio) else "at no size"

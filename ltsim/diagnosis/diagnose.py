@@ -293,8 +293,8 @@ def _most_probable_noise(
     `ranked` are pairs of log evidence and a change of the noise. `log_evidence_of_effects` is the log of the summed
     evidence of all other hypotheses.
     """
-    values = np.array([value for value, _ in ranked])
-    weights = np.exp(values - log_sum_exp(np.array([0.0, log_evidence_of_effects, *values])))
+    log_evidences = np.array([value for value, _ in ranked])
+    weights = np.exp(log_evidences - log_sum_exp(np.array([0.0, log_evidence_of_effects, *log_evidences])))
     p_by_name: dict[str, float] = {}
     for (_, entry), weight in zip(ranked, weights.tolist(), strict=True):
         p_by_name[entry.effect.name] = min(p_by_name.get(entry.effect.name, 0.0) + weight, 1.0)

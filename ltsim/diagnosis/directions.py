@@ -53,12 +53,12 @@ def best_ratio(
         if np.abs(ratio - previous).max() < MAX_ROUNDING_ERROR:
             break
     ratio = np.round(ratio * np.sign(ratio[np.argmax(np.abs(ratio))]), RATIO_DECIMALS)
-    inner = np.einsum("i,iajb,j->ab", ratio, products, ratio)
-    coefficient_means = coefficient_posterior(inner, ratio @ scores, common_spread)[0]
+    component_gram = np.einsum("i,iajb,j->ab", ratio, products, ratio)
+    coefficient_means = coefficient_posterior(component_gram, ratio @ scores, common_spread)[0]
     cross = np.einsum("a,iajb,j->ib", coefficient_means, products, ratio)
     curvature = np.einsum("a,iajb,b->ij", coefficient_means, products, coefficient_means)
-    curvature -= cross @ np.linalg.solve(inner + np.diag(common_spread**-2.0), cross.T)
-    evidence = float(log_evidence_of_coefficients(inner, ratio @ scores, common_spread))
+    curvature -= cross @ np.linalg.solve(component_gram + np.diag(common_spread**-2.0), cross.T)
+    evidence = float(log_evidence_of_coefficients(component_gram, ratio @ scores, common_spread))
     return tuple(ratio.tolist()), evidence, _log_share_of_ratios(curvature, ratio)
 
 

@@ -118,11 +118,11 @@ def log_evidence_of_wrong_readings(
     log_prior : float
         Log prior probability that any reading is wrong. It is divided equally among all readings.
     """
-    sizes = np.concatenate([Outlier(observable=name).size_scales for name in OBSERVABLE_COLUMN])
-    scale = (sizes / space.sigma)[space.used_readings]
+    plausible_sizes = np.concatenate([Outlier(observable=name).size_scales for name in OBSERVABLE_COLUMN])
+    scale = (plausible_sizes / space.sigma)[space.used_readings]
     score, eigenvalues = residual[: len(scale)] * scale, np.maximum(redundancy[: len(scale)], 0.0) * scale**2
-    values = log_evidence((score**2)[:, None], eigenvalues[:, None]) + log_prior - np.log(len(scale))
-    return float(np.maximum(values, 0.0).sum())
+    log_evidences = log_evidence((score**2)[:, None], eigenvalues[:, None]) + log_prior - np.log(len(scale))
+    return float(np.maximum(log_evidences, 0.0).sum())
 
 
 def log_means_by_group(values: Floats, groups: Ints, n_groups: int) -> Floats:
@@ -175,8 +175,8 @@ def coefficient_posterior(
     means = variances * z
     averaged_mean = weight @ means
     deviations = means - averaged_mean
-    inner = np.diag(weight @ variances) + (weight[:, None] * deviations).T @ deviations
-    return turn @ averaged_mean, turn @ inner @ turn.T, float(log_sum_exp(log_evidences))
+    inner_covariance = np.diag(weight @ variances) + (weight[:, None] * deviations).T @ deviations
+    return turn @ averaged_mean, turn @ inner_covariance @ turn.T, float(log_sum_exp(log_evidences))
 
 
 def _eigen_decomposition(gram: Floats, plausible_sizes: Floats) -> tuple[Floats, Floats]:

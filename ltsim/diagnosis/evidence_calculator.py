@@ -63,19 +63,19 @@ class EvidenceCalculator:
 
     def log_evidence(self, effects: Sequence[CandidateEffect], base_model: Model) -> Floats:
         """Log marginal likelihood ratio (effects,) of each effect given a model, averaged over sizes."""
-        values = np.zeros(len(effects))
+        log_evidences = np.zeros(len(effects))
         by_size: dict[int, list[int]] = {}
         moments = self.gram_and_score(effects, base_model)
         for i, (effect, (gram, score)) in enumerate(zip(effects, moments, strict=True)):
             if any(p.is_positive for p in effect.parameters):
-                values[i] = log_evidence_of_effect(effect, gram, score)
+                log_evidences[i] = log_evidence_of_effect(effect, gram, score)
             else:
                 by_size.setdefault(len(score), []).append(i)
         for members in by_size.values():
             spreads = np.stack([effects[i].size_scales for i in members])
             grams, scores = (np.stack([moments[i][j] for i in members]) for j in (0, 1))
-            values[members] = log_evidence_of_coefficients(grams, scores, spreads)
-        return values
+            log_evidences[members] = log_evidence_of_coefficients(grams, scores, spreads)
+        return log_evidences
 
     def refine_locally(self, effects: Sequence[CachedType], base_model: Model) -> list[tuple[CachedType, float]]:
         """Best effect of a local search from each effect over its neighbours, with a log evidence.
@@ -106,9 +106,9 @@ class EvidenceCalculator:
 
     def whitened_design(self, effect: CandidateEffect) -> Floats:
         """Whitened design matrix (m, k) of an effect with k parameters, on all m rows of the residual space."""
-        rows = self._rows_of(effect)
+        residual_rows = self._rows_of(effect)
         design_columns = np.zeros((self.space.n_rows, len(effect.parameters)))
-        design_columns[rows.rows] = self._adjacent_designs([effect], rows)[0]
+        design_columns[residual_rows.rows] = self._adjacent_designs([effect], residual_rows)[0]
         return design_columns
 
     def _batches(self, effects: Sequence[CandidateEffect]) -> Iterator[tuple[ResidualRows, list[int]]]:

@@ -138,9 +138,9 @@ class ExplainedRecording:
         the observable, nor the form of the effect is determined.
         """
         effect, gain = self.refit.effects[member], float(self.squared_residual_decreases[member].sum())
-        sizes = [size for size in self.refit.estimates[member] if size.parameter in effect.parameters]
+        size_estimates = [size for size in self.refit.estimates[member] if size.parameter in effect.parameters]
         is_significant = isinstance(effect, EmpiricalLaw) or gain > MIN_SIGNIFICANT_SIGMAS**2 * n_constants(effect)
-        is_significant |= any(abs(size.value) > MIN_SIGNIFICANT_SIGMAS * size.sigma for size in sizes)
+        is_significant |= any(abs(size.value) > MIN_SIGNIFICANT_SIGMAS * size.sigma for size in size_estimates)
         p_located, anywhere = self.p_located[member], FindingScope(covariates=covariate_file_names(effect.covariates))
         is_specific = self._scope(effect) != anywhere or p_located >= MIN_PROBABLE
         if not (is_significant and is_specific):
@@ -316,15 +316,15 @@ def noise_finding(
     """Finding on a change of the noise, limited to the observables in which the change is significant."""
     effect = hypothesis.effect
     scope = effect_scope(effect, _observables_with_changed_noise(hypothesis, sightings))
-    sizes = zip(effect.parameters, hypothesis.sizes, hypothesis.size_sigmas, strict=True)
-    rows = [ParameterEstimate.from_si(*names) for names in sizes if np.isfinite(names[2])]
+    size_estimates = zip(effect.parameters, hypothesis.sizes, hypothesis.size_sigmas, strict=True)
+    estimates = [ParameterEstimate.from_si(*names) for names in size_estimates if np.isfinite(names[2])]
     more, sentence = {}, ""
     if isinstance(effect, VarianceFunction):
         more = {"formula": effect.text, "carrier": effect.response_text, "driver": effect.regressor_text}
         most = ""
         if effect.group_kind:
-            rows = sorted(rows, key=lambda e: -e.value)[:MAX_REPORTED_NOISE_SIZES]
-            sure = [e for e in rows if e.value > MIN_SIGNIFICANT_SIGMAS * e.sigma] or rows
+            estimates = sorted(estimates, key=lambda e: -e.value)[:MAX_REPORTED_NOISE_SIZES]
+            sure = [e for e in estimates if e.value > MIN_SIGNIFICANT_SIGMAS * e.sigma] or estimates
             worst = {e.name.partition(" at ")[2]: number_text(np.sqrt(1.0 + e.value), 2) for e in reversed(sure)}
             names = [f"{name} ({times})" for name, times in reversed(worst.items())][:2]
             most = f", most at {' and '.join(names)}, as a factor on the declared standard deviation"
@@ -333,25 +333,25 @@ def noise_finding(
             most = f", from {', '.join(f'{low} to {high}' for low, high in zip(ends[::2], ends[1::2], strict=True))}"
         if effect.region is not None:
             most += f", {region_text(effect.region)}"
-            rows += [
+            estimates += [
                 ParameterEstimate(name=f"centre-{axis}", value=value, sigma=effect.region.width, unit="m")
                 for axis, value in zip(effect.region.bounded_axes, effect.region.centre, strict=True)
             ]
         sentence = unknown_effect_sentence(scope, effect.text + most)
         if isinstance(effect, CentringVariance):
-            sentence = effect.sentence(with_sigma(rows[0].value, rows[0].sigma, rows[0].unit))
+            sentence = effect.sentence(with_sigma(estimates[0].value, estimates[0].sigma, estimates[0].unit))
     return Finding(
         effect=effect.name,
         known=not isinstance(effect, VarianceFunction),
         where=scope,
-        parameters=tuple(rows),
+        parameters=tuple(estimates),
         evidence=FindingEvidence(
             chi2_drop=hypothesis.chi2_drop,
-            parameters=len(rows),
+            parameters=len(estimates),
             p_value=detection.p_value_of(hypothesis.evidence),
             probability=hypothesis.probability,
         ),
-        sentence=sentence or catalogue_sentence(effect.name, scope, rows, hypothesis.probability),
+        sentence=sentence or catalogue_sentence(effect.name, scope, estimates, hypothesis.probability),
         equivalents=hypothesis.equivalents,
         **_non_empty_entries(more),
     )
@@ -359,15 +359,15 @@ def noise_finding(
 
 def _observables_with_changed_noise(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str, ...]:
     """Observables whose noise is significantly larger than declared, or smaller if the largest change is a decrease."""
-    sizes = hypothesis.effect.size_scales
-    sizes_in_units = np.array(hypothesis.sizes) / sizes
+    size_scales = hypothesis.effect.size_scales
+    sizes_in_units = np.array(hypothesis.sizes) / size_scales
     signed_sizes = (
         sizes_in_units * np.sign(sizes_in_units[np.argmax(np.abs(sizes_in_units))])
-        > MIN_SIGNIFICANT_SIGMAS * np.array(hypothesis.size_sigmas) / sizes
+        > MIN_SIGNIFICANT_SIGMAS * np.array(hypothesis.size_sigmas) / size_scales
     )
     unit_variance = np.ones((len(sightings), len(OBSERVABLES)))
     acts = (
-        hypothesis.effect.variance(sightings, unit_variance, np.where(signed_sizes, sizes, 0.0)) != unit_variance
+        hypothesis.effect.variance(sightings, unit_variance, np.where(signed_sizes, size_scales, 0.0)) != unit_variance
     ).any(axis=0)
     return tuple(name for name, act in zip(OBSERVABLES, acts, strict=True) if act)
 
@@ -386,8 +386,8 @@ def _non_empty_entries(entry_values: Mapping[str, Any]) -> dict[str, Any]:
 
 def _is_implausible_size(effect: CandidateEffect, estimates: Sequence[ParameterEstimate]) -> bool:
     """True if a size is much larger than plausible, or negative for a parameter that must be positive."""
-    sizes = zip(effect.parameters, effect.size_scales.tolist(), strict=True)
-    matches = [(e, p, size) for p, size in sizes for e in estimates if e.name == p.name]
+    parameter_scales = zip(effect.parameters, effect.size_scales.tolist(), strict=True)
+    matches = [(e, p, size) for p, size in parameter_scales for e in estimates if e.name == p.name]
     is_large = any(
         abs(e.value) - 2 * e.sigma > MAX_DETECTABLE_SIZE_RATIO * size / p.si_per_display_unit for e, p, size in matches
     )

@@ -53,8 +53,8 @@ def cross_validated_errors(
         Smallest log evidence by which a further effect in a model increases it.
     """
     before, after, count = 0.0, 0.0, 0
-    groups = fold_rows(space, seed)
-    for rows, (values, vectors) in zip(groups, space.projector.hat_matrix_spectra(groups), strict=True):
+    row_folds = fold_rows(space, seed)
+    for rows, (values, vectors) in zip(row_folds, space.projector.hat_matrix_spectra(row_folds), strict=True):
         before += _quadratic_form_on_fold(space.residuals[rows], values, vectors)
         count += len(rows) - int(np.sum(values >= 1.0 - MAX_SOLUTION_ROUNDING_ERROR))
         if searcher is not None:
@@ -71,8 +71,8 @@ def fold_rows(space: ResidualSpace, seed: int) -> list[Ints]:
     pointing, sightings = np.nonzero(space.used_readings)[0], space.sightings
     pair = np.unique(np.stack([sightings.station, sightings.target]), axis=1, return_inverse=True)[1]
     fold_of_pair = stream(seed, "diagnose", "folds").permutation(int(pair.max(initial=-1)) + 1) % N_FOLDS
-    groups = (np.flatnonzero(fold_of_pair[pair][pointing] == fold) for fold in range(N_FOLDS))
-    return [rows for rows in groups if len(rows)]
+    row_folds = (np.flatnonzero(fold_of_pair[pair][pointing] == fold) for fold in range(N_FOLDS))
+    return [rows for rows in row_folds if len(rows)]
 
 
 def _quadratic_form_on_fold(residual: Floats, eigenvalues: Floats, eigenvectors: Floats) -> float:

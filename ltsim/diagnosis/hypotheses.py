@@ -141,9 +141,9 @@ class Ranking:
 
     def with_rivals(self, rivals: Sequence[Hypothesis]) -> Ranking:
         """Ranking that also contains the hypotheses `rivals`."""
-        entries = sorted([*self.entries, *rivals], key=lambda h: -h.log_evidence)
+        hypotheses = sorted([*self.entries, *rivals], key=lambda h: -h.log_evidence)
         log_total = float(log_sum_exp(np.array([self.log_evidence_total, *(h.log_evidence for h in rivals)])))
-        return Ranking(tuple(entries), log_total)
+        return Ranking(tuple(hypotheses), log_total)
 
     def with_unmodelled_cause(self, log_bayes_factor: float) -> Ranking:
         """Ranking with an unmodelled cause, from its log Bayes factor against the best hypothesis."""

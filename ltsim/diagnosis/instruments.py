@@ -48,14 +48,16 @@ def instrument_entries(adjustment: Adjustment) -> tuple[InstrumentEntry, ...]:
 
 def _instrument_entry(adjustment: Adjustment, instrument: int) -> InstrumentEntry:
     parameters = adjustment.construction.parameters
-    values = adjustment.state.instrument_parameters[instrument]
+    constants = adjustment.state.instrument_parameters[instrument]
     covariance = adjustment.instrument_covariance_of(instrument)
     sigma, prior = np.sqrt(np.maximum(np.diag(covariance), 0.0)), adjustment.problem.prior.sigma[instrument]
     return InstrumentEntry(
         name=adjustment.recording.instruments[instrument],
-        parameters=tuple(ParameterEstimate.from_si(p, v, s) for p, v, s in zip(parameters, values, sigma, strict=True)),
+        parameters=tuple(
+            ParameterEstimate.from_si(p, v, s) for p, v, s in zip(parameters, constants, sigma, strict=True)
+        ),
         determined=tuple(
-            determined_combinations(parameters, *with_plausible_priors(parameters, values, covariance, prior))
+            determined_combinations(parameters, *with_plausible_priors(parameters, constants, covariance, prior))
         ),
     )
 
@@ -147,8 +149,12 @@ def find_contradictions(adjustment: Adjustment, min_log_evidence: float) -> Cont
         [corrected_indices] if len(corrected_indices) > 1 else []
     )
     reference_texts = {group: CONSTANT_REFERENCE_PHRASES[bool(is_corrected[group[0]])] for group in owners}
-    changes = tuple(ConstantChange(group, k, reference_texts[group]) for group in owners for k in range(unit.shape[1]))
-    return compare_constants(adjustment, ExpectedConstants(np.zeros(unit.size), covariance, changes), min_log_evidence)
+    possible_changes = tuple(
+        ConstantChange(group, k, reference_texts[group]) for group in owners for k in range(unit.shape[1])
+    )
+    return compare_constants(
+        adjustment, ExpectedConstants(np.zeros(unit.size), covariance, possible_changes), min_log_evidence
+    )
 
 
 def compare_constants(
@@ -186,15 +192,15 @@ def compare_constants(
             np.einsum("hi,ij,hj->h", change_directions, weight, change_directions),
             change_directions @ score,
         )
-        values = np.full(len(change_directions), -np.inf)
+        log_evidences = np.full(len(change_directions), -np.inf)
         for k in np.flatnonzero(
             (strength > MAX_ROUNDING_ERROR) & ~np.isin(np.arange(len(change_directions)), list(other_changes))
         ):
             change = expectation.changes[k]
-            values[k] = log_prior + _change_log_evidence(
+            log_evidences[k] = log_prior + _change_log_evidence(
                 score_along[k] / strength[k], 1.0 / strength[k] + change.added_variances, change.log_weights
             )
-        return values
+        return log_evidences
 
     odds_by_change = forward_select(logs, min_log_evidence)
     score, weight = score_test(likelihood.information, score_vector, expectation.covariance)
@@ -312,7 +318,7 @@ class HistoryExpectation:
         parameter_indices = [k for k, p in enumerate(parameters) if p.name in self.earlier.parameters]
         names = [parameters[k].name for k in parameter_indices]
         covariance = [block / np.outer(u, u) for block, u in zip(self.expected.covariance, unit, strict=True)]
-        changes: list[ConstantChange] = []
+        possible_changes: list[ConstantChange] = []
         for i, block in enumerate(covariance):
             spreads = zip(
                 *self._additional_variances(
@@ -320,14 +326,14 @@ class HistoryExpectation:
                 ),
                 strict=True,
             )
-            changes += [
+            possible_changes += [
                 ConstantChange((i,), k, self._reference_phrase(parameters[k]), *s)
                 for k, s in zip(parameter_indices, spreads, strict=True)
             ]
         expected_means = (self.expected.mean / unit).ravel()
         return compare_constants(
             adjustment,
-            ExpectedConstants(expected_means, linalg.block_diag(*covariance), tuple(changes)),
+            ExpectedConstants(expected_means, linalg.block_diag(*covariance), tuple(possible_changes)),
             min_log_evidence,
         )
 

@@ -173,19 +173,23 @@ class LawBatch:
         """
         count, size = len(self.regressors), self.regressors[0].n_columns
         products = size * self.weights[0, 0].size * len(self.places)
-        entries = max(products * MIN_SIMULATED_RECORDINGS, self.columns.n_entries_per_regressor)
-        batch_results = [self._log_evidence_at_places(null_ensemble, part) for part in batches(count, entries)]
-        values = np.concatenate([values for values, _ in batch_results], axis=2).reshape(len(self.places), -1)
+        n_entries = max(products * MIN_SIMULATED_RECORDINGS, self.columns.n_entries_per_regressor)
+        batch_results = [self._log_evidence_at_places(null_ensemble, part) for part in batches(count, n_entries)]
+        log_evidences = np.concatenate([log_evidences for log_evidences, _ in batch_results], axis=2).reshape(
+            len(self.places), -1
+        )
         null = log_sum_exp(np.stack([null for _, null in batch_results]))
-        best_index = np.argsort(-np.round(values / MAX_SINGLE_ROUNDING_ERROR), axis=1, kind="stable")[:, :N_REFINED]
+        best_index = np.argsort(-np.round(log_evidences / MAX_SINGLE_ROUNDING_ERROR), axis=1, kind="stable")[
+            :, :N_REFINED
+        ]
         hits = [
             ScreenedLaw(self.responses[i // count], self.regressors[i % count], place, v, prior)
             for place, prior, indices, here in zip(
-                self.places, self.log_prior.tolist(), best_index, values, strict=True
+                self.places, self.log_prior.tolist(), best_index, log_evidences, strict=True
             )
             for i, v in zip(indices.tolist(), here[indices].tolist(), strict=True)
         ]
-        return hits, float(log_sum_exp(values.ravel())), null
+        return hits, float(log_sum_exp(log_evidences.ravel())), null
 
     def _log_evidence_at_places(self, null_ensemble: NullEnsemble, regressor_range: slice) -> tuple[Floats, Floats]:
         """Log evidence (P, C, d) with priors of the laws with a range of d regressors, and null values (trials,).
@@ -231,7 +235,7 @@ class LawBatch:
         """
         _, _, count, ways = self.weights.shape
         vectors, d = null_ensemble.probe_vectors.shape[1], columns.shape[1] // self.regressors[0].n_columns
-        sums = np.zeros(
+        cell_sums = np.zeros(
             (len(self.partition.cell_edges) - 1, columns.shape[1], count * ways * vectors), dtype=np.float32
         )
         for part, rows, cells in self.partition.chunks(count * ways * vectors):
@@ -239,8 +243,8 @@ class LawBatch:
             moved = (np.swapaxes(weights, 1, 2) @ null_ensemble.vectors_at(rows)).reshape(len(rows), -1)
             turned = columns[part].T
             for cell, at in cells:
-                sums[cell] += turned[:, at] @ moved[at]
-        products = self.partition.sums_over_places(sums).reshape(len(self.places), d, -1, count, ways, vectors)
+                cell_sums[cell] += turned[:, at] @ moved[at]
+        products = self.partition.sums_over_places(cell_sums).reshape(len(self.places), d, -1, count, ways, vectors)
         return np.ascontiguousarray(products.transpose(0, 3, 1, 4, 2, 5)).reshape(len(products), count, d, -1, vectors)
 
     def _gram_matrices(self, columns: Singles) -> Floats:
@@ -248,14 +252,14 @@ class LawBatch:
         _, _, count, ways = self.weights.shape
         k = self.regressors[0].n_columns
         d = columns.shape[1] // k
-        sums = np.zeros((len(self.partition.cell_edges) - 1, count * ways * ways, d * k * k))
+        cell_sums = np.zeros((len(self.partition.cell_edges) - 1, count * ways * ways, d * k * k))
         for part, rows, cells in self.partition.chunks(d * k * k):
             blocks, weights = columns[part].reshape(len(rows), d, k), self.weights[rows]
             pairs = (blocks[:, :, :, None] * blocks[:, :, None, :]).reshape(len(rows), -1)
             turned = np.einsum("nica,nicb->ncab", weights, weights).reshape(len(rows), -1).T
             for cell, at in cells:
-                sums[cell] += turned[:, at] @ pairs[at]
-        grams = self.partition.sums_over_places(sums).reshape(len(self.places), count, ways, ways, d, k, k)
+                cell_sums[cell] += turned[:, at] @ pairs[at]
+        grams = self.partition.sums_over_places(cell_sums).reshape(len(self.places), count, ways, ways, d, k, k)
         return grams.transpose(0, 1, 4, 2, 5, 3, 6).reshape(len(grams), count, d, ways * k, ways * k)
 
 

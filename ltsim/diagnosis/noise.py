@@ -114,8 +114,8 @@ class NoiseBank:
         """Noise hypotheses on a residual space. The noise level may be less than declared only if `allows_quieter`."""
         repeat_patterns = [repeat_means(space, faces) for faces in REPETITION_KINDS]
         means = sp.csr_array(sp.vstack(repeat_patterns))
-        sizes = space.n_rows - int(space.used_readings.sum()), *(m.shape[0] for m in repeat_patterns)
-        other_groups = [np.full(size, len(OBSERVABLES) + i) for i, size in enumerate(sizes)]
+        pattern_counts = space.n_rows - int(space.used_readings.sum()), *(m.shape[0] for m in repeat_patterns)
+        other_groups = [np.full(size, len(OBSERVABLES) + i) for i, size in enumerate(pattern_counts)]
         factors = NoiseFactors.from_patterns(
             _noise_patterns(space, hypotheses, repeat_patterns),
             np.concatenate([np.nonzero(space.used_readings)[1], *other_groups]),
@@ -215,7 +215,7 @@ class NoiseBank:
         """
         ratio = self.log_likelihood_ratio(residual[:, None], redundancy)
         evidence = self._log_evidence_by_family(ratio)[:, 0]
-        entries = []
+        ranking = []
         for rank, family in enumerate(np.argsort(-evidence)):
             members = np.flatnonzero(self.family_index == family)
             likeliest = int(members[int(np.argmax(ratio[members, 0]))])
@@ -224,11 +224,11 @@ class NoiseBank:
                 value = self._fine_log_evidence(members, likeliest, ratio[members, 0], residual, redundancy)
                 value += self.log_prior_of_family(self.families[family])
                 value += self._excess_over_diagonal_form(likeliest, float(ratio[likeliest, 0]), residual, model_basis)
-            entries.append((value, self.hypotheses[likeliest]))
-        for change, value in self.ranked_group_noise(residual, redundancy, max(0.0, *(value for value, _ in entries))):
+            ranking.append((value, self.hypotheses[likeliest]))
+        for change, value in self.ranked_group_noise(residual, redundancy, max(0.0, *(value for value, _ in ranking))):
             effect = change.most_likely_effect(residual, redundancy)
-            entries.append((value, NoiseHypothesis(change.name, effect, (0.0,) * len(effect.parameters))))
-        return sorted(entries, key=lambda entry: -entry[0])
+            ranking.append((value, NoiseHypothesis(change.name, effect, (0.0,) * len(effect.parameters))))
+        return sorted(ranking, key=lambda entry: -entry[0])
 
     def expected_factors(self) -> Floats:
         """Posterior mean (n, 3) of the variance factors of the readings over all hypotheses and no change.
@@ -241,11 +241,11 @@ class NoiseBank:
             sizes = np.array(most_likely_sizes(space, space.sigma, hypothesis).sizes)
             values.append(value)
             factors.append(hypothesis.effect.variance(space.sightings, space.sigma, sizes) / space.sigma**2)
-        rows = np.count_nonzero(space.used_readings)
+        n_readings = np.count_nonzero(space.used_readings)
         for change, value in self.ranked_group_noise(residual, redundancy, max(values)):
             values.append(value)
             factors.append(np.ones(space.sigma.shape))
-            factors[-1][space.used_readings] = change.expected_factors(residual, redundancy)[:rows]
+            factors[-1][space.used_readings] = change.expected_factors(residual, redundancy)[:n_readings]
         mean_factors = np.einsum("k,kij->ij", normalised_probabilities(np.array(values)), np.stack(factors))
         return np.nan_to_num(mean_factors, nan=1.0)
 

@@ -96,11 +96,11 @@ def _shows_centring(recording: Recording, occupation: Ints, *, by_face: bool) ->
     With `by_face` the pointings must repeat in one face: displacements for each set-up would otherwise fit any error of
     the model that recurs in both faces.
     """
-    rows = np.flatnonzero(occupation >= 0)
-    count, targets = len(np.unique(occupation[rows])), len(np.unique(recording.target[rows]))
-    n_visits = len(np.unique(np.stack([occupation[rows], recording.face[rows] * by_face]), axis=1).T)
+    occupied_rows = np.flatnonzero(occupation >= 0)
+    count, targets = len(np.unique(occupation[occupied_rows])), len(np.unique(recording.target[occupied_rows]))
+    n_visits = len(np.unique(np.stack([occupation[occupied_rows], recording.face[occupied_rows] * by_face]), axis=1).T)
     return (
         count <= MAX_CENTRING_OCCUPATIONS
         and count >= MIN_MEAN_REPEATS * targets
-        and len(rows) >= MIN_MEAN_REPEATS * n_visits
+        and len(occupied_rows) >= MIN_MEAN_REPEATS * n_visits
     )

@@ -61,8 +61,8 @@ class PatternGroup:
         if not isinstance(log_factors, np.ndarray):
             return log_factors.indices, log_factors.data.astype(np.float64)
         changed_indices = np.flatnonzero(log_factors[0])
-        rows = np.arange(log_factors.shape[1]) if isinstance(self.row_indices, slice) else self.row_indices
-        return rows[changed_indices], log_factors[0, changed_indices].astype(np.float64)
+        row_indices = np.arange(log_factors.shape[1]) if isinstance(self.row_indices, slice) else self.row_indices
+        return row_indices[changed_indices], log_factors[0, changed_indices].astype(np.float64)
 
     def _log_variance_factors_of(self, members: slice) -> Singles | sp.csr_array:
         """Log variance factors (h, r) of a range of h members."""
@@ -119,13 +119,13 @@ class NoiseFactors:
                 )
                 owners.append((count, sizes))
             count += len(sizes)
-        groups = [_pattern_group(few, slice(None), _sparse_rows(sparse, len(kind)))] if sparse else []
+        pattern_groups = [_pattern_group(few, slice(None), _sparse_rows(sparse, len(kind)))] if sparse else []
         del sparse
         for touched_kinds, (filled, owners) in dense.items():
-            groups.append(
+            pattern_groups.append(
                 _pattern_group(owners, np.flatnonzero(np.array(touched_kinds)[kind]), stack_and_release(filled))
             )
-        return cls(count, tuple(groups))
+        return cls(count, tuple(pattern_groups))
 
     def log_likelihood_ratios(self, squares: Singles, redundancy: Floats) -> Floats:
         """Log likelihood ratios (h, trials) of all hypotheses.

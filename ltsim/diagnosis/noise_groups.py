@@ -186,9 +186,11 @@ class NoiseByGroup(GroupNoise):
         pointing, kind = np.nonzero(space.used_readings)
         column = np.array([observables.index(o) if o in observables else -1 for o in OBSERVABLES])[kind]
         places = np.flatnonzero(column >= 0)
-        rows = pointing[places] * len(observables) + column[places]
+        reading_indices = pointing[places] * len(observables) + column[places]
         names, _ = noise_groups(space.sightings, "reading")
-        members = sp.csr_array((np.ones(len(rows)), (rows, places)), (len(names) * len(observables), space.n_rows))
+        members = sp.csr_array(
+            (np.ones(len(reading_indices)), (reading_indices, places)), (len(names) * len(observables), space.n_rows)
+        )
         effect = VarianceFunction(observables, group_kind="reading", group_names=names, per_observable=True)
         return cls(effect, members, TAIL_VARIANCE_FACTORS)
 

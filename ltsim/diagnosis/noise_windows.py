@@ -66,9 +66,10 @@ class NoiseWindows(GroupNoise):
         before = distinct[np.searchsorted(distinct, starts[1:]) - 1]
         times = np.concatenate([[distinct[0]], 0.5 * (starts[1:] + before), [distinct[-1]]])
         step = np.searchsorted(starts, time[pointing], side="right") - 1
-        rows = step * len(OBSERVABLES) + kind
+        reading_indices = step * len(OBSERVABLES) + kind
         members = sp.csr_array(
-            (np.ones(len(rows)), (rows, np.arange(len(rows)))), (steps * len(OBSERVABLES), space.n_rows)
+            (np.ones(len(reading_indices)), (reading_indices, np.arange(len(reading_indices)))),
+            (steps * len(OBSERVABLES), space.n_rows),
         )
         return (
             cls(
@@ -173,8 +174,8 @@ class NoiseWindows(GroupNoise):
         ]
         whole = replace(place, observables=OBSERVABLES, covariate_band=(self.times[0], self.times[-1]))
         is_noisy = (whole.variance(s, self.space.sigma, np.ones(1)) > self.space.sigma**2)[self.space.used_readings]
-        rows = np.pad(is_noisy, (0, len(residual) - len(is_noisy))).astype(np.float64)
-        members = sp.csr_array(self.members @ sp.diags_array(rows))
+        noisy_rows = np.pad(is_noisy, (0, len(residual) - len(is_noisy))).astype(np.float64)
+        members = sp.csr_array(self.members @ sp.diags_array(noisy_rows))
         return (replace(self, effect=whole, members=members, n_places=len(places)),)
 
     def _log_evidence_of(self, effect: VarianceFunction, residual: Floats, redundancy: Floats) -> float:

@@ -85,9 +85,9 @@ class NullEnsemble:
     def _row_of_reading(self) -> Ints:
         """Row (n, 3) of the residual space of each reading; 0 for readings that are not used, whose weight is zero."""
         use = self.space.used_readings
-        rows = np.zeros(use.shape, dtype=np.int64)
-        rows[use] = np.arange(int(use.sum()))
-        return rows
+        row_of_reading = np.zeros(use.shape, dtype=np.int64)
+        row_of_reading[use] = np.arange(int(use.sum()))
+        return row_of_reading
 
     def vectors_at(self, pointings: Ints) -> Singles:
         """Elements (p, 3, v) of the v vectors at p pointings; meaningless for readings that are not used."""

@@ -164,16 +164,18 @@ class Searcher:
 
     def _compute_ranking(self, base_model: Model) -> Ranking:
         values, families, laws, _, _ = self._screening(base_model) if base_model.members else self.empty_model_screening
-        entries = self._law_hypotheses(laws, base_model)
+        hypotheses = self._law_hypotheses(laws, base_model)
         for i, family in enumerate(ranked_indices(families, MAX_SINGLE_ROUNDING_ERROR)):
-            entries.append(
+            hypotheses.append(
                 self._best_of_family(
                     int(family), values, float(families[family]), base_model, refine=i < self._n_refined
                 )
             )
-        entries = [replace(h, log_evidence=h.log_evidence + log_odds_repeated(h, base_model.members)) for h in entries]
-        entries = [entries[i] for i in ranked_indices(np.array([h.log_evidence for h in entries]))]
-        return Ranking(tuple(entries), float(log_sum_exp(np.array([h.log_evidence for h in entries]))))
+        hypotheses = [
+            replace(h, log_evidence=h.log_evidence + log_odds_repeated(h, base_model.members)) for h in hypotheses
+        ]
+        hypotheses = [hypotheses[i] for i in ranked_indices(np.array([h.log_evidence for h in hypotheses]))]
+        return Ranking(tuple(hypotheses), float(log_sum_exp(np.array([h.log_evidence for h in hypotheses]))))
 
     def _best_of_family(
         self, family: int, effect_log_evidence: Floats, family_log_evidence: float, base_model: Model, *, refine: bool
@@ -238,9 +240,11 @@ class Searcher:
             more = np.setdiff1d(np.linspace(near[0], near[-1], N_ADDED_GRID_POINTS), u)
             order = np.argsort(np.concatenate([u, more]))
             u, logs = np.concatenate([u, more])[order], np.concatenate([logs, log_evidence_at(more)])[order]
-        best = effect.with_constants(**{shape.name: interpolate_shape(shape, low, high, float(u[index_of_best(logs)]))})
+        best_effect = effect.with_constants(
+            **{shape.name: interpolate_shape(shape, low, high, float(u[index_of_best(logs)]))}
+        )
         height = np.exp(logs - logs.max())
-        return best, float(logs.max() + np.log(max(np.trapezoid(height, u), 1e-300)))
+        return best_effect, float(logs.max() + np.log(max(np.trapezoid(height, u), 1e-300)))
 
     def _law_hypotheses(self, laws: Sequence[ScreenedLaw], base_model: Model) -> list[Hypothesis]:
         """Hypotheses of the screened `laws`, of which the best are evaluated in all forms.
@@ -281,10 +285,10 @@ class Searcher:
             )
         marginal = shape_posterior(self.evidence_calculator, effect, other_effects, refits)
         wider = any(marginal[e.name].sigma > MIN_SIGMA_INCREASE * e.sigma for e in refits if e.name in marginal)
-        rows = [marginal.get(e.name, e) if wider else e for e in refits]
-        if "time" in marginal and all(e.name != "time" for e in rows):
-            rows.append(marginal["time"])
-        return (*rows, *centre_estimates(self.evidence_calculator, effect, other_effects))
+        estimates = [marginal.get(e.name, e) if wider else e for e in refits]
+        if "time" in marginal and all(e.name != "time" for e in estimates):
+            estimates.append(marginal["time"])
+        return (*estimates, *centre_estimates(self.evidence_calculator, effect, other_effects))
 
     def law_coefficients(self, law: EmpiricalLaw, other_effects: Model) -> tuple[Floats, Floats]:
         """Posterior mean (k,) and covariance (k, k) of the k coefficients of a law, given the other effects."""
@@ -320,16 +324,16 @@ class Searcher:
         effects, the search starts again with the best hypothesis of few. The model with the larger evidence is
         selected.
         """
-        best = self._forward_selection(self.empty_model, threshold, requires_member=requires_member)
+        best_model = self._forward_selection(self.empty_model, threshold, requires_member=requires_member)
         stiff = [h for h in self.ranking(self.empty_model).entries if len(h.plausible_sizes) <= MAX_RIGID_COEFFICIENTS]
         if (
             stiff
             and not self.is_large_network
-            and any(len(h.plausible_sizes) > MAX_RIGID_COEFFICIENTS for h in best.members)
+            and any(len(h.plausible_sizes) > MAX_RIGID_COEFFICIENTS for h in best_model.members)
         ):
-            made = (best, self._forward_selection(self.model_of(stiff[:1]), threshold, requires_member=True))
-            best = max(made, key=lambda s: s.score - threshold * len(s.members))
-        return self._relabelled_model(best, threshold)
+            made = (best_model, self._forward_selection(self.model_of(stiff[:1]), threshold, requires_member=True))
+            best_model = max(made, key=lambda s: s.score - threshold * len(s.members))
+        return self._relabelled_model(best_model, threshold)
 
     def lower_bound_model(self, threshold: float, rival: float) -> Model:
         """Model from forward steps alone, whose log evidence is a lower bound of that of a complete search.

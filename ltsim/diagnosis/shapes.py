@@ -39,9 +39,11 @@ def _dense_grid(shape: ShapeParameter, estimate: float, sigma: float, n_nodes: i
     if shape.has_reciprocal_grid:
         grid = 1.0 / np.linspace(1.0 / low, 1.0 / high, n_nodes)
     near = np.clip(estimate + sigma * np.linspace(-4.0, 4.0, 13), low, high)
-    values = np.unique(np.concatenate([grid, near, [estimate]]))
-    edges = evenly_spaced(np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]]))
-    return values, np.maximum(np.abs(np.diff(edges)), 1e-300)
+    grid_values = np.unique(np.concatenate([grid, near, [estimate]]))
+    edges = evenly_spaced(
+        np.concatenate([grid_values[:1], 0.5 * (grid_values[1:] + grid_values[:-1]), grid_values[-1:]])
+    )
+    return grid_values, np.maximum(np.abs(np.diff(edges)), 1e-300)
 
 
 def interpolate_shape(shape: ShapeParameter, lower: float, upper: float, position: float) -> float:
@@ -206,10 +208,10 @@ def shape_posterior(
     if not shapes:
         return {}
     weight = normalised_probabilities(np.array([node.log_weight for node in shapes]))
-    values = np.array([[*node.mean, *node.constants.values()] for node in shapes])
+    node_values = np.array([[*node.mean, *node.constants.values()] for node in shapes])
     within = np.array([[*s.variance, *((name == "time") * s.gap**2 / 12.0 for name in s.constants)] for s in shapes])
-    posterior_mean = weight @ values
-    sigma = np.sqrt(np.maximum(weight @ (within + values**2) - posterior_mean**2, 0.0))
+    posterior_mean = weight @ node_values
+    sigma = np.sqrt(np.maximum(weight @ (within + node_values**2) - posterior_mean**2, 0.0))
     units = (
         {"time": "s"}
         | {s.name: s.unit for s in type(effect).shape_parameters}

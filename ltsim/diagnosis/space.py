@@ -97,7 +97,7 @@ def _kinds_of_places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ..
     is_grouped = len(s.target_names) in GROUPED_TARGET_COUNTS
     lengths = ((d.from_, d.to) for d in space.adjustment.recording.gauge.distance)
     sets = target_clusters(s) | neighbour_groups(s) | connected_groups(s, lengths) if is_grouped else set()
-    groups = tuple(group_places(s, sets))
+    place_groups = tuple(group_places(s, sets))
     median_pointings = float(np.median([len(place.rows) for place in stations] or [0]))
     general_regressors = candidate_regressors(s)
     setup_regressors = (
@@ -127,7 +127,7 @@ def _kinds_of_places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ..
             targets,
             {"constant": general_regressors["constant"], "clock": general_regressors["clock"], "amounts": visits(s, 2)},
         ),
-        ("group", groups, target_group_regressors(s) if groups else {}),
+        ("group", place_groups, target_group_regressors(s) if place_groups else {}),
     ]
 
 
@@ -259,11 +259,11 @@ class _LawBatchBuilder:
                     np.log(CAUSE_PRIOR["law"] * share),
                 )
             )
-        entries = sum(
+        n_entries = sum(
             shared.n_entries_per_regressor * len(regressors) for (regressors, _, _), shared in columns.items()
         )
         for shared in columns.values():
-            shared.is_cached = entries <= MAX_CACHED_COLUMN_ENTRIES
+            shared.is_cached = n_entries <= MAX_CACHED_COLUMN_ENTRIES
         return batches
 
 

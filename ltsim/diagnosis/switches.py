@@ -101,8 +101,8 @@ def _formulas_of_second_factor(calculator: EvidenceCalculator, form: Hypothesis,
     )
     if not formulas:
         return []
-    best = formulas[index_of_best(calculator.log_evidence(formulas, base_model))]
-    refined, value = calculator.refine_locally([best], base_model)[0]
+    best_formula = formulas[index_of_best(calculator.log_evidence(formulas, base_model))]
+    refined, value = calculator.refine_locally([best_formula], base_model)[0]
     log_prior = form.log_prior - float(np.log(len(formulas)))
     return [Hypothesis(refined, log_prior, value + log_prior, catalogue_name(refined))]
 

@@ -71,9 +71,9 @@ def catalogue_sentence(
     entry = catalogue_entry(find_effect(effect))
     place_name = place_text(scope).removeprefix("at ").removeprefix("in the ")
     lower_title = f"{entry.title[0].lower()}{entry.title[1:]}"
-    sizes = estimates_phrase(parameters)
+    sizes_text = estimates_phrase(parameters)
     if max(probability, p_located or 0.0) < MIN_PROBABLE:
-        size_text = f" ({sizes})" if sizes else ""
+        size_text = f" ({sizes_text})" if sizes_text else ""
         return (
             f"An unidentified systematic effect is present ({place_name}). "
             f"The best candidate is {lower_title}{size_text}, with a probability of {percent_text(probability)}."
@@ -86,7 +86,7 @@ def catalogue_sentence(
     )
     cause = f"This cause ({entry.cause_description}) has a probability of {percent_text(probability)}."
     title = entry.title if probability >= MIN_PROBABLE else f"Perhaps {lower_title}"
-    return f"{title} ({place_name}){f': {sizes}' if sizes else ''}. {located}{cause}"
+    return f"{title} ({place_name}){f': {sizes_text}' if sizes_text else ''}. {located}{cause}"
 
 
 def law_sentence(scope: FindingScope, parameters: Sequence[ParameterEstimate], p_located: float, law_text: str) -> str:
@@ -94,8 +94,8 @@ def law_sentence(scope: FindingScope, parameters: Sequence[ParameterEstimate], p
 
     `law_text` is the text of the law, and `p_located` the probability of any such effect at the same place.
     """
-    sizes = estimates_phrase(parameters)
-    size_phrase = f" ({sizes})" if sizes else ""
+    sizes_text = estimates_phrase(parameters)
+    size_phrase = f" ({sizes_text})" if sizes_text else ""
     place_phrase = _place_suffix(scope.model_copy(update={"observables": ()}))
     response, verb, regressor = law_text.partition(" follows " if " follows " in law_text else " differs")
     if p_located < MIN_PROBABLE:

@@ -114,11 +114,11 @@ def _with_names_of(epoch: EpochCoordinates, names: Sequence[str]) -> tuple[Epoch
     The second element of the result is a note on these names.
     """
     spellings = {normalised_name(name): name for name in names if name not in epoch.names}
-    other = [name for name in epoch.names if name not in names]
-    normalised = [normalised_name(name) for name in other]
+    unmatched_names = [name for name in epoch.names if name not in names]
+    normalised = [normalised_name(name) for name in unmatched_names]
     changed = {
         name: spellings[key]
-        for name, key in zip(other, normalised, strict=True)
+        for name, key in zip(unmatched_names, normalised, strict=True)
         if key in spellings and normalised.count(key) == 1
     }
     if not changed:
@@ -212,8 +212,11 @@ class _Epoch:
     def from_adjustment(cls, adjustment: Adjustment, target_indices: Ints, target_names: Sequence[str]) -> Self:
         columns = adjustment.problem.unknowns.target_columns[target_indices].reshape(1, -1)
         reach = displacement_per_row(adjustment, columns[0])
-        groups = {source.name: source.point_response for source in observed_sources(adjustment, reach)}
-        responses = [np.zeros((reach.shape[1], 0)), *(groups[name] for name in target_names if name in groups)]
+        response_by_source = {source.name: source.point_response for source in observed_sources(adjustment, reach)}
+        responses = [
+            np.zeros((reach.shape[1], 0)),
+            *(response_by_source[name] for name in target_names if name in response_by_source),
+        ]
         names = [adjustment.recording.targets[i] for i in target_indices]
         covariance = reach.T @ reach + air_covariance(adjustment, columns)[0]
         return cls(
@@ -228,24 +231,24 @@ class _Epoch:
     def from_coordinates(cls, coordinates: EpochCoordinates, point_names: Sequence[str], free_motions: Floats) -> Self:
         """Epoch of a list of coordinates with the given free motions."""
         indices = np.array([coordinates.names.index(name) for name in point_names])
-        rows = coordinate_rows(indices, len(coordinates.axes))
+        row_indices = coordinate_rows(indices, len(coordinates.axes))
         return cls(
             point_names,
             coordinates.points[indices],
-            coordinates.covariance[np.ix_(rows, rows)],
-            np.zeros((len(rows), 0)),
+            coordinates.covariance[np.ix_(row_indices, row_indices)],
+            np.zeros((len(row_indices), 0)),
             free_motions,
         )
 
     def with_order(self, point_order: Ints, axes: int) -> Self:
         """Epoch in which the point with index i takes the position of the point with index `point_order[i]`."""
-        rows = coordinate_rows(point_order, axes)
-        covariance = self.covariance[np.ix_(rows, rows)]
+        row_indices = coordinate_rows(point_order, axes)
+        covariance = self.covariance[np.ix_(row_indices, row_indices)]
         return replace(
             self,
             points=self.points[point_order],
             covariance=covariance,
-            common_observation_response=self.common_observation_response[rows],
+            common_observation_response=self.common_observation_response[row_indices],
         )
 
 
@@ -336,8 +339,8 @@ def free_motions_of_epoch(epoch: EpochCoordinates) -> Floats:
     the same defect in other directions; the usual motions are then used.
     """
     scale = np.sqrt(np.diag(epoch.covariance))
-    values = np.linalg.eigvalsh(epoch.covariance / np.outer(scale, scale))
-    defect = int((values < MAX_ROUNDING_ERROR * values[-1]).sum())
+    eigenvalues = np.linalg.eigvalsh(epoch.covariance / np.outer(scale, scale))
+    defect = int((eigenvalues < MAX_ROUNDING_ERROR * eigenvalues[-1]).sum())
     if not defect:
         return np.zeros((6, 0))
     centre = epoch.points.mean(axis=0)

@@ -112,16 +112,16 @@ class Measurand(ValueEquality):
         steps = np.zeros((2 * n_coordinates, points.size))
         steps[np.arange(n_coordinates), columns] = DIFFERENCE_STEP
         steps[n_coordinates + np.arange(n_coordinates), columns] = -DIFFERENCE_STEP
-        values = self.values(points + steps.reshape(2 * n_coordinates, *points.shape), scale_change)
-        change = np.zeros((values.shape[1], points.size))
-        change[:, columns] = (values[:n_coordinates] - values[n_coordinates:]).T / (2 * DIFFERENCE_STEP)
+        stepped_values = self.values(points + steps.reshape(2 * n_coordinates, *points.shape), scale_change)
+        change = np.zeros((stepped_values.shape[1], points.size))
+        change[:, columns] = (stepped_values[:n_coordinates] - stepped_values[n_coordinates:]).T / (2 * DIFFERENCE_STEP)
         return change
 
     def stretch_derivatives(self, points: Floats, scale_change: float = 1.0) -> Floats:
         """Derivative of the results with respect to the scale of the points, shape (results,)."""
         scales = np.array([scale_change + DIFFERENCE_STEP, scale_change - DIFFERENCE_STEP])
-        values = self.values(np.broadcast_to(points, (2, *points.shape)), scales)
-        return (values[0] - values[1]) / (2 * DIFFERENCE_STEP)
+        stepped_values = self.values(np.broadcast_to(points, (2, *points.shape)), scales)
+        return (stepped_values[0] - stepped_values[1]) / (2 * DIFFERENCE_STEP)
 
     def _feature_values(self, feature_points: Floats) -> Floats:
         task, near = self.task, self.reference_feature
@@ -168,8 +168,10 @@ def _angle_of_points(three_points: Floats) -> Floats:
 
 
 def _distances(difference_vectors: Floats) -> Floats:
-    rows = np.concatenate([difference_vectors, np.linalg.norm(difference_vectors, axis=-1, keepdims=True)], axis=-1)
-    return rows.reshape(*difference_vectors.shape[:-2], -1)
+    differences = np.concatenate(
+        [difference_vectors, np.linalg.norm(difference_vectors, axis=-1, keepdims=True)], axis=-1
+    )
+    return differences.reshape(*difference_vectors.shape[:-2], -1)
 
 
 _FEATURE_OUTPUTS = {

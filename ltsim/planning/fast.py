@@ -6,8 +6,7 @@ blocks) and poses (the leading rows of a Cholesky factor), which leaves the info
 
 The Jacobian is that of the geometric error model, and the other observations are those of the adjustment.
 `information.py` computes the same quantities without blocks; a test compares the two. Letters in shapes: N set-ups, B
-layouts of S stations, T targets, of which E are not in the gauge, P parameters, K unknowns left after elimination of
-targets.
+layouts of S stations, T targets, E of them not in the gauge, P parameters, K unknowns after elimination of targets.
 """
 
 from __future__ import annotations
@@ -123,17 +122,17 @@ class LayoutScorer:
             (e, target_weights(e, pointings.target, len(survey.target_points))) for e in problem.model.incidence_errors
         ]
         self._n_nuisances = sum(len(errors.parameters) for errors in problem.model.incidence_errors)
-        sizes = [p.prior_sigma for effect in self.effects for p in effect.parameters]
+        effect_sigmas = [p.prior_sigma for effect in self.effects for p in effect.parameters]
         self.parameter_scales = np.concatenate(
-            [np.ones(self._n_nuisances), self.prior_sigma, np.array(sizes, dtype=np.float64)]
+            [np.ones(self._n_nuisances), self.prior_sigma, np.array(effect_sigmas, dtype=np.float64)]
         )
         self._gauge_targets = np.flatnonzero(problem.unknowns.target_columns[:, 0] < problem.unknowns.n_reduced)
         self.mesh_targets = np.flatnonzero(problem.unknowns.target_columns[:, 0] >= problem.unknowns.n_reduced)
-        rows = problem.linearise(state).design[int(problem.used_readings.sum()) :]
-        other = to_dense(rows[: rows.shape[0] - self._n_free_motions])
+        other_rows = problem.linearise(state).design[int(problem.used_readings.sum()) :]
+        other = to_dense(other_rows[: other_rows.shape[0] - self._n_free_motions])
         unknowns = problem.unknowns
-        values = np.concatenate([unknowns.extra_columns[: self._n_nuisances], unknowns.instrument_columns[0]])
-        self._fixed_blocks(other, unknowns.target_columns, unknowns.pose_columns, values)
+        value_columns = np.concatenate([unknowns.extra_columns[: self._n_nuisances], unknowns.instrument_columns[0]])
+        self._fixed_blocks(other, unknowns.target_columns, unknowns.pose_columns, value_columns)
         self._target_weights, self._used_observables = survey.normalised_target_weights, survey.used_observables
         self._fixes_datum_rotations = problem.structure.fixes_datum_rotations
         self._target_motions = rigid_motion_design(survey.target_points) @ self._free_motions
@@ -293,11 +292,8 @@ class LayoutScorer:
             reduced[open_.any(axis=1)] = np.nan
         inverses = np.asarray(np.linalg.inv(tt), dtype=np.float64)
         coefficients = inverses @ tk
-        n_unknowns = reduced.shape[1]
-        flat, flat_weights = (
-            tk.reshape(len(reduced), -1, n_unknowns),
-            coefficients.reshape(len(reduced), -1, n_unknowns),
-        )
+        width = reduced.shape[1]
+        flat, flat_weights = tk.reshape(len(reduced), -1, width), coefficients.reshape(len(reduced), -1, width)
         schur = reduced - np.swapaxes(flat, 1, 2) @ flat_weights
         return 0.5 * (schur + np.swapaxes(schur, 1, 2)), np.einsum("bkk->bk", reduced), inverses, coefficients
 
@@ -345,10 +341,10 @@ class LayoutScorer:
         """
         motion = self._free_motions / np.linalg.norm(self._free_motions, axis=0)
         anchors = position[:, :1] if self._fixes_datum_rotations else position
-        rows = np.broadcast_to(motion.T[:, None], (len(anchors), motion.shape[1], anchors.shape[1], 6)).copy()
-        rows[..., :3] += np.cross(rows[..., 3:], anchors[:, None])
-        rows[..., 3:] *= self._fixes_datum_rotations
-        return (rows / DATUM_SIGMA * INTERNAL_LENGTH_UNIT).reshape(len(rows), motion.shape[1], -1)
+        datum_rows = np.broadcast_to(motion.T[:, None], (len(anchors), motion.shape[1], anchors.shape[1], 6)).copy()
+        datum_rows[..., :3] += np.cross(datum_rows[..., 3:], anchors[:, None])
+        datum_rows[..., 3:] *= self._fixes_datum_rotations
+        return (datum_rows / DATUM_SIGMA * INTERNAL_LENGTH_UNIT).reshape(len(datum_rows), motion.shape[1], -1)
 
     def weighted_target_rms(self, schur: Floats, inverses: Floats, coefficients: Floats, mesh: Ints) -> Floats:
         """Root mean square point error (B,) [m] with the weights of the survey; arguments as of `target_variance`."""

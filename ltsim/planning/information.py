@@ -276,8 +276,8 @@ def _displacements_by_error(
     problem, sightings = adjustment.problem, adjustment.sightings
     design = adjustment.solution.system.design
     count, lengths, params = int(problem.used_readings.sum()), len(problem.gauge_rows), len(information.prior_sigma)
-    extra = problem.model.n_extra_parameters
-    priors = design.shape[0] - problem.free_motions.shape[1] - params - extra
+    n_extra = problem.model.n_extra_parameters
+    priors = design.shape[0] - problem.free_motions.shape[1] - params - n_extra
     averaging_matrix = _averaging_matrix(information)
     _, by_reading, by_value = construction.linearise(sightings.raw_readings, np.zeros(construction.n_parameters))
     noise = (
@@ -288,13 +288,13 @@ def _displacements_by_error(
     places = np.concatenate([problem.unknowns.instrument_columns[0], problem.unknowns.extra_columns])
     columns = np.eye(problem.unknowns.n_columns)[:, places]
     answer = adjustment.factorised_normals.covariance_columns(columns).T @ design.T
-    by_extra = (noise / problem.sigma.ravel()) @ problem.model.extra_design(sightings).reshape(noise.shape[1], extra)
+    by_extra = (noise / problem.sigma.ravel()) @ problem.model.extra_design(sightings).reshape(noise.shape[1], n_extra)
     errors = np.zeros((design.shape[0], 0))
     if unmodelled:
         space = ResidualSpace.from_adjustment(adjustment)
         errors = np.hstack([space.whitened_design(e) * [p.prior_sigma for p in e.parameters] for e in unmodelled])
     is_used = np.flatnonzero(problem.used_readings.ravel())
-    columns_used = np.r_[0 : count + lengths, priors : priors + params + extra]
+    columns_used = np.r_[0 : count + lengths, priors : priors + params + n_extra]
     first_response = np.zeros((len(noise), len(columns_used) + errors.shape[1]))
     first_response[:, :count] = noise[:, is_used]
     by_parameter = np.hstack([parameters, by_extra])
@@ -307,7 +307,7 @@ def _displacements_by_error(
     second_response -= by_parameter @ np.hstack([answer[:, columns_used], answer @ errors])
     labels = np.where(is_used % 3 == 0, RANGE_NOISE_GROUP, ANGLE_NOISE_GROUP).tolist() + [GAUGE_LENGTHS_GROUP] * lengths
     labels += [PARAMETER_GROUPS[p.prior_kind] for p in construction.parameters]
-    labels += [REFLECTORS_GROUP] * extra
+    labels += [REFLECTORS_GROUP] * n_extra
     return (first_response, second_response), labels + [e.name for e in unmodelled for _ in e.parameters]
 
 
@@ -348,9 +348,9 @@ def _coordinate_difference_matrix(information: LayoutInformation) -> Floats:
     off = np.eye(3 * targets) - motion @ np.linalg.pinv(motion)
     turned = np.einsum("ctl,sli->scti", off.reshape(3 * targets, targets, 3), state.station_rotations)
     turned = turned.reshape(stations, targets, 3, 3 * targets)
-    rows = []
+    matrix_rows = []
     for m, n in combinations(range(stations), 2):
         gap = np.zeros((targets, 3, stations, 3 * targets))
         gap[:, :, m], gap[:, :, n] = turned[m], -turned[n]
-        rows.append(gap.reshape(targets, 3, -1))
-    return np.concatenate(rows)
+        matrix_rows.append(gap.reshape(targets, 3, -1))
+    return np.concatenate(matrix_rows)

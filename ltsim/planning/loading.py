@@ -86,12 +86,12 @@ def _similar_names(name: str, candidates: Sequence[str]) -> str:
 def _with_defaults(plan_file: PlanFile, path: Path) -> dict[str, Any]:
     """Content of a plan file with the points of its list, and with defaults that depend on other keys."""
     points = read_points(path.parent / plan_file.points) if isinstance(plan_file.points, str) else plan_file.points
-    changes: dict[str, Any] = {"points": points}
+    new_fields: dict[str, Any] = {"points": points}
     if plan_file.workshop is not None and plan_file.floor.height_mm is None:
-        changes["floor"] = plan_file.floor.model_copy(update={"height_mm": USUAL_HEAD_HEIGHTS_MM})
+        new_fields["floor"] = plan_file.floor.model_copy(update={"height_mm": USUAL_HEAD_HEIGHTS_MM})
     if points and not {"instrument", "targets", "diagnosis"} & plan_file.goal.model_fields_set:
-        changes["goal"] = plan_file.goal.model_copy(update={"instrument": 0.0, "targets": 1.0})
-    return changes
+        new_fields["goal"] = plan_file.goal.model_copy(update={"instrument": 0.0, "targets": 1.0})
+    return new_fields
 
 
 def _scenario_of_plan(plan_file: PlanFile, plan_tables: dict[str, Any], path: Path) -> Scenario:
@@ -112,7 +112,7 @@ def _scenario_of_plan(plan_file: PlanFile, plan_tables: dict[str, Any], path: Pa
 
 def _check_names(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
     """Check that names refer to existing objects and that new names are unused; raises SetupError."""
-    groups = sorted({point.group for point in plan_file.listed_points if point.group})
+    group_names = sorted({point.group for point in plan_file.listed_points if point.group})
     obstacles = [obstacle.name for obstacle in scenario.workshop.obstacles if obstacle.name]
     for key, wanted, names in (
         ("stations.fixed", plan_file.stations.fixed, list(scenario.stations)),
@@ -122,9 +122,9 @@ def _check_names(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
         (
             "reflectors.movable",
             plan_file.reflectors.movable,
-            [*groups, *(point.name for point in plan_file.listed_points)],
+            [*group_names, *(point.name for point in plan_file.listed_points)],
         ),
-        ("goal.tolerances", [t.group for t in plan_file.goal.tolerances if t.group], groups),
+        ("goal.tolerances", [t.group for t in plan_file.goal.tolerances if t.group], group_names),
     ):
         for name in wanted:
             if name not in names:

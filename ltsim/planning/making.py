@@ -290,11 +290,12 @@ def _require_grid_fits_memory(file: PlanFile, scenario: Scenario) -> None:
         return
     wide, deep, _ = scenario.workshop.size_mm
     outlines = [area.corners_mm for area in file.floor.areas] or [file.floor.corners_mm or ((0.0, 0.0), (wide, deep))]
-    sizes = np.array([np.ptp(np.array(outline), axis=0) for outline in outlines])
-    n_places = float(np.prod(1.0 + sizes / step, axis=1).sum()) * file.search.yaws * file.search.heights
+    area_sizes = np.array([np.ptp(np.array(outline), axis=0) for outline in outlines])
+    n_places = float(np.prod(1.0 + area_sizes / step, axis=1).sum()) * file.search.yaws * file.search.heights
     if n_places > MAX_SETUPS:
         raise SetupError(
-            f"search: a grid of {step:g} mm over {sizes[:, 0].max():g} x {sizes[:, 1].max():g} mm has {n_places:.2g} "
+            f"search: a grid of {step:g} mm over {area_sizes[:, 0].max():g} x {area_sizes[:, 1].max():g} mm "
+            f"has {n_places:.2g} "
             f"set-ups, the limit is {MAX_SETUPS}; give a larger grid_mm or a smaller floor"
         )
 

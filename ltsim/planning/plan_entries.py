@@ -43,9 +43,10 @@ class StationEntry(Entry):
     @classmethod
     def without_precision(cls, survey: PlannedSurvey) -> tuple[Self, ...]:
         """Entries of the stations of a survey, without their standard deviations."""
-        rows = zip(survey.station_names, survey.station_positions, survey.station_yaws, strict=True)
+        station_fields = zip(survey.station_names, survey.station_positions, survey.station_yaws, strict=True)
         return tuple(
-            cls(name=name, position_mm=to_millimetres(place), yaw_deg=to_degrees(yaw)) for name, place, yaw in rows
+            cls(name=name, position_mm=to_millimetres(place), yaw_deg=to_degrees(yaw))
+            for name, place, yaw in station_fields
         )
 
     @classmethod
@@ -136,7 +137,7 @@ class PlannedParameterEntry(Entry):
     @classmethod
     def from_information(cls, information: LayoutInformation) -> tuple[Self, ...]:
         """Entries of the instrument's parameters in units of display."""
-        rows = zip(
+        parameter_fields = zip(
             information.construction.parameters, information.instrument_sigmas, information.prior_sigma, strict=True
         )
         return tuple(
@@ -147,7 +148,7 @@ class PlannedParameterEntry(Entry):
                 prior_sigma=float(prior / p.si_per_display_unit),
                 gain=float(1.0 - (sigma / prior) ** 2),
             )
-            for p, sigma, prior in rows
+            for p, sigma, prior in parameter_fields
         )
 
 

@@ -76,14 +76,14 @@ def _result_sentence(plan: PlannedNetwork) -> list[str]:
     if plan.verdict is not None:
         return [f"{plan.verdict.sentences}.", f"{work}."]
     sigma = plan.layout.information.target_sigmas
-    worst = int(np.argmax(sigma))
-    name = plan.layout.survey.target_names[worst]
+    worst_index = int(np.argmax(sigma))
+    name = plan.layout.survey.target_names[worst_index]
     broken = (
         f"The layout breaks a rule of the plan: {broken_rules_text(plan.layout.broken_rules)}. "
         if plan.layout.broken_rules
         else ""
     )
-    sigma_text = f"{sigma[worst] / MICROMETRE:.1f} um"
+    sigma_text = f"{sigma[worst_index] / MICROMETRE:.1f} um"
     return [f"{broken}{work}. The plan has no tolerance; the worst point is {name} (sigma {sigma_text})."]
 
 

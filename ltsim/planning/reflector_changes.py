@@ -191,12 +191,12 @@ class _ChangeEvaluator:
                 occupied_places, normal_matrices = others[None], start_matrix[None]
             if not len(occupied_places):
                 return
-            values = self._objective_factors(normal_matrices, occupied_places, others)
-            tried[kind] += len(values)
-            helped[kind] += int(np.sum(values < 1 - MIN_REPORTED_IMPROVEMENT))
-            for k in np.argsort(values)[: 1 if kind == "move" else None].tolist():
+            objective_factors = self._objective_factors(normal_matrices, occupied_places, others)
+            tried[kind] += len(objective_factors)
+            helped[kind] += int(np.sum(objective_factors < 1 - MIN_REPORTED_IMPROVEMENT))
+            for k in np.argsort(objective_factors)[: 1 if kind == "move" else None].tolist():
                 place = None if kind == "remove" else int(places[k])
-                candidates[kind].append((float(values[k]), removed, place, normal_matrices[k]))
+                candidates[kind].append((float(objective_factors[k]), removed, place, normal_matrices[k]))
 
         for i in range(len(chosen)):
             note("move", i, self._free_places(np.delete(chosen, i)))

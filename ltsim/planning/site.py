@@ -315,7 +315,7 @@ class StationPlacement:
         Sights beyond the wanted number have a small weight.
         """
         n_candidates = len(self.candidate_positions)
-        rows = (
+        candidate_order = (
             np.arange(n_candidates)
             if random_generator is None
             else random_generator.integers(n_candidates, size=min(N_PLACEMENT_DRAWS, n_candidates))
@@ -323,18 +323,18 @@ class StationPlacement:
         present_sights = self.n_fixed_sights + self.is_visible[used_places].sum(axis=0)
         added_sights = (
             (
-                np.minimum(present_sights + self.is_visible[rows], wanted_sights)
+                np.minimum(present_sights + self.is_visible[candidate_order], wanted_sights)
                 - np.minimum(present_sights, wanted_sights)
             )
             .sum(axis=1)
             .astype(np.float64)
         )
-        added_sights += 1e-3 * (self.is_visible[rows] / (1.0 + present_sights) ** 2).sum(axis=1)
+        added_sights += 1e-3 * (self.is_visible[candidate_order] / (1.0 + present_sights) ** 2).sum(axis=1)
         for place in (*self.fixed_positions, *self.candidate_positions[used_places]):
             added_sights[
-                np.linalg.norm(self.candidate_positions[rows, :2] - place[:2], axis=1) < self.min_spacing
+                np.linalg.norm(self.candidate_positions[candidate_order, :2] - place[:2], axis=1) < self.min_spacing
             ] = -1.0
-        return int(rows[np.argmax(added_sights)]) if added_sights.max(initial=-1.0) >= 0.0 else -1
+        return int(candidate_order[np.argmax(added_sights)]) if added_sights.max(initial=-1.0) >= 0.0 else -1
 
     def _optimal_places(
         self, n_stations: int, wanted_sights: int, random_generator: np.random.Generator | None

@@ -121,9 +121,9 @@ class PlannedSurvey:
     def nominal_state(self, construction: GeometricErrorModel) -> NetworkState:
         """Nominal state: a perfect instrument at the planned positions."""
         empty = self._empty_recording()
-        values = np.zeros((len(empty.instruments), construction.n_parameters))
+        zero_errors = np.zeros((len(empty.instruments), construction.n_parameters))
         errors = np.zeros(MeasurementModel(empty, construction).n_extra_parameters)
-        return NetworkState(self.station_positions, self.station_rotations, self.target_points, values, errors)
+        return NetworkState(self.station_positions, self.station_rotations, self.target_points, zero_errors, errors)
 
     def noise_free_recording(self, construction: GeometricErrorModel) -> Recording:
         """Recording of a perfect instrument without noise.

@@ -208,13 +208,13 @@ def check_tolerances(
     )
     radii = {name: radius_by_name[name] for name in tolerances.tolerance_by_point if name in radius_by_name}
     ratios = {name: value / tolerances.tolerance_by_point[name] for name, value in radii.items()}
-    worst = unseen[0] if unseen else max(ratios, key=lambda name: ratios[name], default="")
+    worst_point = unseen[0] if unseen else max(ratios, key=lambda name: ratios[name], default="")
     return ToleranceCheck(
         lost_text,
         tolerances.tolerance_by_point,
         radii,
-        np.inf if unseen or not ratios else ratios[worst],
-        worst,
+        np.inf if unseen or not ratios else ratios[worst_point],
+        worst_point,
         unseen,
     )
 
@@ -265,10 +265,10 @@ def feasibility_and_ratio(
     verdict = check_tolerances(survey, tolerances, construction)
     if not verdict.meets_all or tolerances.withstood_loss == "no":
         return verdict.meets_all, verdict.max_ratio
-    worst = max(
+    largest_ratio = max(
         loss.max_ratio for loss in checks_after_losses(survey, tolerances, construction, tolerances.withstood_loss)
     )
-    return is_met(worst), worst
+    return is_met(largest_ratio), largest_ratio
 
 
 @dataclass(frozen=True)
@@ -302,12 +302,16 @@ def plan_verdict(
         f"{count_text} tolerances are met at {100 * tolerances.confidence_level:g} % confidence; "
         f"{tolerance_check.worst_point_text}"
     )
-    worst = max((loss for loss in loss_checks if not loss.is_sight_loss), key=lambda loss: loss.max_ratio, default=None)
-    if worst is not None:
+    worst_loss = max(
+        (loss for loss in loss_checks if not loss.is_sight_loss), key=lambda loss: loss.max_ratio, default=None
+    )
+    if worst_loss is not None:
         lost = (
-            "without any one station all are met" if worst.meets_all else f"without {worst.lost_text} they are not met"
+            "without any one station all are met"
+            if worst_loss.meets_all
+            else f"without {worst_loss.lost_text} they are not met"
         )
-        words += f". {lost[0].upper()}{lost[1:]}; {worst.worst_point_text}"
+        words += f". {lost[0].upper()}{lost[1:]}; {worst_loss.worst_point_text}"
     rules = f"the layout breaks a rule ({broken_rules_text(broken_rules)}). " if broken_rules else ""
     words = words[0].upper() + words[1:] if broken_rules else words
     return PlanVerdict(reached, f"{'Reached' if reached else 'Not reached'}: {rules}{words}")

@@ -81,8 +81,8 @@ def plan(
     file, scenario = load_plan_and_scenario(source)
     if move is not None:
         return Plan.from_network(_plan_with_moved_stations(file, scenario, move))
-    changes = {key: value for key, value in (("seed", seed), ("starts", starts)) if value is not None}
-    file = file.model_copy(update={"search": file.search.model_copy(update=changes)})
+    search_changes = {key: value for key, value in (("seed", seed), ("starts", starts)) if value is not None}
+    file = file.model_copy(update={"search": file.search.model_copy(update=search_changes)})
     return Plan.from_network(make_plan(file, scenario, jobs=jobs, callbacks=callbacks or SearchCallbacks(progress)))
 
 
@@ -201,12 +201,12 @@ def station_alternatives(source: str | Path, station: str) -> tuple[StationAlter
     others = [s for s in range(len(survey.station_positions)) if s != station_index]
     work = problem.make_searcher(site.replace(survey=survey, fixed_stations=tuple(others), min_sights=0))
     table = work.grid_setups(station_index)
-    values = work.replacement_objectives(
+    objectives = work.replacement_objectives(
         work.layout_blocks(survey.station_positions, survey.station_yaws), station_index, table
     )
-    values[_distances(table.setup_positions, survey.station_positions[station_index]) < MIN_ALTERNATIVE_DISTANCE] = (
-        np.inf
-    )
+    objectives[
+        _distances(table.setup_positions, survey.station_positions[station_index]) < MIN_ALTERNATIVE_DISTANCE
+    ] = np.inf
     # Sights of points with a tolerance that would be missing decide first.
     demanded = PointTolerances.from_plan_file(file).tolerance_by_point or survey.target_names
     asked = np.array([name in demanded for name in survey.target_names])
@@ -214,13 +214,13 @@ def station_alternatives(source: str | Path, station: str) -> tuple[StationAlter
         axis=1
     )
     alternatives: list[StationAlternative] = []
-    for best in np.lexsort((values, lacking)).tolist():
+    for best in np.lexsort((objectives, lacking)).tolist():
         near = [
             _distances(table.setup_positions[[best]], option_.survey.station_positions[station_index])[0]
             < MIN_ALTERNATIVE_DISTANCE
             for option_ in alternatives
         ]
-        if len(alternatives) == MAX_ALTERNATIVES or not np.isfinite(values[best]) or any(near):
+        if len(alternatives) == MAX_ALTERNATIVES or not np.isfinite(objectives[best]) or any(near):
             continue
         position, yaw = survey.station_positions.copy(), survey.station_yaws.copy()
         position[station_index], yaw[station_index] = table.setup_positions[best], table.setup_yaws[best]
@@ -303,7 +303,7 @@ def _evaluate_alternative(
     rules = f"it breaks a rule ({broken_rules_text(broken)}); " if broken else ""
     if not check.error_by_point or check.unseen_points:
         return StationAlternative(description, survey, rules + check.open_points_clause, np.inf, False, move)
-    worst = max(check.error_by_point, key=lambda name: check.error_by_point[name])
-    worst_error = check.error_by_point[worst]
-    text = f"{rules}worst {worst}, within {worst_error / MICROMETRE:.1f} um at 95 %"
+    worst_point = max(check.error_by_point, key=lambda name: check.error_by_point[name])
+    worst_error = check.error_by_point[worst_point]
+    text = f"{rules}worst {worst_point}, within {worst_error / MICROMETRE:.1f} um at 95 %"
     return StationAlternative(description, survey, text, worst_error, not broken, move)

@@ -103,8 +103,8 @@ def make_search_space(
     )
     longest = max(np.linalg.norm(area.outline[:, None] - survey.target_points[:, :2], axis=2).max() for area in areas)
     places, names = candidate_places(plan, scenario)
-    wanted = plan.stations.min_stations_per_target
-    least = stations if wanted == "all" else min(wanted, stations)
+    min_stations = plan.stations.min_stations_per_target
+    least = stations if min_stations == "all" else min(min_stations, stations)
     if not survey.records_angles and least < MIN_RANGE_STATIONS:
         if stations < MIN_RANGE_STATIONS or plan.requires_sights:
             raise SetupError(

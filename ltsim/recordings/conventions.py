@@ -339,10 +339,10 @@ def clock_question(recording: Recording) -> tuple[str, ...]:
 
 def vertical_pointings_note(recording: Recording) -> tuple[str, ...]:
     """Note on pointings along the vertical axis, of which an adjustment uses only the distances; empty without them."""
-    rows = np.flatnonzero(recording.vertical & recording.is_measured[:, 1:].any(axis=1))
-    if not len(rows):
+    vertical_rows = np.flatnonzero(recording.vertical & recording.is_measured[:, 1:].any(axis=1))
+    if not len(vertical_rows):
         return ()
-    listed_rows = listing([recording.where(int(row) + 1) for row in rows], MAX_LISTED_NOTES)
+    listed_rows = listing([recording.where(int(row) + 1) for row in vertical_rows], MAX_LISTED_NOTES)
     return (
         f"{listed_rows}: along the vertical axis of the tracker the azimuth is undefined, so the angles are not used; "
         "to locate this target from there, tilt or move the tracker",

@@ -116,9 +116,9 @@ def read_points(path: str | Path, *, requires_all: bool = True) -> PointList:
 
 def recognises(beginning: str) -> bool:
     """True if a file that begins with the text `beginning` is a list of points, with or without a header."""
-    rows = head_rows(beginning)
-    header = _header_columns(rows)
-    data_rows = [row for row in rows[0 if header is None else header[0] :] if not row.is_comment]
+    first_rows = head_rows(beginning)
+    header = _header_columns(first_rows)
+    data_rows = [row for row in first_rows[0 if header is None else header[0] :] if not row.is_comment]
     if header is not None:
         return not data_rows or data_rows[0].n_values > 1
     sample = [_drop_trailing_field(row) for row in data_rows[: max(1, min(6, len(data_rows)) - 1)]]
@@ -211,14 +211,14 @@ class _PointRowReader:
         where = SourceLocation(self.sheet.file, row.line)
         if len(_drop_trailing_field(row)) != self.width:
             row.check_width(self.width, self.sheet.file)
-        values = []
+        coordinates = []
         for role, column in self.numbers.items():
             text = row.cell(column.position)
             number = cells.parse_value(text, self.sheet.thousands_separator)
             if text and (number is None or abs(number) >= 10**11):
                 raise where.error(f"found '{quoted_text(text)}', expected a number", quoted_text(column.title or role))
-            values.append(np.nan if number is None else float(number))
-        return where.name(unguard_formula(row.cell(self.name.position)), "point"), values
+            coordinates.append(np.nan if number is None else float(number))
+        return where.name(unguard_formula(row.cell(self.name.position)), "point"), coordinates
 
     def _scales(self, table: Floats) -> tuple[Floats, list[str]]:
         """Factor of each column of numbers to metres (square metres for covariances), and notes on the unit."""
@@ -311,24 +311,26 @@ def _coordinates_from_gama(path: Path) -> EpochCoordinates:
     elements = {node.tag: node for node in parse_xml(path).descendants("adjusted", "cov-mat", "description")}
     if not {"adjusted", "cov-mat"} <= elements.keys():
         raise RecordError("contains no <adjusted> points with their <cov-mat>", file=path)
-    rows = [{cell.tag.lower(): cell for cell in point} for point in elements["adjusted"]]
-    axis_sets = {"".join(axis for axis in AXIS_NAMES if axis in row) for row in rows}
+    point_cells = [{cell.tag.lower(): cell for cell in point} for point in elements["adjusted"]]
+    axis_sets = {"".join(axis for axis in AXIS_NAMES if axis in row) for row in point_cells}
     if len(axis_sets) != 1 or not (axes := axis_sets.pop()):
         raise RecordError("contains points with different coordinate axes; give points of one kind", file=path)
-    points = np.zeros((len(rows), 3))
-    points[:, [AXIS_NAMES.index(axis) for axis in axes]] = [[_parse_number(row[axis]) for axis in axes] for row in rows]
+    points = np.zeros((len(point_cells), 3))
+    points[:, [AXIS_NAMES.index(axis) for axis in axes]] = [
+        [_parse_number(row[axis]) for axis in axes] for row in point_cells
+    ]
     band = {cell.tag: cell for cell in elements["cov-mat"]}
     size, width = (_parse_number(band[key]) if key in band else -1 for key in ("dim", "band"))
     row, column, values = band_matrix_entries(
         elements["cov-mat"], size, width, [_parse_number(c) for c in elements["cov-mat"] if c.tag == "flt"]
     )
-    n_used = len(rows) * len(axes)
+    n_used = len(point_cells) * len(axes)
     if size < n_used:
         raise RecordError(f"has a <cov-mat> whose size does not match its {n_used} coordinates", file=path)
     matrix = np.zeros((int(size), int(size)))
     matrix[row, column] = matrix[column, row] = values
     title = elements["description"].text if "description" in elements else ""
-    names = tuple(SourceLocation(path).name(row["id"].text if "id" in row else "", "target") for row in rows)
+    names = tuple(SourceLocation(path).name(row["id"].text if "id" in row else "", "target") for row in point_cells)
     return EpochCoordinates(title or path.name, names, axes, points, matrix[:n_used, :n_used] * MILLIMETRE**2)
 
 

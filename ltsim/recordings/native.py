@@ -85,8 +85,8 @@ def read_recording(path: Path, hints: Hints = NO_HINTS) -> Recording:
     if not folder.is_dir():
         message = f"there is no such folder; a recording is a folder with {OBSERVATIONS_FILE} and {SETUP_FILE}"
         raise RecordError(message, file=path)
-    rows = _read_table(folder / OBSERVATIONS_FILE, incomplete_tail=hints.incomplete_tail)
-    recording = parse(rows, read_setup(folder / SETUP_FILE), folder, incomplete_tail=hints.incomplete_tail)
+    table_rows = _read_table(folder / OBSERVATIONS_FILE, incomplete_tail=hints.incomplete_tail)
+    recording = parse(table_rows, read_setup(folder / SETUP_FILE), folder, incomplete_tail=hints.incomplete_tail)
     sense = [1.0, -1.0 if hints.azimuth == "clockwise" else 1.0, 1.0]
     return recording.with_readings(recording.readings * sense)
 
@@ -216,20 +216,20 @@ def _integer_column(column: list[str], location: SourceLocation, bounds: tuple[i
 def _float_column(column: list[str], location: SourceLocation, *, optional: bool = True) -> Floats:
     """Column of numbers within the bounds of its name; empty cells are NaN if `optional`."""
     low, high = COLUMN_BOUNDS.get(location.column or "", (-1e15, 1e15))
-    values = np.full(len(column), np.nan)
+    numbers = np.full(len(column), np.nan)
     filled_rows = [i for i, text in enumerate(column) if text or not optional]
     texts = [column[i] for i in filled_rows]
     if max(map(len, texts), default=0) <= MAX_NUMBER_LENGTH and all(map(NUMBER_PATTERN.fullmatch, texts)):
-        values[filled_rows] = list(map(float, texts))
-        if np.all((values[filled_rows] >= low) & (values[filled_rows] <= high)):
-            return values
+        numbers[filled_rows] = list(map(float, texts))
+        if np.all((numbers[filled_rows] >= low) & (numbers[filled_rows] <= high)):
+            return numbers
     for i in filled_rows:  # to name the first that is wrong
         cell = replace(location, row=i + 1)
-        values[i] = cell.number(column[i], limit=1e15)
-        if not low <= values[i] <= high:
-            hint = " (it looks like gon)" if location.column == "elevation_deg" and 270 < values[i] < 400 else ""
+        numbers[i] = cell.number(column[i], limit=1e15)
+        if not low <= numbers[i] <= high:
+            hint = " (it looks like gon)" if location.column == "elevation_deg" and 270 < numbers[i] < 400 else ""
             raise cell.error(f"found {quoted_text(column[i])}, expected a value from {low:g} to {high:g}{hint}")
-    return values
+    return numbers
 
 
 def _additional_columns(

@@ -177,7 +177,7 @@ def merge_observations(observations: Iterable[SingleObservation], file: str) -> 
     The k-th azimuth, elevation and distance with equal heights form one pointing. Standard deviations and heights
     become additional columns.
     """
-    rows: list[dict[str, SingleObservation]] = []
+    pointing_rows: list[dict[str, SingleObservation]] = []
     open_rows: dict[tuple[str, str], list[dict[str, SingleObservation]]] = {}
     for observation in observations:
         candidates = open_rows.setdefault((observation.station, observation.target), [])
@@ -188,11 +188,11 @@ def merge_observations(observations: Iterable[SingleObservation], file: str) -> 
         if row is None:
             row = {}
             candidates.append(row)
-            rows.append(row)
+            pointing_rows.append(row)
         row[observation.kind] = observation
         if len(row) == len(OBSERVABLES):
             candidates.remove(row)
-    return [_pointing(row, file) for row in rows]
+    return [_pointing(row, file) for row in pointing_rows]
 
 
 def _have_equal_heights(observations: Sequence[SingleObservation]) -> bool:

@@ -58,8 +58,8 @@ def _faces_text(recording: Recording) -> str:
 
 
 def _sights_on_face(recording: Recording, face: int) -> list[tuple[int, int]]:
-    rows = recording.face == face
-    return list(zip(recording.station[rows].tolist(), recording.target[rows].tolist(), strict=True))
+    is_on_face = recording.face == face
+    return list(zip(recording.station[is_on_face].tolist(), recording.target[is_on_face].tolist(), strict=True))
 
 
 def _readings_text(recording: Recording) -> str:

@@ -166,8 +166,8 @@ def _two_face_sums(angle: Floats, station: Ints, target: Ints, face: Ints) -> Fl
         count = np.bincount(place[rows], minlength=len(keys))
         total = np.bincount(place[rows], weights=angle[rows], minlength=len(keys))
         means.append(total / np.where(count > 0, count, np.nan))
-    sums = means[0] + means[1]
-    return np.asarray(sums[np.isfinite(sums)])
+    face_sums = means[0] + means[1]
+    return np.asarray(face_sums[np.isfinite(face_sums)])
 
 
 def require_degrees_and_millimetres(
@@ -182,8 +182,8 @@ def require_degrees_and_millimetres(
     if -np.inf < longest < MIN_DISTANCE_MM:
         message = f"no distance exceeds {longest:.4g}, which looks like metres; expected millimetres"
         raise SourceLocation(file, column="distance_mm").error(message)
-    sums = _two_face_sums(elevation, station, target, face)
-    median = float(np.median(sums)) if len(sums) else float("nan")
+    face_sums = _two_face_sums(elevation, station, target, face)
+    median = float(np.median(face_sums)) if len(face_sums) else float("nan")
     for unit_error in UNIT_ERRORS:
         expected = _face_sum_with_error(unit_error)
         if expected is not None and abs(median - expected) < 0.005 * expected:

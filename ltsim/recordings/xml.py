@@ -176,10 +176,10 @@ def band_matrix_entries(
 
     Raises RecordError, which names `node`, if the number of values does not match the size and the band width.
     """
-    rows = np.arange(min(int(n_rows), len(band_values)))
-    last_columns = np.minimum(rows + max(int(band), 0), int(n_rows) - 1)
-    counts = last_columns - rows + 1
-    if not 0 <= band < n_rows or len(rows) < n_rows or len(band_values) != counts.sum():
+    row_indices = np.arange(min(int(n_rows), len(band_values)))
+    last_columns = np.minimum(row_indices + max(int(band), 0), int(n_rows) - 1)
+    counts = last_columns - row_indices + 1
+    if not 0 <= band < n_rows or len(row_indices) < n_rows or len(band_values) != counts.sum():
         raise node.location.error("a <cov-mat> whose numbers do not match dim and band")
-    column = np.concatenate([np.arange(i, j + 1) for i, j in zip(rows, last_columns, strict=True)])
-    return np.repeat(rows, counts), column, np.array(band_values)
+    column = np.concatenate([np.arange(i, j + 1) for i, j in zip(row_indices, last_columns, strict=True)])
+    return np.repeat(row_indices, counts), column, np.array(band_values)

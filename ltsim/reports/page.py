@@ -254,13 +254,13 @@ def page_html(document: Document) -> str:
 
 def package_versions() -> list[tuple[str, str]]:
     """Name and version of each package that contributes to the page."""
-    entries = [("Python", platform.python_version())]
+    name_and_version = [("Python", platform.python_version())]
     for name in ("ltsim", "numpy", "scipy", "matplotlib", "pyvista"):
         try:
-            entries.append((name, importlib.metadata.version(name)))
+            name_and_version.append((name, importlib.metadata.version(name)))
         except importlib.metadata.PackageNotFoundError:
-            entries.append((name, "(not installed as a package)"))
-    return entries
+            name_and_version.append((name, "(not installed as a package)"))
+    return name_and_version
 
 
 def _recording_folder(result_folder: Path, page_folder: Path) -> Path | None:
@@ -335,10 +335,11 @@ def _work_order_blocks(plan: Plan) -> list[Block]:
 
 def _reflector_proposals_block(plan: Plan) -> list[Block]:
     """List with a block of proposals to move or add a reflector before the work; empty without proposals."""
-    changes = [change for change in plan.reflector_changes if change.do != "remove"]
-    if not changes:
+    moves_and_additions = [change for change in plan.reflector_changes if change.do != "remove"]
+    if not moves_and_additions:
         return []
     lines = [
-        f"{c.action_text}: the other points improve by {c.gain_um:.2f} µm, most of all {c.serves}" for c in changes
+        f"{c.action_text}: the other points improve by {c.gain_um:.2f} µm, most of all {c.serves}"
+        for c in moves_and_additions
     ]
     return [BulletListBlock("Possible improvements: one of these (z from the floor), then plan again", lines)]

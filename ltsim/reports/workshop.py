@@ -208,8 +208,8 @@ def workshop_with_surroundings(network: PlacedWorkshop, setup: Setup) -> PlacedW
 
 def _normals_of_nests(setup: Setup, targets: tuple[str, ...]) -> Floats:
     """Unit normals (T, 3) of the nests of T targets; NaN for a target without a declared normal."""
-    rows = [setup.targets[t].nest_normal if t in setup.targets else None for t in targets]
-    normal = np.array([row or (np.nan, np.nan, np.nan) for row in rows], dtype=np.float64).reshape(-1, 3)
+    nest_normals = [setup.targets[t].nest_normal if t in setup.targets else None for t in targets]
+    normal = np.array([row or (np.nan, np.nan, np.nan) for row in nest_normals], dtype=np.float64).reshape(-1, 3)
     return normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 

@@ -233,8 +233,8 @@ def _ray_hits_triangle(triangles: Floats, origins: Floats, beam: Floats, length:
         _row_dot_products(beam, turned) * inverse,
         _row_dot_products(turned, across) * inverse,
     )
-    inside = (u >= -1e-12) & (v >= -1e-12) & (u + v <= 1.0 + 1e-12)
-    return np.asarray(~flat & inside & (way > RAY_END_MARGIN) & (way < length - RAY_END_MARGIN))
+    is_inside = (u >= -1e-12) & (v >= -1e-12) & (u + v <= 1.0 + 1e-12)
+    return np.asarray(~flat & is_inside & (way > RAY_END_MARGIN) & (way < length - RAY_END_MARGIN))
 
 
 def _normals_and_areas(triangles: Floats) -> tuple[Floats, Floats]:
@@ -249,11 +249,11 @@ def nearest_points(triangles: Floats, point: Floats) -> Floats:
     edge, gap = np.roll(triangles, -1, axis=1) - triangles, point - triangles
     along = np.clip(_row_dot_products(gap, edge) / np.maximum(_row_dot_products(edge, edge), 1e-300), 0.0, 1.0)
     on_edge = triangles + along[..., None] * edge
-    best = np.linalg.norm(on_edge - point, axis=2).argmin(axis=1)
+    nearest_edge = np.linalg.norm(on_edge - point, axis=2).argmin(axis=1)
     normal, area = _normals_and_areas(triangles)
     marked_indices = (_row_dot_products(np.cross(edge, gap), normal[:, None]) >= 0.0).all(axis=1) & (area > 0.0)
     under = point - _row_dot_products(gap[:, 0], normal)[:, None] * normal
-    return np.where(marked_indices[:, None], under, on_edge[np.arange(len(best)), best])
+    return np.where(marked_indices[:, None], under, on_edge[np.arange(len(nearest_edge)), nearest_edge])
 
 
 def _projected_along_upwards(points: Floats) -> Floats:

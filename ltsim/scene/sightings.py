@@ -187,19 +187,19 @@ class Sightings:
     @cached_property
     def previous_rows(self) -> Ints:
         """Row (n,) of the previous pointing of the same station, -1 for its first pointing."""
-        rows = self.order_by_setup
+        row_order = self.order_by_setup
         before = np.full(len(self), -1)
-        same = np.diff(self.station[rows]) == 0
-        before[rows[1:][same]] = rows[:-1][same]
+        same = np.diff(self.station[row_order]) == 0
+        before[row_order[1:][same]] = row_order[:-1][same]
         return before
 
     def _cumulative_sum(self, row_increments: Floats | Bools) -> Floats:
         """Cumulative sum (n,) of increments (n,) since the first pointing of the set-up, whose own is excluded."""
-        rows = self.order_by_setup
-        first_indices = np.maximum.accumulate(np.where(self.previous_rows[rows] < 0, np.arange(len(rows)), 0))
-        sums = np.cumsum(row_increments[rows], dtype=np.float64)
-        sums_by_row = np.empty_like(sums)
-        sums_by_row[rows] = sums - sums[first_indices]
+        row_order = self.order_by_setup
+        first_indices = np.maximum.accumulate(np.where(self.previous_rows[row_order] < 0, np.arange(len(row_order)), 0))
+        cumulative_sums = np.cumsum(row_increments[row_order], dtype=np.float64)
+        sums_by_row = np.empty_like(cumulative_sums)
+        sums_by_row[row_order] = cumulative_sums - cumulative_sums[first_indices]
         return sums_by_row
 
     @cached_property

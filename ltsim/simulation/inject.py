@@ -53,11 +53,11 @@ class InjectedEffect(Result):
     standard deviation."""
 
     def _lines(self) -> list[str]:
-        sizes = ", ".join(
+        sizes_text = ", ".join(
             f"{p.name} {value / p.si_per_display_unit:.4g} {p.unit}".rstrip() for p, value in self._parameter_entries()
         )
         place = f" at {self.effect.place_text}" if self.effect.place_text else ""
-        return [f"Injected: {self.request_text}{place}: {sizes}; noncentrality {self.noncentrality:.3g}"]
+        return [f"Injected: {self.request_text}{place}: {sizes_text}; noncentrality {self.noncentrality:.3g}"]
 
     def _parameter_entries(self) -> list[tuple[Any, float]]:
         return list(zip(self.effect.parameters, self.parameter_values.tolist(), strict=True))
@@ -66,11 +66,11 @@ class InjectedEffect(Result):
         return {"parameters": self._size_table}
 
     def _size_table(self) -> ColumnValues:
-        rows = self._parameter_entries()
+        size_entries = self._parameter_entries()
         return {
-            "parameter": [p.name for p, _ in rows],
-            "value": [value / p.si_per_display_unit for p, value in rows],
-            "unit": [p.unit for p, _ in rows],
+            "parameter": [p.name for p, _ in size_entries],
+            "value": [value / p.si_per_display_unit for p, value in size_entries],
+            "unit": [p.unit for p, _ in size_entries],
         }
 
     def to_json(self) -> dict[str, Any]:

@@ -69,10 +69,10 @@ def convert_value(scenario: Scenario, dotted_key: str, value: Any, error_locatio
 
 def value_at_key(table: dict[str, Any], dotted_key: str) -> Any:
     """Value of a dotted key in the tables of a scenario; None for a missing key."""
-    inner: Any = table
+    subtable: Any = table
     for part in dotted_key.split("."):
-        if isinstance(inner, list) and part.isdecimal() and 1 <= int(part) <= len(inner):
-            inner = inner[int(part) - 1]
+        if isinstance(subtable, list) and part.isdecimal() and 1 <= int(part) <= len(subtable):
+            subtable = subtable[int(part) - 1]
         else:
-            inner = inner.get(part) if isinstance(inner, dict) else None
-    return inner
+            subtable = subtable.get(part) if isinstance(subtable, dict) else None
+    return subtable

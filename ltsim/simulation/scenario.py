@@ -177,22 +177,22 @@ def _set_key(table: dict[str, Any], key: str, value: Any, error_location: str) -
     Entries of lists are numbered from 1. The value `REMOVAL_VALUE` removes the key.
     """
     *parents, last = key.split(".")
-    inner: Any = table
+    subtable: Any = table
     for name in parents:
-        if isinstance(inner, list) and name.isdecimal() and 1 <= int(name) <= len(inner):
-            inner = inner[int(name) - 1]
+        if isinstance(subtable, list) and name.isdecimal() and 1 <= int(name) <= len(subtable):
+            subtable = subtable[int(name) - 1]
         else:
-            inner = inner.setdefault(name, {}) if isinstance(inner, dict) else None
-        if not isinstance(inner, (dict, list)):
+            subtable = subtable.setdefault(name, {}) if isinstance(subtable, dict) else None
+        if not isinstance(subtable, (dict, list)):
             through = f"{quoted_text(key)} goes through {quoted_text(name)}"
             raise SetupError(f"{error_location}: {through}, which is not a table of the scenario")
-    if not isinstance(inner, dict):
+    if not isinstance(subtable, dict):
         text = quoted_text(key)
         raise SetupError(f"{error_location}: {text} is not a key of a table; entries of a list are numbered from 1")
     if value == REMOVAL_VALUE:
-        inner.pop(last, None)
+        subtable.pop(last, None)
     else:
-        inner[last] = value
+        subtable[last] = value
 
 
 def _with_base(tables: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -237,12 +237,12 @@ def _with_exclusions(scenario: Scenario, file: Path) -> Scenario:
         raise SetupError(f"{file}: work.targets is {work.targets}, expected at least {least} of the reflectors")
     if len(stations) == len(scenario.stations) and len(targets) == len(scenario.targets):
         return scenario
-    used = {station.instrument for station in stations.values()}
+    used_instruments = {station.instrument for station in stations.values()}
     return scenario.model_copy(
         update={
             "stations": stations,
             "targets": targets,
-            "instruments": {name: i for name, i in scenario.instruments.items() if name in used},
+            "instruments": {name: i for name, i in scenario.instruments.items() if name in used_instruments},
             "lengths": tuple(bar for bar in scenario.lengths if {bar.from_, bar.to} <= {*targets}),
             "effects": tuple(_check_effects(scenario.effects, {*stations}, {*targets, *gauge})),
         }

@@ -61,10 +61,10 @@ def make_gauge_frame(gauge: ScenarioGauge) -> GaugeFrame:
     lengths = np.array(_declared_lengths(gauge, target_pairs)) * MILLIMETRE
     first, second = np.array(target_pairs, dtype=np.int64).T
     frame = GaugeFrame(names, points_from_distances(len(names), first, second, lengths), first, second)
-    worst = int(np.argmax(np.abs(frame.lengths - lengths)))
-    if abs(frame.lengths[worst] - lengths[worst]) > MAX_RELATIVE_LENGTH_ERROR:
-        a, b = names[first[worst]], names[second[worst]]
-        has, wanted = frame.lengths[worst] / MILLIMETRE, lengths[worst] / MILLIMETRE
+    worst_length = int(np.argmax(np.abs(frame.lengths - lengths)))
+    if abs(frame.lengths[worst_length] - lengths[worst_length]) > MAX_RELATIVE_LENGTH_ERROR:
+        a, b = names[first[worst_length]], names[second[worst_length]]
+        has, wanted = frame.lengths[worst_length] / MILLIMETRE, lengths[worst_length] / MILLIMETRE
         message = f"the nearest frame in space has {has:.4f} mm between {a} and {b}, not {wanted:.4f} mm"
         raise SetupError(f"gauge: the lengths contradict each other; {message}")
     return frame
@@ -293,12 +293,14 @@ def _implausible_place_question(
     """Question to the user about an obstacle that extends beyond the room; empty if it does not."""
     if obstacle_entry.beyond_room or is_inside_room(placed_body.triangles, room_size):
         return ""
-    other = "z" if cad_file.vertical_axis == "y" else "y"
+    other_axis = "z" if cad_file.vertical_axis == "y" else "y"
     turned = _placed_triangles(obstacle_entry, cad_file.with_other_vertical)
     size_text = " x ".join(f"{v:g}" for v in room_size)
     what = "reaches below the floor" if placed_body.triangles[..., 2].min() < 0 else "reaches beyond the room"
     fits = (
-        f'with up = "{other}" it is inside the room' if is_inside_room(turned, room_size) else "move it by position_mm"
+        f'with up = "{other_axis}" it is inside the room'
+        if is_inside_room(turned, room_size)
+        else "move it by position_mm"
     )
     return (
         f"{cad_file.file}: {what} of {size_text} m "

@@ -37,18 +37,18 @@ def arrange_as_chain(matrix: sp.csr_array) -> tuple[Ints, Ints]:
     if n_unknowns <= MAX_SINGLE_BLOCK:
         return whole
     shared = np.diff(matrix.indptr) > MIN_BORDER_COUPLING * n_unknowns
-    inner = np.flatnonzero(~shared)
-    if len(inner) <= MAX_SINGLE_BLOCK:
+    inner_indices = np.flatnonzero(~shared)
+    if len(inner_indices) <= MAX_SINGLE_BLOCK:
         return whole
-    part = sp.csr_array(matrix[inner][:, inner])
+    part = sp.csr_array(matrix[inner_indices][:, inner_indices])
     order = reverse_cuthill_mckee(part, symmetric_mode=True)
     place = np.argsort(order)
-    rows = np.repeat(place, np.diff(part.indptr))
-    width = max(int(np.max(np.abs(rows - place[part.indices]), initial=0)), MIN_BLOCK_SIZE)
-    if 3 * width >= len(inner):
+    row_indices = np.repeat(place, np.diff(part.indptr))
+    width = max(int(np.max(np.abs(row_indices - place[part.indices]), initial=0)), MIN_BLOCK_SIZE)
+    if 3 * width >= len(inner_indices):
         return whole
-    edges = np.append(np.arange(0, len(inner) - width + 1, width), [len(inner), n_unknowns])
-    return np.concatenate([inner[order], np.flatnonzero(shared)]), edges
+    edges = np.append(np.arange(0, len(inner_indices) - width + 1, width), [len(inner_indices), n_unknowns])
+    return np.concatenate([inner_indices[order], np.flatnonzero(shared)]), edges
 
 
 @dataclass(frozen=True)

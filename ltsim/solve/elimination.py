@@ -76,8 +76,8 @@ class DenseElimination:
     def blocks_and_leverage(self) -> tuple[Floats, Floats]:
         """Inverse (E, 3, 3) for every block, and leverage (m,) of every row."""
         block_indices = np.arange(self._n_reduced, len(self._cholesky_factor)).reshape(-1, 3)
-        rows = (self._design * self.column_scales).T
-        whitened = scipy.linalg.solve_triangular(self._cholesky_factor, rows, lower=True, check_finite=False)
+        scaled_rows = (self._design * self.column_scales).T
+        whitened = scipy.linalg.solve_triangular(self._cholesky_factor, scaled_rows, lower=True, check_finite=False)
         return self.inverse_of_sets(block_indices), np.einsum("um,um->m", whitened, whitened)
 
     def covariances_of_functions(self, function_rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
@@ -244,9 +244,11 @@ def block_inverse(blocks: Floats) -> tuple[Floats, float]:
 
 def _diagonal_blocks(matrix: sp.csr_array, n_blocks: int) -> Floats:
     """Dense diagonal blocks (E, 3, 3) of a sparse matrix without other entries."""
-    entries = matrix.tocoo()
+    nonzero_entries = matrix.tocoo()
     blocks = np.zeros((n_blocks, 3, 3))
-    np.add.at(blocks, (entries.row // 3, entries.row % 3, entries.col % 3), entries.data)
+    np.add.at(
+        blocks, (nonzero_entries.row // 3, nonzero_entries.row % 3, nonzero_entries.col % 3), nonzero_entries.data
+    )
     return blocks
 
 

@@ -128,13 +128,13 @@ class CriteriaEntry(Entry):
     def criteria_table(self) -> Table:
         """Table of the criteria."""
         by_name = {"distance": self.distance, "distance, to the first station (eq. 11)": self.distance_to_first}
-        rows = []
+        table_rows = []
         for name, criterion in {**by_name, "coordinate": self.coordinate}.items():
             if criterion is not None and criterion.before.mean_um is not None:
                 before, after = criterion.before, criterion.after or DisagreementEntry()
                 sizes = before.mean_um, before.max_um, after.mean_um, after.max_um
-                rows.append([name, *sizes, criterion.improvement_percent])
-        return CRITERIA_TABLE.with_rows(rows)
+                table_rows.append([name, *sizes, criterion.improvement_percent])
+        return CRITERIA_TABLE.with_rows(table_rows)
 
 
 class Criteria(ResultFile, CriteriaEntry):
@@ -147,8 +147,8 @@ class Criteria(ResultFile, CriteriaEntry):
     @classmethod
     def from_criteria(cls, recording: Recording, criteria: CriteriaEntry) -> Self:
         """Result for a recording with the given criteria."""
-        entries = {name: getattr(criteria, name) for name in criteria.model_fields_set}
-        return cls(**entries, recording=SourceEntry.from_recording(recording))
+        value_by_field = {name: getattr(criteria, name) for name in criteria.model_fields_set}
+        return cls(**value_by_field, recording=SourceEntry.from_recording(recording))
 
     def _lines(self) -> list[str]:
         return [f"Criteria: distance {self.distance.text}; coordinate {self.coordinate.text}"]

@@ -300,8 +300,8 @@ def best_bump(occupation: StationOccupation) -> tuple[StationBump | None, Column
     for bump in max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump])).neighbours(occupation.sightings):
         if _n_targets_across_bump(occupation, bump) >= MIN_RIGID_POINTS:
             explained_by[bump] = occupation.fit_columns(bump.design(occupation.sightings))
-    best = max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump]))
-    return best, explained_by[best], len(np.unique(occupation.sightings.time)) - 1
+    best_candidate = max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump]))
+    return best_candidate, explained_by[best_candidate], len(np.unique(occupation.sightings.time)) - 1
 
 
 def _n_targets_across_bump(occupation: StationOccupation, bump: StationBump) -> int:

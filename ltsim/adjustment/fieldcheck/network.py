@@ -207,14 +207,16 @@ def _target_agreement_items(fitted: Adjustment, is_explained: Bools, family: Hyp
             CheckItem.from_test("", "network", passed, f"the stations {verb} on their common targets: {scatter}", p)
         ]
     largest_residuals = np.nan_to_num(np.abs(fitted.residuals / fitted.problem.sigma)).max(axis=1)
-    rows = np.flatnonzero(out)
-    rows = rows[np.argsort(-largest_residuals[rows], kind="stable")]
-    station, target = recording.station[rows[0]], recording.target[rows[0]]
-    first_reading_text = f"{recording.stations[station]} to {recording.targets[target]}, row {rows[0] + 1}"
-    phrase = f"{len(rows)} pointings contradict" if len(rows) > 1 else "a pointing contradicts"
-    sentence = f"{phrase} the other stations ({'the worst is ' if len(rows) > 1 else ''}{first_reading_text})"
-    targets = tuple(dict.fromkeys(recording.targets[t] for t in recording.target[rows]))
-    return [CheckItem.from_test("", "network", False, sentence, targets=targets, rows=tuple((rows + 1).tolist()))]
+    outlier_rows = np.flatnonzero(out)
+    outlier_rows = outlier_rows[np.argsort(-largest_residuals[outlier_rows], kind="stable")]
+    station, target = recording.station[outlier_rows[0]], recording.target[outlier_rows[0]]
+    first_reading_text = f"{recording.stations[station]} to {recording.targets[target]}, row {outlier_rows[0] + 1}"
+    phrase = f"{len(outlier_rows)} pointings contradict" if len(outlier_rows) > 1 else "a pointing contradicts"
+    sentence = f"{phrase} the other stations ({'the worst is ' if len(outlier_rows) > 1 else ''}{first_reading_text})"
+    targets = tuple(dict.fromkeys(recording.targets[t] for t in recording.target[outlier_rows]))
+    return [
+        CheckItem.from_test("", "network", False, sentence, targets=targets, rows=tuple((outlier_rows + 1).tolist()))
+    ]
 
 
 def _level_items(fitted: Adjustment, family: HypothesisFamily) -> list[CheckItem]:

@@ -87,18 +87,18 @@ def gross_sentence(occupation: StationOccupation, outliers: Sequence[int], row_n
     first_target = recording.targets[recording.target[outliers[0]]]
     rows_of_target = np.flatnonzero(recording.target == recording.target[outliers[0]])
     others = listing([str(row_numbers[i]) for i in outliers[1:]])
-    more = f", and so is row {others}" if len(outliers) == 2 else f", and so are rows {others}" if others else ""
+    others_text = f", and so is row {others}" if len(outliers) == 2 else f", and so are rows {others}" if others else ""
     distance = occupation.distance_from_mean(outliers[0])
     row_text = f"{name} to {first_target}: row {row_numbers[outliers[0]]}"
     if not np.isfinite(distance):
-        return f"{row_text} does not fit the other readings and is an outlier{more}: measure again"
+        return f"{row_text} does not fit the other readings and is an outlier{others_text}: measure again"
     if len(rows_of_target) == 2:
         both = " and ".join(str(row_numbers[i]) for i in rows_of_target)
         pair = f"rows {both} are {length_text(distance)} apart"
-        return f"{name} to {first_target}: {pair}, one of them is an outlier{more}: measure again"
+        return f"{name} to {first_target}: {pair}, one of them is an outlier{others_text}: measure again"
     return (
-        f"{row_text} is {length_text(distance)} from the other pointings to this target and is an outlier{more}: "
-        "measure again"
+        f"{row_text} is {length_text(distance)} from the other pointings to this target "
+        f"and is an outlier{others_text}: measure again"
     )
 
 
@@ -161,10 +161,10 @@ def _motion_text(fit: ColumnsFit) -> str:
         ("turned", AZIMUTH_COMPONENT, "urad", MICRORADIAN),
         ("tilted", TILT_COMPONENTS, "urad", MICRORADIAN),
     )
-    sizes = [(verb, *fit.length_and_sigma(columns), unit, factor) for verb, columns, unit, factor in kinds]
+    motion_sizes = [(verb, *fit.length_and_sigma(columns), unit, factor) for verb, columns, unit, factor in kinds]
     motion_texts = [
         f"{verb} by {with_sigma(size / factor, sigma / factor, unit)}"
-        for verb, size, sigma, unit, factor in sizes
+        for verb, size, sigma, unit, factor in motion_sizes
         if size > MIN_SIGNIFICANT_SIGMAS * sigma
     ]
     return f": {', '.join(motion_texts)}" if motion_texts else ""

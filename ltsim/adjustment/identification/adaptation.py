@@ -66,6 +66,8 @@ def adjust_with_causes(
     instrument = np.zeros((len(recording.instruments), construction.n_parameters))
     if construction.n_parameters == fit.state.instrument_parameters.shape[1]:
         instrument = fit.state.instrument_parameters
-    extra = np.zeros(sum(len(e.parameters) for e in effects))
-    start_state = replace(fit.state, instrument_parameters=instrument, extra_parameters=np.concatenate([extra, values]))
+    effect_values = np.zeros(sum(len(e.parameters) for e in effects))
+    start_state = replace(
+        fit.state, instrument_parameters=instrument, extra_parameters=np.concatenate([effect_values, values])
+    )
     return adjust(changed, construction, effects=(*effects, *shifts), start_state=start_state, **options)

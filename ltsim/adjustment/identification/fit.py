@@ -111,8 +111,8 @@ class NetworkFit:
         relaxed_problem = relax_exact_references(problem, start)
         state, residual = fit_robust_state(relaxed_problem, resect_contradicted_setups(relaxed_problem, start))
         limit = MIN_FAR_RESIDUAL * max(robust_sigma(residual[: int(problem.used_readings.sum())]), 1.0)
-        values = [v for v in reference_values(problem, state) if v.kind != "mark"]
-        return [v for v in values if float(np.abs(residual[v.rows]).max()) > limit], len(values), state
+        references = [v for v in reference_values(problem, state) if v.kind != "mark"]
+        return [v for v in references if float(np.abs(residual[v.rows]).max()) > limit], len(references), state
 
     @classmethod
     def from_start(
@@ -352,8 +352,8 @@ class NetworkFit:
             station = self.recording.stations.index(value.name)
             over = problem.marks.positions_on_marks(self.state.station_positions, self.state.target_points)
             return np.asarray(self.state.station_positions[station] - over[station])
-        values = (*reference_values(problem, self.state), *common_scale(problem, self.state))
-        same = (v.residual for v in values if (v.kind, v.name) == (value.kind, value.name))
+        references = (*reference_values(problem, self.state), *common_scale(problem, self.state))
+        same = (v.residual for v in references if (v.kind, v.name) == (value.kind, value.name))
         return next(same, np.zeros_like(value.sigma))
 
     @property

@@ -99,11 +99,11 @@ class ShiftFamily:
             return [-np.inf]
         times = sightings.time[rows]
         middle, gap = 0.5 * (times[1:] + times[:-1]), np.diff(times)
-        inner = slice(
+        allowed_range = slice(
             self.min_pointings_around_onset - 1,
             max(len(middle) - self.min_pointings_around_onset + 1, self.min_pointings_around_onset - 1),
         )
-        indices = np.flatnonzero(gap[inner] > 0.0) + self.min_pointings_around_onset - 1
+        indices = np.flatnonzero(gap[allowed_range] > 0.0) + self.min_pointings_around_onset - 1
         if self.place_kind == "target":  # what moves between two pointings of one station is as well told of its set-up
             moved = np.diff(sightings.station[rows])[indices] != 0
             indices = indices[moved] if moved.any() else indices

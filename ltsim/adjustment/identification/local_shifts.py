@@ -128,8 +128,8 @@ def _reading_changes(unit_columns: Floats, parameters: Floats) -> Floats:
 def _row_medians(row_values: Floats, mask: Bools) -> Floats:
     """Medians (h,) over the second axis of values (h, m) that `mask` (h, m) selects, at least one in each row."""
     ordered, count = np.sort(np.where(mask, row_values, np.inf), axis=1), mask.sum(axis=1)
-    rows = np.arange(len(row_values))
-    return np.asarray(0.5 * (ordered[rows, (count - 1) // 2] + ordered[rows, count // 2]))
+    row_indices = np.arange(len(row_values))
+    return np.asarray(0.5 * (ordered[row_indices, (count - 1) // 2] + ordered[row_indices, count // 2]))
 
 
 def _least_squares(unit_columns: Floats, residual: Floats, weight: Floats) -> Floats:

@@ -126,10 +126,10 @@ def _exact_log_evidence(space: ResidualSpace, candidates: Sequence[ShiftCandidat
     """Gains (h,) of log evidence by each of h candidates, from the projection onto a residual space."""
     gains = np.full(len(candidates), -np.inf)
     indices = np.arange(len(candidates))
-    sizes = np.array([space.n_rows * c.family.design.shape[2] for c in candidates], dtype=np.int64)
-    if sizes.sum() > MAX_SCREENED_ENTRIES:
+    n_entries = np.array([space.n_rows * c.family.design.shape[2] for c in candidates], dtype=np.int64)
+    if n_entries.sum() > MAX_SCREENED_ENTRIES:
         indices = np.argsort(-_approximate_log_evidence(space, candidates))
-        indices = indices[np.cumsum(sizes[indices]) <= MAX_SCREENED_ENTRIES]
+        indices = indices[np.cumsum(n_entries[indices]) <= MAX_SCREENED_ENTRIES]
     by_rank: dict[int, list[int]] = {}
     for i in indices.tolist():
         by_rank.setdefault(candidates[i].family.design.shape[2], []).append(i)
@@ -366,15 +366,17 @@ def _best_noise_hypothesis(fit: NetworkFit, hypothesis: Hypothesis, reading_mask
     Some of the present outliers are none with larger noise; the number of remaining outliers maximises the gain.
     """
     within, out = reading_mask & fit.problem.used_readings, reading_mask & fit.is_outlier
-    sizes = np.sort(np.abs(fit.whitened_residuals[out]))  # as many of the smaller ones as is best are outliers no more
-    squares = np.sum(fit.whitened_residuals[within] ** 2) + np.append(0.0, np.cumsum(sizes**2))
-    redundancy = np.nansum(fit.redundancy[within]) + np.arange(len(sizes) + 1)
+    residual_sizes = np.sort(
+        np.abs(fit.whitened_residuals[out])
+    )  # as many of the smaller ones as is best are outliers no more
+    squares = np.sum(fit.whitened_residuals[within] ** 2) + np.append(0.0, np.cumsum(residual_sizes**2))
+    redundancy = np.nansum(fit.redundancy[within]) + np.arange(len(residual_sizes) + 1)
     factor, gain = estimate_variance_factor(squares, redundancy)
     # `estimate_variance_factor` compares with all within the declared noise; but outliers have paid another price
-    price = -log_occam_factor_of_shift(sizes, 1) - log_prior_of(
+    price = -log_occam_factor_of_shift(residual_sizes, 1) - log_prior_of(
         "outlier", int(fit.problem_with_all_readings.used_readings.sum())
     )
-    gain = gain + np.append(0.0, np.cumsum(price - 0.5 * sizes**2)) + log_occam_factor_of_variance(redundancy)
+    gain = gain + np.append(0.0, np.cumsum(price - 0.5 * residual_sizes**2)) + log_occam_factor_of_variance(redundancy)
     best_index = int(np.argmax(gain))
     change = NoiseFactor(reading_mask, float(factor[best_index]))
     return float(gain[best_index]) + hypothesis.log_prior, replace(hypothesis, model_change=change)

@@ -246,21 +246,22 @@ def _fit_best_hypotheses(
 
 def refit_with(fit: NetworkFit, hypothesis: Hypothesis, approximate_gain: float) -> NetworkFit | None:
     """Fit with one more hypothesis, from the present state, or from the start if its gain is too small."""
-    best: NetworkFit | None = None
+    best_fit: NetworkFit | None = None
     near = fit.adjustment.sightings
     for start in (replace(fit.state, extra_parameters=np.zeros(0)), None):
         try:
             made = NetworkFit.from_start(fit.network, (*fit.hypotheses, hypothesis), start, None if start else near)
         except LtsimError:
             made = None
-        if made is not None and (best is None or made.log_evidence > best.log_evidence):
-            best = made
+        if made is not None and (best_fit is None or made.log_evidence > best_fit.log_evidence):
+            best_fit = made
         disappoints = (
-            best is None or best.log_evidence - fit.log_evidence < MIN_GAIN_FRACTION_FROM_STATE * approximate_gain
+            best_fit is None
+            or best_fit.log_evidence - fit.log_evidence < MIN_GAIN_FRACTION_FROM_STATE * approximate_gain
         )
         if not disappoints or approximate_gain < MIN_LOG_EVIDENCE_FOR_RESTART:
             break
-    return best
+    return best_fit
 
 
 def _drop_unneeded(fit: NetworkFit, min_gain: float, n_start: int, spared: list[Hypothesis]) -> NetworkFit:

@@ -321,11 +321,11 @@ def _row_interval_text(fit: NetworkFit, hypothesis: Hypothesis) -> str:
         acts &= np.isin(s.station, [s.station_names.index(name) for name in hypothesis.stations])
     if hypothesis.targets:
         acts &= np.isin(s.target, [s.target_names.index(name) for name in hypothesis.targets])
-    rows = s.measurement_order[acts[s.measurement_order]]
-    index = int(np.searchsorted(s.time[rows], since))
-    if not 0 < index < len(rows):
+    acting_rows = s.measurement_order[acts[s.measurement_order]]
+    index = int(np.searchsorted(s.time[acting_rows], since))
+    if not 0 < index < len(acting_rows):
         return "during its measurement"
-    return f"between rows {rows[index - 1] + 1} and {rows[index] + 1}"
+    return f"between rows {acting_rows[index - 1] + 1} and {acting_rows[index] + 1}"
 
 
 def _number_text(value: float) -> str:

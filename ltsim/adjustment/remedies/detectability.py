@@ -97,7 +97,7 @@ class EffectDetectability:
 
     def table(self) -> list[MinimalSize]:
         """Minimal detectable size of each parameter of the effect."""
-        rows = []
+        table_rows = []
         for law in dict.fromkeys(self.parameters):
             at = [k for k, parameters in enumerate(self.parameters) if parameters == law]
             visible = float(np.median([self.visible_fractions[k] for k in at]))
@@ -106,8 +106,8 @@ class EffectDetectability:
                 typical = float(np.quantile(size, 0.5, method="higher"))
                 worst = self.places[at[int(np.argmax(size))]]
                 row = (self.name, p.name, p.unit, float(size.min()), typical, float(size.max()), p.prior_sigma)
-                rows.append(MinimalSize(*row, visible, worst))
-        return rows
+                table_rows.append(MinimalSize(*row, visible, worst))
+        return table_rows
 
 
 def _noise_effect_information(space: ResidualSpace, places: Sequence[NoiseEffect]) -> list[Floats]:
@@ -163,9 +163,9 @@ def effect_detectability(
     """
     effects, information, visible, spent, columns = zip(*visible_effects, strict=True)
     noncentralities = [search_noncentrality(max(dof, 1), effect_index) for dof in spent]
-    sizes = tuple(map(_minimal_sizes, information, noncentralities))
+    minimal_sizes = tuple(map(_minimal_sizes, information, noncentralities))
     names, laws = tuple(map(_place_text, effects)), tuple(effect.parameters for effect in effects)
-    return EffectDetectability(effects[0].name, laws, names, sizes, visible, columns)
+    return EffectDetectability(effects[0].name, laws, names, minimal_sizes, visible, columns)
 
 
 def visible_information(gram: Floats, norm: Floats, min_visible_fraction: float) -> tuple[Floats, Floats, Ints]:
@@ -210,8 +210,8 @@ def baseline_detectability(adjustment: Adjustment, effect: Effect) -> EffectDete
     )
     information: Floats = np.asarray(np.linalg.inv(block) - np.diag(1.0 / prior**2), dtype=np.float64)
     information[np.diag(information) * prior**2 < MAX_ROUNDING_ERROR] = 0.0
-    sizes = _minimal_sizes(information, noncentrality(len(information)))
-    return EffectDetectability(effect.name, (effect.parameters,), ("",), (sizes,), (1.0,), ())
+    minimal_sizes = _minimal_sizes(information, noncentrality(len(information)))
+    return EffectDetectability(effect.name, (effect.parameters,), ("",), (minimal_sizes,), (1.0,), ())
 
 
 def explained_fraction(first: EffectDetectability, second: EffectDetectability) -> float:

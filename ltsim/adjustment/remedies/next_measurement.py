@@ -78,17 +78,17 @@ def best_explanation(space: ResidualSpace, name: str) -> Explanation:
     kind = find_effect(name)
     if issubclass(kind, NoiseEffect):
         raise ModelError(f"{name} is a change of the noise; only effects that shift readings can be separated here")
-    best: Explanation | None = None
+    best_so_far: Explanation | None = None
     least = float(space.residuals @ space.residuals)
     for effect in kind.candidates(space.sightings):
         values, sum_of_squares = _best_fit(space, effect, space.residuals)
         if sum_of_squares < least:
-            least, best = sum_of_squares, Explanation(effect, values)
-    if best is None:
+            least, best_so_far = sum_of_squares, Explanation(effect, values)
+    if best_so_far is None:
         raise ModelError(
             f"{name} does not change the residuals of this recording, so its size cannot be estimated from it"
         )
-    return best
+    return best_so_far
 
 
 def _best_fit(space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Floats, float]:
@@ -96,8 +96,8 @@ def _best_fit(space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[F
     projected_design = space.project(space.whitened_design(effect))
     if not np.isfinite(projected_design).all() or not projected_design.any():
         return np.zeros(len(effect.parameters)), float(residual @ residual)
-    values = np.asarray(np.linalg.lstsq(projected_design, residual, rcond=1e-6)[0], dtype=np.float64)
-    return values, float(np.sum((residual - projected_design @ values) ** 2))
+    fitted_values = np.asarray(np.linalg.lstsq(projected_design, residual, rcond=1e-6)[0], dtype=np.float64)
+    return fitted_values, float(np.sum((residual - projected_design @ fitted_values) ** 2))
 
 
 @dataclass(frozen=True)
@@ -237,20 +237,20 @@ class RankedProposals(ValueEquality):
     @property
     def advice_sentence(self) -> str:
         """Sentence on the measurement that decides between the causes, or that is most informative."""
-        best = self.proposals[0]
+        best_proposal = self.proposals[0]
         if not self.compared_explanations:
-            return best.remedy.instruction
-        distinguished = best.distinguished_explanations or self.compared_explanations[1:]
+            return best_proposal.remedy.instruction
+        distinguished = best_proposal.distinguished_explanations or self.compared_explanations[1:]
         now, then = (
-            list_text([f"{values[name]:.0f}" for name in distinguished])
-            for values in (self.present_chi2, best.expected_chi2)
+            list_text([f"{template_values[name]:.0f}" for name in distinguished])
+            for template_values in (self.present_chi2, best_proposal.expected_chi2)
         )
         titles = {name: title_of(name) for name in self.compared_explanations}
         others = list_text([titles[name] for name in distinguished])
-        values = {"first": titles[self.compared_explanations[0]], "others": others, "then": then}
-        if not best.distinguished_explanations:
-            return advice_sentence("undecided", needed=MIN_DECISIVE_CHI2, **values)
-        sentence = advice_sentence("decided", do=best.remedy.instruction, now=now, **values)
+        template_values = {"first": titles[self.compared_explanations[0]], "others": others, "then": then}
+        if not best_proposal.distinguished_explanations:
+            return advice_sentence("undecided", needed=MIN_DECISIVE_CHI2, **template_values)
+        sentence = advice_sentence("decided", do=best_proposal.remedy.instruction, now=now, **template_values)
         remaining = [titles[name] for name in self.compared_explanations[1:] if name not in distinguished]
         return sentence + (advice_sentence("left open", others=list_text(remaining)) if remaining else "")
 
@@ -363,5 +363,5 @@ def _most_informative_stations(
     """Additional stations that give most information on the instrument, the quickest first."""
     remedies = station_remedies(network, seconds_per_move, site_sights)
     proposals = _proposals_of(remedies, network.make_adjustment())
-    best = sorted(proposals, key=lambda p: p.sigma_ratio)[:N_EVALUATED_PLACES]
-    yield from sorted((p.remedy for p in best), key=_effort_rank)
+    best_proposals = sorted(proposals, key=lambda p: p.sigma_ratio)[:N_EVALUATED_PLACES]
+    yield from sorted((p.remedy for p in best_proposals), key=_effort_rank)

@@ -42,8 +42,8 @@ class TargetSwap(Blunder):
         if len(self.targets) != 2:
             return sightings
         a, b = (sightings.target_names.index(name) for name in self.targets)
-        other = np.where(sightings.target == a, b, a)
-        return replace(sightings, target=np.where(self.row_weights(sightings) > 0, other, sightings.target))
+        exchanged_target = np.where(sightings.target == a, b, a)
+        return replace(sightings, target=np.where(self.row_weights(sightings) > 0, exchanged_target, sightings.target))
 
     def design(self, sightings: Sightings) -> Floats:
         if len(self.targets) != 2:

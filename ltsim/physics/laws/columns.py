@@ -189,11 +189,11 @@ def lagged_values(unlagged_values: Floats, sightings: Sightings, time_constant: 
 
     Before the first pointing the quantity counts as constant.
     """
-    rows = sightings.measurement_order
-    share = -np.expm1(-np.diff(sightings.time[rows], prepend=sightings.time[rows[0]]) / time_constant)
+    row_order = sightings.measurement_order
+    share = -np.expm1(-np.diff(sightings.time[row_order], prepend=sightings.time[row_order[0]]) / time_constant)
     lagged = np.empty_like(unlagged_values)
-    present_value = float(unlagged_values[rows[0]])
-    for row, value, gain in zip(rows.tolist(), unlagged_values[rows].tolist(), share.tolist(), strict=True):
+    present_value = float(unlagged_values[row_order[0]])
+    for row, value, gain in zip(row_order.tolist(), unlagged_values[row_order].tolist(), share.tolist(), strict=True):
         present_value += gain * (value - present_value)
         lagged[row] = present_value
     return lagged

@@ -35,8 +35,8 @@ def noise_groups(sightings: Sightings, group_kind: str) -> tuple[tuple[str, ...]
 
 def noise_covariate(sightings: Sightings, covariate: str) -> Floats:
     """Covariate (n,) on which noise depends. For a covariate of earlier pointings it is the absolute value."""
-    values: Floats = sightings.quantities[covariate]
-    return np.abs(values) if covariate.startswith(MEMORY_PREFIXES) else values
+    covariate_values: Floats = sightings.quantities[covariate]
+    return np.abs(covariate_values) if covariate.startswith(MEMORY_PREFIXES) else covariate_values
 
 
 @dataclass(frozen=True)
@@ -141,13 +141,13 @@ class VarianceFunction(CandidateNoiseEffect):
         """Flags (n,) of the pointings whose covariate is within the band."""
         name = self.covariates[0]
         x = noise_covariate(sightings, name)
-        inside = np.zeros(len(x), dtype=bool)
+        is_inside = np.zeros(len(x), dtype=bool)
         for low, high in zip(self.covariate_band[::2], self.covariate_band[1::2], strict=True):
             if name in CIRCULAR_COVARIATES:
-                inside |= np.remainder(x - low, 2.0 * np.pi) <= high - low
+                is_inside |= np.remainder(x - low, 2.0 * np.pi) <= high - low
             else:
-                inside |= (x >= low) & (x <= high)
-        return inside
+                is_inside |= (x >= low) & (x <= high)
+        return is_inside
 
     def _variance_plus_fraction(self, sigma: Floats, added_fraction: Floats) -> Floats:
         """Variance (n, 3): the declared variance, increased by a fraction (n,) in the observables of this function."""

@@ -105,18 +105,18 @@ class GeometricErrorModel:
 
     def slot_errors(self, readings: Floats, parameter_values: Floats) -> dict[str, Floats]:
         """Error of each slot [m or rad], (n,) or one number, for parameters (p,), or (n, p) by pointing [SI]."""
-        amounts: dict[str, Floats] = {}
+        error_by_slot: dict[str, Floats] = {}
         for term, value in zip(self.terms, parameter_values.T, strict=True):
             amount = value if term.basis is constant_basis else term.basis(readings) * value
-            amounts[term.slot] = amounts[term.slot] + amount if term.slot in amounts else amount
-        return amounts
+            error_by_slot[term.slot] = error_by_slot[term.slot] + amount if term.slot in error_by_slot else amount
+        return error_by_slot
 
     def _slot_amounts(self, bases: Floats, parameter_values: Floats) -> dict[str, Floats]:
         """Error (n,) of each slot from the values (n, p) of the basis functions and the parameters."""
-        amounts: dict[str, Floats] = {}
+        error_by_slot: dict[str, Floats] = {}
         for term, amount in zip(self.terms, (bases * parameter_values).T, strict=True):
-            amounts[term.slot] = amounts[term.slot] + amount if term.slot in amounts else amount
-        return amounts
+            error_by_slot[term.slot] = error_by_slot[term.slot] + amount if term.slot in error_by_slot else amount
+        return error_by_slot
 
     def point(self, readings: Floats, values: Floats) -> Floats:
         """Point (n, 3) [m] in the instrument frame of raw readings (n, 3); exact."""

@@ -164,8 +164,8 @@ class MeasurementModel:
     @property
     def centring_columns(self) -> tuple[slice, ...]:
         """Slice of the q additional parameters that belongs to each of `centring_errors`."""
-        sizes = [len(errors.parameters) for errors in self.centring_errors]
-        boundaries = self.n_extra_parameters - sum(sizes) + np.cumsum([0, *sizes])
+        n_parameters = [len(errors.parameters) for errors in self.centring_errors]
+        boundaries = self.n_extra_parameters - sum(n_parameters) + np.cumsum([0, *n_parameters])
         return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(boundaries))
 
     @cached_property
@@ -278,9 +278,9 @@ class MeasurementModel:
 
     def _values_by_effect(self, parameters: Floats) -> list[Floats]:
         """Parameter values of each additional effect; zeros if `parameters` has fewer than q values."""
-        sizes = [len(effect.parameters) for effect in self.extra_effects]
-        all_values = np.pad(parameters, (0, sum(sizes) - len(parameters)))
-        return np.split(all_values, np.cumsum(sizes)[:-1]) if sizes else []
+        n_parameters = [len(effect.parameters) for effect in self.extra_effects]
+        all_values = np.pad(parameters, (0, sum(n_parameters) - len(parameters)))
+        return np.split(all_values, np.cumsum(n_parameters)[:-1]) if n_parameters else []
 
     def linearise(self, state: NetworkState) -> Prediction:
         """Predicted readings at `state`, and their derivatives with respect to all unknowns."""

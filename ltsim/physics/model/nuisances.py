@@ -70,8 +70,8 @@ def head_heights(recording: Recording, plumb_directions: Floats) -> tuple[HeadHe
     index_of_occupation = {key: i for i, key in enumerate(dict.fromkeys(key for end in ends for key in end if key[1]))}
     if not index_of_occupation:
         return ()
-    rows = np.eye(len(index_of_occupation) + 1, len(index_of_occupation))
-    at, to = (rows[[index_of_occupation.get(key, len(index_of_occupation)) for key in end]] for end in ends)
+    unit_rows = np.eye(len(index_of_occupation) + 1, len(index_of_occupation))
+    at, to = (unit_rows[[index_of_occupation.get(key, len(index_of_occupation)) for key in end]] for end in ends)
     return (HeadHeights(sigma * MILLIMETRE, to - at, plumb_directions[recording.station]),)
 
 
@@ -102,8 +102,8 @@ class CentringErrors(TargetDisplacement):
     def displacement(self, sightings: Sightings) -> Floats:
         """Motion (n, 3, q) [m] of each pointing's reflector per unit of each component."""
         displacements = np.zeros((len(sightings), 3, self.n_occupations, 3))
-        rows = np.flatnonzero(self.occupation >= 0)
-        displacements[rows, :, self.occupation[rows]] = np.eye(3)
+        occupied_rows = np.flatnonzero(self.occupation >= 0)
+        displacements[occupied_rows, :, self.occupation[occupied_rows]] = np.eye(3)
         return displacements.reshape(len(sightings), 3, -1)
 
 

@@ -262,13 +262,13 @@ def parse_times(texts: Sequence[str], order: str | None = None) -> tuple[list[fl
 
 def _convert_all(convert: Callable[[str], ValueType | None], texts: Sequence[str]) -> list[ValueType] | None:
     """Converted texts; None if one of them cannot be converted."""
-    values = []
+    converted = []
     for text in texts:
         value_of_text = convert(text)
         if value_of_text is None:
             return None
-        values.append(value_of_text)
-    return values
+        converted.append(value_of_text)
+    return converted
 
 
 def is_date_or_time(text: str) -> bool:

@@ -72,15 +72,15 @@ def pointing_times(table: PointingTable, hints: Hints) -> tuple[list[float], str
     consequence = "the order of the rows replaces the time"
     if not all(texts):
         return missing, "", [f"column '{quoted_text(column.title)}' is empty in some rows: {consequence}"]
-    values = cells.plain_numbers(texts)
-    if values is not None and column.role == "date":
+    plain_times = cells.plain_numbers(texts)
+    if plain_times is not None and column.role == "date":
         return (
             missing,
             "",
             [f"column '{quoted_text(column.title)}' contains numbers of days without a time: {consequence}"],
         )
-    if values is not None:
-        return (values * SI_PER_UNIT[column.unit or "s"]).tolist(), "", []
+    if plain_times is not None:
+        return (plain_times * SI_PER_UNIT[column.unit or "s"]).tolist(), "", []
     times = [cells.parse_number(text) for text in texts]
     if all(number is not None for number in times):
         factor = SI_PER_UNIT[column.unit or "s"]
@@ -123,14 +123,14 @@ def recognises(path: Path, beginning: str) -> bool:
         return path.suffix.lower() == ".xlsx"
     if "\x00" in beginning[2:] or beginning.lstrip()[:1] in ("<", "{"):
         return False
-    rows = head_rows(
+    first_rows = head_rows(
         beginning if beginning.endswith("\n") else "\n".join(beginning.splitlines()[:-1])
     )  # the last may be cut
-    headers = [columns for row in rows if (columns := parse_header(row, NO_HINTS))]
+    headers = [columns for row in first_rows if (columns := parse_header(row, NO_HINTS))]
     if headers and has_named_coordinates(headers[0]) and not any(c.role == "station" for c in headers[0]):
         return False  # a list of coordinates, unless its station is named
-    n_measured_rows = sum(row.n_values > 1 and len(row.fields) > 2 for row in rows)
-    return bool(headers) or (path.suffix.lower() in TABLE_SUFFIXES and 2 * n_measured_rows > len(rows))
+    n_measured_rows = sum(row.n_values > 1 and len(row.fields) > 2 for row in first_rows)
+    return bool(headers) or (path.suffix.lower() in TABLE_SUFFIXES and 2 * n_measured_rows > len(first_rows))
 
 
 def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Recording:

@@ -131,13 +131,13 @@ class _SheetReader:
 
     def read(self, header_row: int) -> PointingTable:
         """Pointings of the rows below the header with index `header_row`; -1 for numbered columns."""
-        rows = self.sheet.rows
-        for row in rows[: max(header_row, 0)]:
+        sheet_rows = self.sheet.rows
+        for row in sheet_rows[: max(header_row, 0)]:
             self._process_other_line(row)
         if header_row < 0:
-            numbered = SheetRow(0, tuple(str(i + 1) for i in range(len(rows[header_row + 1].fields))))
+            numbered = SheetRow(0, tuple(str(i + 1) for i in range(len(sheet_rows[header_row + 1].fields))))
             self._start_header(parse_header(numbered, self.hints, self.sheet.file) or [], None)
-        return self._read_rows(rows[max(header_row, 0) :])
+        return self._read_rows(sheet_rows[max(header_row, 0) :])
 
     def read_positional(self) -> PointingTable:
         """Pointings of lines with station, target and three numbers, or with target and three numbers."""

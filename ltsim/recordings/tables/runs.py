@@ -126,9 +126,13 @@ class RunReader:
         Raises RecordError.
         """
         texts = ["" if text in cells.MISSING_MARKS else text for text in texts]
-        values = cells.plain_numbers(texts) if column.unit != "dms" and not self.sheet.thousands_separator else None
+        plain_values = (
+            cells.plain_numbers(texts) if column.unit != "dms" and not self.sheet.thousands_separator else None
+        )
         lower_bound = 0.0 if column.role in DISTANCE_ROLES else -np.inf
-        if values is not None and not np.any((np.abs(values) >= MAX_READING_MAGNITUDE) | (values <= lower_bound)):
+        if plain_values is not None and not np.any(
+            (np.abs(plain_values) >= MAX_READING_MAGNITUDE) | (plain_values <= lower_bound)
+        ):
             return to_digits(texts)
         numbers, unit = cells.split_common_unit(texts)
         if unit in ROLE_UNITS[column.role] and column.unit in ("", unit):

@@ -122,8 +122,8 @@ class TableSheet:
     @cached_property
     def thousands_separator(self) -> str:
         """Thousands separator of the numbers, '' for none; raises RecordError for two different ones."""
-        rows = self.rows.rows_with_comma_and_point if isinstance(self.rows, TextRows) else self.rows
-        return thousands_separator((row.fields for row in rows), self.file)
+        number_rows = self.rows.rows_with_comma_and_point if isinstance(self.rows, TextRows) else self.rows
+        return thousands_separator((row.fields for row in number_rows), self.file)
 
     def require_complete_end(self, width: int, *, requires_all: bool = False) -> None:
         """Check that the last line is complete; raises RecordError.
@@ -177,14 +177,14 @@ def read_text_sheet(file: Path) -> TableSheet:
 def _non_blank_rows(lines: Sequence[str], file: Path) -> TextRows:
     """Rows of the lines that are not blank; raises RecordError for a line with more than `MAX_ROW_FIELDS` fields."""
     separator = _detect_separator(lines)
-    rows = []
+    non_blank = []
     for i, line in enumerate(lines):
         is_separator_line = len(line) == 5 and line.lower().startswith("sep=")  # exports of some spreadsheets
         if line.strip().lstrip("#").strip() and not is_separator_line:
             if len(line) >= MAX_ROW_FIELDS:
                 _require_few_fields(_split_fields(line, separator), i + 1, file)
-            rows.append((i + 1, line))
-    return TextRows(rows, separator)
+            non_blank.append((i + 1, line))
+    return TextRows(non_blank, separator)
 
 
 def _require_few_fields(fields: Sequence[str], line: int, file: Path) -> None:
@@ -227,10 +227,10 @@ def _detect_separator(lines: Sequence[str]) -> str:
 
 def _count_values(lines: Sequence[str], separator: str, min_columns: int) -> int:
     """Largest number of cells with numbers in lines of one width, among lines with at least `min_columns` columns."""
-    rows = [fields for fields in (_split_fields(line, separator) for line in lines) if len(fields) >= min_columns]
+    wide_rows = [fields for fields in (_split_fields(line, separator) for line in lines) if len(fields) >= min_columns]
     is_number_cell = is_number if separator == "," else is_value
     counts: Counter[int] = Counter()
-    for fields in rows:
+    for fields in wide_rows:
         counts[len(fields)] += sum(map(is_number_cell, fields))
     return max(counts.values(), default=0)
 

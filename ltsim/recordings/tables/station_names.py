@@ -70,11 +70,11 @@ def several_positions_note(table: PointingTable, readings: Floats) -> list[str]:
     low, high = np.full(len(sights), np.inf), np.full(len(sights), -np.inf)
     np.minimum.at(low, groups[finite], readings[finite, 0])
     np.maximum.at(high, groups[finite], readings[finite, 0])
-    worst = int(np.argmax(high - low))
-    station, target = (quoted_text(name) for name in sights[worst])
+    worst_station = int(np.argmax(high - low))
+    station, target = (quoted_text(name) for name in sights[worst_station])
     return [
         f"one name of a target has several positions: the distances from '{station}' to '{target}' differ by "
-        f"{high[worst] - low[worst]:.3g} m; if it names a reflector that moved, name each point"
+        f"{high[worst_station] - low[worst_station]:.3g} m; if it names a reflector that moved, name each point"
     ]
 
 

@@ -83,7 +83,7 @@ class MovableLayout:
         survey, floor = self.search_space.survey, self.plan_file.floor
         names = [area.name for area in floor.areas] or [""]
         free = [*(place.name for place in floor.keep_outs), *(door.name for door in floor.doors)]
-        groups = {point.name: point.group for point in self.plan_file.listed_points}
+        group_by_point = {point.name: point.group for point in self.plan_file.listed_points}
         tolerances = self.tolerances.tolerance_by_point
         stations = zip(survey.station_names, survey.station_positions, survey.station_yaws, strict=True)
         return {
@@ -100,7 +100,7 @@ class MovableLayout:
             ],
             "obstacles": _obstacle_path(self.search_space.obstacles),
             "points": [
-                {"name": name, "at": place, "group": groups.get(name, ""),
+                {"name": name, "at": place, "group": group_by_point.get(name, ""),
                  "tolerance_um": tolerance / MICROMETRE if (tolerance := tolerances.get(name)) else None}
                 for name, place in zip(survey.target_names, survey.target_points.tolist(), strict=True)
             ],

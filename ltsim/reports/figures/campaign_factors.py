@@ -106,11 +106,11 @@ def _factor_lines(
 ) -> tuple[str, list[SweepPoint]]:
     """Title of the x axis, and the points of all lines over the factor on this axis."""
     x_factor, line_factor, panel_factors = factor_arrangement(results, factors)
-    rows = []
+    line_points = []
     for s in summaries:
         level = results.levels[s.cell]
         line = factor_level_text(line_factor, level[line_factor.name]) if line_factor else s.method
-        rows.append(
+        line_points.append(
             _sweep_point(
                 s,
                 _axis_position(x_factor, level),
@@ -118,7 +118,7 @@ def _factor_lines(
                 ", ".join(factor_level_text(f, level[f.name]) for f in panel_factors),
             )
         )
-    return factor_axis_title(x_factor), rows
+    return factor_axis_title(x_factor), line_points
 
 
 def factor_arrangement(

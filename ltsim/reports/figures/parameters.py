@@ -153,9 +153,9 @@ def history_figure(names: Sequence[str], courses: Sequence[ParameterCourse]) -> 
     The band is the mean over the calibrations with the spread of the true values between them.
     """
     columns = 2 if len(courses) > 1 else 1
-    rows = max(1, -(-len(courses) // columns))
-    figure = style.new_figure(0.7 + 1.35 * rows)
-    panels = figure.subplots(rows, columns, sharex=True, squeeze=False)
+    n_panel_rows = max(1, -(-len(courses) // columns))
+    figure = style.new_figure(0.7 + 1.35 * n_panel_rows)
+    panels = figure.subplots(n_panel_rows, columns, sharex=True, squeeze=False)
     labels = [style.shortened_name(name, 24) for name in distinct_labels(names)]
     positions = np.arange(len(labels))
     for ax, course in zip(panels.ravel(), courses, strict=False):
@@ -224,13 +224,13 @@ def budget_figure(names: Sequence[str], variance_fractions: Mapping[str, Sequenc
     """
     ranked = sorted(variance_fractions, key=lambda name: -float(np.sum(variance_fractions[name])))
     largest, smaller_sources = ranked[:MAX_BUDGET_SOURCES], ranked[MAX_BUDGET_SOURCES:]
-    rows = {name: np.asarray(variance_fractions[name], dtype=np.float64) for name in largest}
+    fractions_by_name = {name: np.asarray(variance_fractions[name], dtype=np.float64) for name in largest}
     if smaller_sources:
-        rows["all others"] = np.sum([variance_fractions[name] for name in smaller_sources], axis=0)
-    figure, ax = style.new_panel(0.55 + 0.21 * max(len(names), 3) + style.legend_height(list(rows), 2))
+        fractions_by_name["all others"] = np.sum([variance_fractions[name] for name in smaller_sources], axis=0)
+    figure, ax = style.new_panel(0.55 + 0.21 * max(len(names), 3) + style.legend_height(list(fractions_by_name), 2))
     places = style.set_category_rows(ax, list(names))
     bar_starts = np.zeros(len(names))
-    for i, (name, fractions) in enumerate(rows.items()):
+    for i, (name, fractions) in enumerate(fractions_by_name.items()):
         colour = style.GREY if name == "all others" else style.COLOUR_CYCLE[i % len(style.COLOUR_CYCLE)]
         ax.barh(places, 100 * fractions, left=100 * bar_starts, height=0.62, color=colour, label=name)
         bar_starts += fractions

@@ -335,12 +335,12 @@ def _criteria_blocks(content: Calibration) -> list[TableBlock]:
 
 
 def _station_blocks(content: Calibration) -> list[TableBlock]:
-    rows = [
+    table_rows = [
         [s.name, *s.position_mm, *(None if v is None else 2e3 * v for v in s.sigma_position_mm or (None,) * 3)]
         for s in content.stations
     ]
     note = f"U: expanded uncertainty, k = 2. Axes: {content.frame or 'those of the first station'}."
-    return table_block("Stations", STATION_COORDINATES_TABLE.with_rows(rows), note=note)
+    return table_block("Stations", STATION_COORDINATES_TABLE.with_rows(table_rows), note=note)
 
 
 def calibrated_workshop(

@@ -74,7 +74,7 @@ class MethodComparison:
 
     def blocks(self) -> list[TableBlock]:
         """List with the table of the differences and the definition of the compared error."""
-        rows = [
+        table_rows = [
             [setting, f"{method} less {self.best_method}", entry.difference, entry.low, entry.high, _verdict(entry),
              entry.trials]
             for method, entries in self.differences.items()
@@ -84,7 +84,7 @@ class MethodComparison:
         meaning = "" if declared is None else declared.meaning.replace("`", "")
         label = f"{self.label[0].upper()}{self.label[1:]}"
         note = f"{label}: {meaning}. The errors of each trial with both methods are subtracted."
-        table = METHOD_DIFFERENCES_TABLE.with_rows(rows)
+        table = METHOD_DIFFERENCES_TABLE.with_rows(table_rows)
         return table_block(f"Which method is better: {self.label}", table, note=note)
 
 

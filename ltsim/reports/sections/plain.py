@@ -173,18 +173,18 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
             "prior_sigma=usual size", "smallest_failing=detected from", "unit", "test=first failed test",
         ),
     ]  # fmt: skip
-    worst = content.worst_passing
-    if worst is not None:
+    worst_test = content.worst_passing
+    if worst_test is not None:
         constants = ", ".join(
             f"{name} {number_text(value, 2)}"
-            for name, value in worst.constants.items()
+            for name, value in worst_test.constants.items()
             if abs(value) > MAX_ZERO_CONSTANT
         )
         undetected_constants = [s.name for s in content.sensitivities if s.smallest_failing is None]
         text = f"No test detects {', '.join(undetected_constants)}. " if undetected_constants else ""
         text += (
             f"An instrument with {constants} passes every test, although points at 1.5 to 9 m have errors of "
-            f"{worst.rms_um:.0f} um (rms; {worst.largest_um:.0f} um at most)."
+            f"{worst_test.rms_um:.0f} um (rms; {worst_test.largest_um:.0f} um at most)."
         )
         blocks.append(NoteBlock("Undetected instrument errors", text))
     facts = [
@@ -269,13 +269,13 @@ def _site_sentence(content: NextMeasurement) -> str:
 
 def next_measurement_section(content: NextMeasurement, _: ReportContext) -> Section:
     """Section of proposed further measurements."""
-    best = content.proposals[0]
-    assessment = assessment_of(best.decides) if content.between else "plain"
-    reductions = [100 * (1 - factor) for factor in (best.sharper, best.serves_factor)]
-    answer = f"Measure next: {best.do} ({duration_text(60 * best.minutes)}); the standard deviations of the "
+    best_proposal = content.proposals[0]
+    assessment = assessment_of(best_proposal.decides) if content.between else "plain"
+    reductions = [100 * (1 - factor) for factor in (best_proposal.sharper, best_proposal.serves_factor)]
+    answer = f"Measure next: {best_proposal.do} ({duration_text(60 * best_proposal.minutes)}); "
     answer += (
-        f"instrument's parameters fall by {reductions[0]:.0f} % on average, "
-        f"of the {parameter_text(best.serves)} by {reductions[1]:.0f} %."
+        f"the standard deviations of the instrument's parameters fall by {reductions[0]:.0f} % on average, "
+        f"of the {parameter_text(best_proposal.serves)} by {reductions[1]:.0f} %."
     )
     answer = as_sentence(content.advice) if content.between and content.advice else answer
     note = (
@@ -292,7 +292,7 @@ def next_measurement_section(content: NextMeasurement, _: ReportContext) -> Sect
         blocks += table_block("Separation of the alternatives", content.table("separation"), note=explanation)
     blocks += [NoteBlock("Diagnosis of the recording", content.diagnosis)] if content.diagnosis else []
     facts = [
-        KeyFigure("time for it", duration_text(60 * best.minutes)),
+        KeyFigure("time for it", duration_text(60 * best_proposal.minutes)),
         KeyFigure("mean fall of sigma", f"{reductions[0]:.0f} %"),
     ]
     actions = [as_sentence(proposal.do) for proposal in content.proposals[:1]]
@@ -318,10 +318,10 @@ def history_section(content: History, _: ReportContext) -> Section:
         not knows_usual_changes
     )
     fits_note = "Where sigma0 is significantly above 1, the sigmas of that calibration are multiplied by it."
-    changes = content.table("changes")
-    significant_rows = frozenset(i for i, p in enumerate(changes.column("p_value")) if p < FAMILY_LEVEL)
+    change_table = content.table("changes")
+    significant_rows = frozenset(i for i, p in enumerate(change_table.column("p_value")) if p < FAMILY_LEVEL)
     blocks: list[Block] = [
-        *table_block("Changes between calibrations", changes, note=note, marked_rows=significant_rows),
+        *table_block("Changes between calibrations", change_table, note=note, marked_rows=significant_rows),
         *course,
         *table_block("Events: unusual steps", content.table("events")),
         *table_block("Parameters", content.table("parameters")),
