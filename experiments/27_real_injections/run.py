@@ -1,10 +1,9 @@
 """Causes put into real recordings of others: what share is found, placed and told rightly, and what is told falsely.
 
-    python -m experiments 27               # goes on where it was broken off
-    python -m experiments 27 at-100        # strength 100 alone, as asked of the present search
-    python -m experiments 27 ideal         # the ideal observer on the same injections of strength 100
-    python -m experiments 27 told-noise    # strength 100 alone, the noise that the readings have being stated
-    python -m experiments 27 tables        # table and curves of the committed rows
+    python -m experiments 27               # strength 100; goes on where it was broken off
+    python -m experiments 27 ideal         # the ideal observer on the same injections
+    python -m experiments 27 told-noise    # strength 100, the noise that the readings have being stated
+    python -m experiments 27 strengths     # all strengths, and the curves over them
 
 Reads ../shared/recordings beside the checkout; writes figures found.
 """
@@ -14,6 +13,7 @@ from __future__ import annotations
 import json
 import time
 from itertools import product
+from pathlib import Path
 
 import pandas as pd
 
@@ -73,19 +73,15 @@ def rates(rows: list[Row], strength: float | str, network: str) -> list[Row]:
     return found
 
 
-def table_of(rows: list[Row], strengths: list[float], told: list[Row]) -> list[Row]:
-    """All networks by strength, then each network and each kind at all strengths; all that were `told` the noise."""
+def table_of(rows: list[Row], strengths: list[float]) -> list[Row]:
+    """All networks by strength, then each network and each kind."""
     seen, found = [r for r in rows if not r["hidden"]], []
     for strength in (s for s in strengths if any(r["strength"] == s for r in seen)):
         found += rates([r for r in seen if r["strength"] == strength], strength, "all")
     for column in ("file", "kind"):
         for name in dict.fromkeys(r[column] for r in seen):
-            for chosen in (100, "all"):
-                some = [r for r in seen if r[column] == name and chosen in ("all", r["strength"])]
-                found += rates(some, chosen, name) if some else []
-    told = [r for r in told if not r["hidden"]]
-    for name in ("all", *dict.fromkeys(r["file"] for r in told)) if told else ():
-        found += rates([r for r in told if name in ("all", r["file"])], 100, f"{name}, told the noise")
+            some = [r for r in seen if r[column] == name]
+            found += rates(some, strengths[0] if len(strengths) == 1 else "all", name)
     return found
 
 
@@ -111,35 +107,30 @@ def injected(given: Options, settings: Row, told_noise: bool) -> list[Row]:
 
 
 def run(given: Options) -> Made:
-    settings, files = given.config, [given.out / "rows.csv", given.out / "told_noise.csv"]
-    if "at-100" in given.words:
-        rows = injected(given, settings | {"strengths": [100]}, told_noise=False)
-        write_table(given.out / "rows_100.csv", [{k: r.get(k, "") for k in COUNTED} for r in rows])
-        table = [row for row in table_of(rows, [100], []) if row["strength"] != "all"]
-        write_table(given.out / "table_100.csv", table)
-        return Made(settings["seed"], given.trials)
+    settings = given.config
     if "ideal" in given.words:
         networks = [network for network in settings["network"] if (DATA / network["file"]).exists()]
-        rows = [
-            row for some in run_parallel(ideal.asked, [(n, settings) for n in networks], given.jobs) for row in some
-        ]
-        write_table(given.out / "ideal_100.csv", rows)
-        ltsim = pd.read_csv(given.out / "rows_100.csv").convert_dtypes().to_dict("records")
+        asked = run_parallel(ideal.asked, [(n, settings) for n in networks], given.jobs)
+        rows = [row for some in asked for row in some]
+        write_table(given.out / "ideal.csv", rows)
+        ltsim = pd.read_csv(given.out / "rows.csv").convert_dtypes().to_dict("records")
         show_table(given.out / "table_ideal.csv", ideal.table_of(rows, ltsim))
         return Made(settings["seed"], given.trials)
-    if "told-noise" in given.words:
-        rows = injected(given, settings | {"strengths": [100]}, told_noise=True)
-        write_table(files[1], [{k: r.get(k, "") for k in COUNTED} for r in rows])
-    elif "tables" not in given.words:
-        write_table(files[0], injected(given, settings, told_noise=False))
-    rows, told = (pd.read_csv(f).convert_dtypes().to_dict("records") if f.is_file() else [] for f in files)
-    table = table_of(rows, sorted(settings["strengths"]), told)
-    write_table(given.out / "table.csv", table)
+    strengths = sorted(settings["strengths"]) if "strengths" in given.words else [100]
+    ending = "".join(f"_{word.replace('-', '_')}" for word in given.words)
+    rows = injected(given, settings | {"strengths": strengths}, "told-noise" in given.words)
+    table = table_of(rows, strengths)
+    write_table(given.out / f"rows{ending}.csv", [{k: r.get(k, "") for k in COUNTED} for r in rows])
+    write_table(given.out / f"table{ending}.csv", table)
+    if "strengths" in given.words:
+        draw_curves(given.out, table)
+    return Made(settings["seed"], given.trials)
+
+
+def draw_curves(out: Path, table: list[Row]) -> None:
+    """Shares of all networks over strength."""
     ends = ("share", "low", "high", "share", "share")
     curves = [SweepPoint(str(r["strength"]), r["measure"], "", *(100 * r[k] for k in ends))
               for r in table if r["network"] == "all" and r["strength"] != "all" and r["measure"] in DRAWN]  # fmt: skip
     axis = "noncentrality after the adjustment"
-    write_figure(
-        given.out / "curves.svg", factor_panels_figure(curves, label="share of causes, of findings [%]", axis=axis)
-    )
-    return Made(settings["seed"], given.trials)
+    write_figure(out / "curves.svg", factor_panels_figure(curves, label="share of causes, of findings [%]", axis=axis))

@@ -112,7 +112,28 @@ class ResidualSpace:
         return float(scores @ scores), len(scores)
 
     def _projected_basis(self, design_columns: Floats) -> Floats:
-        return orthonormal_columns(self.project(design_columns), np.linalg.norm(design_columns, axis=0))
+        return orthonormal_columns(self.project(design_columns), self.norms_beyond_centring(design_columns))
+
+    def norms_beyond_centring(self, design_columns: Floats) -> Floats:
+        """Lengths (q,) of design columns (m, q) without the part that centring errors in the model absorb.
+
+        Displacements with a large standard deviation absorb nearly all of an effect. What remains is visible if it is
+        large compared with these lengths, not with those of the whole columns.
+        """
+        squares = lowest = np.sum(design_columns**2, axis=0)
+        is_used, sightings = self.used_readings, self.sightings
+        for errors in self.adjustment.problem.model.centring_errors:
+            changes = np.zeros((*is_used.shape, design_columns.shape[1]))
+            changes[is_used] = design_columns[: int(is_used.sum())]
+            place = np.flatnonzero(errors.occupation >= 0)
+            slope = np.where(is_used[:, :, None], sightings.target_derivatives / self.sigma[:, :, None], 0.0)[place]
+            normals = np.tile(np.eye(3) / errors.sigma**2, (errors.n_occupations, 1, 1))
+            scores = np.zeros((errors.n_occupations, 3, design_columns.shape[1]))
+            np.add.at(normals, errors.occupation[place], np.einsum("nki,nkj->nij", slope, slope))
+            np.add.at(scores, errors.occupation[place], np.einsum("nki,nkq->niq", slope, changes[place]))
+            absorbed = np.einsum("niq,niq->q", scores, np.linalg.solve(normals, scores))
+            lowest = np.minimum(lowest, squares - absorbed)
+        return np.sqrt(np.maximum(lowest, 0.0))
 
     def with_design_columns(self, design_columns: Floats) -> ResidualSpace:
         """Residual space of the adjustment in which parameters with these design columns (m, q) are estimated too."""
@@ -137,8 +158,8 @@ class ResidualSpace:
 def orthonormal_columns(projected_columns: Floats, norms: Floats) -> Floats:
     """Orthonormal basis (m, r) of the space that projected design columns (m, q) span.
 
-    `norms` (q,) are the lengths of the columns before the projection. Directions with a negligible part of these
-    lengths are dropped.
+    `norms` (q,) are the lengths of the columns before projection. Directions with a negligible part of these lengths
+    are dropped.
     """
     unit = projected_columns / np.where(norms > 0, norms, 1.0)
     strength, turn = np.linalg.eigh(unit.T @ unit)

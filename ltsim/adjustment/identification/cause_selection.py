@@ -90,8 +90,8 @@ class CauseSelection:
     fit : NetworkFit
         Fit with all selected hypotheses.
     selected_hypotheses : tuple of SelectedHypothesis
-        Selected errors of readings and reference values, then changes of the noise; the most certain first in each
-        group.
+        Selected errors of readings and reference values, then changes of the noise and centring errors; the most
+        certain first in each group.
     """
 
     fit: NetworkFit

@@ -1,13 +1,10 @@
 """Hypotheses of centring errors: random displacements of reflectors at one set-up, at all set-ups, or on one target.
 
-Each component of the displacement at an occupation has the prior N(0, s^2). The projection of the design columns of
-unit displacements onto the residual space is Z, with the eigenvalues d_j and eigenvectors V of Z'Z. With the whitened
+Each component of the displacement at an occupation has the prior N(0, s^2). The projection of the columns of unit
+displacements onto the residual space is Z, with the eigenvalues d_j and eigenvectors V of Z'Z. With the whitened
 residuals r and the scores z = V'Z'r, the log restricted likelihood ratio of the variance component s^2 is
 
     log L = sum_j [ z_j^2 s^2 / (1 + s^2 d_j) - log(1 + s^2 d_j) ] / 2.
-
-A reflector of another radius displaces all targets of a set-up along the normals of their nests. The directions are
-unknown, but all displacements have the same length.
 
 References
 ----------
@@ -48,16 +45,6 @@ also fitted to its readings with the rest of the network unchanged."""
 CENTRING_SIGMAS = np.geomspace(1e-6, 1.0, 241)
 """Standard deviations [m] of centring errors whose likelihood is computed, in steps of 6 %. This is fine enough,
 because an estimate from a hundred components has a relative standard deviation of 7 %."""
-MAX_RELATIVE_LENGTH_SCATTER = 0.1
-"""Scatter of the lengths of displacements, relative to their rms, up to which the lengths count as equal."""
-MAX_LENGTH_RATIO = 3.0
-"""Ratio of an estimated common length to the rms length of the displacements, from which the estimate is rejected. Any
-small displacements lie nearly on the surface of a much larger sphere.
-"""
-MIN_TARGETS_FOR_LENGTH = 10
-"""Smallest number of targets for the estimate of a common length. The pose of the set-up and the length are seven
-unknowns.
-"""
 
 
 @dataclass(frozen=True)
@@ -210,48 +197,3 @@ def best_centring_sigma(space: ResidualSpace, occupation: Ints) -> CentringEstim
     determined = float(np.sum(1.0 - 1.0 / (1.0 + variance[best] * strength)))
     gain = float(ratio[best] + log_occam_factor_of_variance(determined))
     return CentringEstimate(gain, float(CENTRING_SIGMAS[best]), determined)
-
-
-class CommonDisplacement(NamedTuple):
-    """Common length of the displacements of all reflectors at a set-up, along the unknown normals of their nests."""
-
-    length: float
-    """Length [m], positive away from the nests. As seen from the set-up, a nest is assumed to be behind its target."""
-    sigma: float
-    """Standard deviation of the length [m]."""
-
-
-def common_displacement(fit: NetworkFit, hypothesis: Hypothesis) -> CommonDisplacement | None:
-    """Common length of the displacements of the reflectors at a set-up; None if the lengths differ.
-
-    The readings determine the displacements except for a rigid motion, which the pose of the set-up absorbs. This
-    motion is estimated together with the length. The start value neglects its rotation. Displacements of equal length
-    then lie on a sphere, which is fitted.
-    """
-    displacement = fit.estimate(hypothesis)[0].reshape(-1, 3)
-    if len(displacement) < MIN_TARGETS_FOR_LENGTH or len(hypothesis.stations) != 1:
-        return None
-    assert isinstance(hypothesis.model_change, CentringChange)
-    occupation = target_occupations(fit.recording, hypothesis.model_change.centring)
-    arm = fit.adjustment.sightings.sight_vectors[np.unique(occupation, return_index=True)[1][-len(displacement) :]]
-    linear = np.hstack([2.0 * displacement, np.ones((len(arm), 1))])
-    centre = np.linalg.lstsq(linear, np.sum(displacement**2, axis=1))[0]
-    motion = np.append(-centre[:3], np.zeros(3))
-    displacement_size = float(np.sqrt(max(centre[3] + centre[:3] @ centre[:3], 0.0)))
-    for _ in range(MAX_ITERATIONS):
-        corrected = displacement + motion[:3] + np.cross(motion[3:], arm)
-        size = np.linalg.norm(corrected, axis=1)
-        direction = corrected / np.maximum(size, 1e-300)[:, None]
-        design = np.hstack([direction, np.cross(arm, direction), -np.ones((len(arm), 1))])
-        residual = displacement_size - size
-        step = np.linalg.lstsq(design, residual)[0]
-        motion, displacement_size = motion + step[:6], displacement_size + float(step[6])
-        if np.abs(step).max() < MAX_ROUNDING_ERROR:
-            break
-    scatter = float(np.sqrt(np.sum((residual - design @ step) ** 2) / (len(arm) - design.shape[1])))
-    rms = float(np.sqrt(np.mean(np.sum(displacement**2, axis=1))))
-    if not 0.0 < displacement_size < MAX_LENGTH_RATIO * rms or scatter > MAX_RELATIVE_LENGTH_SCATTER * rms:
-        return None
-    is_away_from_nests = float(np.sum(corrected * arm)) < 0.0
-    sigma = scatter * float(np.sqrt(np.linalg.pinv(design.T @ design)[6, 6]))
-    return CommonDisplacement(displacement_size if is_away_from_nests else -displacement_size, sigma)

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.identification.equal_displacements import CommonDisplacement, common_displacement
 from ltsim.adjustment.identification.evidence import (
     estimate_noise_factors,
     log_occam_factor_of_centring,
@@ -44,13 +45,13 @@ from ltsim.adjustment.significance import MAX_CHANCE_SIGMAS, MAX_TRACKER_ERROR, 
 from ltsim.adjustment.snooping import drop_undetermined, prediction_sigmas, snoop_readings
 from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import fit_robust_state
-from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.errors import NetworkError
+from ltsim.core.arrays import Bools, Floats
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, with_plumb_lines
+from ltsim.recordings.occupations import target_occupations
 from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.design import robust_sigma
@@ -165,14 +166,10 @@ class NetworkFit:
     @property
     def shifts_with_slices(self) -> Iterator[tuple[Hypothesis, ReadingShiftChange, slice]]:
         """Triples of a hypothesis that is a shift, its model change, and the slice of its parameters in the state."""
-        first_column = 0
+        start = 0
         for h in self.hypotheses:
             if isinstance(h.model_change, ReadingShiftChange):
-                yield (
-                    h,
-                    h.model_change,
-                    slice(first_column, first_column := first_column + len(h.model_change.effect.parameters)),
-                )
+                yield h, h.model_change, slice(start, start := start + len(h.model_change.effect.parameters))
 
     def estimate(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
         """Estimate (p,) and covariance (p, p) of a shift, or of the centring errors, of a hypothesis [SI]."""
@@ -181,6 +178,16 @@ class NetworkFit:
         slices += zip(reversed(centrings), reversed(self.problem.model.centring_columns), strict=False)
         at = next(at for h, at in slices if h is hypothesis)
         return self.state.extra_parameters[at], self.adjustment.extra_covariance[at, at]
+
+    def common_displacement(self, hypothesis: Hypothesis) -> CommonDisplacement | None:
+        """Common length of the displacements by centring errors at a set-up; None if the lengths differ."""
+        change = hypothesis.model_change
+        if not isinstance(change, CentringChange) or len(hypothesis.stations) != 1:
+            return None
+        displacements = self.estimate(hypothesis)[0].reshape(-1, 3)
+        first_rows = np.unique(target_occupations(self.recording, change.centring), return_index=True)[1]
+        sight_vectors = self.adjustment.sightings.sight_vectors[first_rows[-len(displacements) :]]
+        return common_displacement(displacements, sight_vectors)
 
     def length_in_sigmas(self, hypothesis: Hypothesis) -> float:
         """Length of the estimate of a shift or of centring errors, in standard deviations (Mahalanobis)."""
@@ -250,16 +257,6 @@ class NetworkFit:
         squares = np.where(is_used, self.residuals / declared, 0.0) ** 2
         masks = [h.model_change.reading_mask for h in self.hypotheses if isinstance(h.model_change, NoiseFactor)]
         return declared * estimate_noise_factors(squares, np.where(is_used, np.nan_to_num(self.redundancy), 0.0), masks)
-
-    def without_distances(self, pointing_indices: Ints) -> NetworkFit | None:
-        """New fit without the distances of some rows; None if the network needs these distances."""
-        readings = self.network.recording.readings.copy()
-        readings[pointing_indices, 0] = np.nan
-        network = replace(self.network, recording=self.network.recording.with_readings(readings))
-        try:
-            return NetworkFit.from_start(network, self.hypotheses)
-        except NetworkError:
-            return None
 
     def residuals_of(self, recording: Recording) -> Floats:
         """Readings (n, 3) of a recording with the same pointings minus the predicted ones [m, rad, rad]."""
@@ -389,8 +386,11 @@ class NetworkFit:
             redundancy = np.nan_to_num(self.redundancy[chosen])
             return float(log_occam_factor_of_variance(redundancy.sum()) - np.sum(redundancy * np.log(ratio)))
         if isinstance(change, CentringChange):
-            covariance = self.estimate(hypothesis)[1]
-            return log_occam_factor_of_centring(covariance, change.centring.sigma_mm * MILLIMETRE)
+            common = self.common_displacement(hypothesis)
+            occam_factor = log_occam_factor_of_centring(
+                self.estimate(hypothesis)[1], change.centring.sigma_mm * MILLIMETRE
+            )
+            return occam_factor + (common.log_evidence_gain if common is not None else 0.0)
         if isinstance(change, ReferenceOmission):
             value = change.reference_value
             in_sigmas = self.misclosure_of(value) / np.where(value.sigma > 0, value.sigma, np.inf)

@@ -37,6 +37,7 @@ from ltsim.adjustment.reference_values import relax_exact_references
 from ltsim.adjustment.residual_space import MAX_SCREENED_ENTRIES, ResidualSpace
 from ltsim.adjustment.sight import FitReadings
 from ltsim.core.arrays import Bools, Floats, Ints, batches
+from ltsim.core.errors import NetworkError
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.physics.effects.gauge_scale import GaugeScale
 from ltsim.physics.effects.motions import exact_target_change
@@ -137,7 +138,7 @@ def _exact_log_evidence(space: ResidualSpace, candidates: Sequence[ShiftCandidat
         for batch in (group[part] for part in batches(len(group), space.n_rows * rank)):
             rows = np.hstack([_whitened_design(space, candidates[i]) for i in batch])
             projected = space.project(rows).reshape(space.n_rows, len(batch), rank)
-            size = np.linalg.norm(rows, axis=0).reshape(len(batch), rank)
+            size = space.norms_beyond_centring(rows).reshape(len(batch), rank)
             unit = projected / np.where(size > 0, size, 1.0)
             gram = np.einsum("mhi,mhj->hij", unit, unit)
             score = np.einsum("mhi,m->hi", unit, space.residuals)
@@ -296,7 +297,7 @@ def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandid
         if names not in fits:
             if len(fits) == MAX_FITTED_HYPOTHESES or not share[id(c)] > MIN_GROSS_FRACTION_FOR_TRIAL:
                 continue
-            fits[names] = fit.without_distances(c.affected_rows)
+            fits[names] = _fit_without_distances(fit, c.affected_rows)
         aside = fits[names]
         if aside is None:
             continue
@@ -311,6 +312,17 @@ def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandid
         gain = aside.log_evidence - rest - fit.log_evidence + float(log_occam_factor_of_shift(10.0, 1)) + c.log_prior
         offers.append((gain, c.make_hypothesis(np.array([guess]))))
     return offers
+
+
+def _fit_without_distances(fit: NetworkFit, rows: Ints) -> NetworkFit | None:
+    """New fit without the distances of some rows; None if the network needs these distances."""
+    readings = fit.network.recording.readings.copy()
+    readings[rows, 0] = np.nan
+    network = replace(fit.network, recording=fit.network.recording.with_readings(readings))
+    try:
+        return NetworkFit.from_start(network, fit.hypotheses)
+    except NetworkError:
+        return None
 
 
 def _outlier_log_evidence(fit: NetworkFit, pointing_indices: Ints) -> float:

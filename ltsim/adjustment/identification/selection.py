@@ -320,10 +320,11 @@ def _compare_again(
             return _compare_again(others[0][1], min_gain, initial_fit, None, spared)
         gains = tuple((other, made.log_evidence - rest.log_evidence) for other, made in others)
         choices.append(SelectedHypothesis(h, gain, gains))
-    # Noise beside a shift is what the shift leaves, for nests or times that are not exactly as declared.
+    # Random errors beside a shift are what the shift leaves, for nests or times that are not exactly as declared.
+    random_errors = NoiseFactor | CentringChange
     return CauseSelection(
         fit,
         tuple(
-            sorted(choices, key=lambda c: (isinstance(c.hypothesis.model_change, NoiseFactor), -c.log_evidence_gain))
+            sorted(choices, key=lambda c: (isinstance(c.hypothesis.model_change, random_errors), -c.log_evidence_gain))
         ),
     )

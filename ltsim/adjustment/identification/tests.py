@@ -8,7 +8,6 @@ import numpy as np
 from scipy import special
 
 from ltsim.adjustment.identification.cause_selection import MAX_LOG_EVIDENCE_GAIN, CauseSelection, SelectedHypothesis
-from ltsim.adjustment.identification.centring_errors import common_displacement
 from ltsim.adjustment.identification.evidence import log_occam_factor_of_shift, log_prior_of
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import (
@@ -119,7 +118,7 @@ def _accepted_test(fit: NetworkFit, choice: SelectedHypothesis) -> CauseTest:
     elif isinstance(h.model_change, CentringChange):
         rank = len(fit.estimate(h)[0])
         size_entries = {"estimate": h.model_change.centring.sigma_mm, "unit": "mm"}
-        if (common := common_displacement(fit, h)) is not None:
+        if (common := fit.common_displacement(h)) is not None:
             size_entries |= {"estimate": common.length / MILLIMETRE, "sigma": common.sigma / MILLIMETRE}
     p = (
         float(special.chdtrc(rank, drop))
@@ -151,7 +150,7 @@ def _accepted_test(fit: NetworkFit, choice: SelectedHypothesis) -> CauseTest:
 
 def reported_kind(fit: NetworkFit, hypothesis: Hypothesis) -> CauseKind:
     """Kind of an accepted hypothesis in the table; displacements of equal length are another reflector radius."""
-    if isinstance(hypothesis.model_change, CentringChange) and common_displacement(fit, hypothesis) is not None:
+    if fit.common_displacement(hypothesis) is not None:
         return "reflector-radius"
     return hypothesis.kind
 
@@ -295,7 +294,7 @@ def _centring_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     if not hypothesis.stations:
         return shared_errors_sentence(sigma)
     station = hypothesis.stations[0]
-    common = common_displacement(fit, hypothesis)
+    common = fit.common_displacement(hypothesis)
     if common is None:
         return (
             f"The reflectors seen from {station} are displaced from their targets at random, "

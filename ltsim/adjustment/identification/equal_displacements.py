@@ -1,0 +1,76 @@
+"""Displacements of equal length: another reflector radius at a set-up, where the normals of the nests are unknown.
+
+A reflector of another radius displaces all targets of a set-up by the same length L along the normals of their nests.
+With k unknown normals, uniformly distributed in direction, and the scatter t of the lengths, the log likelihood ratio
+of such displacements against random ones with the standard deviation L / sqrt(3) of each component is
+
+    k [1 + log(L / (6 sqrt(3) t))].
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ltsim.adjustment.identification.evidence import log_occam_factor_of_variance
+from ltsim.core.arrays import Floats
+from ltsim.core.rounding import MAX_ROUNDING_ERROR
+from ltsim.solve.gauss_newton import MAX_ITERATIONS
+
+MAX_RELATIVE_LENGTH_SCATTER = 0.1
+"""Scatter of the lengths of displacements, relative to their rms, up to which the lengths count as equal."""
+MAX_LENGTH_RATIO = 3.0
+"""Ratio of an estimated common length to the rms length of the displacements, from which the estimate is rejected. Any
+small displacements lie nearly on the surface of a much larger sphere.
+"""
+MIN_TARGETS_FOR_LENGTH = 10
+"""Smallest number of targets for the estimate of a common length. The pose of the set-up and the length are seven
+unknowns.
+"""
+
+
+class CommonDisplacement(NamedTuple):
+    """Common length of the displacements of all reflectors at a set-up, along the unknown normals of their nests."""
+
+    length: float
+    """Length [m], positive away from the nests. As seen from the set-up, a nest is assumed to be behind its target."""
+    sigma: float
+    """Standard deviation of the length [m]."""
+    log_evidence_gain: float
+    """Gain of log evidence against random displacements, at least 0."""
+
+
+def common_displacement(displacements: Floats, sight_vectors: Floats) -> CommonDisplacement | None:
+    """Common length of displacements (k, 3) [m] of the reflectors at a set-up; None if the lengths differ.
+
+    The readings determine the displacements except for a rigid motion, which the pose of the set-up absorbs. This
+    motion is estimated together with the length. The start value neglects its rotation. Displacements of equal length
+    then lie on a sphere, which is fitted. `sight_vectors` (k, 3) [m] point from the set-up to the targets.
+    """
+    if len(displacements) < MIN_TARGETS_FOR_LENGTH:
+        return None
+    linear = np.hstack([2.0 * displacements, np.ones((len(displacements), 1))])
+    centre = np.linalg.lstsq(linear, np.sum(displacements**2, axis=1))[0]
+    motion = np.append(-centre[:3], np.zeros(3))
+    length = float(np.sqrt(max(centre[3] + centre[:3] @ centre[:3], 0.0)))
+    for _ in range(MAX_ITERATIONS):
+        corrected = displacements + motion[:3] + np.cross(motion[3:], sight_vectors)
+        size = np.linalg.norm(corrected, axis=1)
+        direction = corrected / np.maximum(size, 1e-300)[:, None]
+        design = np.hstack([direction, np.cross(sight_vectors, direction), -np.ones((len(displacements), 1))])
+        residual = length - size
+        step = np.linalg.lstsq(design, residual)[0]
+        motion, length = motion + step[:6], length + float(step[6])
+        if np.abs(step).max() < MAX_ROUNDING_ERROR:
+            break
+    n_redundant = len(displacements) - design.shape[1]
+    scatter = float(np.sqrt(np.sum((residual - design @ step) ** 2) / n_redundant))
+    rms = float(np.sqrt(np.mean(np.sum(displacements**2, axis=1))))
+    if not 0.0 < length < MAX_LENGTH_RATIO * rms or scatter > MAX_RELATIVE_LENGTH_SCATTER * rms:
+        return None
+    is_away_from_nests = float(np.sum(corrected * sight_vectors)) < 0.0
+    sigma = scatter * float(np.sqrt(np.linalg.pinv(design.T @ design)[6, 6]))
+    gain = n_redundant * (1.0 + float(np.log(length / (6.0 * np.sqrt(3.0) * max(scatter, 1e-300)))))
+    gain += float(log_occam_factor_of_variance(n_redundant))
+    return CommonDisplacement(length if is_away_from_nests else -length, sigma, max(gain, 0.0))
