@@ -234,12 +234,12 @@ class TestedNetwork:
 
     def is_corrected(self, cause: CauseTest) -> bool:
         """True if an identified error of the recording is removed, or in the uncertainties of the lengths."""
-        where = cause.where
+        place = cause.where
         if cause.kind == CENTRING_KIND:
             return bool(self.adjustment.problem.model.centring_errors)
         if cause.kind in RECORDING_CAUSE_KINDS:
             return any(
-                is_recording_error(e) and (e.stations, e.targets) == (where.stations, where.targets)
+                is_recording_error(e) and (e.stations, e.targets) == (place.stations, place.targets)
                 for e in self.adjustment.effects
             )
         is_reference = cause.kind in ("reference-value", "reference-scale")

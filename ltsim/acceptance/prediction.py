@@ -104,10 +104,10 @@ class AcceptancePlan:
         sigma = noise_sigma([self.declared_noise], flat.astype(int), polar[:, 0], flat)
         return axes, sigma * np.where([True, False, False], 1.0, polar[:, :1])
 
-    def predict(self, mean_constants: Floats, covariance: Floats, *, trials: int, seed: int) -> AcceptancePrediction:
+    def predict(self, mean_constants: Floats, covariance: Floats, *, n_trials: int, seed: int) -> AcceptancePrediction:
         """Predicted errors of an instrument whose constants have a mean (p,) and a covariance (p, p) [SI].
 
-        The probability to pass is estimated with `trials` draws of constants and noise, whose errors are linearised
+        The probability to pass is estimated with `n_trials` draws of constants and noise, whose errors are linearised
         about the mean.
         """
         rng = stream(seed, "accept")
@@ -116,8 +116,8 @@ class AcceptancePlan:
         passed = np.zeros(len(self.tests))
         every, groups = 0, dict.fromkeys((t.group for t in self.tests), 0)
         of_group = {g: np.array([t.group == g for t in self.tests]) for g in groups}
-        for start in range(0, trials, 2000):
-            count = min(2000, trials - start)
+        for start in range(0, n_trials, 2000):
+            count = min(2000, n_trials - start)
             drawn = (
                 rng.standard_normal((count, root.shape[1])) @ (self.sensitivities @ root).reshape(-1, root.shape[1]).T
             )
@@ -133,9 +133,9 @@ class AcceptancePlan:
         return AcceptancePrediction(
             expected_errors=mean_errors,
             error_sigmas=np.sqrt(variance),
-            pass_probabilities=passed / trials,
-            p_all_pass=every / trials,
-            p_group_passes={name: count / trials for name, count in groups.items()},
+            pass_probabilities=passed / n_trials,
+            p_all_pass=every / n_trials,
+            p_group_passes={name: count / n_trials for name, count in groups.items()},
         )
 
     def is_within_limits(self, errors: Floats) -> Bools:

@@ -100,7 +100,7 @@ def _predict_or_evaluate(acceptance_settings: AcceptanceSettings, folder: Path) 
         if acceptance_settings.corrected:
             mean, of = mean - calibration.applied_values[0], "the corrected instrument"
     plan = AcceptancePlan(tests, model, limits, limits_si.noise)
-    outcome = plan.predict(mean, covariance, trials=acceptance_settings.trials, seed=acceptance_settings.seed)
+    outcome = plan.predict(mean, covariance, n_trials=acceptance_settings.trials, seed=acceptance_settings.seed)
     return predicted_result(plan, outcome, prior, acceptance_settings, instrument_description=of)
 
 

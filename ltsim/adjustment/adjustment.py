@@ -253,8 +253,8 @@ class Adjustment(Result):
     @cached_property
     def is_rejected(self) -> Bools:
         """Flags (n, 3) of the rejected readings, without those to targets that no usable reading determines."""
-        whole = drop_undetermined(replace(self.problem, used_readings=self.recording.usable), self.state)
-        return whole.used_readings & ~self.problem.used_readings
+        determined_problem = drop_undetermined(replace(self.problem, used_readings=self.recording.usable), self.state)
+        return determined_problem.used_readings & ~self.problem.used_readings
 
     def flagged_readings(
         self, alpha: float = FAMILY_LEVEL, *, uses_estimated_noise: bool = False
@@ -373,8 +373,8 @@ class Adjustment(Result):
     def with_effects(self, effects: Sequence[LinearEffect], start_state: NetworkState) -> Adjustment:
         """Adjustment of the same readings with the same weights, and with other additional effects."""
         old, model = self.problem, replace(self.problem.model, effects=tuple(effects))
-        new = NetworkProblem.from_model(model, sigma=old.sigma, reading_mask=old.used_readings, prior=old.prior)
-        problem = replace(new, gauge_rows=old.gauge_rows, difference_rows=old.difference_rows)
+        new_problem = NetworkProblem.from_model(model, sigma=old.sigma, reading_mask=old.used_readings, prior=old.prior)
+        problem = replace(new_problem, gauge_rows=old.gauge_rows, difference_rows=old.difference_rows)
         problem = replace(problem, level_rows=old.level_rows, yaw_rows=old.yaw_rows)
         solution = solve(problem, replace(start_state, extra_parameters=np.zeros(model.n_extra_parameters)))
         return replace(self, problem=problem, solution=solution, datum=None)

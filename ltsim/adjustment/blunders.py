@@ -83,8 +83,8 @@ def detect_blunders(adjustment: Adjustment) -> list[CorrectedBlunder]:
 def _points_from_readings(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
     """Points (k, 3) [m] in the network frame, from readings (k, 3) that replace those of the pointings `rows` (k,)."""
     station, instrument = adjustment.recording.station[rows], adjustment.recording.instrument[rows]
-    local = adjustment.construction.point(readings, adjustment.state.instrument_parameters[instrument])
-    rotated = np.einsum("nij,nj->ni", adjustment.state.station_rotations[station], local)
+    local_points = adjustment.construction.point(readings, adjustment.state.instrument_parameters[instrument])
+    rotated = np.einsum("nij,nj->ni", adjustment.state.station_rotations[station], local_points)
     network_points: Floats = rotated + adjustment.state.station_positions[station]
     lift = adjustment.problem.model.geometry(adjustment.state).reflector_offsets
     return network_points if lift is None else network_points - lift[rows]

@@ -91,8 +91,8 @@ def fit_point(sight: FitReadings, position: Floats, rotation: Floats) -> Floats 
         return None
 
     def evaluate(x: Floats, _: Floats) -> tuple[Floats, Floats]:
-        local = np.einsum("kji,bkj->bki", rotation, x[:, None] - lifted[None])
-        gap, by_local = sight.residuals(local)
+        local_points = np.einsum("kji,bkj->bki", rotation, x[:, None] - lifted[None])
+        gap, by_local = sight.residuals(local_points)
         point_derivatives = by_local.reshape(len(x), -1, 3, 3) @ np.swapaxes(rotation, 1, 2)[None]
         return gap, point_derivatives.reshape(len(x), -1, 3)
 
@@ -178,8 +178,8 @@ def _candidate_rotations(is_level: bool) -> Floats:
     yaws = np.stack([rotation_about_z(a) for a in EIGHT_AZIMUTHS])
     if is_level:
         return yaws
-    sides = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [2, 0, 0], [0, 1, 0], [0, -1, 0]])
-    return np.concatenate([tilt @ yaws for tilt in from_rotation_vector(0.5 * np.pi * sides)])
+    euler_quarters = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [2, 0, 0], [0, 1, 0], [0, -1, 0]])
+    return np.concatenate([tilt @ yaws for tilt in from_rotation_vector(0.5 * np.pi * euler_quarters)])
 
 
 def _start_points(readings: Floats, position: Floats, rotation: Floats) -> Floats:
@@ -299,8 +299,8 @@ def _measured_lengths_of_directions(lines: PlanLengths, starts: Ints, ends: Ints
         lengths.setdefault((start_place, end_place), length)
         lengths.setdefault((end_place, start_place), length)
     measured_pairs = list(zip(starts.tolist(), ends.tolist(), strict=True))
-    along = np.flatnonzero([pair in lengths for pair in measured_pairs])
-    return along, np.array([lengths[measured_pairs[i]] for i in along])
+    measured_indices = np.flatnonzero([pair in lengths for pair in measured_pairs])
+    return measured_indices, np.array([lengths[measured_pairs[i]] for i in measured_indices])
 
 
 def lines_without_length(

@@ -349,16 +349,16 @@ class NetworkProblem(NetworkRows):
 
         Weak priors do not count as observations, free rigid motions do not count as unknowns.
         """
-        priors = int(np.isfinite(self.prior.sigma).sum())
-        lengths = int(np.isfinite(self.gauge_rows.sigma).sum())
-        lengths -= lengths > 0 and not self.gauge_rows.determine_scale
+        n_priors = int(np.isfinite(self.prior.sigma).sum())
+        n_lengths = int(np.isfinite(self.gauge_rows.sigma).sum())
+        n_lengths -= n_lengths > 0 and not self.gauge_rows.determine_scale
         nuisances = sum(len(errors.parameters) for errors in self.model.nuisance_errors)
         references = (
             self.control_rows.n_coordinates
             + self.control_rows_of_marks.n_coordinates
             + self.difference_rows.n_coordinates
         )
-        references += lengths + 2 * len(self.level_rows) + len(self.yaw_rows) + priors + nuisances
+        references += n_lengths + 2 * len(self.level_rows) + len(self.yaw_rows) + n_priors + nuisances
         n_free_motions = self.free_motions.shape[1] - self.structure.fixes_heights
         unknown = (
             self.unknowns.n_columns - n_free_motions - self.structure.n_fixed + self.structure.constraints_on_unseen

@@ -105,16 +105,16 @@ def _control_difference_text(network_points: Floats, control_points: Floats) -> 
     if spread[1] < 1e-6 * spread[0]:
         return "all of these points have the same coordinates"
     scale, mirrored = spread[1] / spread[0], "check the order and the signs of their axes, or the sense of the azimuths"
-    ways = {
+    misfit_by_text = {
         f"they fit scaled by {1 / scale:.6g}; check their unit": _rigid_fit_misfit(
             network_points * scale, control_points
         ),
         f"they fit mirrored; {mirrored}": _rigid_fit_misfit(-network_points, control_points),
     }
-    best_way = min(ways, key=lambda way: ways[way])
+    best_way = min(misfit_by_text, key=lambda way: misfit_by_text[way])
     return (
         best_way
-        if MIN_MISFIT_RATIO * ways[best_way] < _rigid_fit_misfit(network_points, control_points)
+        if MIN_MISFIT_RATIO * misfit_by_text[best_way] < _rigid_fit_misfit(network_points, control_points)
         else "check their coordinates and names"
     )
 
@@ -237,10 +237,10 @@ def _undecided_target_sentences(adjustment: Adjustment) -> Iterator[str]:
     for table, readings in ((measured_pairs, recording.is_measured), (used_pairs, adjustment.problem.used_readings)):
         rows = readings.any(axis=1)
         table[recording.station[rows], recording.target[rows]] = True
-    two = measured_pairs.sum(axis=0) == 2
+    is_paired = measured_pairs.sum(axis=0) == 2
     ends = {1: "its coordinates are those of one of them", 0: "the target has no coordinates"}
     for stations, end in ends.items():
-        names = [recording.targets[t] for t in np.flatnonzero(two & (used_pairs.sum(axis=0) == stations))]
+        names = [recording.targets[t] for t in np.flatnonzero(is_paired & (used_pairs.sum(axis=0) == stations))]
         if names:
             contradiction = "the positions from two stations differ and the data do not show which one is right"
             yield f"{listing(names)}: {contradiction}; {end}"

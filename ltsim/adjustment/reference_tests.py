@@ -192,8 +192,8 @@ def reference_tests_with_constants(
 def _reference_test(value: ReferenceValueRows, gram_matrix: Floats, residual_product: Floats) -> ReferenceTest:
     """Test of a value with q components, from inner products of the changes of residuals by unit errors of each."""
     norms = np.linalg.norm(value.design_columns, axis=0)
-    acts = norms > MAX_ROUNDING_ERROR * norms.max()  # readings in plan do not depend on heights
-    norms = np.where(acts, norms, np.inf)
+    is_active = norms > MAX_ROUNDING_ERROR * norms.max()  # readings in plan do not depend on heights
+    norms = np.where(is_active, norms, np.inf)
     redundancies, eigenvectors = np.linalg.eigh(gram_matrix / np.outer(norms, norms))
     checked = redundancies > MIN_TESTED_REDUNDANCY
     redundancies, eigenvectors = redundancies[checked], eigenvectors[:, checked]
@@ -337,11 +337,11 @@ def _largest_error(
     assert solution.factor is not None
     redundancy = redundancy_numbers(problem, solution.factor)
     w = standardised_residuals(problem, problem.reading_residuals(problem.model.predict(solution.x)), redundancy)
-    shown = noise_scale(w, redundancy)
+    sigma0 = noise_scale(w, redundancy)
 
     def noise(test: ReferenceTest) -> float:
         healed = np.sqrt(max(solution.sum_of_squares - test.chi2_drop, 0.0) / max(problem.dof - test.rank, 1))
-        return max(1.0, min(shown, float(healed)))
+        return max(1.0, min(sigma0, float(healed)))
 
     def neg_log_corrected_p(chi2_drop: float, rank: int, n_tests: int) -> float:
         return float(neg_log_p_chi2(chi2_drop, rank)) - float(np.log(n_tests))

@@ -141,7 +141,7 @@ def level_of_single_test(n_tests: int, joint_alpha: float) -> float:
 
 
 @lru_cache
-def noncentrality(dof: int = 1, *, alpha: float = SINGLE_LEVEL, hypotheses: int = 1) -> float:
+def noncentrality(dof: int = 1, *, alpha: float = SINGLE_LEVEL, n_tests: int = 1) -> float:
     """Noncentrality of chi-square at which a test detects an error with the probability `TEST_POWER`.
 
     It is the squared length of the whitened residuals that the error causes.
@@ -152,14 +152,14 @@ def noncentrality(dof: int = 1, *, alpha: float = SINGLE_LEVEL, hypotheses: int 
         Degrees of freedom of the test; one is the two-sided test of a normal variable.
     alpha : float
         False-alarm rate of all hypotheses together.
-    hypotheses : int
+    n_tests : int
         Number of hypotheses that share the false-alarm rate (Sidak).
 
     References
     ----------
     Baarda, A testing procedure for use in geodetic networks (1968); Teunissen, Testing theory (2006), chapter 4.
     """
-    limit = special.chdtri(dof, level_of_single_test(hypotheses, alpha))
+    limit = special.chdtri(dof, level_of_single_test(n_tests, alpha))
     return float(special.chndtrinc(limit, dof, 1.0 - TEST_POWER))
 
 

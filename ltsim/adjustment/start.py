@@ -254,8 +254,8 @@ class NetworkInitialiser:
     def _transform(self, rotation: Floats, translation: Floats) -> None:
         self._rotations = rotation @ self._rotations
         points = (self._positions, self._pair_points, self._located_targets)
-        moved = (places @ rotation.T + translation for places in points)
-        self._positions, self._pair_points, self._located_targets = moved
+        moved_points = (places @ rotation.T + translation for places in points)
+        self._positions, self._pair_points, self._located_targets = moved_points
 
     def _to_declared_frame(self) -> bool:
         """True if the network was transformed to the declared frame, for which it needs enough declared points."""

@@ -124,17 +124,20 @@ def arrays_from_file_rows(
 
     def with_file_values(default: Floats, file_values: Sequence[float | None]) -> Floats:
         """Parameters [SI] of all instruments: the values of the file, and the defaults where the file has none."""
-        merged, given = default.copy(), np.array([np.nan if cell is None else cell for cell in file_values]) * factor
-        merged[flat_indices] = np.where(np.isnan(given), default[flat_indices], given)
-        return merged
+        prior_covariance, given = (
+            default.copy(),
+            np.array([np.nan if cell is None else cell for cell in file_values]) * factor,
+        )
+        prior_covariance[flat_indices] = np.where(np.isnan(given), default[flat_indices], given)
+        return prior_covariance
 
     nominal_sigmas = np.array([p.prior_sigma for _ in instruments for p in built.parameters])
     values = with_file_values(np.zeros(len(place)), [row.value for row in parameter_entries])
     prior = with_file_values(nominal_sigmas, [row.prior_sigma for row in parameter_entries])
     applied_values = with_file_values(values, [row.applied for row in parameter_entries])
-    merged = np.diag(with_file_values(prior, [row.sigma for row in parameter_entries]) ** 2)
+    prior_covariance = np.diag(with_file_values(prior, [row.sigma for row in parameter_entries]) ** 2)
     if len(covariance):
-        merged[np.ix_(flat_indices, flat_indices)] = np.array(covariance) * np.outer(factor, factor)
+        prior_covariance[np.ix_(flat_indices, flat_indices)] = np.array(covariance) * np.outer(factor, factor)
     held, prior_rejected = np.zeros((2, len(place)), dtype=bool)
     held[flat_indices], prior_rejected[flat_indices] = (
         [row.held for row in parameter_entries],
@@ -146,7 +149,7 @@ def arrays_from_file_rows(
         instruments=instruments,
         estimates=values.reshape(shape),
         prior_sigma=prior.reshape(shape),
-        covariance=merged,
+        covariance=prior_covariance,
         is_fixed=held.reshape(shape),
         is_prior_rejected=prior_rejected.reshape(shape),
         applied_values=None if np.array_equal(applied_values, values) else applied_values.reshape(shape),

@@ -168,8 +168,8 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     def with_changes(self, **changes: Any) -> Self:
         """Copy of the calibration with other values of the given fields or arrays."""
-        by_name = {entry.name for entry in dataclasses.fields(CalibrationArrays)} & changes.keys()
-        arrays = replace(self.arrays, **{name: changes.pop(name) for name in by_name})
+        array_names = {entry.name for entry in dataclasses.fields(CalibrationArrays)} & changes.keys()
+        arrays = replace(self.arrays, **{name: changes.pop(name) for name in array_names})
         return self._with_arrays_and_fields(arrays, **changes)
 
     def _with_arrays_and_fields(self, arrays: CalibrationArrays, **changes: Any) -> Self:

@@ -154,9 +154,9 @@ class DistanceProblem:
         lower_targets = np.minimum(self.reference_lengths.first_targets, self.reference_lengths.second_targets)
         upper_targets = np.maximum(self.reference_lengths.first_targets, self.reference_lengths.second_targets)
         index = {int(key): i for i, key in enumerate(lower_targets * n_targets + upper_targets)}
-        which = np.array([index.get(int(group), -1) for group in distances.pair_indices], dtype=np.int64)
-        matched_rows = np.flatnonzero(which >= 0)
-        return matched_rows, which[matched_rows]
+        gauge_indices = np.array([index.get(int(group), -1) for group in distances.pair_indices], dtype=np.int64)
+        matched_rows = np.flatnonzero(gauge_indices >= 0)
+        return matched_rows, gauge_indices[matched_rows]
 
 
 def centring_matrix(distances: SetDistances) -> tuple[sp.csr_array, Floats]:

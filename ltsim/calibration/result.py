@@ -135,8 +135,8 @@ def _has_estimated_error(adjustment: Adjustment, scaled_residuals: Floats) -> Bo
     """
     recording = adjustment.recording
     lost = np.isin(recording.targets, adjustment.undetermined_targets)[recording.target]
-    untied = np.isin(recording.targets, adjustment.unconnected_targets)[recording.target]
-    return ~untied[:, None] & (~lost[:, None] | (np.abs(scaled_residuals) > MAX_CHANCE_SIGMAS))
+    is_unconnected = np.isin(recording.targets, adjustment.unconnected_targets)[recording.target]
+    return ~is_unconnected[:, None] & (~lost[:, None] | (np.abs(scaled_residuals) > MAX_CHANCE_SIGMAS))
 
 
 def verdict_entry(adjustment: Adjustment, fit: FitEntry | None = None) -> Verdict:
@@ -362,10 +362,10 @@ def criteria_table(
 
 def _recording_with_reference_smr(recording: Recording, adjustment: Adjustment) -> Recording:
     """Recording with ranges as if each pointing had been made with the reference SMR."""
-    off = smr_radius_offsets(recording)
-    if off is None:
+    offsets = smr_radius_offsets(recording)
+    if offsets is None:
         return recording
-    readings = recording.readings + exact_target_change(adjustment.sightings, -off)
+    readings = recording.readings + exact_target_change(adjustment.sightings, -offsets)
     return recording.replace(readings=readings, setup=recording.setup.model_copy(update={"reflectors": {}}))
 
 

@@ -349,8 +349,8 @@ def _informative_terms(adjustment: Adjustment) -> list[Ints]:
     remaining = np.diag(adjustment.reduced_covariance)[at] / prior.sigma.ravel() ** 2
     open_ = ~prior.is_fixed.ravel() & (remaining < 1.0 - MAX_UNINFORMATIVE_GAIN)
     sines = {i: j for _, i, j in cosine_sine_pairs(adjustment.construction.parameter_names)}
-    each = [[k, sines[k]] if k in sines else [k] for k in range(prior.mean.shape[1]) if k not in sines.values()]
-    terms = [[i * prior.mean.shape[1] + k for k in term] for i in range(len(prior.mean)) for term in each]
+    term_groups = [[k, sines[k]] if k in sines else [k] for k in range(prior.mean.shape[1]) if k not in sines.values()]
+    terms = [[i * prior.mean.shape[1] + k for k in term] for i in range(len(prior.mean)) for term in term_groups]
     chosen = [[k for k in term if open_[k]] for term in terms]
     return [np.array(term, dtype=np.int64) for term in chosen if term]
 

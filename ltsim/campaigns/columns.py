@@ -103,15 +103,15 @@ def append_settings(
 def method_table(cell: int, method: str, column_groups: list[ResultColumns]) -> pa.Table:
     """Table of a method's columns. Displayed numbers have seven digits; a value that does not exist is empty."""
     names = dict.fromkeys(name for part in column_groups for name in part)
-    merged = {
+    values_by_column = {
         name: np.concatenate(
             [part[name] if name in part else np.full(len(part["trial"]), np.nan) for part in column_groups]
         )
         for name in names
     }
-    order = np.argsort(merged["trial"])
-    merged = {name: values[order] for name, values in merged.items()}
-    trial, status = merged.pop("trial"), merged.pop("status").astype(np.int64)
+    order = np.argsort(values_by_column["trial"])
+    values_by_column = {name: values[order] for name, values in values_by_column.items()}
+    trial, status = values_by_column.pop("trial"), values_by_column.pop("status").astype(np.int64)
     n_trials = len(trial)
     is_lost = status == TRIAL_STATUSES.index(WITHOUT_RESULT)
     columns: dict[str, pa.Array] = {
@@ -120,7 +120,7 @@ def method_table(cell: int, method: str, column_groups: list[ResultColumns]) -> 
         "trial": pa.array(trial, pa.int64()),
         "status": pa.array([TRIAL_STATUSES[s] for s in status], pa.string()),
     }
-    for name, values in merged.items():
+    for name, values in values_by_column.items():
         empty = np.isnan(values) | (is_lost if name.startswith(("z:", "estimate:")) or "after" in name else False)
         columns[name] = pa.array(values.astype(np.float32), pa.float32(), mask=empty)
     return pa.table(columns)

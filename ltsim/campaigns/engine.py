@@ -70,28 +70,28 @@ class CalibratedBlock:
 
         The rows are the parameters of each instrument, followed by those of the effects.
         """
-        trials = len(self.chi2)
+        n_trials = len(self.chi2)
         sigma = self.instrument_sigmas if self.instrument_sigmas.ndim == 3 else self.instrument_sigmas[:, :, None]
         value_groups = [(self.instrument_values, sigma), (self.effect_values, self.effect_sigmas)]
-        flat_values = [v.reshape(-1, trials) for v, _ in value_groups]
-        sigmas = [np.broadcast_to(s, v.shape).reshape(-1, trials) for v, s in value_groups]
+        flat_values = [v.reshape(-1, n_trials) for v, _ in value_groups]
+        sigmas = [np.broadcast_to(s, v.shape).reshape(-1, n_trials) for v, s in value_groups]
         return np.concatenate(flat_values), np.concatenate(sigmas)
 
     @classmethod
     def without_solution(
-        cls, truth: CellTruth, construction: GeometricErrorModel, effects: Sequence[Effect], trials: int
+        cls, truth: CellTruth, construction: GeometricErrorModel, effects: Sequence[Effect], n_trials: int
     ) -> CalibratedBlock:
         """Results of trials without a solution: all estimates are NaN, the status is that of a failure."""
-        instrument_values = np.full((len(truth.recording.instruments), construction.n_parameters, trials), np.nan)
-        points = np.full((*truth.state.target_points.shape[:2], trials), np.nan)
-        effect_values = np.full((sum(len(e.parameters) for e in effects), trials), np.nan)
-        is_lost = np.full(trials, TRIAL_STATUSES.index(WITHOUT_RESULT))
-        reflectors = {name: np.zeros((len(SmrIncidence.parameters), trials)) for name in truth.reflector_masks}
+        instrument_values = np.full((len(truth.recording.instruments), construction.n_parameters, n_trials), np.nan)
+        points = np.full((*truth.state.target_points.shape[:2], n_trials), np.nan)
+        effect_values = np.full((sum(len(e.parameters) for e in effects), n_trials), np.nan)
+        is_lost = np.full(n_trials, TRIAL_STATUSES.index(WITHOUT_RESULT))
+        reflectors = {name: np.zeros((len(SmrIncidence.parameters), n_trials)) for name in truth.reflector_masks}
         return cls(
             instrument_values,
             instrument_values.copy(),
             points,
-            np.full(trials, np.nan),
+            np.full(n_trials, np.nan),
             is_lost,
             effect_values,
             effect_values.copy(),

@@ -93,18 +93,21 @@ def inject(
     for cause in causes:
         if isinstance(cause, (list, tuple)):
             raise ModelError("causes are separate arguments, not a list: inject(recording, first, second)")
-    changed = load_recording(recording)
+    changed_recording = load_recording(recording)
     injector, injected = (
-        Injector(changed, ResidualSpace.from_adjustment(adjust(changed, declared_construction(changed)))),
+        Injector(
+            changed_recording,
+            ResidualSpace.from_adjustment(adjust(changed_recording, declared_construction(changed_recording))),
+        ),
         [],
     )
     for number, cause in enumerate(causes):
         rng = stream(seed, "inject", number)
         drawn, values = _scaled_injection(injector, cause, noncentrality, rng)
-        changed, entry = injector.inject(drawn, values, _catalogue_name(cause), rng)
-        injector = injector.with_recording(changed)
+        changed_recording, entry = injector.inject(drawn, values, _catalogue_name(cause), rng)
+        injector = injector.with_recording(changed_recording)
         injected.append(entry)
-    return RecordingWithInjection(changed, InjectionTruth(seed, tuple(injected)))
+    return RecordingWithInjection(changed_recording, InjectionTruth(seed, tuple(injected)))
 
 
 def injection_curve(

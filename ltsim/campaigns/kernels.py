@@ -47,27 +47,27 @@ def _motion_amounts(
 ) -> None:
     """Deviation (M, B) of each motion from its nominal size, for reading deviations (3, B) and parameters (p, B)."""
     _, _, sign, driven, _, first, fed, varies, basis, slope = chain
-    trials = amounts.shape[1]
+    n_trials = amounts.shape[1]
     for m in range(len(driven)):
         row = amounts[m]
         if driven[m] >= 0:
             reading_deviation = deviation[driven[m]]
-            for t in range(trials):
+            for t in range(n_trials):
                 row[t] = reading_deviation[t]
         else:
-            for t in range(trials):
+            for t in range(n_trials):
                 row[t] = 0.0
         for j in range(first[m], first[m + 1]):
             k = fed[j]
             value = parameter_values[k]
             b = basis[k, pointing]
             if varies[k] == 0:
-                for t in range(trials):
+                for t in range(n_trials):
                     row[t] += value[t] * trial_value(b, t)
             else:
                 b0, b1, b2 = slope[k, pointing, 0], slope[k, pointing, 1], slope[k, pointing, 2]
                 d0, d1, d2 = deviation[0], deviation[1], deviation[2]
-                for t in range(trials):
+                for t in range(n_trials):
                     row[t] += value[t] * (
                         trial_value(b, t)
                         + trial_value(b0, t) * d0[t]
@@ -75,7 +75,7 @@ def _motion_amounts(
                         + trial_value(b2, t) * d2[t]
                     )
         if sign[m] != 1.0:
-            for t in range(trials):
+            for t in range(n_trials):
                 row[t] *= sign[m]
 
 
@@ -83,10 +83,10 @@ def _motion_amounts(
 def _forward_chain(pointing: int, chain: ChainProgram, amounts: Floats, path: Floats) -> None:
     """Points along the chain at one pointing, written to `path` (M + 1, 3, B); path[0] is in the instrument's frame."""
     is_rotation, axis, _, _, amount, _, _, _, _, _ = chain
-    trials = amounts.shape[1]
+    n_trials = amounts.shape[1]
     n_motions = len(is_rotation)
     for c in range(3):
-        for t in range(trials):
+        for t in range(n_trials):
             path[n_motions, c, t] = 0.0
     for m in range(n_motions - 1, -1, -1):
         a = axis[m]
@@ -96,13 +96,13 @@ def _forward_chain(pointing: int, chain: ChainProgram, amounts: Floats, path: Fl
         along2, across2, above2 = path[m, a], path[m, b], path[m, c]
         if is_rotation[m] == 0:
             fixed = amount[m, pointing, 0]
-            for t in range(trials):
+            for t in range(n_trials):
                 along2[t] = along[t] + (trial_value(fixed, t) + delta[t])
                 across2[t] = across[t]
                 above2[t] = above[t]
         else:
             c0, s0 = amount[m, pointing, 0], amount[m, pointing, 1]
-            for t in range(trials):
+            for t in range(n_trials):
                 cosine, sine = _add_small_angle(trial_value(c0, t), trial_value(s0, t), delta[t])
                 along2[t] = along[t]
                 across2[t] = cosine * across[t] - sine * above[t]
@@ -122,30 +122,30 @@ def _backpropagate(
 ) -> None:
     """Subtraction, from `gradient` (p, B), of a force (3, B) on the target times the derivative by each parameter."""
     is_rotation, axis, sign, _, amount, first, fed, varies, basis, slope = chain
-    trials = amounts.shape[1]
+    n_trials = amounts.shape[1]
     for m in range(len(is_rotation)):
         a = axis[m]
         b, c = (a + 1) % 3, (a + 2) % 3
         along, across, above = force[a], force[b], force[c]
         if first[m + 1] > first[m]:
             if is_rotation[m] == 0:
-                for t in range(trials):
+                for t in range(n_trials):
                     moment[t] = sign[m] * along[t]
             else:
                 p1, p2 = path[m, b], path[m, c]
-                for t in range(trials):
+                for t in range(n_trials):
                     moment[t] = sign[m] * (p1[t] * above[t] - p2[t] * across[t])
             for j in range(first[m], first[m + 1]):
                 k = fed[j]
                 row = gradient[k]
                 b_ = basis[k, pointing]
                 if varies[k] == 0:
-                    for t in range(trials):
+                    for t in range(n_trials):
                         row[t] -= moment[t] * trial_value(b_, t)
                 else:
                     b0, b1, b2 = slope[k, pointing, 0], slope[k, pointing, 1], slope[k, pointing, 2]
                     d0, d1, d2 = deviation[0], deviation[1], deviation[2]
-                    for t in range(trials):
+                    for t in range(n_trials):
                         row[t] -= moment[t] * (
                             trial_value(b_, t)
                             + trial_value(b0, t) * d0[t]
@@ -155,7 +155,7 @@ def _backpropagate(
         if is_rotation[m] != 0:
             c0, s0 = amount[m, pointing, 0], amount[m, pointing, 1]
             delta = amounts[m]
-            for t in range(trials):
+            for t in range(n_trials):
                 cosine, sine = _add_small_angle(trial_value(c0, t), trial_value(s0, t), delta[t])
                 f1, f2 = across[t], above[t]
                 across[t] = cosine * f1 + sine * f2

@@ -94,12 +94,12 @@ class BatchNetwork:
     @cached_property
     def nominal_state(self) -> NetworkState:
         """Nominal state with zero parameters."""
-        instruments = len(self.recording.instruments)
+        n_instruments = len(self.recording.instruments)
         return NetworkState(
             self.state.station_positions,
             self.state.station_rotations,
             self.state.target_points,
-            np.zeros((instruments, self.construction.n_parameters)),
+            np.zeros((n_instruments, self.construction.n_parameters)),
             np.zeros(self.model.n_extra_parameters),
         )
 

@@ -74,7 +74,7 @@ class ChainProgram(NamedTuple):
             basis_derivatives=slope,
         )
 
-    def split_trials(self, trials: int) -> Self:
+    def split_trials(self, n_trials: int) -> Self:
         """Arrays with a last index for the trial.
 
         The rows of these arrays are pointings; for each pointing, one row per trial follows the other.
@@ -82,7 +82,7 @@ class ChainProgram(NamedTuple):
 
         def per_trial(array_rows: Floats) -> Floats:
             by_trial = array_rows.reshape(
-                array_rows.shape[0], array_rows.shape[1] // trials, trials, *array_rows.shape[2:]
+                array_rows.shape[0], array_rows.shape[1] // n_trials, n_trials, *array_rows.shape[2:]
             )
             return np.ascontiguousarray(np.moveaxis(by_trial, 2, -1))
 

@@ -136,9 +136,9 @@ def run_trials(
 def with_errors_from_prior(scenario: Scenario) -> Scenario:
     """Scenario whose instruments have errors drawn from the priors that the calibrator uses."""
     error_fields = {"errors": {"draw": True}, "error_factor": 1.0}
-    by_name = {name: tracker.model_copy(update=error_fields) for name, tracker in scenario.instruments.items()}
+    tracker_by_name = {name: tracker.model_copy(update=error_fields) for name, tracker in scenario.instruments.items()}
     return scenario.model_copy(
-        update={"instrument": scenario.instrument.model_copy(update=error_fields), "instruments": by_name}
+        update={"instrument": scenario.instrument.model_copy(update=error_fields), "instruments": tracker_by_name}
     )
 
 

@@ -229,11 +229,11 @@ class PairedDifference:
     @property
     def sentence(self) -> str:
         """Sentence on the difference."""
-        where = "".join(f", {name} {value}" for name, value in self.settings.items())
+        place = "".join(f", {name} {value}" for name, value in self.settings.items())
         gap, unit = f"{self.difference:.4g}", f" {self.unit}" if self.unit else ""
         interval = f"95 %: {self.low:.4g} to {self.high:.4g}{unit}"
         return (
-            f"{self.statistic}, {self.first} less {self.second}{where}: {gap}{unit} ({interval}; {self.trials} trials)"
+            f"{self.statistic}, {self.first} less {self.second}{place}: {gap}{unit} ({interval}; {self.trials} trials)"
         )
 
 
@@ -248,8 +248,8 @@ class PairedDifferences(Result):
         return [entry.sentence for entry in self.entries]
 
     def _tables(self) -> Mapping[str, Callable[[], ColumnValues]]:
-        plain = [{**e.settings, **{k: v for k, v in vars(e).items() if k != "settings"}} for e in self.entries]
-        return {"differences": lambda: columns_from_rows(plain)}
+        flat_rows = [{**e.settings, **{k: v for k, v in vars(e).items() if k != "settings"}} for e in self.entries]
+        return {"differences": lambda: columns_from_rows(flat_rows)}
 
 
 def paired_differences(results: CampaignStatistics, statistic: str, **pair: tuple[Any, Any]) -> PairedDifferences:

@@ -206,13 +206,13 @@ class CampaignStatistics:
             return self._ratios_of_means(column)
         n_values = self.manifest.trials * len(self.manifest.cells) * len(self.manifest.methods)
         kind = "quantile_cont" if n_values <= MAX_ROWS_EXACT_QUANTILES else "approx_quantile"
-        what = (
+        select_list = (
             f"count({name}), avg({name}), stddev_samp({name}), min({name}), max({name}), {kind}({name}, "
             f"{[*QUANTILE_LEVELS]})"
         )
         summaries = []
         for cell, method, count, mean, deviation, low, high, quantiles in self._query_each_cell(
-            what, f"isfinite({name})"
+            select_list, f"isfinite({name})"
         ):
             half = self.half_interval(count, _nan_if_none(deviation))
             summaries.append(
@@ -246,10 +246,10 @@ class CampaignStatistics:
         """Ratios of two means over all trials, with confidence intervals by the delta method."""
         gained, correctable = sql_terms(column)
         terms = f"(SELECT cell, method, {gained} AS a, {correctable} AS b FROM rows)"
-        what = "count(a), avg(a), avg(b), var_samp(a), covar_samp(a, b), var_samp(b)"
+        select_list = "count(a), avg(a), avg(b), var_samp(a), covar_samp(a, b), var_samp(b)"
         shares = []
         for cell, method, count, above, below, *moments in self._query_each_cell(
-            what, "a IS NOT NULL AND b IS NOT NULL", terms
+            select_list, "a IS NOT NULL AND b IS NOT NULL", terms
         ):
             value = half = math.nan
             if below > 0:

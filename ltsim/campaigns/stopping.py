@@ -38,15 +38,15 @@ def student_quantile(n_values: int, error_rate: float) -> float:
     return -float(special.stdtrit(n_values - 1, 0.5 * error_rate)) if n_values > 1 else math.inf
 
 
-def interval_error_rate(trials: int, shard: int, *, is_stopping: bool) -> float:
+def interval_error_rate(n_trials: int, shard_size: int, *, is_stopping: bool) -> float:
     """Error rate of each confidence interval of a combination of settings; all together have `INTERVAL_ERROR_RATE`."""
-    return INTERVAL_ERROR_RATE / len(evaluation_schedule(trials, shard)) if is_stopping else INTERVAL_ERROR_RATE
+    return INTERVAL_ERROR_RATE / len(evaluation_schedule(n_trials, shard_size)) if is_stopping else INTERVAL_ERROR_RATE
 
 
-def evaluation_schedule(trials: int, shard: int) -> list[int]:
+def evaluation_schedule(n_trials: int, shard_size: int) -> list[int]:
     """Numbers of finished shards after which a combination of settings is evaluated."""
-    n_shards = -(-trials // shard)
-    schedule = [min(-(-MIN_TRIALS_BEFORE_STOP // shard), n_shards)]
+    n_shards = -(-n_trials // shard_size)
+    schedule = [min(-(-MIN_TRIALS_BEFORE_STOP // shard_size), n_shards)]
     while schedule[-1] < n_shards:
         schedule.append(min(math.ceil(ROUND_GROWTH_FACTOR * schedule[-1]), n_shards))
     return schedule

@@ -108,10 +108,10 @@ class TrialEvaluator:
         coordinate_criterion(placed_points, self.is_measured, coordinate_mean, coordinate_largest)
         return columns
 
-    def _true_targets(self, trials: int) -> Floats:
+    def _true_targets(self, n_trials: int) -> Floats:
         """True targets (T, 3, B) [m]."""
         points = self.truth.state.target_points
-        return points if points.ndim == 3 else np.ascontiguousarray(np.repeat(points[:, :, None], trials, axis=2))
+        return points if points.ndim == 3 else np.ascontiguousarray(np.repeat(points[:, :, None], n_trials, axis=2))
 
     def cloud_error(self, clouds: Floats) -> Floats:
         """Rms distance (B,) [um] of measured from true targets, after a rigid fit of each station's points.

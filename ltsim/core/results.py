@@ -202,8 +202,8 @@ class Table(ValueEquality):
 
     def with_columns(self, names: str) -> Table:
         """Copy of the table with the columns `names` (separated by blanks), and with their standard deviations."""
-        by_name = {column.name: column for column in self.columns}
-        columns_used = [by_name[name] for name in names.split() if name in by_name]
+        column_by_name = {column.name: column for column in self.columns}
+        columns_used = [column_by_name[name] for name in names.split() if name in column_by_name]
         names_used = dict.fromkeys(name for c in columns_used for name in (c.name, c.sigma or c.like) if name)
         indices = [self.header.index(name) for name in names_used]
         rows = tuple(tuple(row[i] for i in indices) for row in self.rows)

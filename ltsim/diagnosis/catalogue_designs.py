@@ -131,9 +131,13 @@ class CatalogueDesigns:
         touching: list[CandidateEffect] = []
         sparse_designs: dict[int, list[tuple[int, Ints, Singles]]] = {}
         dense_designs: dict[tuple[int, tuple[bool, ...]], tuple[list[int], list[Singles]]] = {}
-        read = np.nonzero(space.used_readings)
-        other = np.ones(space.n_rows - len(read[0]), dtype=np.int64)  # rows of no reading: one more pointing, and kind
-        pointing, kind = (np.append(of, n * other) for of, n in zip(read, space.used_readings.shape, strict=True))
+        used_readings = np.nonzero(space.used_readings)
+        other = np.ones(
+            space.n_rows - len(used_readings[0]), dtype=np.int64
+        )  # rows of no reading: one more pointing, and kind
+        pointing, kind = (
+            np.append(of, n * other) for of, n in zip(used_readings, space.used_readings.shape, strict=True)
+        )
         for effect in effects:
             design_columns = space.whitened_design(effect)
             row_indices = np.flatnonzero(np.logical_or.reduce(np.not_equal(design_columns.T, 0.0, order="C")))

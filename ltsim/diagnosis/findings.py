@@ -96,8 +96,10 @@ class ExplainedRecording:
         hypothesis, ranking = self.model.members[member], self.rankings[member]
         if hypothesis.is_catalogued:
             return ranking.probabilities_by_name().get(hypothesis.name, 0.0)
-        acts = set(hypothesis.effect.observables)
-        p_same = ranking.posterior_probability_of(lambda h: not h.is_catalogued and set(h.effect.observables) == acts)
+        changed_observables = set(hypothesis.effect.observables)
+        p_same = ranking.posterior_probability_of(
+            lambda h: not h.is_catalogued and set(h.effect.observables) == changed_observables
+        )
         return p_same + P_EVEN * ranking.p_unmodelled
 
     @cached_property
@@ -154,13 +156,13 @@ class ExplainedRecording:
     def _p_wrong_readings(self, member: int) -> float:
         """Probability that several wrong readings with separate errors are the cause, not an effect in the model."""
         searcher, model = self.state.searcher, self.model
-        others = searcher.model_without(model, member)
+        other_model = searcher.model_without(model, member)
         if isinstance(model.members[member].effect, Outlier):
             return 0.0
-        redundancy = searcher.space.redundancy - np.sum(others.basis**2, axis=1)
+        redundancy = searcher.space.redundancy - np.sum(other_model.basis**2, axis=1)
         prior = log_prior_share("named", len(searcher.catalogue_designs.families))
-        rival = log_evidence_of_wrong_readings(searcher.space, others.residual, redundancy, prior)
-        return float(expit(rival - (model.score - others.score)))
+        rival = log_evidence_of_wrong_readings(searcher.space, other_model.residual, redundancy, prior)
+        return float(expit(rival - (model.score - other_model.score)))
 
     def finding(self, member: int) -> Finding:
         """Finding of an effect in the model, given the other effects in it."""
@@ -248,10 +250,10 @@ class ExplainedRecording:
         effect = self.model.members[member].effect
 
         def scope_of(candidate: CandidateEffect) -> FindingScope:
-            where = self._scope(candidate)
-            if where.targets and not isinstance(effect, EmpiricalLaw):
-                return FindingScope(targets=where.targets)
-            return where.model_copy(update={"observables": tuple(sorted(candidate.observables))})
+            scope = self._scope(candidate)
+            if scope.targets and not isinstance(effect, EmpiricalLaw):
+                return FindingScope(targets=scope.targets)
+            return scope.model_copy(update={"observables": tuple(sorted(candidate.observables))})
 
         scope = scope_of(effect)
         return self.rankings[member].posterior_probability_of(lambda h: scope_of(h.effect) == scope)
@@ -366,10 +368,10 @@ def _observables_with_changed_noise(hypothesis: NoiseHypothesis, sightings: Sigh
         > MIN_SIGNIFICANT_SIGMAS * np.array(hypothesis.size_sigmas) / size_scales
     )
     unit_variance = np.ones((len(sightings), len(OBSERVABLES)))
-    acts = (
+    is_changed = (
         hypothesis.effect.variance(sightings, unit_variance, np.where(signed_sizes, size_scales, 0.0)) != unit_variance
     ).any(axis=0)
-    return tuple(name for name, act in zip(OBSERVABLES, acts, strict=True) if act)
+    return tuple(name for name, act in zip(OBSERVABLES, is_changed, strict=True) if act)
 
 
 def law_text(law: EmpiricalLaw, driver: str) -> str:

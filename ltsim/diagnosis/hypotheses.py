@@ -189,30 +189,32 @@ class Ranking:
 
     def probabilities_by_name(self) -> dict[str, float]:
         """Posterior probability by name of the effect, `unknown` included."""
-        by_name = {"unknown": self.p_unmodelled} if self.p_unmodelled else {}
+        p_by_name = {"unknown": self.p_unmodelled} if self.p_unmodelled else {}
         for hypothesis, weight in zip(self.entries, self.posterior_probabilities.tolist(), strict=True):
-            by_name[hypothesis.name] = min(by_name.get(hypothesis.name, 0.0) + weight, 1.0)
-        return by_name
+            p_by_name[hypothesis.name] = min(p_by_name.get(hypothesis.name, 0.0) + weight, 1.0)
+        return p_by_name
 
 
 def most_probable_name(probabilities: Mapping[str, float]) -> str:
     """Most probable name; `unknown` if that is more probable than all other names together."""
-    by_name = {name: chance for name, chance in probabilities.items() if name != "unknown"}
+    p_by_name = {name: chance for name, chance in probabilities.items() if name != "unknown"}
     return (
         "unknown"
-        if probabilities.get("unknown", 0.0) > sum(by_name.values())
-        else max(by_name, key=lambda name: by_name[name])
+        if probabilities.get("unknown", 0.0) > sum(p_by_name.values())
+        else max(p_by_name, key=lambda name: p_by_name[name])
     )
 
 
 def name_probabilities(probabilities: Mapping[str, float], name: str) -> tuple[float, tuple[Equivalent, ...]]:
     """Probability of a name, and the most probable other names that are not excluded."""
-    others = [
+    equivalents = [
         Equivalent(effect=other_name, probability=p)
         for other_name, p in probabilities.items()
         if other_name != name and p > MIN_REPORTED_PROBABILITY
     ]
-    return probabilities.get(name, 0.0), tuple(sorted(others, key=lambda other: -other.probability)[:MAX_EQUIVALENTS])
+    return probabilities.get(name, 0.0), tuple(
+        sorted(equivalents, key=lambda other: -other.probability)[:MAX_EQUIVALENTS]
+    )
 
 
 def _log_evidence_over_sizes(model: Model) -> float:

@@ -71,9 +71,9 @@ class NormalBlocks:
 
 def target_weights(errors: IncidenceErrors, target: Ints, n_targets: int) -> Floats:
     """Weights (T,): 1 for targets among those of the n pointings, `target` (n,), with a reflector's errors; else 0."""
-    acts = np.zeros(n_targets)
-    np.maximum.at(acts, target, errors.reflector_weights)
-    return acts
+    weights = np.zeros(n_targets)
+    np.maximum.at(weights, target, errors.reflector_weights)
+    return weights
 
 
 @dataclass(frozen=True)

@@ -246,7 +246,7 @@ def _mean_length(square: Floats, spread: Floats) -> Floats:
     return np.concatenate(means)
 
 
-def expected_length(variances: Floats, nodes: int = 48) -> Floats:
+def expected_length(variances: Floats, n_nodes: int = 48) -> Floats:
     """Expected length (...) of a normal vector with variances (..., 3) along its axes, accurate to about 1e-6.
 
     E sqrt(q) = 1 / (2 sqrt(pi)) integral of (1 - E exp(-t q)) t^(-3/2) dt, with E exp(-t q) the product of
@@ -254,10 +254,10 @@ def expected_length(variances: Floats, nodes: int = 48) -> Floats:
     """
     total_variance = np.maximum(variances.sum(axis=-1, keepdims=True), np.finfo(np.float64).tiny)
     share = np.maximum(variances, 0.0) / total_variance
-    at, weight = np.polynomial.legendre.leggauss(nodes)
+    at, weight = np.polynomial.legendre.leggauss(n_nodes)
     x, weight = 0.5 * (at + 1.0), 0.5 * weight
     root = x / (1.0 - x)
-    product = np.ones((*share.shape[:-1], nodes))
+    product = np.ones((*share.shape[:-1], n_nodes))
     for axis in range(3):
         product /= np.sqrt(1.0 + 2.0 * share[..., axis, None] * root**2)
     mean_length: Floats = ((1.0 - product) / root**2 * (weight / (1.0 - x) ** 2)).sum(axis=-1) / np.sqrt(np.pi)
@@ -327,12 +327,12 @@ def _distance_deviation_matrix(information: LayoutInformation) -> Floats:
     first, second = np.triu_indices(targets, k=1)
     gap = state.target_points[first] - state.target_points[second]
     unit = gap / np.linalg.norm(gap, axis=1, keepdims=True)
-    local = np.einsum("sji,pj->spi", state.station_rotations, unit)
+    local_directions = np.einsum("sji,pj->spi", state.station_rotations, unit)
     displacement = np.zeros((stations, len(first), stations, targets, 3))
     pair = np.arange(len(first))
     for s in range(stations):
-        displacement[s, pair, s, first] = local[s]
-        displacement[s, pair, s, second] = -local[s]
+        displacement[s, pair, s, first] = local_directions[s]
+        displacement[s, pair, s, second] = -local_directions[s]
     deviation = displacement - displacement.mean(axis=0)
     return deviation.reshape(stations * len(first), -1)
 
@@ -345,8 +345,8 @@ def _coordinate_difference_matrix(information: LayoutInformation) -> Floats:
     state = information.adjustment.state
     stations, targets = len(state.station_positions), len(state.target_points)
     motion = rigid_motion_design(state.target_points, state.target_points.mean(axis=0))
-    off = np.eye(3 * targets) - motion @ np.linalg.pinv(motion)
-    turned = np.einsum("ctl,sli->scti", off.reshape(3 * targets, targets, 3), state.station_rotations)
+    non_rigid_projector = np.eye(3 * targets) - motion @ np.linalg.pinv(motion)
+    turned = np.einsum("ctl,sli->scti", non_rigid_projector.reshape(3 * targets, targets, 3), state.station_rotations)
     turned = turned.reshape(stations, targets, 3, 3 * targets)
     matrix_rows = []
     for m, n in combinations(range(stations), 2):

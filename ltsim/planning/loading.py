@@ -106,8 +106,8 @@ def _scenario_of_plan(plan_file: PlanFile, plan_tables: dict[str, Any], path: Pa
         if "scenario" in plan_tables:
             raise SetupError(f"{path}: it should have either scenario or [workshop], not both")
         return _hall_scenario(plan_file, plan_tables, points, path)
-    local = path.parent / plan_file.scenario
-    return _with_points(load_scenario(local if local.is_file() else plan_file.scenario), points, path)
+    scenario_path = path.parent / plan_file.scenario
+    return _with_points(load_scenario(scenario_path if scenario_path.is_file() else plan_file.scenario), points, path)
 
 
 def _check_names(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
@@ -142,10 +142,10 @@ def _check_counts(plan_file: PlanFile, scenario: Scenario, file: object) -> None
     """Check that keys that belong together are given together; raises SetupError."""
     if plan_file.goal.tolerances and not plan_file.listed_points:
         raise SetupError(f"{file}: goal.tolerances needs points; give them as a list or a file")
-    given = [f"budget.{key}" for key in ("faces", "repeats") if getattr(plan_file.budget, key) is not None]
-    if given and not plan_file.chooses_procedure:
+    fixed_keys = [f"budget.{key}" for key in ("faces", "repeats") if getattr(plan_file.budget, key) is not None]
+    if fixed_keys and not plan_file.chooses_procedure:
         raise SetupError(
-            f"{file}: {' and '.join(given)} without budget.hours has no effect; give the hours for the work, "
+            f"{file}: {' and '.join(fixed_keys)} without budget.hours has no effect; give the hours for the work, "
             "or fix faces and repeats in the table [work] of the scenario"
         )
     if plan_file.goal.diagnosis and not plan_file.goal.effects:

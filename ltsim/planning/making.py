@@ -267,9 +267,10 @@ class _PlanSearch:
             return ()
         points.sort(key=lambda option: (option.hours, option.objective_value))
         best_values = np.minimum.accumulate([option.objective_value for option in points])
-        earlier = np.r_[np.inf, best_values[:-1]]
+        previous_best = np.r_[np.inf, best_values[:-1]]
         return tuple(
-            replace(o, is_efficient=bool(o.objective_value < before)) for o, before in zip(points, earlier, strict=True)
+            replace(o, is_efficient=bool(o.objective_value < before))
+            for o, before in zip(points, previous_best, strict=True)
         )
 
 
@@ -300,12 +301,12 @@ def _require_grid_fits_memory(file: PlanFile, scenario: Scenario) -> None:
         )
 
 
-def max_sights(site: SearchSpace, step: float, heights: int) -> tuple[int, str]:
+def max_sights(site: SearchSpace, step: float, n_heights: int) -> tuple[int, str]:
     """Largest number of stations that see every reflector in some layout, and the name of the limiting reflector.
 
     The number is a lower bound from greedy placement, and exact if one place on the floor sees everything.
     """
-    placement, names = site.greedy_placement(step, heights), site.survey.target_names
+    placement, names = site.greedy_placement(step, n_heights), site.survey.target_names
     limiting = names[int(np.argmin(placement.is_visible.mean(axis=0)))]
     n_free_stations = len(site.survey.station_positions) - len(site.fixed_stations)
     enough = (

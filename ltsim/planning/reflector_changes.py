@@ -181,17 +181,17 @@ class _ChangeEvaluator:
 
         def note(kind: ChangeKind, removed: int | None, places: Ints) -> None:
             """Record a change of the reflectors: one removed, or moved to a place; only its best move is stored."""
-            others = chosen if removed is None else np.delete(chosen, removed)
+            other_places = chosen if removed is None else np.delete(chosen, removed)
             start_matrix = (
                 self.present_normal_matrix if removed is None else self.present_normal_matrix - terms[chosen[removed]]
             )
-            occupied_places = np.column_stack([np.tile(others, (len(places), 1)), places])
+            occupied_places = np.column_stack([np.tile(other_places, (len(places), 1)), places])
             normal_matrices = start_matrix + terms[places]
             if kind == "remove":
-                occupied_places, normal_matrices = others[None], start_matrix[None]
+                occupied_places, normal_matrices = other_places[None], start_matrix[None]
             if not len(occupied_places):
                 return
-            objective_factors = self._objective_factors(normal_matrices, occupied_places, others)
+            objective_factors = self._objective_factors(normal_matrices, occupied_places, other_places)
             tried[kind] += len(objective_factors)
             helped[kind] += int(np.sum(objective_factors < 1 - MIN_REPORTED_IMPROVEMENT))
             for k in np.argsort(objective_factors)[: 1 if kind == "move" else None].tolist():
@@ -215,13 +215,14 @@ class _ChangeEvaluator:
     def _make_change(
         self, kind: ChangeKind, value: float, removed: int | None, place: int | None, normal_matrix: Floats
     ) -> PlanChange:
-        common = self.present_places if removed is None else np.delete(self.present_places, removed)
+        remaining_places = self.present_places if removed is None else np.delete(self.present_places, removed)
         matrices = np.stack([self.present_normal_matrix, normal_matrix])
-        before, after = self.normal_matrix_table.weighted_target_rms(matrices, common)
+        before, after = self.normal_matrix_table.weighted_target_rms(matrices, remaining_places)
         if self._is_target_goal:
-            now = self.normal_matrix_table.target_sigma(self.present_normal_matrix, common)
+            now = self.normal_matrix_table.target_sigma(self.present_normal_matrix, remaining_places)
             ratios = {
-                name: s / now[name] for name, s in self.normal_matrix_table.target_sigma(normal_matrix, common).items()
+                name: s / now[name]
+                for name, s in self.normal_matrix_table.target_sigma(normal_matrix, remaining_places).items()
             }
         else:
             ratio = self._parameter_sigmas(normal_matrix) / self.present_sigmas

@@ -107,11 +107,11 @@ class NormalMatrixTable:
         names = [scorer.survey.target_names[t] for t in scorer.requested_targets(scorer.mesh_targets[at])[0]]
         return dict(zip(names, np.sqrt(variance).tolist(), strict=True))
 
-    def _block_rows(self, layouts: int, place_indices: Ints) -> Ints:
+    def _block_rows(self, n_layouts: int, place_indices: Ints) -> Ints:
         """Indices in `target_block_inverses` of the fixed targets and of places, (B, fixed + n)."""
         stay = len(self.target_block_inverses) - len(self.place_normal_matrices)
-        place_indices = np.broadcast_to(place_indices, (layouts, np.shape(place_indices)[-1]))
-        return np.concatenate([np.broadcast_to(np.arange(stay), (layouts, stay)), stay + place_indices], axis=1)
+        place_indices = np.broadcast_to(place_indices, (n_layouts, np.shape(place_indices)[-1]))
+        return np.concatenate([np.broadcast_to(np.arange(stay), (n_layouts, stay)), stay + place_indices], axis=1)
 
     def objective_values(self, normal_matrices: Floats, place_indices: Ints, objective: LayoutObjective) -> Floats:
         """Objective (B,) for normal matrices (B, K, K) with reflectors at the places `place_indices` (B, n)."""

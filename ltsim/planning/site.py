@@ -249,17 +249,17 @@ class SearchSpace(ValueEquality):
             else ""
         )
 
-    def grid_places(self, step: float, heights: int) -> Floats:
+    def grid_places(self, step: float, n_heights: int) -> Floats:
         """Places (N, 3) [m] of a grid with the given step [m] at which a tripod may stand."""
-        grid = np.concatenate([grid_over_area(area, step, heights) for area in self.allowed_areas])
+        grid = np.concatenate([grid_over_area(area, step, n_heights) for area in self.allowed_areas])
         return np.unique(grid[self.is_allowed(grid)], axis=0)
 
-    def greedy_placement(self, step: float, heights: int) -> StationPlacement:
+    def greedy_placement(self, step: float, n_heights: int) -> StationPlacement:
         """Greedy placement on a grid of places from which three targets are visible; fixed stations are included.
 
         Raises SetupError if there is no such place.
         """
-        places, fixed = self.grid_places(step, heights), self.survey.station_positions[list(self.fixed_stations)]
+        places, fixed = self.grid_places(step, n_heights), self.survey.station_positions[list(self.fixed_stations)]
         visible = self.is_visible(places)
         is_sufficient = visible.sum(axis=1) >= MIN_VISIBLE_TARGETS
         if not is_sufficient.any():
@@ -343,11 +343,11 @@ class StationPlacement:
         places, targets = self.is_visible.shape
         gap = np.linalg.norm(self.candidate_positions[:, None, :2] - self.fixed_positions[None, :, :2], axis=2)
         free = (gap >= self.min_spacing).all(axis=1)
-        near = (
+        is_too_near = (
             np.linalg.norm(self.candidate_positions[:, None, :2] - self.candidate_positions[None, :, :2], axis=2)
             < self.min_spacing
         )
-        first, second = np.nonzero(np.triu(near, 1))
+        first, second = np.nonzero(np.triu(is_too_near, 1))
         rows = np.arange(len(first))
         pair_matrix = sp.csr_array(
             (np.ones(2 * len(first)), (np.r_[rows, rows], np.r_[first, second])), (len(first), places)

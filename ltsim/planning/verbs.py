@@ -198,8 +198,8 @@ def station_alternatives(source: str | Path, station: str) -> tuple[StationAlter
     file, site = unsearched_plan(named, scenario)
     problem, survey = PlanningProblem(file, scenario), site.survey
     station_index = _station_index(survey, station)
-    others = [s for s in range(len(survey.station_positions)) if s != station_index]
-    work = problem.make_searcher(site.replace(survey=survey, fixed_stations=tuple(others), min_sights=0))
+    other_stations = [s for s in range(len(survey.station_positions)) if s != station_index]
+    work = problem.make_searcher(site.replace(survey=survey, fixed_stations=tuple(other_stations), min_sights=0))
     table = work.grid_setups(station_index)
     objectives = work.replacement_objectives(
         work.layout_blocks(survey.station_positions, survey.station_yaws), station_index, table
@@ -210,9 +210,9 @@ def station_alternatives(source: str | Path, station: str) -> tuple[StationAlter
     # Sights of points with a tolerance that would be missing decide first.
     demanded = PointTolerances.from_plan_file(file).tolerance_by_point or survey.target_names
     asked = np.array([name in demanded for name in survey.target_names])
-    lacking = np.maximum(site.min_sights - survey.is_visible[others].sum(axis=0) - table.is_visible, 0)[:, asked].sum(
-        axis=1
-    )
+    lacking = np.maximum(site.min_sights - survey.is_visible[other_stations].sum(axis=0) - table.is_visible, 0)[
+        :, asked
+    ].sum(axis=1)
     alternatives: list[StationAlternative] = []
     for best in np.lexsort((objectives, lacking)).tolist():
         near = [

@@ -272,8 +272,8 @@ def setup_to_toml(setup: Setup) -> str:
     table |= setup.model_dump(by_alias=True, exclude_defaults=True, exclude=tables)
     if not setup.instruments or setup.instrument != Instrument():
         table["instrument"] = setup.instrument.model_dump(by_alias=True, exclude_none=True)
-    by_name = {n: i.model_dump(by_alias=True, exclude_none=True) for n, i in setup.instruments.items()}
-    table["instruments"] = by_name
+    instrument_tables = {n: i.model_dump(by_alias=True, exclude_none=True) for n, i in setup.instruments.items()}
+    table["instruments"] = instrument_tables
     if setup.gauge is not None:
         lengths = [d.model_dump(by_alias=True, exclude_defaults=True) for d in setup.gauge.distance]
         table["gauge"] = setup.gauge.model_dump(exclude_none=True) | {"distance": lengths}

@@ -41,10 +41,10 @@ class TranscriptionError:
 
     def with_error(self, readings: Floats) -> Floats:
         """Readings (n, 3) [m, rad, rad] with the error, from readings without it."""
-        changed = readings.copy()
+        changed_readings = readings.copy()
         for column, factor, offset in self.changes:
-            changed[:, column] = factor * readings[:, column] + offset
-        return changed
+            changed_readings[:, column] = factor * readings[:, column] + offset
+        return changed_readings
 
     def without_error(self, readings: Floats) -> Floats:
         """Readings (n, 3) [m, rad, rad] without the error, from readings with it."""
@@ -133,8 +133,8 @@ def neighbour_pairs(station: Ints, target: Ints, n_stations: int) -> list[tuple[
     Four may lie in a plane, which is its own mirror image.
     """
     n_shared = np.triu(shared_target_counts(station, target, n_stations), 1)
-    earlier = n_shared.argmax(axis=0).tolist()
-    return [(first, s) for s, first in enumerate(earlier) if n_shared[first, s] >= MIN_MIRRORED_TARGETS]
+    best_neighbours = n_shared.argmax(axis=0).tolist()
+    return [(first, s) for s, first in enumerate(best_neighbours) if n_shared[first, s] >= MIN_MIRRORED_TARGETS]
 
 
 def length_disagreement(points: Floats, station: Ints, target: Ints) -> float:

@@ -225,9 +225,9 @@ def _polygon_mesh(corners: Floats) -> pv.PolyData:
 
 def _cylinder_mesh(begin: Floats, end: Floats, radius: float) -> pv.PolyData:
     """Cylinder between two points (3,)."""
-    along = end - begin
-    height = float(np.linalg.norm(along))
-    return pv.Cylinder(center=0.5 * (begin + end), direction=along, radius=radius, height=height, resolution=12)
+    axis = end - begin
+    height = float(np.linalg.norm(axis))
+    return pv.Cylinder(center=0.5 * (begin + end), direction=axis, radius=radius, height=height, resolution=12)
 
 
 def ellipsoid_mesh(centres: Floats, axes: Floats) -> pv.PolyData:

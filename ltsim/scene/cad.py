@@ -162,10 +162,10 @@ def _require_precision(path: Path, triangles: Floats, metres_per_unit: float) ->
 
     Raises SetupError otherwise.
     """
-    single = triangles.astype(np.float32)
-    if path.suffix.lower() not in SINGLE_PRECISION_SUFFIXES or not np.array_equal(single, triangles):
+    single_precision = triangles.astype(np.float32)
+    if path.suffix.lower() not in SINGLE_PRECISION_SUFFIXES or not np.array_equal(single_precision, triangles):
         return
-    step = float(np.spacing(np.abs(single).max())) * metres_per_unit / SI_PER_UNIT["mm"]
+    step = float(np.spacing(np.abs(single_precision).max())) * metres_per_unit / SI_PER_UNIT["mm"]
     if step > MAX_SPACING_MM:
         raise SetupError(
             f"{path}: its coordinates are in single precision and reach {np.abs(triangles).max():.4g}, where they have "
@@ -194,12 +194,12 @@ def implausible_size_question(cad_file: CadFile, room_size: Floats) -> str:
     )
     if cad_file.has_declared_unit or least <= length.max() <= most:
         return ""
-    others = {
+    size_by_unit = {
         unit: length.max() * SI_PER_UNIT[unit] / SI_PER_UNIT[cad_file.unit]
         for unit in UNIT_WORDS
         if unit != cad_file.unit
     }
-    fitting = [unit for unit, size in others.items() if least <= size <= most] or list(others)
+    fitting = [unit for unit, size in size_by_unit.items() if least <= size <= most] or list(size_by_unit)
     size, other = " x ".join(f"{v:.3g}" for v in length), " or ".join(f'"{unit}"' for unit in fitting)
     return (
         f"{cad_file.file}: is {size} m large if its numbers are {UNIT_WORDS[cad_file.unit]}, which it does not "

@@ -158,14 +158,14 @@ class Obstacles:
         """
         points, place = np.unique(np.round(self.triangles.reshape(-1, 3), MERGE_DECIMALS), axis=0, return_inverse=True)
         faces = place.reshape(-1, 3)
-        sides = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
-        _, kind, often = np.unique(sides, axis=0, return_inverse=True, return_counts=True)
+        edges = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+        _, kind, often = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
         order = np.argsort(kind.ravel(), kind="stable")
         shared = order[often[kind.ravel()[order]] == 2].reshape(-1, 2)
         normal, area = _normals_and_areas(points[faces])
         angle = np.arccos(np.clip(_row_dot_products(*normal[shared // 3].transpose(1, 0, 2)), -1.0, 1.0))
         shared, angle = shared[angle < MAX_SMOOTH_ANGLE], angle[angle < MAX_SMOOTH_ANGLE]
-        edge = np.linalg.norm(np.diff(points[sides[shared[:, 0]]], axis=1)[:, 0], axis=1)
+        edge = np.linalg.norm(np.diff(points[edges[shared[:, 0]]], axis=1)[:, 0], axis=1)
         depth = np.zeros(len(faces))
         for side in (shared // 3).T:
             np.maximum.at(depth, side, 2.0 * area[side] * (angle / edge) / 3.0)
@@ -247,8 +247,8 @@ def _normals_and_areas(triangles: Floats) -> tuple[Floats, Floats]:
 def nearest_points(triangles: Floats, point: Floats) -> Floats:
     """Point (m, 3) [m] of each triangle (m, 3, 3) that is nearest to a given point (3,): inside it or on an edge."""
     edge, gap = np.roll(triangles, -1, axis=1) - triangles, point - triangles
-    along = np.clip(_row_dot_products(gap, edge) / np.maximum(_row_dot_products(edge, edge), 1e-300), 0.0, 1.0)
-    on_edge = triangles + along[..., None] * edge
+    edge_fractions = np.clip(_row_dot_products(gap, edge) / np.maximum(_row_dot_products(edge, edge), 1e-300), 0.0, 1.0)
+    on_edge = triangles + edge_fractions[..., None] * edge
     nearest_edge = np.linalg.norm(on_edge - point, axis=2).argmin(axis=1)
     normal, area = _normals_and_areas(triangles)
     marked_indices = (_row_dot_products(np.cross(edge, gap), normal[:, None]) >= 0.0).all(axis=1) & (area > 0.0)
@@ -288,8 +288,21 @@ def cylinder_triangles(diameter: float, height: float) -> Floats:
     low = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros(N_CYLINDER_SIDES)])
     up, foot = np.array([0.0, 0.0, height]), np.zeros_like(low)
     then = np.roll(low, -1, axis=0)
-    sides = [low, foot, then, low, then, low + up, low + up, then, then + up, low + up, then + up, foot + up]
-    return np.stack(sides, axis=1).reshape(-1, 3, 3)
+    lateral_triangles = [
+        low,
+        foot,
+        then,
+        low,
+        then,
+        low + up,
+        low + up,
+        then,
+        then + up,
+        low + up,
+        then + up,
+        foot + up,
+    ]
+    return np.stack(lateral_triangles, axis=1).reshape(-1, 3, 3)
 
 
 def wall_triangles(room_size: Floats) -> Floats:

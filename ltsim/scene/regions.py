@@ -102,8 +102,8 @@ class HallRegion:
 
     def n_effective_targets(self, sightings: Sightings) -> float:
         """Effective number of targets in the region, (sum of w)^2 over the sum of w^2."""
-        near = self.target_weights(sightings)[np.unique(sightings.target, return_index=True)[1]]
-        return float(near.sum() ** 2 / max(np.sum(near**2), 1e-300))
+        target_weights = self.target_weights(sightings)[np.unique(sightings.target, return_index=True)[1]]
+        return float(target_weights.sum() ** 2 / max(np.sum(target_weights**2), 1e-300))
 
     def target_weights(self, sightings: Sightings) -> Floats:
         """Weight w (n,) of the region at the target of each pointing."""

@@ -220,10 +220,10 @@ def _add_obstacles(reason_table: NDArray[np.int8], position: Floats, points: Flo
     """
     is_inside = obstacles.is_enclosed(position)
     sight_pairs = np.argwhere((reason_table == InvisibilityReason.VISIBLE) & ~is_inside[:, None])
-    hidden = sight_pairs[
+    hidden_pairs = sight_pairs[
         obstacles.is_blocked(position[sight_pairs[:, 0]], obstacles.moved_to_surface(points)[sight_pairs[:, 1]])
     ]
-    reason_table[hidden[:, 0], hidden[:, 1]] = InvisibilityReason.OBSTACLE
+    reason_table[hidden_pairs[:, 0], hidden_pairs[:, 1]] = InvisibilityReason.OBSTACLE
     reason_table[is_inside] = InvisibilityReason.STATION_INSIDE
 
 

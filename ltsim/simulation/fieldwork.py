@@ -240,9 +240,13 @@ def true_smr_offsets(scenario: Scenario, sightings: Sightings, seed: int, *strea
         )
     aimed = np.isfinite(sightings.nest_normals[:, 0])
     targets = [sightings.target_names[t] for t in sightings.target]
-    bare = [name for name, has_normal in zip(sightings.target_names, aimed, strict=True) if not has_normal]
+    targets_without_normal = [
+        name for name, has_normal in zip(sightings.target_names, aimed, strict=True) if not has_normal
+    ]
     with as_setup_error():
-        lengths = excess_radii_of_names(names, targets, bare, reflectors, scenario.reference_radius_mm)
+        lengths = excess_radii_of_names(
+            names, targets, targets_without_normal, reflectors, scenario.reference_radius_mm
+        )
     for name in dict.fromkeys(names):
         error = (reflectors[name].sigma_radius_mm or 0.0) * stream(
             seed, *stream_key, "reflector", name

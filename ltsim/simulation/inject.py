@@ -209,10 +209,10 @@ class Injector:
             factor = 1.0 + (self.added_noise_sigma(effect, effect_sizes) / space.sigma).reshape(-1)[used] ** 2
             return float((space.redundancy[: len(used)] * (factor - 1.0 - np.log(factor))).sum())
         change = np.nan_to_num(self.reading_change(effect, effect_sizes))
-        whole = space.whiten(change[:, :, None], self.length_change(effect, effect_sizes)[:, None])[:, 0]
-        projected_design = space.project(whole)
+        whitened_change = space.whiten(change[:, :, None], self.length_change(effect, effect_sizes)[:, None])[:, 0]
+        projected_design = space.project(whitened_change)
         square = float(projected_design @ projected_design)
-        return square if square > MAX_SOLUTION_ROUNDING_ERROR * float(whole @ whole) else 0.0
+        return square if square > MAX_SOLUTION_ROUNDING_ERROR * float(whitened_change @ whitened_change) else 0.0
 
     def scale_to_noncentrality(
         self, effect: CandidateEffect, effect_sizes: Floats, noncentrality_goal: float
@@ -241,12 +241,12 @@ class Injector:
 
     def _largest_relative_change(self, effect: CandidateEffect, effect_sizes: Floats) -> float:
         """Largest change of a reading, or added standard deviation, divided by the reading's standard deviation."""
-        moved = (
+        reading_changes = (
             self.added_noise_sigma(effect, effect_sizes)
             if isinstance(effect, NoiseEffect)
             else self.reading_change(effect, effect_sizes)
         )
-        return float(np.nanmax(np.abs(moved) / self.residual_space.sigma, initial=0.0))
+        return float(np.nanmax(np.abs(reading_changes) / self.residual_space.sigma, initial=0.0))
 
     def inject(
         self, effect: CandidateEffect, effect_sizes: Floats, request_text: str, random_generator: np.random.Generator
@@ -258,7 +258,7 @@ class Injector:
             )
         else:
             change = self.reading_change(effect, effect_sizes)
-        made = self.recording.with_readings(self.recording.readings + change)
+        injected_recording = self.recording.with_readings(self.recording.readings + change)
         lengths = self.length_change(effect, effect_sizes)
         if effect_sizes.any() and not (np.nan_to_num(change).any() or lengths.any()):
             raise ModelError(
@@ -266,16 +266,16 @@ class Injector:
             )
         if lengths.any():
             gauge = self.residual_space.adjustment.problem.gauge_rows
-            if made.setup.gauge is None or len(made.gauge.distance) != len(lengths):
+            if injected_recording.setup.gauge is None or len(injected_recording.gauge.distance) != len(lengths):
                 raise ModelError(f"{effect.name}: only the lengths of a gauge can be changed, not those of scale bars")
-            certified = np.array([line.length_mm for line in made.gauge.distance]) * 1e-3
-            made = with_certificates(made, certified + lengths * certified / gauge.lengths)
+            certified = np.array([line.length_mm for line in injected_recording.gauge.distance]) * 1e-3
+            injected_recording = with_certificates(injected_recording, certified + lengths * certified / gauge.lengths)
         units = (MICROMETRE, MICRORADIAN, MICRORADIAN)
         largest = np.abs(np.nan_to_num(change)).max(axis=0) / units
         largest_by_observable = dict(
             zip(("distance_um", "azimuth_urad", "elevation_urad"), largest.tolist(), strict=True)
         )
-        return made, InjectedEffect(
+        return injected_recording, InjectedEffect(
             effect, request_text, effect_sizes, self.noncentrality(effect, effect_sizes), largest_by_observable
         )
 

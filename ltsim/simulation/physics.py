@@ -30,8 +30,8 @@ def planned_construction(scenario: Scenario) -> GeometricErrorModel:
     built = make_scenario_construction(scenario)
     if built.name == "steering-mirror":
         return built
-    read = {name for tracker in scenario.trackers_in_use.values() for name in tracker.observables}
-    return misalignment_construction(effect for effect in BASELINE_EFFECTS if read & {*effect.observables})
+    observables = {name for tracker in scenario.trackers_in_use.values() for name in tracker.observables}
+    return misalignment_construction(effect for effect in BASELINE_EFFECTS if observables & {*effect.observables})
 
 
 def instrument_error_distribution(scenario: Scenario, construction: GeometricErrorModel) -> tuple[Floats, Floats]:

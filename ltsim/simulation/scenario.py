@@ -200,8 +200,8 @@ def _with_base(tables: Mapping[str, Any]) -> Mapping[str, Any]:
     if tables.get("base") is None:
         return tables
     below = _with_base(read_toml(builtin_path(str(tables["base"])), "scenario"))
-    merged = merge_defaults(tables, below)
-    return {key: value for key, value in merged.items() if key != "base" and value != REMOVAL_VALUE}
+    merged_tables = merge_defaults(tables, below)
+    return {key: value for key, value in merged_tables.items() if key != "base" and value != REMOVAL_VALUE}
 
 
 def _with_preset(instrument: Any, file: Path) -> Any:
@@ -262,8 +262,8 @@ def _check_effects(effects: Sequence[EffectEntry], stations: set[str], targets: 
 def _select_spread_targets(targets: Mapping[str, PlannedTarget], n_targets: int) -> dict[str, PlannedTarget]:
     """Targets that are distributed as widely as possible, in file order (Gonzalez 1985: farthest-point selection)."""
     places = np.array([t.position_mm for t in targets.values()], dtype=np.float64).reshape(-1, 3)
-    taken = set(even_filling_order(places)[:n_targets])
-    return {name: target for i, (name, target) in enumerate(targets.items()) if i in taken}
+    selected_targets = set(even_filling_order(places)[:n_targets])
+    return {name: target for i, (name, target) in enumerate(targets.items()) if i in selected_targets}
 
 
 def even_filling_order(points: Floats) -> list[int]:
@@ -392,8 +392,8 @@ def tracker_table_name(tracker_name: str) -> str:
 
 def scenario_to_toml(scenario: Scenario) -> str:
     """Text of the file of a scenario with all settings; `load_scenario` reads the same scenario from it."""
-    whole = scenario.model_dump(by_alias=True, exclude_none=True)
+    scenario_tables = scenario.model_dump(by_alias=True, exclude_none=True)
     brief = scenario.model_dump(by_alias=True, exclude_defaults=True)
-    table: dict[str, Any] = {name: whole[name] for name in ALWAYS_WRITTEN_KEYS if name in whole}
+    table: dict[str, Any] = {name: scenario_tables[name] for name in ALWAYS_WRITTEN_KEYS if name in scenario_tables}
     table |= {kind: brief.get(kind, {}) for kind in ("reflectors", "materials", "stations", "targets")}
     return to_toml(table | {kind: brief[kind] for kind in ("lengths", "effects") if kind in brief})

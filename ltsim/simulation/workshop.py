@@ -145,9 +145,9 @@ def measure_nominal_points(
     random = measuring_machine.constant_um * MICROMETRE / measuring_machine.coverage / np.sqrt(2.0)
     scale = MICROMETRE / MILLIMETRE / measuring_machine.length_divisor_mm / measuring_machine.coverage
     axes = scale * stream(seed, *stream_key, "cmm", "axes").standard_normal(3)
-    each = np.array([stream(seed, *stream_key, "cmm", "point", name).standard_normal(3) for name in names])
+    draws = np.array([stream(seed, *stream_key, "cmm", "point", name).standard_normal(3) for name in names])
     centre = points.mean(axis=0)
-    error: Floats = measuring_machine.noise_factor * ((points - centre) * axes + random * each.reshape(-1, 3))
+    error: Floats = measuring_machine.noise_factor * ((points - centre) * axes + random * draws.reshape(-1, 3))
     return points + error
 
 
@@ -242,8 +242,8 @@ class PlacedObstacle:
     @property
     def description(self) -> str:
         """Text on the obstacle: name, interpretation of its CAD file, size and position."""
-        read = f" ({self.cad_file.file.name}, {self.cad_file.interpretation_text})" if self.cad_file else ""
-        return f"{self.name or 'obstacle'}{read}: {extent_text(self.triangles)}"
+        file_text = f" ({self.cad_file.file.name}, {self.cad_file.interpretation_text})" if self.cad_file else ""
+        return f"{self.name or 'obstacle'}{file_text}: {extent_text(self.triangles)}"
 
 
 def make_obstacles(scenario: Scenario) -> Obstacles | None:
@@ -296,14 +296,14 @@ def _implausible_place_question(
     other_axis = "z" if cad_file.vertical_axis == "y" else "y"
     turned = _placed_triangles(obstacle_entry, cad_file.with_other_vertical)
     size_text = " x ".join(f"{v:g}" for v in room_size)
-    what = "reaches below the floor" if placed_body.triangles[..., 2].min() < 0 else "reaches beyond the room"
+    problem = "reaches below the floor" if placed_body.triangles[..., 2].min() < 0 else "reaches beyond the room"
     fits = (
         f'with up = "{other_axis}" it is inside the room'
         if is_inside_room(turned, room_size)
         else "move it by position_mm"
     )
     return (
-        f"{cad_file.file}: {what} of {size_text} m "
+        f"{cad_file.file}: {problem} of {size_text} m "
         f"({cad_file.interpretation_text}: {extent_text(placed_body.triangles)}); "
         f"{fits}; if this is correct, set beyond_room = true"
     )

@@ -33,20 +33,20 @@ def arrange_as_chain(matrix: sp.csr_array) -> tuple[Ints, Ints]:
     Block i has the positions from limit i to limit i + 1. The border is last.
     """
     n_unknowns = matrix.shape[0]
-    whole = np.arange(n_unknowns), np.array([0, n_unknowns, n_unknowns])
+    single_block = np.arange(n_unknowns), np.array([0, n_unknowns, n_unknowns])
     if n_unknowns <= MAX_SINGLE_BLOCK:
-        return whole
+        return single_block
     shared = np.diff(matrix.indptr) > MIN_BORDER_COUPLING * n_unknowns
     inner_indices = np.flatnonzero(~shared)
     if len(inner_indices) <= MAX_SINGLE_BLOCK:
-        return whole
+        return single_block
     part = sp.csr_array(matrix[inner_indices][:, inner_indices])
     order = reverse_cuthill_mckee(part, symmetric_mode=True)
     place = np.argsort(order)
     row_indices = np.repeat(place, np.diff(part.indptr))
     width = max(int(np.max(np.abs(row_indices - place[part.indices]), initial=0)), MIN_BLOCK_SIZE)
     if 3 * width >= len(inner_indices):
-        return whole
+        return single_block
     edges = np.append(np.arange(0, len(inner_indices) - width + 1, width), [len(inner_indices), n_unknowns])
     return np.concatenate([inner_indices[order], np.flatnonzero(shared)]), edges
 
@@ -164,25 +164,25 @@ class BlockChain:
         Takahashi, Fagan, Chin, Formation of a sparse bus impedance matrix (PICA 1973), in blocks.
         """
         border, size = self._block_limits[-2], len(self._column_order)
-        later = inverse_from_cholesky(self._border_factor)
+        later_inverse = inverse_from_cholesky(self._border_factor)
         windows = []
         for i in reversed(range(len(self._diagonal_factors))):
             low, high, far = self._block_span(i)
             width = high - low
-            whole = np.zeros((width + len(later), width + len(later)))
+            whole = np.zeros((width + len(later_inverse), width + len(later_inverse)))
             whole[:width, :width] = inverse_from_cholesky(self._diagonal_factors[i])
-            if len(later):
+            if len(later_inverse):
                 reach = scipy.linalg.solve_triangular(
                     self._diagonal_factors[i], self._off_diagonal_factors[i].T, lower=True, trans=1, check_finite=False
                 ).T
-                across = later @ reach
-                whole[width:, width:], whole[width:, :width], whole[:width, width:] = later, -across, -across.T
+                across = later_inverse @ reach
+                whole[width:, width:], whole[width:, :width], whole[:width, width:] = later_inverse, -across, -across.T
                 whole[:width, :width] += reach.T @ across
             place = np.full(size, -1)
             place[np.concatenate([self._column_order[low:far], self._column_order[border:]])] = np.arange(len(whole))
             windows.append(BlockWindow(place, whole))
             stay = np.concatenate([np.arange(width), np.arange(width + far - high, len(whole))])
-            later = whole[np.ix_(stay, stay)]
+            later_inverse = whole[np.ix_(stay, stay)]
         return windows[::-1]
 
     def _block_span(self, block_index: int) -> tuple[int, int, int]:

@@ -170,10 +170,10 @@ class FactorProjection:
         """Eigenvalues and eigenvectors of the hat matrix on many rows, from the covariance of the unknowns in them."""
         part = self.design[row_indices]
         touched = np.unique(part.indices)
-        whole = np.array([0, len(touched)])
+        group_edges = np.array([0, len(touched)])
         ends = np.arange(len(touched) + 1)
         units = sp.csr_array((1.0 / self._scale[touched], touched, ends), (len(touched), part.shape[1]))
-        covariance = next(self.factor.covariances_of_functions(units, whole))
+        covariance = next(self.factor.covariances_of_functions(units, group_edges))
         values, vectors = np.linalg.eigh(covariance)
         root = part[:, touched].toarray() * self._scale[touched] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
         root = np.hstack([root, self.added_columns[row_indices]])

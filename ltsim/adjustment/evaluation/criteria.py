@@ -127,9 +127,12 @@ class CriteriaEntry(Entry):
 
     def criteria_table(self) -> Table:
         """Table of the criteria."""
-        by_name = {"distance": self.distance, "distance, to the first station (eq. 11)": self.distance_to_first}
+        criterion_by_name = {
+            "distance": self.distance,
+            "distance, to the first station (eq. 11)": self.distance_to_first,
+        }
         table_rows = []
-        for name, criterion in {**by_name, "coordinate": self.coordinate}.items():
+        for name, criterion in {**criterion_by_name, "coordinate": self.coordinate}.items():
             if criterion is not None and criterion.before.mean_um is not None:
                 before, after = criterion.before, criterion.after or DisagreementEntry()
                 sizes = before.mean_um, before.max_um, after.mean_um, after.max_um
@@ -239,11 +242,11 @@ def evaluate_criteria(
         def disagreement_of(clouds: Floats) -> StationDisagreement:
             return measure(align_to_first_station(clouds, recording.stations) if aligned else clouds)
 
-        raw = disagreement_of(raw_clouds)
-        if not len(raw.values):
+        raw_disagreement = disagreement_of(raw_clouds)
+        if not len(raw_disagreement.values):
             raise NetworkError("the criteria need targets and pairs of targets that two stations measured")
         return CriterionEntry.from_differences(
-            raw, None if corrected_clouds is None else disagreement_of(corrected_clouds)
+            raw_disagreement, None if corrected_clouds is None else disagreement_of(corrected_clouds)
         )
 
     return CriteriaEntry(

@@ -345,11 +345,11 @@ class TwoFacePairs:
 
 def face_pair_rows(recording: Recording) -> Ints:
     """Rows (m, 2) of complete pointings on face 1 and face 2 of the same station, target and repeat."""
-    whole = np.all(recording.usable, axis=1)
+    is_complete = np.all(recording.usable, axis=1)
     rows_by_key: dict[tuple[int, int, int], dict[int, int]] = {}
     keys = zip(recording.station.tolist(), recording.target.tolist(), recording.repeat.tolist(), strict=True)
     for row, key in enumerate(keys):
-        if whole[row]:
+        if is_complete[row]:
             rows_by_key.setdefault(key, {})[int(recording.face[row])] = row
     row_pairs = [(faces[1], faces[2]) for faces in rows_by_key.values() if len(faces) == 2]
     return np.array(row_pairs, dtype=np.int64).reshape(-1, 2)

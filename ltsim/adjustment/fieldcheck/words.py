@@ -86,8 +86,14 @@ def gross_sentence(occupation: StationOccupation, outliers: Sequence[int], row_n
         return f"{name}: no outlier"
     first_target = recording.targets[recording.target[outliers[0]]]
     rows_of_target = np.flatnonzero(recording.target == recording.target[outliers[0]])
-    others = listing([str(row_numbers[i]) for i in outliers[1:]])
-    others_text = f", and so is row {others}" if len(outliers) == 2 else f", and so are rows {others}" if others else ""
+    other_rows = listing([str(row_numbers[i]) for i in outliers[1:]])
+    others_text = (
+        f", and so is row {other_rows}"
+        if len(outliers) == 2
+        else f", and so are rows {other_rows}"
+        if other_rows
+        else ""
+    )
     distance = occupation.distance_from_mean(outliers[0])
     row_text = f"{name} to {first_target}: row {row_numbers[outliers[0]]}"
     if not np.isfinite(distance):
@@ -106,8 +112,10 @@ def bump_sentence(
     recording: Recording, time_interval: tuple[float, float], row_numbers: tuple[int, int], fit: ColumnsFit
 ) -> str:
     """Sentence on a sudden motion of a station, with its time interval [s], the rows around it, and its size."""
-    when = f"between {time_text(recording, time_interval[0])} and {time_text(recording, time_interval[1])}"
-    return f"{recording.stations[0]} moved {when} (rows {row_numbers[0]} and {row_numbers[1]}){_motion_text(fit)}"
+    interval_text = f"between {time_text(recording, time_interval[0])} and {time_text(recording, time_interval[1])}"
+    return (
+        f"{recording.stations[0]} moved {interval_text} (rows {row_numbers[0]} and {row_numbers[1]}){_motion_text(fit)}"
+    )
 
 
 def drift_sentence(recording: Recording, fit: ColumnsFit, passed: bool) -> str:

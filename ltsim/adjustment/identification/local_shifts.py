@@ -34,12 +34,12 @@ class LocalShift:
     @classmethod
     def from_design(cls, design: Floats, residual: Floats, is_outlier: Bools) -> LocalShift:
         """Problem of a shift from the whitened design (n, 3, q), residuals (n, 3) and outlier flags (n, 3)."""
-        whole = design.reshape(-1, design.shape[2])
-        acts = whole.any(axis=1)
-        column_norms = np.linalg.norm(whole[acts], axis=0)
+        design_matrix = design.reshape(-1, design.shape[2])
+        is_changed = design_matrix.any(axis=1)
+        column_norms = np.linalg.norm(design_matrix[is_changed], axis=0)
         columns = column_norms > 0.0
-        unit = whole[acts][:, columns] / column_norms[columns]
-        return cls(unit, column_norms[columns], residual.ravel()[acts], is_outlier.ravel()[acts], columns)
+        unit = design_matrix[is_changed][:, columns] / column_norms[columns]
+        return cls(unit, column_norms[columns], residual.ravel()[is_changed], is_outlier.ravel()[is_changed], columns)
 
     @property
     def has_outliers_and_parameters(self) -> bool:

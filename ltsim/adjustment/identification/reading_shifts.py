@@ -68,11 +68,11 @@ class ReadingShift(LinearEffect):
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings per unit of the parameter."""
-        acts = self.row_weights(sightings) * (sightings.time >= self.onset_time)
+        is_shifted = self.row_weights(sightings) * (sightings.time >= self.onset_time)
         if self.is_drift:
-            elapsed = acts * sightings.station_time
-            acts = elapsed / (float(elapsed.max(initial=0.0)) or 1.0)  # readings made at one time do not drift
-        shift_per_unit = acts * sightings.range_ if self.is_proportional else acts
+            elapsed = is_shifted * sightings.station_time
+            is_shifted = elapsed / (float(elapsed.max(initial=0.0)) or 1.0)  # readings made at one time do not drift
+        shift_per_unit = is_shifted * sightings.range_ if self.is_proportional else is_shifted
         shift_per_unit = shift_per_unit * sightings.face_sign if self.observable == "elevation" else shift_per_unit
         return design_from_front_face_corrections(sightings, **{self.observable: -shift_per_unit[:, None]})
 

@@ -327,8 +327,8 @@ def _fit_without_distances(fit: NetworkFit, rows: Ints) -> NetworkFit | None:
 
 def _outlier_log_evidence(fit: NetworkFit, pointing_indices: Ints) -> float:
     """Log evidence that is gained if the outliers among some rows are explained: their Occam factors and priors."""
-    out = fit.is_outlier[pointing_indices]
-    w = np.abs(fit.whitened_residuals[pointing_indices][out])
+    is_outlier = fit.is_outlier[pointing_indices]
+    w = np.abs(fit.whitened_residuals[pointing_indices][is_outlier])
     return -float(np.sum(log_occam_factor_of_shift(w, 1))) - len(w) * log_prior_of(
         "outlier", int(fit.problem_with_all_readings.used_readings.sum())
     )
@@ -363,8 +363,8 @@ def _length_scale_hypothesis(fit: NetworkFit, space: ResidualSpace) -> list[tupl
         return []
     drop, rank = space.chi2_drop(space.whitened_design(scale))
     prior = log_prior_of("reference-scale", 1)
-    common = Hypothesis("reference-scale", "length", (), (), prior, ReadingShiftChange(scale))
-    return [(_log_evidence(drop, rank) + prior, common)] if rank else []
+    scale_hypothesis = Hypothesis("reference-scale", "length", (), (), prior, ReadingShiftChange(scale))
+    return [(_log_evidence(drop, rank) + prior, scale_hypothesis)] if rank else []
 
 
 def _noise_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:

@@ -315,12 +315,12 @@ def _row_interval_text(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     effect, s = hypothesis.model_change.effect, fit.adjustment.sightings
     since = effect.onset_time if isinstance(effect, ReadingShift) else getattr(effect, "time", -np.inf)
-    acts = np.ones(len(s), dtype=bool)
+    is_acting = np.ones(len(s), dtype=bool)
     if hypothesis.stations:
-        acts &= np.isin(s.station, [s.station_names.index(name) for name in hypothesis.stations])
+        is_acting &= np.isin(s.station, [s.station_names.index(name) for name in hypothesis.stations])
     if hypothesis.targets:
-        acts &= np.isin(s.target, [s.target_names.index(name) for name in hypothesis.targets])
-    acting_rows = s.measurement_order[acts[s.measurement_order]]
+        is_acting &= np.isin(s.target, [s.target_names.index(name) for name in hypothesis.targets])
+    acting_rows = s.measurement_order[is_acting[s.measurement_order]]
     index = int(np.searchsorted(s.time[acting_rows], since))
     if not 0 < index < len(acting_rows):
         return "during its measurement"

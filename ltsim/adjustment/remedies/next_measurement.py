@@ -246,8 +246,8 @@ class RankedProposals(ValueEquality):
             for template_values in (self.present_chi2, best_proposal.expected_chi2)
         )
         titles = {name: title_of(name) for name in self.compared_explanations}
-        others = list_text([titles[name] for name in distinguished])
-        template_values = {"first": titles[self.compared_explanations[0]], "others": others, "then": then}
+        other_titles = list_text([titles[name] for name in distinguished])
+        template_values = {"first": titles[self.compared_explanations[0]], "others": other_titles, "then": then}
         if not best_proposal.distinguished_explanations:
             return advice_sentence("undecided", needed=MIN_DECISIVE_CHI2, **template_values)
         sentence = advice_sentence("decided", do=best_proposal.remedy.instruction, now=now, **template_values)

@@ -208,5 +208,5 @@ class Refraction(LinearEffect):
 
 def refraction_unknown(recording: Recording) -> tuple[Refraction, ...]:
     """Refraction as an unknown, if the set-up declares its coefficient with a standard deviation."""
-    given = recording.setup.refraction
-    return () if given is None else (Refraction(*given),)
+    declared_refraction = recording.setup.refraction
+    return () if declared_refraction is None else (Refraction(*declared_refraction),)

@@ -48,9 +48,9 @@ def unrecognised_header_sentence(sheet: TableSheet, is_readable_with: Callable[[
         return unit_fault
     n_columns = max(map(len, data_rows))
     has_header = header_row is not None and len(header_row.fields) == n_columns
-    given = header_row.fields if header_row is not None and has_header else ("",) * n_columns
-    titles = tuple(_column_reference(i, given) for i in range(n_columns))
-    header = f"the header {quoted_text(', '.join(given), 80)}" if has_header else "a table without a header"
+    header_fields = header_row.fields if header_row is not None and has_header else ("",) * n_columns
+    titles = tuple(_column_reference(i, header_fields) for i in range(n_columns))
+    header = f"the header {quoted_text(', '.join(header_fields), 80)}" if has_header else "a table without a header"
     assignments = _likely_assignments(titles, [row for row in data_rows if len(row) == n_columns][:MAX_SAMPLE_ROWS])
     advice = next(filter(is_readable_with, assignments[:MAX_TRIED_ASSIGNMENTS]), None)
     if advice is not None:

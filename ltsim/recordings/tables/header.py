@@ -236,8 +236,10 @@ def unknown_unit_sentence(titles: Sequence[str]) -> str:
 def require_readable_units(columns: Sequence[TableColumn], location: SourceLocation) -> None:
     """Check that no kind of reading is missing because the unit of its column is unknown; raises RecordError."""
     kinds = {_reading_kind(column.role) for column in columns}
-    others = [c.title for c in columns if not c.role]
-    missing = [title for title in others if _reading_kind(title_role(title_words_and_unit(title)[0])) not in kinds]
+    unknown_titles = [c.title for c in columns if not c.role]
+    missing = [
+        title for title in unknown_titles if _reading_kind(title_role(title_words_and_unit(title)[0])) not in kinds
+    ]
     if sentence := unknown_unit_sentence(missing):
         raise location.error(sentence)
 

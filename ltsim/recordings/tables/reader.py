@@ -291,11 +291,11 @@ def _additional_columns(
         for c in columns
         if c.title in with_units and c.title in numeric
     ]
-    others = ", ".join(f"'{quoted_text(names[c.title])}'" for c in columns if c.title not in with_units)
+    names_text = ", ".join(f"'{quoted_text(names[c.title])}'" for c in columns if c.title not in with_units)
     return (
         covariates,
         labels,
-        [*units, *([f"further columns are read as covariates and labels: {others}"] if others else [])],
+        [*units, *([f"further columns are read as covariates and labels: {names_text}"] if names_text else [])],
     )
 
 

@@ -83,17 +83,19 @@ def common_target_names(pointings: PrintedPointings) -> tuple[list[str], list[st
     spellings_by_name: dict[str, list[str]] = {}
     for target in stations_of:
         spellings_by_name.setdefault(normalised_name(target), []).append(target)
-    common = {
+    spelling_by_name = {
         name: spellings[0]
         for spellings in spellings_by_name.values()
         if len(spellings) > 1
         and sum(len(stations_of[s]) for s in spellings) == len(set().union(*(stations_of[s] for s in spellings)))
         for name in spellings[1:]
     }
-    if common:
-        examples = listing([f"'{name}' and '{first}'" for name, first in common.items()], MAX_NAMES_IN_SETUP_NOTE)
+    if spelling_by_name:
+        examples = listing(
+            [f"'{name}' and '{first}'" for name, first in spelling_by_name.items()], MAX_NAMES_IN_SETUP_NOTE
+        )
         notes.append(f"names that differ only in {NAME_DIFFERENCES} are the same target: {examples}")
-    names = [common.get(target, target) for target in targets]
+    names = [spelling_by_name.get(target, target) for target in targets]
     return [names[i] for i in row.tolist()], notes
 
 

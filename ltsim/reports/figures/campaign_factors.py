@@ -68,14 +68,14 @@ def statistic_figures(
     """
     factors, trials_sentence = varying_factors(results), f"{results.manifest.trials} trials per setting."
     figure_options: dict[str, Any] = {"label": label, "published_value": published_value}
-    cells = len({tuple(level[f.name] for f in factors) for level in results.levels})
-    is_grid = cells == len(results.levels) == math.prod(len(set(levels_of_cells(results, f))) for f in factors)
+    n_cells = len({tuple(level[f.name] for f in factors) for level in results.levels})
+    is_grid = n_cells == len(results.levels) == math.prod(len(set(levels_of_cells(results, f))) for f in factors)
     if factors and results.manifest.settings.get("design"):
         points = [(f, _axis_position(f, results.levels[s.cell]), s) for f in factors for s in summaries]
         rows = [_sweep_point(s, place, s.method, factor_axis_title(factor)) for factor, place, s in points]
         figure = partial(factor_panels_figure, rows, axis="", joins_points=False, **figure_options)
         yield f"Each mark is one setting, against each factor. {trials_sentence}", figure
-    elif factors and is_grid and cells > 2:
+    elif factors and is_grid and n_cells > 2:
         axis, rows = _factor_lines(results, factors, summaries)
         names = list(dict.fromkeys(row.panel for row in rows))
         for first in range(0, len(names), MAX_FIGURE_PANELS):

@@ -182,10 +182,10 @@ def floor_plan(
 def _draw_walls(ax: Axes, workshop: PlacedWorkshop) -> None:
     """Draw as walls the sides of the floor that are the nearest side of at least two targets."""
     legend_label: str | None = "wall with targets"
-    sides = np.stack([workshop.floor, np.roll(workshop.floor, -1, axis=0)], axis=1)
-    distances = np.array([distance_to_outline(side, workshop.target_points[:, :2]) for side in sides])
+    wall_ends = np.stack([workshop.floor, np.roll(workshop.floor, -1, axis=0)], axis=1)
+    distances = np.array([distance_to_outline(side, workshop.target_points[:, :2]) for side in wall_ends])
     nearest = np.where(distances.min(axis=0) < MAX_WALL_DISTANCE, distances.argmin(axis=0), -1)
-    for number, side in enumerate(sides):
+    for number, side in enumerate(wall_ends):
         if np.sum(nearest == number) >= 2:
             ax.plot(*side.T, color=style.INK_COLOUR, linewidth=3.0, zorder=1, label=legend_label)
             legend_label = None

@@ -120,8 +120,8 @@ def correlation_figure(parameters: Sequence[ParameterEntry], covariance: Floats)
     scale = np.where(sigma > 0, sigma, 1.0)
     matrix = covariance / np.outer(scale, scale)
     largest_correlations = np.abs(np.where(np.eye(len(names), dtype=bool), 0.0, matrix)).max(axis=1, initial=0.0)
-    shown = np.sort(np.argsort(-largest_correlations, kind="stable")[:MAX_CORRELATED_PARAMETERS])
-    count, matrix = len(shown), matrix[np.ix_(shown, shown)]
+    shown_indices = np.sort(np.argsort(-largest_correlations, kind="stable")[:MAX_CORRELATED_PARAMETERS])
+    count, matrix = len(shown_indices), matrix[np.ix_(shown_indices, shown_indices)]
     figure, ax = style.new_panel(2.2 + 0.15 * count)
     if count < len(names):
         ax.set_title(
@@ -131,7 +131,7 @@ def correlation_figure(parameters: Sequence[ParameterEntry], covariance: Floats)
     table = np.where(np.eye(count, dtype=bool), np.nan, matrix)
     colours = ax.pcolormesh(table, cmap=style.DIVERGING_COLOUR_MAP, vmin=-1, vmax=1)
     ax.invert_yaxis()
-    labels = [style.shortened_name(names[i], 26) for i in shown]
+    labels = [style.shortened_name(names[i], 26) for i in shown_indices]
     ax.set_xticks(np.arange(count) + 0.5, labels, rotation=60, ha="right", rotation_mode="anchor", fontsize=6.5)
     ax.set_yticks(np.arange(count) + 0.5, labels, fontsize=6.5)
     ax.tick_params(length=0)

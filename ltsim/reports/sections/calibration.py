@@ -267,9 +267,11 @@ def _warning_blocks(content: Calibration, *, converged: bool, agrees: bool) -> l
 
 def _reference_value_blocks(content: Calibration) -> list[TableBlock]:
     note = "Residual: declared minus adjusted value. Error: estimate from all other observations, +- one sigma."
-    shown = sorted(content.reference_values, key=lambda entry: (not entry.excluded, -entry.w))
+    sorted_values = sorted(content.reference_values, key=lambda entry: (not entry.excluded, -entry.w))
     fields = ("kind", "name", "component", "residual", "error+-sigma_error", "minimal_detectable=detectable", "unit")
-    return entries_table("Fit of the reference values", shown, *fields, "redundancy", "w", "excluded", note=note)
+    return entries_table(
+        "Fit of the reference values", sorted_values, *fields, "redundancy", "w", "excluded", note=note
+    )
 
 
 def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:

@@ -119,7 +119,7 @@ def _failed_test_actions(content: Check) -> list[str]:
 def comparison_section(content: Comparison, _: ReportContext) -> Section:
     """Section of a comparison of epochs."""
     points = sorted(content.displacements, key=lambda d: (not d.moved, natural_sort_key(d.target)))
-    moved = [d.target for d in points if d.moved]
+    moved_targets = [d.target for d in points if d.moved]
     caption = "Shift of each point, enlarged; circle: the largest semi-axis of its 95 % ellipsoid."
     note = (
         "dx, dy, dz: with one standard deviation; a: largest semi-axis of the 95 % confidence ellipsoid; visible: the "
@@ -129,22 +129,22 @@ def comparison_section(content: Comparison, _: ReportContext) -> Section:
         "target moved dx_um dy_um dz_um a_um visible_um p_value"
     )
     table = table_block(
-        "Every point", shown_table, note=note, marked_rows=frozenset(range(len(moved))), is_foldable=False
+        "Every point", shown_table, note=note, marked_rows=frozenset(range(len(moved_targets))), is_foldable=False
     )
     facts = [
         KeyFigure("points", str(len(points))),
-        KeyFigure("moved", str(len(moved)), assessment_of(not moved)),
+        KeyFigure("moved", str(len(moved_targets)), assessment_of(not moved_targets)),
         KeyFigure("no motion, p", p_text(content.p_value), assessment_of(content.p_value >= content.level)),
         *([] if content.scale_ppm is None else [KeyFigure("scale", f"{content.scale_ppm:+.2f} ppm")]),
     ]
     answer = " ".join(map(as_sentence, (content.sentence, *content.notes)))
     picture = PictureBlock("Displacements", lambda: figures.points.displacement_figure(content), caption)
-    action = f"Inspect and re-measure these points before you use them as references: {listing(moved)}."
+    action = f"Inspect and re-measure these points before you use them as references: {listing(moved_targets)}."
     if content.is_rigid_motion:
         action = f"If the lists are in different frames, compare them with {option('free=True')}."
     return Section(
-        "Comparison of two epochs", "Comparison", answer, assessment_of(not moved), facts, [picture, *table],
-        axes="the first epoch's", next_actions=[action] if moved else [],
+        "Comparison of two epochs", "Comparison", answer, assessment_of(not moved_targets), facts, [picture, *table],
+        axes="the first epoch's", next_actions=[action] if moved_targets else [],
     )  # fmt: skip
 
 
@@ -247,10 +247,12 @@ def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
 
 def uncertainty_budget_figure(content: Uncertainty) -> Figure:
     """Figure of the budgets of the first results."""
-    shown = content.results[:MAX_BUDGET_BARS]
-    sources = dict.fromkeys(part.source for r in shown for part in r.budget)
-    shares = {name: [next((p.share for p in r.budget if p.source == name), 0.0) for r in shown] for name in sources}
-    return figures.parameters.budget_figure([f"{r.task}, {r.name}" for r in shown], shares)
+    listed_results = content.results[:MAX_BUDGET_BARS]
+    sources = dict.fromkeys(part.source for r in listed_results for part in r.budget)
+    shares = {
+        name: [next((p.share for p in r.budget if p.source == name), 0.0) for r in listed_results] for name in sources
+    }
+    return figures.parameters.budget_figure([f"{r.task}, {r.name}" for r in listed_results], shares)
 
 
 def _site_sentence(content: NextMeasurement) -> str:

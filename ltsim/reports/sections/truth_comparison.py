@@ -41,10 +41,10 @@ def effect_place_text(effect: Any) -> str:
 
 def truth_blocks(content: Diagnosis, truth: Truth, adjustments: AdjustmentPair | None) -> list[Block]:
     """Figure and table that compare the injected effects of a simulated recording with the findings of a diagnosis."""
-    by_name = {applied.effect.name: applied for applied in truth.applied_effects}
-    effects_of_findings = [by_name.get(f.effect) for f in content.findings]
+    applied_by_name = {applied.effect.name: applied for applied in truth.applied_effects}
+    effects_of_findings = [applied_by_name.get(f.effect) for f in content.findings]
     effects_of_findings += [
-        applied for name, applied in by_name.items() if name not in {f.effect for f in content.findings}
+        applied for name, applied in applied_by_name.items() if name not in {f.effect for f in content.findings}
     ]
     table_rows = [
         row
@@ -67,7 +67,7 @@ def _injected_and_finding_rows(injected: AppliedEffect | None, finding: Finding 
             for s in injected.effect.shape_parameters
         }
     estimate_by_name = {} if finding is None else {p.name: p for p in finding.parameters}
-    where = [
+    place_texts = [
         effect_place_text(x) if x else MISSING_TEXT for x in (injected and injected.effect, finding and finding.where)
     ]
     table_rows = [
@@ -76,7 +76,7 @@ def _injected_and_finding_rows(injected: AppliedEffect | None, finding: Finding 
             title_of(injected.effect.name) if injected else MISSING_TEXT,
             effect_text(finding.effect) if finding else "not detected",
         ],
-        ["where", *where],
+        ["where", *place_texts],
     ]
     for name in dict.fromkeys([*true_values, *estimate_by_name]):
         estimate = estimate_by_name.get(name)

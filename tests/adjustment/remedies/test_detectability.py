@@ -37,7 +37,7 @@ def test_noncentrality_of_one_parameter_is_the_classical_one() -> None:
     assert noncentrality(1) == pytest.approx((stats.norm.isf(0.0005) + stats.norm.ppf(TEST_POWER)) ** 2, rel=1e-3)
     assert noncentrality(1) == pytest.approx(17.07, abs=0.01)
     assert [noncentrality(q) for q in (1, 2, 6)] == sorted(noncentrality(q) for q in (1, 2, 6))
-    searched = [noncentrality(1, hypotheses=n) for n in (1, 10, 1000)]
+    searched = [noncentrality(1, n_tests=n) for n in (1, 10, 1000)]
     assert searched == sorted(searched)
 
 
