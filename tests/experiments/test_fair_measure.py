@@ -77,7 +77,7 @@ def test_the_ideal_observer_finds_an_easy_law(network: Any, monkeypatch: pytest.
     truth = elevation_drift(network)
     size = np.sqrt(600.0 / network.strengths(truth).sum())
     noise = np.random.default_rng(1).standard_normal(len(network.design))
-    opinion = ideal.observe(network, noise + network.design_columns(truth.scaled(size)), laws, np.random.default_rng(2))
+    opinion = ideal.observe(network, noise + network.signature(truth.scaled(size)), laws, np.random.default_rng(2))
     assert opinion.law == "index-drift" and opinion.p_value == 0.01 and opinion.probability > 0.9
     change = opinion.change[: network.base.size].reshape(-1, 3) * network.hall.sigma
     assert replace(measure.Model.nothing(network), change=change).share(network, truth.scaled(size)) > 0.95
