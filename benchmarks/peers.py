@@ -20,7 +20,7 @@ from ltsim.adjustment.rows import GaugeRows
 from ltsim.core.arrays import Floats
 from ltsim.geometry.polar import wrap_angle
 from ltsim.geometry.rigid import cross_matrix, from_rotation_vector
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 
@@ -36,12 +36,12 @@ class DenseProblem:
     ----------
     recording : Recording
         One instrument, everything measured, no levels and no control points.
-    construction : Construction
+    construction : GeometricErrorModel
     start : State
     """
 
     recording: Recording
-    construction: Construction
+    construction: GeometricErrorModel
     start: NetworkState
     _seen: dict[bytes, tuple[Floats, ...]] = field(default_factory=dict)
 

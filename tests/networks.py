@@ -11,7 +11,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
 from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import Construction, misalignment_construction
+from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Gauge, GaugeDistance, Setup, Target
@@ -41,7 +41,7 @@ class Truth:
     """What a test network was made with."""
 
     state: NetworkState
-    construction: Construction
+    construction: GeometricErrorModel
 
 
 def network(
@@ -50,7 +50,7 @@ def network(
     repeats: int = 1,
     values: Floats | None = None,
     seed: int | None = None,
-    construction: Construction | None = None,
+    construction: GeometricErrorModel | None = None,
     stations: int = 5,
 ) -> tuple[Recording, Truth]:
     """A recording of the reference workshop; noise is added where a seed is given."""
@@ -106,7 +106,7 @@ def network(
     return recording, Truth(state, built)
 
 
-def drawn(construction: Construction, seed: int) -> Floats:
+def drawn(construction: GeometricErrorModel, seed: int) -> Floats:
     """Instrument parameters drawn from their priors."""
     sigma = np.array([p.prior_sigma for p in construction.parameters])
     return sigma * stream(seed, "instrument").standard_normal(construction.n_parameters)
@@ -122,7 +122,12 @@ def with_effect(effect: Effect, values: list[float], *, noise: float = 1.0, seed
 
 
 def share_removed(
-    recording: Recording, points: Floats, construction: Construction, *, calibrated: Floats, true_parameters: Floats
+    recording: Recording,
+    points: Floats,
+    construction: GeometricErrorModel,
+    *,
+    calibrated: Floats,
+    true_parameters: Floats,
 ) -> CalibrationErrors:
     """Errors of what the stations measured against true points (T, 3): raw, calibrated, with the true parameters."""
     sizes = (None, calibrated, true_parameters)

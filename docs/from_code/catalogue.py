@@ -102,7 +102,7 @@ def _signature(kind: type[Effect], pictures: Pictures) -> list[str]:
     effect = effects[len(effects) // 2] if effects else None
     if effect is None or not np.any(moved := _displacement(effect, sightings)):
         return []
-    first = space.whitened_signature(effect)[:, :1]
+    first = space.whitened_design(effect)[:, :1]
     whole = float(np.sum(first**2))
     share = float(np.sum(space.project(first) ** 2)) / whole if whole else 0.0
     parameter, place = effect.parameters[0], ", ".join(effect.stations + effect.targets)

@@ -17,7 +17,7 @@ from ltsim.core.parallel import run_parallel
 from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import Construction, misalignment_construction
+from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
 from ltsim.recordings.recording import Recording
 from ltsim.reports.figures.campaign import SweepPoint, factor_panels_figure
 
@@ -32,7 +32,7 @@ class WithoutOutliers:
 
     def __init__(self, truth: CellTruth) -> None:
         self.truth = truth
-        self.construction: Construction = misalignment_construction()
+        self.construction: GeometricErrorModel = misalignment_construction()
         self.effects: tuple[Effect, ...] = ()
 
     def calibrate(self, block: TrialBatch, wanted: Ints) -> CalibratedBlock:

@@ -11,7 +11,7 @@ from ltsim.adjustment.fieldcheck.occupation import TwoFacePairs
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.units import GON, MILLIMETRE
 from ltsim.geometry.polar import from_polar
-from ltsim.physics.model.construction import Construction, misalignment_construction
+from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
 from ltsim.recordings import Hints, Recording, read
 from ltsim.recordings.setup import Noise
 
@@ -42,7 +42,7 @@ def set_up(recording: Recording, number: int) -> Recording:
     return recording.select(recording.station == number)
 
 
-def snooped(recording: Recording, construction: Construction | None = None) -> tuple[Recording, list[Dropped]]:
+def snooped(recording: Recording, construction: GeometricErrorModel | None = None) -> tuple[Recording, list[Dropped]]:
     """Leave out, one after the other, the station's pointings to the target with the largest outlier (w-test)."""
     built, dropped = construction or misalignment_construction(), []
     while found := adjust(recording, built).flagged_readings():

@@ -22,7 +22,7 @@ from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
 from ltsim.physics.effects.effect import Blunder, NoiseEffect
-from ltsim.physics.effects.signature import CandidateEffect
+from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.model.construction import declared_construction
 
 from .injections import background, injection, placed, unit_of
@@ -80,7 +80,7 @@ class Observer:
         """Projected signatures (m, k) along the eigenvectors of their Gram matrix, and its eigenvalues (k,)."""
         found = []
         for instance in self.instances:
-            rows = self.space.whitened_signature(instance.cause) * instance.cause.size_scales
+            rows = self.space.whitened_design(instance.cause) * instance.cause.size_scales
             projected = self.space.project(rows)
             values, vectors = np.linalg.eigh(projected.T @ projected)
             visible = values > MAX_SOLUTION_ROUNDING_ERROR * float(np.max(np.sum(rows**2, axis=0), initial=0.0))

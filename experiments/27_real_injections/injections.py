@@ -11,7 +11,7 @@ import ltsim as lt
 from experiments.common import RECORDINGS as DATA, Row
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.diagnosis.schema import Finding
-from ltsim.physics.effects.signature import CandidateEffect
+from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.recordings import Hints, Recording
 from ltsim.recordings.recording import SIGMA_COLUMNS

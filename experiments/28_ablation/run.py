@@ -14,7 +14,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
 from ltsim.core.parallel import run_parallel
-from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures, catalogue_hypotheses
+from ltsim.diagnosis.catalogue_designs import CatalogueDesigns, catalogue_hypotheses
 from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
 from ltsim.diagnosis.null_ensemble import MIN_SIMULATED_RECORDINGS, NullEnsemble
 from ltsim.diagnosis.prior import log_prior_share
@@ -43,7 +43,7 @@ def parts_of(space: ResidualSpace) -> dict[Part, list[Scored]]:
     sightings, instruments = space.sightings, space.adjustment.recording.instruments
     probe = NullEnsemble.from_space(space, 0, MIN_SIMULATED_RECORDINGS)
     bank = NoiseBank.from_space(space, noise_hypotheses(sightings, instruments))
-    cards = CatalogueSignatures.from_space(space, catalogue_hypotheses(sightings, instruments))
+    cards = CatalogueDesigns.from_space(space, catalogue_hypotheses(sightings, instruments))
     values, chance = cards.log_evidence_and_trials(probe)
     own = np.append(bank.family_evidence(space.residuals[:, None], space.redundancy)[:, 0], -np.inf)
     drawn = bank.family_evidence(probe.simulated_residuals, space.redundancy)

@@ -197,7 +197,7 @@ def make_test_entry(
 
     `expanded_uncertainty` is its uncertainty (95 %) [m], NaN if not given.
     """
-    sizes = {
+    sizes_um = {
         "error_um": error / MICROMETRE,
         "limit_um": limit / MICROMETRE,
         "expanded_um": expanded_uncertainty / MICROMETRE,
@@ -205,4 +205,4 @@ def make_test_entry(
     margin = 0.0 if np.isnan(expanded_uncertainty) else expanded_uncertainty
     is_accepted, is_rejected = abs(error) + margin <= limit, abs(error) - margin > limit
     judgement: Judgement = "accepted" if is_accepted else "rejected" if is_rejected else "undecided"
-    return TestEntry(name=test_name, group=test_group, judgement=judgement, **sizes)
+    return TestEntry(name=test_name, group=test_group, judgement=judgement, **sizes_um)

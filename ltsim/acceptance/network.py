@@ -21,7 +21,7 @@ from ltsim.adjustment import Adjustment
 from ltsim.adjustment.identification import CauseTest
 from ltsim.adjustment.identification.actions import cause_actions
 from ltsim.adjustment.identification.hypothesis import CauseKind
-from ltsim.adjustment.identification.signatures import ReadingShift
+from ltsim.adjustment.identification.reading_shifts import ReadingShift
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.correct import corrected_readings
 from ltsim.calibration.verbs import calibrate
@@ -29,8 +29,8 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing
 from ltsim.geometry.polar import from_polar, parts_across_beam, polar_jacobian, to_polar
+from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.motions import StationMotion, TargetMotion
-from ltsim.physics.effects.signature import Signature
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.specification import Specification
 
@@ -66,7 +66,7 @@ def may_be_tracker(cause: CauseTest) -> bool:
     return is_possible and not cause.where.targets
 
 
-def is_recording_error(effect: Signature) -> bool:
+def is_recording_error(effect: LinearEffect) -> bool:
     """True for an estimated effect that is no error of the tracker: a motion, or a shift as in `may_be_tracker`."""
     if isinstance(effect, ReadingShift):
         return not (effect.is_drift or effect.observable == "elevation")
@@ -104,12 +104,12 @@ class NetworkTests:
     @property
     def sentences(self) -> tuple[str, ...]:
         """Sentences on the errors in the recording, and on their treatment."""
-        groups = (
+        cause_groups = (
             (self.uncorrected_causes, "no error of the tracker, but it remains in the tests, which are not valid"),
             (self.corrected_causes, "no error of the tracker, and it is removed before the tests"),
             (self.tracker_causes, "possibly an error of the tracker, and it remains in the tests"),
         )
-        lines = [f"{c.sentence} This is {_treatment(c, words)}." for causes, words in groups for c in causes]
+        lines = [f"{c.sentence} This is {_treatment(c, words)}." for causes, words in cause_groups for c in causes]
         if self.outliers:
             lines.append(f"Pointings with outlying readings are not tested: {self._outlier_names}.")
         if self.unexplained_factor > 1.0:
@@ -168,19 +168,19 @@ def evaluate_network(recording: Recording, instrument_specification: Specificati
     assert adjustment is not None
     adjustment.solution.require_success()
     network = TestedNetwork(adjustment, calibration.uncertainty_factor)
-    entries = network.test_entries(instrument_specification)
-    if not entries:
+    test_entries = network.test_entries(instrument_specification)
+    if not test_entries:
         raise NetworkError("no station measured two whole targets; a length needs both ends")
     n_rejected = 0
-    if any(entry.judgement == "rejected" for entry in entries):
+    if any(entry.judgement == "rejected" for entry in test_entries):
         without_constants = replace(network, is_free_of_constants=True).test_entries(instrument_specification)
         n_rejected = sum(entry.judgement == "rejected" for entry in without_constants)
     causes = [test for test in calibration.tests if test.is_fault and test.kind != "outlier"]
     corrected = tuple(c for c in causes if not may_be_tracker(c) and network.is_corrected(c))
     tracker = tuple(c for c in causes if may_be_tracker(c))
-    rest = tuple(c for c in causes if c not in corrected and c not in tracker)
+    other_causes = tuple(c for c in causes if c not in corrected and c not in tracker)
     factor = 1.0 if causes else calibration.uncertainty_factor
-    return NetworkTests(tuple(entries), corrected, tracker, rest, outliers, factor, n_rejected)
+    return NetworkTests(tuple(test_entries), corrected, tracker, other_causes, outliers, factor, n_rejected)
 
 
 def _calibrate_without_outliers(recording: Recording) -> tuple[Calibration, tuple[CauseTest, ...]]:
@@ -217,7 +217,7 @@ class TestedNetwork:
     """True to test the readings after their correction by the estimated constants of the instrument."""
 
     @cached_property
-    def _extra_slices(self) -> list[tuple[Signature, slice]]:
+    def _extra_slices(self) -> list[tuple[LinearEffect, slice]]:
         """Estimated effects and nuisance errors, each with the slice of its additional parameters."""
         effects = self.adjustment.problem.model.extra_effects
         ends = np.cumsum([0, *(len(effect.parameters) for effect in effects)])
@@ -232,8 +232,8 @@ class TestedNetwork:
     @cached_property
     def _is_nuisance(self) -> Bools:
         """Flags (q,) of the additional parameters of nuisance errors, such as centring."""
-        count = self.adjustment.problem.model.n_effect_parameters
-        return np.arange(len(self._is_recording_error)) >= count
+        n_effect_parameters = self.adjustment.problem.model.n_effect_parameters
+        return np.arange(len(self._is_recording_error)) >= n_effect_parameters
 
     @cached_property
     def _extra_design(self) -> Floats:
@@ -255,12 +255,12 @@ class TestedNetwork:
 
     def is_corrected(self, cause: CauseTest) -> bool:
         """True if an identified error of the recording is removed, or in the uncertainties of the lengths."""
-        where = cause.where
+        place = cause.where
         if cause.kind == CENTRING_KIND:
             return bool(self.adjustment.problem.model.centring_errors)
         if cause.kind in RECORDING_CAUSE_KINDS:
             return any(
-                is_recording_error(e) and (e.stations, e.targets) == (where.stations, where.targets)
+                is_recording_error(e) and (e.stations, e.targets) == (place.stations, place.targets)
                 for e in self.adjustment.effects
             )
         is_reference = cause.kind in ("reference-value", "reference-scale")
@@ -281,47 +281,47 @@ class TestedNetwork:
             np.flatnonzero(is_tested & (recording.station == station) & (recording.face == f)) for f in (1, 2)
         ]
         tested_rows = rows_by_face[0] if len(rows_by_face[0]) else rows_by_face[1]
-        entries = self._length_entries(recording.stations[station], tested_rows, limits)
+        test_entries = self._length_entries(recording.stations[station], tested_rows, limits)
         front, back = map(self._mean_points, rows_by_face)
         for t in sorted(front.keys() & back.keys()):
             error = float(np.linalg.norm(parts_across_beam((front[t] - back[t])[None], front[t][None])))
             limit = float(limits.two_face_limits(front[t][None])[0])
             name = f"{recording.stations[station]}: {recording.targets[t]}"
-            entries.append(make_test_entry(name, "two-face", error, limit))
-        return entries
+            test_entries.append(make_test_entry(name, "two-face", error, limit))
+        return test_entries
 
     def _mean_points(self, pointing_rows: Ints) -> dict[int, Floats]:
         """Mean points (3,) [m] in the instrument's frame, by target, of the pointings in some rows."""
         points, targets = from_polar(self.readings[pointing_rows]), self.adjustment.recording.target[pointing_rows]
         return {int(t): points[targets == t].mean(axis=0) for t in np.unique(targets)}
 
-    def _length_entries(self, station: str, rows: Ints, limits: Specification) -> list[TestEntry]:
+    def _length_entries(self, station: str, row_indices: Ints, limits: Specification) -> list[TestEntry]:
         """Entries of all lengths between the targets in some rows of a station, with their uncertainty."""
         adjustment = self.adjustment
         names, points = adjustment.recording.targets, adjustment.state.target_points
-        mean_points = self._mean_points(rows)
+        mean_points = self._mean_points(row_indices)
         targets = [
             t for t in mean_points if names[t] not in adjustment.undetermined_targets and np.isfinite(points[t]).all()
         ]
-        pairs = np.array(list(combinations(range(len(targets)), 2)), dtype=np.int64).reshape(-1, 2)
-        if not len(pairs):
+        target_pairs = np.array(list(combinations(range(len(targets)), 2)), dtype=np.int64).reshape(-1, 2)
+        if not len(target_pairs):
             return []
         measured, reference = np.array([mean_points[t] for t in targets]), points[targets]
-        lengths, reference_lengths = (_pair_vectors(p, pairs) for p in (measured, reference))
+        lengths, reference_lengths = (_pair_vectors(p, target_pairs) for p in (measured, reference))
         error = np.linalg.norm(lengths, axis=1) - np.linalg.norm(reference_lengths, axis=1)
-        limit = limits.length_limits(*(measured[pairs[:, end]] for end in (0, 1)))
-        variance = self._length_variance(targets, rows, pairs, lengths, reference_lengths)
+        limit = limits.length_limits(*(measured[target_pairs[:, end]] for end in (0, 1)))
+        variance = self._length_variance(targets, row_indices, target_pairs, lengths, reference_lengths)
         return [
             make_test_entry(
                 f"{station}: {names[targets[a]]} to {names[targets[b]]}", f"lengths from {station}", *values
             )
             for (a, b), *values in zip(
-                pairs, error.tolist(), limit.tolist(), (2 * np.sqrt(variance)).tolist(), strict=True
+                target_pairs, error.tolist(), limit.tolist(), (2 * np.sqrt(variance)).tolist(), strict=True
             )
         ]
 
     def _length_variance(
-        self, targets: list[int], rows: Ints, pairs: Ints, lengths: Floats, reference_lengths: Floats
+        self, targets: list[int], row_indices: Ints, point_pairs: Ints, lengths: Floats, reference_lengths: Floats
     ) -> Floats:
         """Variances (k,) [m^2] of measured minus reference lengths, without the errors of the instrument.
 
@@ -331,34 +331,34 @@ class TestedNetwork:
         added.
         """
         unknowns, size = self.adjustment.problem.unknowns, len(targets)
-        changes = np.einsum(
+        length_changes = np.einsum(
             "kj,kjq->kq",
             lengths / np.linalg.norm(lengths, axis=1)[:, None],
-            _pair_vectors(self._mean_point_changes(targets, rows), pairs),
+            _pair_vectors(self._mean_point_changes(targets, row_indices), point_pairs),
         )
         is_corrected, is_nuisance = self._is_recording_error, self._is_nuisance
-        form = np.zeros((len(pairs), size, 3))
+        form = np.zeros((len(point_pairs), size, 3))
         direction = reference_lengths / np.linalg.norm(reference_lengths, axis=1)[:, None]
-        every = np.arange(len(pairs))
-        form[every, pairs[:, 0]], form[every, pairs[:, 1]] = direction, -direction
-        coefficients = np.concatenate([form.reshape(len(pairs), -1), -changes[:, is_corrected]], axis=1)
+        every = np.arange(len(point_pairs))
+        form[every, point_pairs[:, 0]], form[every, point_pairs[:, 1]] = direction, -direction
+        coefficients = np.concatenate([form.reshape(len(point_pairs), -1), -length_changes[:, is_corrected]], axis=1)
         columns = np.concatenate([unknowns.target_columns[targets].ravel(), unknowns.extra_columns[is_corrected]])
         unit = np.zeros((unknowns.n_columns, len(columns)))
         unit[columns, np.arange(len(columns))] = 1.0
         covariance = self.adjustment.factorised_normals.covariance_columns(unit)[columns]
         adjusted = self.uncertainty_factor**2 * np.einsum("ki,ij,kj->k", coefficients, covariance, coefficients)
         prior = self.adjustment.problem.extra_sigma[is_nuisance]
-        return np.asarray(adjusted + np.sum((changes[:, is_nuisance] * prior) ** 2, axis=1))
+        return np.asarray(adjusted + np.sum((length_changes[:, is_nuisance] * prior) ** 2, axis=1))
 
-    def _mean_point_changes(self, targets: list[int], rows: Ints) -> Floats:
+    def _mean_point_changes(self, targets: list[int], row_indices: Ints) -> Floats:
         """Derivative (t, 3, q) of the mean points by the additional parameters, in the frame of the instrument."""
         adjustment = self.adjustment
-        by_reading = np.linalg.inv(polar_jacobian(self.readings[rows], adjustment.recording.face[rows]))
-        changes = by_reading @ self._extra_design[rows]
-        is_mine = adjustment.recording.target[rows] == np.array(targets)[:, None]
-        return np.einsum("tn,niq->tiq", is_mine / is_mine.sum(axis=1, keepdims=True), changes)
+        by_reading = np.linalg.inv(polar_jacobian(self.readings[row_indices], adjustment.recording.face[row_indices]))
+        point_changes = by_reading @ self._extra_design[row_indices]
+        is_mine = adjustment.recording.target[row_indices] == np.array(targets)[:, None]
+        return np.einsum("tn,niq->tiq", is_mine / is_mine.sum(axis=1, keepdims=True), point_changes)
 
 
-def _pair_vectors(values: Floats, pairs: Ints) -> Floats:
+def _pair_vectors(points: Floats, point_pairs: Ints) -> Floats:
     """Second minus first of each pair (k, 2) of rows of values (t, ...)."""
-    return np.asarray(values[pairs[:, 1]] - values[pairs[:, 0]])
+    return np.asarray(points[point_pairs[:, 1]] - points[point_pairs[:, 0]])

@@ -14,7 +14,7 @@ from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
 from ltsim.geometry.polar import from_polar, parts_across_beam, to_polar, unit_vectors
 from ltsim.geometry.rigid import remove_rigid_motion
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import noise_sigma
 from ltsim.recordings.setup import Noise
 from ltsim.recordings.specification import Specification
@@ -31,10 +31,10 @@ spite of large errors.
 
 @dataclass(frozen=True)
 class AcceptancePlan:
-    """Acceptance tests for instruments of one construction with p constants: k tests with their limits."""
+    """Acceptance tests, k with their limits, for instruments with a geometric error model of p constants."""
 
     tests: tuple[AcceptanceTest, ...]
-    construction: Construction
+    construction: GeometricErrorModel
     specification: Specification
     declared_noise: Noise
 
@@ -86,8 +86,8 @@ class AcceptancePlan:
         squares = np.zeros((len(first), 2))
         near, far = (self._point_noise(points) for points in (first, second))
         way = second - first
-        length = np.linalg.norm(way, axis=1, keepdims=True)
-        direction = way / np.where(length > 0, length, 1.0)
+        line_lengths = np.linalg.norm(way, axis=1, keepdims=True)
+        direction = way / np.where(line_lengths > 0, line_lengths, 1.0)
         for axes, sigma in (near, far):
             squares[:, 0] += np.sum((np.einsum("kai,ki->ka", axes, direction) * sigma) ** 2, axis=1)
         squares[~self.is_length] = 2 * near[1][~self.is_length, 1:] ** 2
@@ -104,20 +104,20 @@ class AcceptancePlan:
         sigma = noise_sigma([self.declared_noise], flat.astype(int), polar[:, 0], flat)
         return axes, sigma * np.where([True, False, False], 1.0, polar[:, :1])
 
-    def predict(self, mean: Floats, covariance: Floats, *, trials: int, seed: int) -> AcceptancePrediction:
+    def predict(self, mean_constants: Floats, covariance: Floats, *, n_trials: int, seed: int) -> AcceptancePrediction:
         """Predicted errors of an instrument whose constants have a mean (p,) and a covariance (p, p) [SI].
 
-        The probability to pass is estimated with `trials` draws of constants and noise, whose errors are linearised
+        The probability to pass is estimated with `n_trials` draws of constants and noise, whose errors are linearised
         about the mean.
         """
         rng = stream(seed, "accept")
-        mean_errors = self.test_errors(mean)
+        mean_errors = self.test_errors(mean_constants)
         root = _covariance_root(covariance)
         passed = np.zeros(len(self.tests))
         every, groups = 0, dict.fromkeys((t.group for t in self.tests), 0)
         of_group = {g: np.array([t.group == g for t in self.tests]) for g in groups}
-        for start in range(0, trials, 2000):
-            count = min(2000, trials - start)
+        for start in range(0, n_trials, 2000):
+            count = min(2000, n_trials - start)
             drawn = (
                 rng.standard_normal((count, root.shape[1])) @ (self.sensitivities @ root).reshape(-1, root.shape[1]).T
             )
@@ -133,9 +133,9 @@ class AcceptancePlan:
         return AcceptancePrediction(
             expected_errors=mean_errors,
             error_sigmas=np.sqrt(variance),
-            pass_probabilities=passed / trials,
-            p_all_pass=every / trials,
-            p_group_passes={name: count / trials for name, count in groups.items()},
+            pass_probabilities=passed / n_trials,
+            p_all_pass=every / n_trials,
+            p_group_passes={name: count / n_trials for name, count in groups.items()},
         )
 
     def is_within_limits(self, errors: Floats) -> Bools:
@@ -151,12 +151,12 @@ class AcceptancePlan:
         indices = np.argmax(per_unit, axis=0)
         max_errors = per_unit[indices, np.arange(len(indices))]
         prior_sigmas = np.array([p.prior_sigma for p in self.construction.parameters])
-        size = np.where(
+        failing_sizes = np.where(
             max_errors * prior_sigmas > MAX_ROUNDING_FRACTION,
             1.0 / np.maximum(max_errors, np.finfo(float).tiny),
             np.inf,
         )
-        return size, [self.tests[i] for i in indices]
+        return failing_sizes, [self.tests[i] for i in indices]
 
     def worst_passing(self, prior: Floats, points: Floats) -> tuple[Floats, float, float]:
         """Constants (p,) [SI] with the largest point errors that still meet every limit, and two sizes of the errors.
@@ -203,7 +203,7 @@ class AcceptancePrediction:
     """Probability that all tests of a group pass."""
 
 
-def point_errors_by_constant(construction: Construction, points: Floats, prior_sigma: Floats) -> Floats:
+def point_errors_by_constant(construction: GeometricErrorModel, points: Floats, prior_sigma: Floats) -> Floats:
     """Displacement (3 n, p) [m] of front-face points (n, 3) [m] by constants of size `prior_sigma`, after a best fit.
 
     A rigid motion of all points is not counted.
@@ -236,8 +236,8 @@ def predicted_result(
     `prior` (p,) [SI] are standard deviations of its constants, `instrument_description` is the subject of the sentence.
     """
     values, rms, largest = plan.worst_passing(prior, envelope_points())
-    size = np.hypot(prediction.expected_errors[:, 0], prediction.expected_errors[:, 1])
-    errors = np.where(plan.is_length, prediction.expected_errors[:, 0], size)
+    error_sizes = np.hypot(prediction.expected_errors[:, 0], prediction.expected_errors[:, 1])
+    errors = np.where(plan.is_length, prediction.expected_errors[:, 0], error_sizes)
     expanded_uncertainties = 2 * np.sqrt(np.sum(prediction.error_sigmas**2, axis=1))
     tests = tuple(
         TestEntry(name=t.name, group=t.group, limit_um=limit, error_um=e, expanded_um=u, passes=float(p))

@@ -148,23 +148,23 @@ def _test_from_row(row: dict[str, str], line_number: int, file: Path) -> Accepta
     kind = row["kind"]
     if kind not in ("length", "two-face"):
         raise SetupError(f"{file}: row {line_number}: kind is '{quoted_text(kind)}', expected length or two-face")
-    first = _point_from_row(row, "1", line_number, file)
-    second = _point_from_row(row, "2", line_number, file) if kind == "length" else first
-    if kind == "length" and first == second:
+    first_point = _point_from_row(row, "1", line_number, file)
+    second = _point_from_row(row, "2", line_number, file) if kind == "length" else first_point
+    if kind == "length" and first_point == second:
         raise SetupError(f"{file}: row {line_number}: both ends of the length are the same point")
     name = row["test"] or f"{kind} in line {line_number}"
-    return AcceptanceTest(name, row["group"] or kind, kind, first, second)  # type: ignore[arg-type]
+    return AcceptanceTest(name, row["group"] or kind, kind, first_point, second)  # type: ignore[arg-type]
 
 
 def _point_from_row(row: dict[str, str], end_name: str, line_number: int, file: Path) -> tuple[float, float, float]:
     columns = (f"{axis}{end_name}_mm" for axis in "xyz")
-    values = [parse_comma_number(row[name], file=file, row=line_number, column=name) / 1000 for name in columns]
-    if not np.isfinite(values).all() or np.hypot(values[0], values[1]) < 1e-3:
+    coordinates = [parse_comma_number(row[name], file=file, row=line_number, column=name) / 1000 for name in columns]
+    if not np.isfinite(coordinates).all() or np.hypot(coordinates[0], coordinates[1]) < 1e-3:
         raise SetupError(
             f"{file}: row {line_number}: point {end_name} is on the vertical axis of the instrument, "
             "where azimuth is undefined; give a point beside the axis"
         )
-    return values[0], values[1], values[2]
+    return coordinates[0], coordinates[1], coordinates[2]
 
 
 def envelope_points() -> Floats:
@@ -209,7 +209,7 @@ class AcceptanceSettings(TomlSection):
     values of its data sheet.
     """
     construction: Literal["source-in-head", "steering-mirror"] = "source-in-head"
-    """Construction of the instrument: beam source in the head, or a steering mirror."""
+    """Design of the instrument: beam source in the head, or a steering mirror."""
     height_mm: Positive = 1500.0
     """Height of the instrument's head above the floor [mm]; two-face tests are on the floor, at this height and at
     twice it.

@@ -103,7 +103,7 @@ def _predict_or_evaluate(acceptance_settings: AcceptanceSettings, folder: Path) 
         if acceptance_settings.corrected:
             mean, of = mean - calibration.applied_values[0], "the corrected instrument"
     plan = AcceptancePlan(tests, model, limits, limits_si.noise)
-    outcome = plan.predict(mean, covariance, trials=acceptance_settings.trials, seed=acceptance_settings.seed)
+    outcome = plan.predict(mean, covariance, n_trials=acceptance_settings.trials, seed=acceptance_settings.seed)
     return predicted_result(plan, outcome, prior, acceptance_settings, instrument_description=of)
 
 
@@ -122,12 +122,12 @@ def read_measured(file: Path, tests: Sequence[AcceptanceTest], limits: Floats) -
     Raises SetupError for a test that is unknown or repeated, and for a cell that is no number.
     """
     place = {test.name: i for i, test in enumerate(tests)}
-    entries: dict[str, TestEntry] = {}
+    entry_by_test: dict[str, TestEntry] = {}
     for line, row in read_table_rows(file, ("test", "error_um"), ("U_um",)):
         name = row["test"].strip()
         if name not in place:
             raise SetupError(f"{file}: row {line}: {unknown_name('test', name, place)}")
-        if name in entries:
+        if name in entry_by_test:
             raise SetupError(f"{file}: row {line}: test '{quoted_text(name)}' has two rows; keep its largest error")
         numbers = [
             parse_comma_number(row[name], file=file, row=line, column=name) if row.get(name) else float("nan")
@@ -136,12 +136,12 @@ def read_measured(file: Path, tests: Sequence[AcceptanceTest], limits: Floats) -
         if not np.isfinite(numbers[0]):
             raise SetupError(f"{file}: row {line}: error_um is empty, expected micrometres")
         i = place[name]
-        entries[name] = make_test_entry(
+        entry_by_test[name] = make_test_entry(
             name, tests[i].group, numbers[0] * MICROMETRE, float(limits[i]), numbers[1] * MICROMETRE
         )
-    if not entries:
+    if not entry_by_test:
         raise SetupError(f"{file}: no measured errors; expected one row per test")
-    return list(entries.values())
+    return list(entry_by_test.values())
 
 
 def evaluated_result(
@@ -195,9 +195,11 @@ def _judgement_sentence(test_entries: Sequence[TestEntry], n_unmeasured_tests: i
     numbers, total = Counter(t.judgement for t in test_entries), len(test_entries)
     order: tuple[Judgement, ...] = ("rejected", "undecided", "accepted")
     judgement = next(j for j in order if numbers[j])
-    worst = _worst_entry(test_entries, judgement)
-    size = f"{worst.error_um:.1f} um" + (f" +- {worst.expanded_um:.1f} um" if worst.expanded_um else "")
-    phrase = f"{worst.name}: {size} where {worst.limit_um:.1f} um are permitted"
+    worst_entry = _worst_entry(test_entries, judgement)
+    error_text = f"{worst_entry.error_um:.1f} um" + (
+        f" +- {worst_entry.expanded_um:.1f} um" if worst_entry.expanded_um else ""
+    )
+    phrase = f"{worst_entry.name}: {error_text} where {worst_entry.limit_um:.1f} um are permitted"
     if judgement == "rejected":
         exceed = "exceeds its limit" if numbers["rejected"] == 1 else "exceed their limits"
         sentence = f"{numbers['rejected']} of {total} errors {exceed}; the worst is {phrase}"

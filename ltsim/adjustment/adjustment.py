@@ -27,8 +27,8 @@ from ltsim.adjustment.stochastic_model import VarianceComponent
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.results import Result
-from ltsim.physics.effects.signature import Signature
-from ltsim.physics.model.construction import Construction, ideal_construction
+from ltsim.physics.effects.linear_effect import LinearEffect
+from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
@@ -98,8 +98,8 @@ class Adjustment(Result):
         cls,
         recording: Recording,
         state: NetworkState,
-        construction: Construction | None = None,
-        effects: Sequence[Signature] = (),
+        construction: GeometricErrorModel | None = None,
+        effects: Sequence[LinearEffect] = (),
         prior: ParameterPrior | None = None,
     ) -> Adjustment:
         """Adjustment of planned pointings, for the precision of a plan, which does not depend on readings.
@@ -111,11 +111,9 @@ class Adjustment(Result):
         recording : Recording
             Planned pointings; their readings only state which observables are measured.
         state : NetworkState
-            Planned stations and targets, and the instrument's parameters.
-        construction, effects
-            Construction and effects whose parameters are to be estimated; default an ideal tracker without parameters.
-        prior : ParameterPrior, optional
-            Prior of the instrument parameters; default that of the set-up.
+            Planned stations and targets, and the instrument's parameters. construction, effects Geometric error model
+            and effects whose parameters are to be estimated; default an ideal tracker without parameters. prior :
+            ParameterPrior, optional Prior of the instrument parameters; default that of the set-up.
         """
         model = MeasurementModel(recording, construction or ideal_construction(), tuple(effects))
         if len(state.extra_parameters) != model.n_extra_parameters:
@@ -139,12 +137,12 @@ class Adjustment(Result):
         return self.problem.model.recording
 
     @property
-    def construction(self) -> Construction:
-        """The construction whose parameters were estimated."""
+    def construction(self) -> GeometricErrorModel:
+        """Geometric error model of the instrument, whose parameters were estimated."""
         return self.problem.model.construction
 
     @property
-    def effects(self) -> tuple[Signature, ...]:
+    def effects(self) -> tuple[LinearEffect, ...]:
         """Additional effects that were estimated."""
         return self.problem.model.effects
 
@@ -255,8 +253,8 @@ class Adjustment(Result):
     @cached_property
     def is_rejected(self) -> Bools:
         """Flags (n, 3) of the rejected readings, without those to targets that no usable reading determines."""
-        whole = drop_undetermined(replace(self.problem, used_readings=self.recording.usable), self.state)
-        return whole.used_readings & ~self.problem.used_readings
+        determined_problem = drop_undetermined(replace(self.problem, used_readings=self.recording.usable), self.state)
+        return determined_problem.used_readings & ~self.problem.used_readings
 
     def flagged_readings(
         self, alpha: float = FAMILY_LEVEL, *, uses_estimated_noise: bool = False
@@ -285,19 +283,19 @@ class Adjustment(Result):
         outliers = iterative_snooping(whitened[flagged], block, scale[flagged], dof[flagged], count, alpha)
         return [FlaggedReading(*place[k], float(error * unit[k]), w, p_value) for k, error, w, p_value in outliers]
 
-    def _redundancy_block(self, rows: Ints, columns: Ints) -> Floats:
+    def _redundancy_block(self, pointing_indices: Ints, columns: Ints) -> Floats:
         """Block (k, k) of the redundancy matrix for k readings in use, given by their rows and columns (k,).
 
         Element (i, j) is the change of residual i by an error of reading j, in standard deviations. For more than
         `MAX_SUCCESSIVELY_TESTED_READINGS` readings the block is diagonal.
         """
         use = self.problem.used_readings
-        if len(rows) > MAX_SUCCESSIVELY_TESTED_READINGS:
-            return np.diag(self.redundancy[rows, columns])
-        at = (np.cumsum(use) - 1).reshape(use.shape)[rows, columns]
-        design = to_dense(self.solution.system.design[at])
+        if len(pointing_indices) > MAX_SUCCESSIVELY_TESTED_READINGS:
+            return np.diag(self.redundancy[pointing_indices, columns])
+        residual_rows = (np.cumsum(use) - 1).reshape(use.shape)[pointing_indices, columns]
+        design = to_dense(self.solution.system.design[residual_rows])
         response = self.factorised_normals.covariance_columns(np.ascontiguousarray(design.T))
-        return np.asarray(np.eye(len(at)) - design @ response)
+        return np.asarray(np.eye(len(residual_rows)) - design @ response)
 
     def covariance_of(self, columns: Ints) -> Floats:
         """Covariances (c, k, k) of c sets of k unknowns each; `columns` (c, k) are their columns in the design matrix.
@@ -372,11 +370,11 @@ class Adjustment(Result):
         return np.asarray(self.problem.structure.height_free_targets | np.array(plan, dtype=bool))
 
     @single_threaded
-    def with_effects(self, effects: Sequence[Signature], start_state: NetworkState) -> Adjustment:
+    def with_effects(self, effects: Sequence[LinearEffect], start_state: NetworkState) -> Adjustment:
         """Adjustment of the same readings with the same weights, and with other additional effects."""
         old, model = self.problem, replace(self.problem.model, effects=tuple(effects))
-        new = NetworkProblem.from_model(model, sigma=old.sigma, reading_mask=old.used_readings, prior=old.prior)
-        problem = replace(new, gauge_rows=old.gauge_rows, difference_rows=old.difference_rows)
+        new_problem = NetworkProblem.from_model(model, sigma=old.sigma, reading_mask=old.used_readings, prior=old.prior)
+        problem = replace(new_problem, gauge_rows=old.gauge_rows, difference_rows=old.difference_rows)
         problem = replace(problem, level_rows=old.level_rows, yaw_rows=old.yaw_rows)
         solution = solve(problem, replace(start_state, extra_parameters=np.zeros(model.n_extra_parameters)))
         return replace(self, problem=problem, solution=solution, datum=None)

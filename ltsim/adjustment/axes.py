@@ -109,19 +109,21 @@ def with_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane:
     NetworkError
         When the recording cannot be adjusted.
     """
-    three = (origin, x_axis, xy_plane)
-    for name in three:
+    axis_names = (origin, x_axis, xy_plane)
+    for name in axis_names:
         if name not in recording.targets:
             raise RecordError(f"the axes name the target '{quoted_text(name)}', which was never measured")
     _require_free_frame(recording)
-    a, b, c = adjust(recording).state.target_points[[recording.targets.index(name) for name in three]]
+    a, b, c = adjust(recording).state.target_points[[recording.targets.index(name) for name in axis_names]]
     along, across = b - a, c - a
-    length = float(np.linalg.norm(along))
-    cosine = float(across @ along) / length if length else 0.0
-    sine = float(np.linalg.norm(np.cross(along, across))) / length if length else 0.0
-    if sine < 1e-3 * max(length, 1e-3):
-        raise RecordError(f"the targets {', '.join(three)} of the axes lie on one line, expected three that do not")
-    places = {origin: np.zeros(3), x_axis: np.array([length, 0, 0]), xy_plane: np.array([cosine, sine, 0.0])}
+    distance = float(np.linalg.norm(along))
+    cosine = float(across @ along) / distance if distance else 0.0
+    sine = float(np.linalg.norm(np.cross(along, across))) / distance if distance else 0.0
+    if sine < 1e-3 * max(distance, 1e-3):
+        raise RecordError(
+            f"the targets {', '.join(axis_names)} of the axes lie on one line, expected three that do not"
+        )
+    places = {origin: np.zeros(3), x_axis: np.array([distance, 0, 0]), xy_plane: np.array([cosine, sine, 0.0])}
     datum_axes: dict[str, Axes] = {origin: "xyz", x_axis: "yz", xy_plane: "z"}
     aligned = _with_datum(recording, places, datum_axes)
     note = f"coordinates in the axes of {origin}, {x_axis} and {xy_plane}"
@@ -182,8 +184,10 @@ def _require_network_shape(network_points: Floats, declared_points: Floats, sour
     is_mirrored = (
         float(np.median(alignment_distances(mirror, declared_points, motions[1]))) * MIN_MISFIT_RATIO < typical
     )
-    pairs = np.triu_indices(len(network_points), 1)
-    lengths, declared = (np.linalg.norm(p[pairs[0]] - p[pairs[1]], axis=1) for p in (network_points, declared_points))
+    point_pairs = np.triu_indices(len(network_points), 1)
+    lengths, declared = (
+        np.linalg.norm(p[point_pairs[0]] - p[point_pairs[1]], axis=1) for p in (network_points, declared_points)
+    )
     if typical < MAX_RELATIVE_MISCLOSURE * float(np.median(lengths)) and not is_mirrored:
         return
     scale = float(np.median(declared / np.maximum(lengths, 1e-9)))

@@ -83,8 +83,8 @@ def detect_blunders(adjustment: Adjustment) -> list[CorrectedBlunder]:
 def _points_from_readings(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
     """Points (k, 3) [m] in the network frame, from readings (k, 3) that replace those of the pointings `rows` (k,)."""
     station, instrument = adjustment.recording.station[rows], adjustment.recording.instrument[rows]
-    local = adjustment.construction.point(readings, adjustment.state.instrument_parameters[instrument])
-    rotated = np.einsum("nij,nj->ni", adjustment.state.station_rotations[station], local)
+    local_points = adjustment.construction.point(readings, adjustment.state.instrument_parameters[instrument])
+    rotated = np.einsum("nij,nj->ni", adjustment.state.station_rotations[station], local_points)
     network_points: Floats = rotated + adjustment.state.station_positions[station]
     lift = adjustment.problem.model.geometry(adjustment.state).reflector_offsets
     return network_points if lift is None else network_points - lift[rows]
@@ -110,11 +110,11 @@ def _swapped_targets(adjustment: Adjustment, is_gross: Bools) -> Iterator[Correc
     )
     nearest_targets = np.argmin(gaps, axis=1)
     lands = gaps[np.arange(len(indices)), nearest_targets] < MAX_TRACKER_ERROR
-    pairs: dict[tuple[int, int, int], list[int]] = {}
+    rows_by_pair: dict[tuple[int, int, int], list[int]] = {}
     for i in np.flatnonzero(lands & (nearest_targets != recording.target[indices])):
         a, b = sorted((int(recording.target[indices[i]]), int(nearest_targets[i])))
-        pairs.setdefault((int(recording.station[indices[i]]), a, b), []).append(int(i))
-    for (s, a, b), members in pairs.items():
+        rows_by_pair.setdefault((int(recording.station[indices[i]]), a, b), []).append(int(i))
+    for (s, a, b), members in rows_by_pair.items():
         station, names = recording.stations[s], (recording.targets[a], recording.targets[b])
         gap = float(np.linalg.norm(points[a] - points[b]))
         booked = sorted(set(recording.target[indices[members]].tolist()))
@@ -153,15 +153,15 @@ def _wrong_heights(adjustment: Adjustment, is_gross: Bools) -> Iterator[Correcte
     lift = np.zeros((len(recording), 3))
     lift[indices] = vertical_parts[:, None] * plumb_lines
     new_readings = recording.readings - exact_target_change(adjustment.sightings, lift)
-    groups: dict[tuple[int, int, int], list[int]] = {}
+    rows_by_setup: dict[tuple[int, int, int], list[int]] = {}
     for i in np.flatnonzero((np.abs(vertical_parts) > MAX_TRACKER_ERROR) & is_vertical):
         key = (
             int(recording.station[indices[i]]),
             int(recording.target[indices[i]]),
             round(vertical_parts[i] / (2.0 * MAX_TRACKER_ERROR)),
         )
-        groups.setdefault(key, []).append(int(i))
-    for (s, t, _), members in groups.items():
+        rows_by_setup.setdefault(key, []).append(int(i))
+    for (s, t, _), members in rows_by_setup.items():
         station, target, size = recording.stations[s], recording.targets[t], float(np.mean(vertical_parts[members]))
         numbers = ", ".join(str(indices[i] + 1) for i in members[:MAX_LISTED_ITEMS])
         where = "above" if size > 0 else "below"
@@ -232,13 +232,13 @@ def _mirrored_pair(recording: Recording) -> list[IdentifiedBlunder]:
     One of the stations has clockwise azimuths, but the readings do not show which one.
     """
     readings = recording.readings.copy()
-    rows = np.flatnonzero(recording.station == 1)
-    readings[rows, 1] *= -1.0
+    second_station_rows = np.flatnonzero(recording.station == 1)
+    readings[second_station_rows, 1] *= -1.0
     if not _cloud_misfits(recording.with_readings(readings))[1] < MIN_CLOUD_MISFIT:
         return []
     a, b = recording.stations
     sentence = f"Stations {a} and {b} saw mirror images: the azimuths of one of them are clockwise."
-    return [IdentifiedBlunder(WrongUnit.name, rows, (a, b), (), ("azimuth",), 0.0, sentence)]
+    return [IdentifiedBlunder(WrongUnit.name, second_station_rows, (a, b), (), ("azimuth",), 0.0, sentence)]
 
 
 def correct_faces(recording: Recording) -> tuple[Recording, list[IdentifiedBlunder]]:

@@ -147,16 +147,24 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
             break
         if np.linalg.norm(np.linalg.lstsq(space.project(shifts[best]), space.residuals)[0]) < height_sigma:
             break
-        space, chi2, dof = space.with_signatures(shifts[best]), chi2 - drop, dof - rank
+        space, chi2, dof = space.with_design_columns(shifts[best]), chi2 - drop, dof - rank
         occupations.append(best)
     if not occupations:
         return None
     columns = whole.project(np.hstack([shifts[i] for i in occupations]))
     cofactor = np.linalg.pinv(columns.T @ columns)
-    values = (cofactor @ (columns.T @ whole.residuals)).reshape(-1, axes)
-    number = range(len(occupations))
-    spread = cofactor.reshape(len(number), axes, len(number), axes)[number, :, number] * chi2 / dof
-    return CentringErrors(adjustment, tuple(candidates[i] for i in occupations), values, spread, chi2, dof, noisy)
+    displacements = (cofactor @ (columns.T @ whole.residuals)).reshape(-1, axes)
+    occupation_indices = range(len(occupations))
+    spread = (
+        cofactor.reshape(len(occupation_indices), axes, len(occupation_indices), axes)[
+            occupation_indices, :, occupation_indices
+        ]
+        * chi2
+        / dof
+    )
+    return CentringErrors(
+        adjustment, tuple(candidates[i] for i in occupations), displacements, spread, chi2, dof, noisy
+    )
 
 
 def correct_centring(adjustment: Adjustment) -> tuple[Recording, list[IdentifiedBlunder]]:

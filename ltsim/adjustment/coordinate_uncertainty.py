@@ -58,8 +58,11 @@ def covariance_csv(
         covariance = covariance + added_covariance
     is_determined = np.isfinite(np.diag(covariance))
     coordinates = [f"{name}.{axis}" for name in names for axis in AXIS_NAMES]
-    rows = np.flatnonzero(is_determined)
-    return covariance_text([coordinates[i] for i in rows.tolist()], covariance[np.ix_(rows, rows)])
+    determined_indices = np.flatnonzero(is_determined)
+    return covariance_text(
+        [coordinates[i] for i in determined_indices.tolist()],
+        covariance[np.ix_(determined_indices, determined_indices)],
+    )
 
 
 TEMPERATURE_ERROR = "temperature of the air"
@@ -223,8 +226,8 @@ def hidden_displacements(adjustment: Adjustment, air: AirUncertainty | None = No
             adjustment.datum.transformation.T @ normal_side
         )
     motion = rigid_motion_design(adjustment.state.target_points[targets])
-    sizes = {}
+    size_by_target = {}
     for name, response in zip(shared_air_errors(chosen), displacements[columns].T, strict=True):
         rest = response - motion @ np.linalg.lstsq(motion, response, rcond=None)[0]
-        sizes[name] = float(np.sqrt(3.0 * np.mean(rest**2))) if len(rest) else 0.0
-    return sizes
+        size_by_target[name] = float(np.sqrt(3.0 * np.mean(rest**2))) if len(rest) else 0.0
+    return size_by_target

@@ -32,8 +32,8 @@ from ltsim.core.limits import MAX_ADJUSTED_POINTINGS
 from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_robustly, rigid_motion_design
-from ltsim.physics.effects.signature import Signature
-from ltsim.physics.model.construction import Construction, ideal_construction
+from ltsim.physics.effects.linear_effect import LinearEffect
+from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, smr_radius_offsets, with_plumb_lines
 from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import Solution, solve
@@ -44,9 +44,9 @@ from ltsim.solve.threads import single_threaded
 @single_threaded
 def adjust(
     recording: Recording,
-    construction: Construction | None = None,
+    construction: GeometricErrorModel | None = None,
     *,
-    effects: Sequence[Signature] = (),
+    effects: Sequence[LinearEffect] = (),
     sigma: Floats | None = None,
     reading_mask: Bools | None = None,
     start_state: NetworkState | None = None,
@@ -62,9 +62,9 @@ def adjust(
     Parameters
     ----------
     recording : Recording
-    construction : Construction, optional
+    construction : GeometricErrorModel, optional
         Default: an ideal tracker without parameters.
-    effects : sequence of Signature
+    effects : sequence of LinearEffect
         Additional effects to estimate, free except for `effect_prior_sigma`.
     sigma : (n, 3) float, optional, [m, rad, rad]
         Standard deviations of the readings; default the declared noise.
@@ -174,9 +174,9 @@ def _require_unoccupied_targets(recording: Recording) -> None:
 
 def _is_over_wrong_mark(recording: Recording, is_gross: Bools) -> Bools:
     """Flags (n,) of pointings from set-ups over marks with mostly gross pointings: mark or height may be wrong."""
-    count = len(recording.stations)
+    n_stations = len(recording.stations)
     has_mark = np.array([recording.station_setup(name).over is not None for name in recording.stations])
-    share = np.bincount(recording.station, is_gross, count) / np.bincount(recording.station, minlength=count)
+    share = np.bincount(recording.station, is_gross, n_stations) / np.bincount(recording.station, minlength=n_stations)
     return np.asarray((has_mark & (share > MIN_FAULTY_FRACTION_OF_PLACE))[recording.station])
 
 

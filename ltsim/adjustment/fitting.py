@@ -91,10 +91,10 @@ def fit_point(sight: FitReadings, position: Floats, rotation: Floats) -> Floats 
         return None
 
     def evaluate(x: Floats, _: Floats) -> tuple[Floats, Floats]:
-        local = np.einsum("kji,bkj->bki", rotation, x[:, None] - lifted[None])
-        gap, by_local = sight.residuals(local)
-        by = by_local.reshape(len(x), -1, 3, 3) @ np.swapaxes(rotation, 1, 2)[None]
-        return gap, by.reshape(len(x), -1, 3)
+        local_points = np.einsum("kji,bkj->bki", rotation, x[:, None] - lifted[None])
+        gap, by_local = sight.residuals(local_points)
+        point_derivatives = by_local.reshape(len(x), -1, 3, 3) @ np.swapaxes(rotation, 1, 2)[None]
+        return gap, point_derivatives.reshape(len(x), -1, 3)
 
     starts = _start_points(sight.readings, lifted, rotation)
     is_free = np.arange(6) < 3
@@ -178,8 +178,8 @@ def _candidate_rotations(is_level: bool) -> Floats:
     yaws = np.stack([rotation_about_z(a) for a in EIGHT_AZIMUTHS])
     if is_level:
         return yaws
-    sides = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [2, 0, 0], [0, 1, 0], [0, -1, 0]])
-    return np.concatenate([tilt @ yaws for tilt in from_rotation_vector(0.5 * np.pi * sides)])
+    euler_quarters = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [2, 0, 0], [0, 1, 0], [0, -1, 0]])
+    return np.concatenate([tilt @ yaws for tilt in from_rotation_vector(0.5 * np.pi * euler_quarters)])
 
 
 def _start_points(readings: Floats, position: Floats, rotation: Floats) -> Floats:
@@ -216,13 +216,13 @@ def multilaterate(ranges: Floats) -> tuple[Floats, Floats] | None:
     stations, targets = u[:, :3] * singular[:3], right[:3].T
     x, y, z = targets.T
     quadratic = np.stack([x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, 2 * x, 2 * y, 2 * z], axis=1)
-    values = np.linalg.lstsq(quadratic[1:], (squares[0] - squares[0, 0])[1:], rcond=None)[0]
-    metric = values[[0, 3, 4, 3, 1, 5, 4, 5, 2]].reshape(3, 3)
+    solution = np.linalg.lstsq(quadratic[1:], (squares[0] - squares[0, 0])[1:], rcond=None)[0]
+    metric = solution[[0, 3, 4, 3, 1, 5, 4, 5, 2]].reshape(3, 3)
     size, axes = np.linalg.eigh(metric)
     if size[0] <= 0:
         return None
     root = np.sqrt(size)[:, None] * axes.T
-    shift = np.linalg.solve(root.T, values[6:])
+    shift = np.linalg.solve(root.T, solution[6:])
     return stations @ np.linalg.inv(root), targets @ root.T + shift
 
 
@@ -269,11 +269,11 @@ def fit_plan(
         Measured lengths. A length is used if the direction of its line was measured from one end.
     """
     yaw = _setup_yaws(setup, starts, ends, azimuths)
-    rows = np.isfinite(yaw[setup])
-    bearing = (yaw[setup] + azimuths)[rows]
-    used, at = np.unique(np.concatenate([starts[rows], ends[rows]]), return_inverse=True)
+    is_oriented = np.isfinite(yaw[setup])
+    bearing = (yaw[setup] + azimuths)[is_oriented]
+    used, at = np.unique(np.concatenate([starts[is_oriented], ends[is_oriented]]), return_inverse=True)
     first, second = at.reshape(2, -1)
-    along, length = _measured_lengths_of_directions(lines, starts[rows], ends[rows])
+    along, length = _measured_lengths_of_directions(lines, starts[is_oriented], ends[is_oriented])
     has_control = np.isfinite(control[used]).all(axis=1)
     if has_control.sum() < 2 and not len(along):
         return None
@@ -298,9 +298,9 @@ def _measured_lengths_of_directions(lines: PlanLengths, starts: Ints, ends: Ints
     ):
         lengths.setdefault((start_place, end_place), length)
         lengths.setdefault((end_place, start_place), length)
-    pairs = list(zip(starts.tolist(), ends.tolist(), strict=True))
-    along = np.flatnonzero([pair in lengths for pair in pairs])
-    return along, np.array([lengths[pairs[i]] for i in along])
+    measured_pairs = list(zip(starts.tolist(), ends.tolist(), strict=True))
+    measured_indices = np.flatnonzero([pair in lengths for pair in measured_pairs])
+    return measured_indices, np.array([lengths[measured_pairs[i]] for i in measured_indices])
 
 
 def lines_without_length(
@@ -312,14 +312,14 @@ def lines_without_length(
     `fit_plan`.
     """
     yaw = _setup_yaws(setup, starts, end_places, azimuths)
-    rows = np.isfinite(yaw[setup])
-    used, at = np.unique(np.concatenate([starts[rows], end_places[rows]]), return_inverse=True)
+    is_oriented = np.isfinite(yaw[setup])
+    used, at = np.unique(np.concatenate([starts[is_oriented], end_places[is_oriented]]), return_inverse=True)
     first, second = at.reshape(2, -1)
-    along, _ = _measured_lengths_of_directions(lines, starts[rows], end_places[rows])
-    _, size, right = np.linalg.svd(_plan_design(first, second, (yaw[setup] + azimuths)[rows], along, len(used)))
+    along, _ = _measured_lengths_of_directions(lines, starts[is_oriented], end_places[is_oriented])
+    _, size, right = np.linalg.svd(_plan_design(first, second, (yaw[setup] + azimuths)[is_oriented], along, len(used)))
     if (
         not len(along)
-        or not rows.all()
+        or not is_oriented.all()
         or size[-1] >= MAX_SOLUTION_ROUNDING_ERROR * size[0]
         or size[-2] < MAX_SOLUTION_ROUNDING_ERROR * size[0]
     ):

@@ -321,14 +321,16 @@ class StationTargetPairs:
         """
         stations, targets = len(recording.stations), len(recording.targets)
         measured = from_polar(recording.readings) if points is None else points
-        rows = np.flatnonzero(np.isfinite(measured).all(axis=1))
-        key = recording.station[rows] * targets + recording.target[rows]
+        complete_rows = np.flatnonzero(np.isfinite(measured).all(axis=1))
+        key = recording.station[complete_rows] * targets + recording.target[complete_rows]
         by_key = np.argsort(key, kind="stable")
         where, first, count = np.unique(key[by_key], return_index=True, return_counts=True)
         centres = np.zeros((len(where), 3))
         for repeats in np.unique(count):
             group = np.flatnonzero(count == repeats)
-            centres[group] = np.median(measured[rows[by_key[first[group][:, None] + np.arange(repeats)]]], axis=1)
+            centres[group] = np.median(
+                measured[complete_rows[by_key[first[group][:, None] + np.arange(repeats)]]], axis=1
+            )
         station, target = np.divmod(where, max(targets, 1))
         order = np.argsort(target, kind="stable")
         starts = np.searchsorted(station, np.arange(stations + 1))
@@ -341,23 +343,23 @@ class StationTargetPairs:
         """Slice of the pairs of a station."""
         return slice(int(self.first_pair_of_station[station]), int(self.first_pair_of_station[station + 1]))
 
-    def values_by_pair(self, recording: Recording, values: Floats) -> Floats:
+    def values_by_pair(self, recording: Recording, pointing_values: Floats) -> Floats:
         """Values (m, 3) of the pairs from values (n, 3) of the pointings; a pair has the value of its last pointing."""
         by_pair = np.zeros((len(self), 3))
         keys = self.station_indices * len(recording.targets) + self.target_indices
-        rows = recording.station * len(recording.targets) + recording.target
-        pair_rows = np.flatnonzero(np.isin(rows, keys))
-        by_pair[np.searchsorted(keys, rows[pair_rows])] = values[pair_rows]
+        pair_keys = recording.station * len(recording.targets) + recording.target
+        pair_rows = np.flatnonzero(np.isin(pair_keys, keys))
+        by_pair[np.searchsorted(keys, pair_keys[pair_rows])] = pointing_values[pair_rows]
         return by_pair
 
-    def medians_by_target(self, values: Floats, targets: Ints) -> Floats:
+    def medians_by_target(self, pair_values: Floats, targets: Ints) -> Floats:
         """Medians (k, 3) over the stations of values (m, 3) of the pairs, for k targets; NaN if all values are NaN."""
         medians = np.full((len(targets), 3), np.nan)
         for part in batches(len(targets), 3 * int(np.diff(self.first_pair_of_target).max(initial=1))):
             first, end = self.first_pair_of_target[targets[part]], self.first_pair_of_target[targets[part] + 1]
             place = first[:, None] + np.arange((end - first).max(initial=0))
             pair = self.target_order[np.minimum(place, len(self) - 1)]
-            medians[part] = _nan_median(np.where((place < end[:, None])[:, :, None], values[pair], np.nan))
+            medians[part] = _nan_median(np.where((place < end[:, None])[:, :, None], pair_values[pair], np.nan))
         return medians
 
 
@@ -366,9 +368,9 @@ def _nan_median(values: Floats) -> Floats:
     if not values.shape[1]:
         return np.full((len(values), 3), np.nan)
     sorted_values = np.sort(values, axis=1)
-    count = np.isfinite(values[:, :, 0]).sum(axis=1)
-    at = np.arange(len(values))
-    return 0.5 * (sorted_values[at, (count - 1) // 2] + sorted_values[at, count // 2])
+    n_finite = np.isfinite(values[:, :, 0]).sum(axis=1)
+    group_indices = np.arange(len(values))
+    return 0.5 * (sorted_values[group_indices, (n_finite - 1) // 2] + sorted_values[group_indices, n_finite // 2])
 
 
 def points_with_slope_distances(recording: Recording) -> Floats | None:

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 
 CORRECTED_SIGMA_FRACTION = 0.3
@@ -61,23 +61,23 @@ class ParameterPrior:
         lower_factor = np.linalg.cholesky(correlation)
         return np.linalg.inv(lower_factor) / sigma[:, None, :]
 
-    def whitened_residuals(self, values: Floats) -> Floats:
+    def whitened_residuals(self, parameter_values: Floats) -> Floats:
         """Whitened deviations (m,) of parameter values (I, p) from the means of the m parameters with a prior."""
-        gap = self.mean - values
+        gap = self.mean - parameter_values
         if self.has_correlations:
             return np.einsum("iqp,ip->iq", self.whitening_matrices, gap).ravel()
         finite = np.isfinite(self.sigma)
         return gap[finite] / self.sigma[finite]
 
 
-def prior_sigmas(recording: Recording, construction: Construction) -> Floats:
-    """Prior standard deviations (I, p) [SI] of the p parameters of a construction for each of I instruments."""
+def prior_sigmas(recording: Recording, construction: GeometricErrorModel) -> Floats:
+    """Prior standard deviations (I, p) [SI] of the p geometric error parameters of each of I instruments."""
     priors = [recording.setup.instrument_named(name).prior for name in recording.instruments]
-    rows = [[p.sigma_from(prior) for p in construction.parameters] for prior in priors]
-    return np.array(rows, dtype=np.float64).reshape(len(priors), construction.n_parameters)
+    sigma_rows = [[p.sigma_from(prior) for p in construction.parameters] for prior in priors]
+    return np.array(sigma_rows, dtype=np.float64).reshape(len(priors), construction.n_parameters)
 
 
-def expected_sigmas(recording: Recording, construction: Construction) -> Floats:
+def expected_sigmas(recording: Recording, construction: GeometricErrorModel) -> Floats:
     """Expected standard deviations (I, p) [SI] of the instrument errors that are present in the readings.
 
     They are those of `prior_sigmas`, and for a corrected instrument `CORRECTED_SIGMA_FRACTION` of these unless the

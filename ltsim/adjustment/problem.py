@@ -82,13 +82,13 @@ class NetworkProblem(NetworkRows):
         )
         mark_control, yaws = ControlRows.from_stations(recording, marks), YawRows.from_recording(recording, is_used)
         differences = DifferenceRows.from_marks(recording, marks)
-        sizes = [effect_prior_sigma * size for effect in model.effects for size in effect.size_scales]
-        sizes += [size for errors in model.nuisance_errors for size in errors.size_scales]
+        effect_sigmas = [effect_prior_sigma * size for effect in model.effects for size in effect.size_scales]
+        effect_sigmas += [size for errors in model.nuisance_errors for size in errors.size_scales]
         return cls(
             model=model,
             sigma=recording.sigma() if sigma is None else sigma,
             prior=prior or ParameterPrior.independent(prior_sigmas(recording, model.construction)),
-            extra_sigma=np.array(sizes, dtype=np.float64),
+            extra_sigma=np.array(effect_sigmas, dtype=np.float64),
             free_motions=free_motions(control, mark_control, differences, levels, yaws),
             used_readings=is_used,
             gauge_rows=gauge,
@@ -174,10 +174,10 @@ class NetworkProblem(NetworkRows):
         yaws = self.yaw_rows.yaw_residuals(state.station_rotations) / self.yaw_rows.sigma
         fixed_residuals = np.zeros(self.structure.n_fixed)
         prior = self.prior.whitened_residuals(state.instrument_parameters)
-        extra = -(state.extra_parameters / self.extra_sigma)[np.isfinite(self.extra_sigma)]
+        effect_residuals = -(state.extra_parameters / self.extra_sigma)[np.isfinite(self.extra_sigma)]
         datum = np.zeros(self.free_motions.shape[1])
         references = pointings, gauge, control, marks, differences, levels.ravel(), yaws
-        return np.concatenate([*references, fixed_residuals, prior, extra, datum])
+        return np.concatenate([*references, fixed_residuals, prior, effect_residuals, datum])
 
     def length_residuals(self, state: NetworkState) -> Floats:
         """Declared minus adjusted lengths (g,) [m]."""
@@ -215,12 +215,12 @@ class NetworkProblem(NetworkRows):
 
     def _decorrelate_lengths(self, design: DesignMatrix) -> DesignMatrix:
         """Design matrix in which the rows of lengths with shared errors are decorrelated."""
-        first = int(self.used_readings.sum())
-        end_row = first + len(self.gauge_rows)
-        lengths = self.gauge_rows.decorrelate_scaled(to_dense(design[first:end_row]))
+        first_length_row = int(self.used_readings.sum())
+        end_row = first_length_row + len(self.gauge_rows)
+        lengths = self.gauge_rows.decorrelate_scaled(to_dense(design[first_length_row:end_row]))
         if isinstance(design, np.ndarray):
-            return np.vstack([design[:first], lengths, design[end_row:]])
-        return sp.vstack([design[:first], sp.csr_array(lengths), design[end_row:]], format="csr")
+            return np.vstack([design[:first_length_row], lengths, design[end_row:]])
+        return sp.vstack([design[:first_length_row], sp.csr_array(lengths), design[end_row:]], format="csr")
 
     @cached_property
     def _sparsity_pattern(self) -> SparsityPattern:
@@ -326,20 +326,22 @@ class NetworkProblem(NetworkRows):
         turn = np.broadcast_to(motion[3:].T[:, None, :], (motion.shape[1], len(anchors), 3))
         rotation_part = (cross_matrix(turn) @ state.station_positions[anchors][:, :, None])[..., 0]
         shift = motion[:3].T[:, None, :] + rotation_part
-        rows = np.concatenate([shift, turn if self.structure.fixes_datum_rotations else np.zeros_like(shift)], axis=2)
-        return rows.reshape(len(rows), 6 * len(anchors)) / np.tile(DATUM_SIGMA, len(anchors))
+        datum_rows = np.concatenate(
+            [shift, turn if self.structure.fixes_datum_rotations else np.zeros_like(shift)], axis=2
+        )
+        return datum_rows.reshape(len(datum_rows), 6 * len(anchors)) / np.tile(DATUM_SIGMA, len(anchors))
 
     @cached_property
     def level_row_slice(self) -> slice:
         """Slice of the equations that are levels, two per station."""
-        first = (
+        first_level_row = (
             int(self.used_readings.sum())
             + len(self.gauge_rows)
             + self.control_rows.n_coordinates
             + self.control_rows_of_marks.n_coordinates
         )
-        first += self.difference_rows.n_coordinates
-        return slice(first, first + 2 * len(self.level_rows))
+        first_level_row += self.difference_rows.n_coordinates
+        return slice(first_level_row, first_level_row + 2 * len(self.level_rows))
 
     @property
     def dof(self) -> int:
@@ -347,16 +349,16 @@ class NetworkProblem(NetworkRows):
 
         Weak priors do not count as observations, free rigid motions do not count as unknowns.
         """
-        priors = int(np.isfinite(self.prior.sigma).sum())
-        lengths = int(np.isfinite(self.gauge_rows.sigma).sum())
-        lengths -= lengths > 0 and not self.gauge_rows.determine_scale
+        n_priors = int(np.isfinite(self.prior.sigma).sum())
+        n_lengths = int(np.isfinite(self.gauge_rows.sigma).sum())
+        n_lengths -= n_lengths > 0 and not self.gauge_rows.determine_scale
         nuisances = sum(len(errors.parameters) for errors in self.model.nuisance_errors)
         references = (
             self.control_rows.n_coordinates
             + self.control_rows_of_marks.n_coordinates
             + self.difference_rows.n_coordinates
         )
-        references += lengths + 2 * len(self.level_rows) + len(self.yaw_rows) + priors + nuisances
+        references += n_lengths + 2 * len(self.level_rows) + len(self.yaw_rows) + n_priors + nuisances
         n_free_motions = self.free_motions.shape[1] - self.structure.fixes_heights
         unknown = (
             self.unknowns.n_columns - n_free_motions - self.structure.n_fixed + self.structure.constraints_on_unseen

@@ -105,16 +105,16 @@ def _control_difference_text(network_points: Floats, control_points: Floats) -> 
     if spread[1] < 1e-6 * spread[0]:
         return "all of these points have the same coordinates"
     scale, mirrored = spread[1] / spread[0], "check the order and the signs of their axes, or the sense of the azimuths"
-    ways = {
+    misfit_by_text = {
         f"they fit scaled by {1 / scale:.6g}; check their unit": _rigid_fit_misfit(
             network_points * scale, control_points
         ),
         f"they fit mirrored; {mirrored}": _rigid_fit_misfit(-network_points, control_points),
     }
-    best = min(ways, key=lambda way: ways[way])
+    best_way = min(misfit_by_text, key=lambda way: misfit_by_text[way])
     return (
-        best
-        if MIN_MISFIT_RATIO * ways[best] < _rigid_fit_misfit(network_points, control_points)
+        best_way
+        if MIN_MISFIT_RATIO * misfit_by_text[best_way] < _rigid_fit_misfit(network_points, control_points)
         else "check their coordinates and names"
     )
 
@@ -237,10 +237,10 @@ def _undecided_target_sentences(adjustment: Adjustment) -> Iterator[str]:
     for table, readings in ((measured_pairs, recording.is_measured), (used_pairs, adjustment.problem.used_readings)):
         rows = readings.any(axis=1)
         table[recording.station[rows], recording.target[rows]] = True
-    two = measured_pairs.sum(axis=0) == 2
+    is_paired = measured_pairs.sum(axis=0) == 2
     ends = {1: "its coordinates are those of one of them", 0: "the target has no coordinates"}
     for stations, end in ends.items():
-        names = [recording.targets[t] for t in np.flatnonzero(two & (used_pairs.sum(axis=0) == stations))]
+        names = [recording.targets[t] for t in np.flatnonzero(is_paired & (used_pairs.sum(axis=0) == stations))]
         if names:
             contradiction = "the positions from two stations differ and the data do not show which one is right"
             yield f"{listing(names)}: {contradiction}; {end}"
@@ -283,9 +283,9 @@ def _centring_sentences(adjustment: Adjustment) -> Iterator[str]:
 def _sparse_station_sentences(adjustment: Adjustment) -> Iterator[str]:
     """Sentences on stations that lost most of their pointings."""
     recording, measured = adjustment.recording, adjustment.recording.is_measured.any(axis=1)
-    count = len(recording.stations)
-    n_complete = np.bincount(recording.station[measured], minlength=count)
-    n_used = np.bincount(recording.station[adjustment.problem.used_readings.any(axis=1)], minlength=count)
+    n_stations = len(recording.stations)
+    n_complete = np.bincount(recording.station[measured], minlength=n_stations)
+    n_used = np.bincount(recording.station[adjustment.problem.used_readings.any(axis=1)], minlength=n_stations)
     for s in np.flatnonzero((n_used > 0) & (n_used < MIN_FAULTY_FRACTION_OF_PLACE * n_complete)):
         yield (
             f"station {recording.stations[s]} has {n_used[s]} of its {n_complete[s]} pointings in use: its position is "

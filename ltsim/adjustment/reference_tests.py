@@ -82,11 +82,11 @@ class ReferenceTest(ReferenceValue):
     @property
     def error_text(self) -> str:
         """Text of the length of the error with its standard deviation and unit."""
-        size = float(np.linalg.norm(self.error))
-        along = self.error / size if size else np.zeros(len(self.error))
+        error_size = float(np.linalg.norm(self.error))
+        along = self.error / error_size if error_size else np.zeros(len(self.error))
         sigma = float(np.linalg.norm(along * np.where(np.isfinite(self.sigma_error), self.sigma_error, 0.0)))
         unit, factor = ERROR_UNITS.get(self.kind, ("mm", MILLIMETRE))
-        return with_sigma(size / factor, sigma / factor, unit)
+        return with_sigma(error_size / factor, sigma / factor, unit)
 
     @property
     def sentence(self) -> str:
@@ -108,11 +108,11 @@ class ReferenceTest(ReferenceValue):
         if self.indistinguishable_from:
             both = f"{', '.join((self.name, *self.indistinguishable_from))} are inconsistent"
             return f"{both} ({what} by {self.error_text}); the data do not show which one is wrong"
-        rest = "by the other points: excluded from the datum" if self.kind == "axes" else "not its readings: excluded"
+        note = "by the other points: excluded from the datum" if self.kind == "axes" else "not its readings: excluded"
         if self.occupied_by and self.is_height:
-            rest = f"or the height of set-up {self.occupied_by} over it: excluded"
+            note = f"or the height of set-up {self.occupied_by} over it: excluded"
         verb = "are" if self.kind in ("point", "axes") else "is"
-        return f"{what} {verb} off by {self.error_text} (w = {self.normalised_error:.3g}), {rest}"
+        return f"{what} {verb} off by {self.error_text} (w = {self.normalised_error:.3g}), {note}"
 
     def with_noise_factor(self, factor: float) -> Self:
         """Test with all standard deviations of the fit multiplied by a factor."""
@@ -147,12 +147,12 @@ def reference_tests(
     values = [v for v in declared if float(np.linalg.norm(residual[v.rows])) >= min_residual]
     values += common_scale(problem, solution.x) if min_residual else []
     for batch in (values[part] for part in batches(len(values), 3 * solution.system.design.shape[1])):
-        inside = np.hstack([to_dense(solution.system.design[value.rows]).T @ value.signature for value in batch])
+        inside = np.hstack([to_dense(solution.system.design[value.rows]).T @ value.design_columns for value in batch])
         response, first = solution.factor.covariance_columns(inside), 0
         for value in batch:
-            columns = slice(first, first := first + value.signature.shape[1])
-            gram = value.signature.T @ value.signature - inside[:, columns].T @ response[:, columns]
-            tests.append(_reference_test(value, gram, value.signature.T @ residual[value.rows]))
+            columns = slice(first, first := first + value.design_columns.shape[1])
+            gram = value.design_columns.T @ value.design_columns - inside[:, columns].T @ response[:, columns]
+            tests.append(_reference_test(value, gram, value.design_columns.T @ residual[value.rows]))
     return tests
 
 
@@ -177,9 +177,9 @@ def reference_tests_with_constants(
 
 def _reference_test(value: ReferenceValueRows, gram_matrix: Floats, residual_product: Floats) -> ReferenceTest:
     """Test of a value with q components, from inner products of the changes of residuals by unit errors of each."""
-    norms = np.linalg.norm(value.signature, axis=0)
-    acts = norms > MAX_ROUNDING_ERROR * norms.max()  # readings in plan do not depend on heights
-    norms = np.where(acts, norms, np.inf)
+    norms = np.linalg.norm(value.design_columns, axis=0)
+    is_active = norms > MAX_ROUNDING_ERROR * norms.max()  # readings in plan do not depend on heights
+    norms = np.where(is_active, norms, np.inf)
     redundancies, eigenvectors = np.linalg.eigh(gram_matrix / np.outer(norms, norms))
     checked = redundancies > MIN_TESTED_REDUNDANCY
     redundancies, eigenvectors = redundancies[checked], eigenvectors[:, checked]

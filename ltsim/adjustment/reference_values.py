@@ -48,7 +48,7 @@ class ReferenceValueRows(ReferenceValue):
 
     rows: Ints
     """Indices of the equations that depend on an error of the value, (r,)."""
-    signature: Floats
+    design_columns: Floats
     """Derivatives of the whitened residuals of these equations with respect to an error of each component, (r, q)."""
 
 
@@ -178,8 +178,8 @@ def relax_exact_references(problem: NetworkProblem, state: NetworkState) -> Netw
     if not problem.used_readings.any():
         return problem
     range_ = problem.model.geometry(state).range_
-    sizes = problem.sigma * np.stack([np.ones_like(range_), range_, range_], axis=1)
-    floor = MIN_RELATIVE_SIGMA * float(np.median(sizes[problem.used_readings]))
+    sigma_lengths = problem.sigma * np.stack([np.ones_like(range_), range_, range_], axis=1)
+    floor = MIN_RELATIVE_SIGMA * float(np.median(sigma_lengths[problem.used_readings]))
     turn = floor / float(np.median(range_[problem.used_readings.any(axis=1)]))
     floors = {
         "control_rows": floor,

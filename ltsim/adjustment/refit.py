@@ -12,7 +12,7 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
-from ltsim.physics.effects.signature import CandidateEffect, Parameter, ShapeParameter, Signature
+from ltsim.physics.effects.linear_effect import CandidateEffect, LinearEffect, Parameter, ShapeParameter
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.gauss_newton import MAX_ALTERNATIONS
@@ -30,7 +30,7 @@ above which the constant is estimated.
 
 
 @dataclass(frozen=True)
-class ShapeDirection(Signature):
+class ShapeDirection(LinearEffect):
     """Linearised effect of a change of one shape constant of an effect, with which the constant is estimated.
 
     Its parameter is the relative change of the constant.
@@ -101,23 +101,23 @@ class FirstOrderEffect(CandidateEffect):
         """Change (n, 3, p) of the readings per unit of each parameter, which does not depend on the sightings."""
         return self.design_at_state
 
-    def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
+    def gauge_design(self, first_targets: Ints, second_targets: Ints, points: Floats) -> Floats:
         """Derivatives (g, p) of g reference lengths with respect to the p parameters of the effect."""
-        return self.exact_effect.gauge_design(first, second, points)
+        return self.exact_effect.gauge_design(first_targets, second_targets, points)
 
 
 def _shape_directions(
-    effect: CandidateEffect, values: Floats, sightings: Sightings, fixed_constants: Collection[str]
+    effect: CandidateEffect, parameter_values: Floats, sightings: Sightings, fixed_constants: Collection[str]
 ) -> list[ShapeDirection]:
     """Linearised changes of those shape constants of an effect that influence the readings, except fixed ones."""
     directions = []
-    size = float(np.abs(effect.design(sightings) @ values).max())
+    largest_change = float(np.abs(effect.design(sightings) @ parameter_values).max())
     for shape in type(effect).shape_parameters:
         now = getattr(effect, shape.name)
         if shape.name in fixed_constants or not isinstance(now, float) or now == 0.0 or shape.n_grid_values < 2:
             continue
-        direction = ShapeDirection(effect, tuple(values), shape)
-        if float(np.abs(direction.design(sightings)).max()) > MIN_SHAPE_CHANGE * size:
+        direction = ShapeDirection(effect, tuple(parameter_values), shape)
+        if float(np.abs(direction.design(sightings)).max()) > MIN_SHAPE_CHANGE * largest_change:
             directions.append(direction)
     return directions
 
@@ -216,10 +216,10 @@ def _damped_step(
     return None
 
 
-def _values_by_effect(effects: Sequence[Signature], parameter_values: Floats) -> list[Floats]:
+def _values_by_effect(effects: Sequence[LinearEffect], parameter_values: Floats) -> list[Floats]:
     """Values of the parameters of each effect, from an array with the values of all effects in order."""
-    sizes = [len(e.parameters) for e in effects]
-    return np.split(parameter_values[: sum(sizes)], np.cumsum(sizes)[:-1]) if sizes else []
+    n_parameters = [len(e.parameters) for e in effects]
+    return np.split(parameter_values[: sum(n_parameters)], np.cumsum(n_parameters)[:-1]) if n_parameters else []
 
 
 def _effects_with_changed_shapes(
@@ -248,7 +248,7 @@ def _estimates_with_uncertainty(
         return tuple(() for _ in effects)
     sigma = _values_by_effect(source.effects, np.sqrt(np.maximum(np.diag(source.extra_covariance), 0.0)))
     relative = iter(sigma[len(effects) :]) if has_shape_estimates else repeat(np.full(1, np.inf))
-    rows = []
+    estimates = []
     for i, (effect, values) in enumerate(
         zip(effects, _values_by_effect(effects, adjustment.state.extra_parameters), strict=True)
     ):
@@ -256,5 +256,5 @@ def _estimates_with_uncertainty(
         for direction in directions[i]:
             now = float(getattr(effect, direction.shape_parameter.name))
             row.append(ParameterEstimate(direction.shape_parameter, now, float(next(relative)[0]) * abs(now)))
-        rows.append(tuple(row))
-    return tuple(rows)
+        estimates.append(tuple(row))
+    return tuple(estimates)

@@ -81,11 +81,11 @@ def noisy_groups(normalised_residuals: Floats, redundancy: Floats, target: Ints)
     """
     testable = np.where(np.nan_to_num(redundancy) > MIN_CHECKED_REDUNDANCY, normalised_residuals, np.nan)
 
-    def noise(rows: Bools) -> float:
-        return robust_sigma(testable[rows][np.isfinite(testable[rows])])
+    def noise(is_in_group: Bools) -> float:
+        return robust_sigma(testable[is_in_group][np.isfinite(testable[is_in_group])])
 
-    count = np.bincount(target, np.isfinite(testable).sum(axis=1))
-    scatter_of = {t: noise(target == t) for t in np.flatnonzero(count >= MIN_DOF_FOR_ESTIMATED_NOISE).tolist()}
+    n_testable = np.bincount(target, np.isfinite(testable).sum(axis=1))
+    scatter_of = {t: noise(target == t) for t in np.flatnonzero(n_testable >= MIN_DOF_FOR_ESTIMATED_NOISE).tolist()}
     named: list[int] = []
     for t in sorted(scatter_of, key=lambda t: -scatter_of[t])[: len(scatter_of) - 1]:
         if not scatter_of[t] > MIN_NOISY_SCATTER_RATIO * noise(~np.isin(target, [*named, t])):
@@ -159,7 +159,7 @@ def level_of_single_test(n_tests: int, joint_alpha: float) -> float:
 
 
 @lru_cache
-def noncentrality(dof: int = 1, *, alpha: float = SINGLE_LEVEL, hypotheses: int = 1) -> float:
+def noncentrality(dof: int = 1, *, alpha: float = SINGLE_LEVEL, n_tests: int = 1) -> float:
     """Noncentrality of chi-square at which a test detects an error with the probability `TEST_POWER`.
 
     It is the squared length of the whitened residuals that the error causes.
@@ -170,14 +170,14 @@ def noncentrality(dof: int = 1, *, alpha: float = SINGLE_LEVEL, hypotheses: int 
         Degrees of freedom of the test; one is the two-sided test of a normal variable.
     alpha : float
         False-alarm rate of all hypotheses together.
-    hypotheses : int
+    n_tests : int
         Number of hypotheses that share the false-alarm rate (Sidak).
 
     References
     ----------
     Baarda, A testing procedure for use in geodetic networks (1968); Teunissen, Testing theory (2006), chapter 4.
     """
-    limit = special.chdtri(dof, level_of_single_test(hypotheses, alpha))
+    limit = special.chdtri(dof, level_of_single_test(n_tests, alpha))
     return float(special.chndtrinc(limit, dof, 1.0 - TEST_POWER))
 
 

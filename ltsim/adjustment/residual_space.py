@@ -1,6 +1,6 @@
 """Residual space of an adjustment: projection of errors of observations onto the residuals.
 
-An effect that changes the observations by its signature g changes the residuals by P g, where P is the projector onto
+An effect that changes the observations by g per unit changes the residuals by P g, where P is the projector onto
 the residual space. Tests of a diagnosis and the detectability in a plan use P, in whitened units.
 """
 
@@ -16,12 +16,12 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
-from ltsim.physics.effects.signature import Signature
+from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.projection import Projection, make_projection
 
 MAX_SCREENED_ENTRIES = 3_000_000
-"""Largest number of matrix entries of all signatures that a screening projects (processor time); only the most
+"""Largest number of entries of all design columns that a screening projects (processor time); only the most
 promising hypotheses are projected beyond it.
 """
 
@@ -31,7 +31,7 @@ class ResidualSpace:
     """Residual space of an adjustment with m equations: projector and residuals."""
 
     projector: Projection
-    """Projector onto the complement of the whitened design matrix, and of additional signatures in the model."""
+    """Projector onto the complement of the whitened design matrix, with columns of additional effects in the model."""
     residuals: Floats
     """Whitened residuals of the m equations, (m,)."""
     adjustment: Adjustment
@@ -76,17 +76,17 @@ class ResidualSpace:
         return place, 1.0 / self.sigma.reshape(-1)[place, None]
 
     def whiten(self, design: Floats, gauge: Floats | None = None) -> Floats:
-        """Whitened signatures (m, q) from the changes of readings (n, 3, q) and of reference lengths (g, q).
+        """Whitened design columns (m, q) from the changes of readings (n, 3, q) and of reference lengths (g, q).
 
         Each of the q columns is the change by one parameter; equations other than readings and lengths are 0.
         """
-        rows = np.zeros((self.n_rows, design.shape[2]))
+        whitened_rows = np.zeros((self.n_rows, design.shape[2]))
         place, weight = self._used_reading_weights
         readings = design.reshape(-1, design.shape[2])
-        np.multiply(readings if self.used_readings.all() else readings[place], weight, out=rows[: len(place)])
+        np.multiply(readings if self.used_readings.all() else readings[place], weight, out=whitened_rows[: len(place)])
         if gauge is not None and len(gauge):
-            rows[len(place) : len(place) + len(gauge)] = self.adjustment.problem.gauge_rows.decorrelate(gauge)
-        return rows
+            whitened_rows[len(place) : len(place) + len(gauge)] = self.adjustment.problem.gauge_rows.decorrelate(gauge)
+        return whitened_rows
 
     def unwhiten(self, change: Floats) -> Floats:
         """Changes (n, 3) [m, rad, rad] of the readings from whitened changes (m,); 0 for readings not in use."""
@@ -94,59 +94,61 @@ class ResidualSpace:
         readings[self.used_readings] = change[: int(self.used_readings.sum())] * self.sigma[self.used_readings]
         return readings
 
-    def whitened_signature(self, law: Signature) -> Floats:
-        """Whitened signature (m, q) of an effect or empirical law with q parameters, before projection."""
+    def whitened_design(self, law: LinearEffect) -> Floats:
+        """Whitened design matrix (m, q) of an effect or empirical law with q parameters, before projection."""
         gauge = self.adjustment.problem.gauge_rows
         lengths = law.gauge_design(gauge.first_targets, gauge.second_targets, self.adjustment.state.target_points)
         return self.whiten(law.design(self.sightings), lengths)
 
-    def project(self, rows: Floats) -> Floats:
-        """Part of signatures (m, q), or of one vector (m,), that remains in the residuals after the adjustment."""
-        return self.projector.project(rows if rows.ndim > 1 else rows[:, None]).reshape(rows.shape)
+    def project(self, design_columns: Floats) -> Floats:
+        """Part of whitened design columns (m, q), or of one vector (m,), that remains in the residuals."""
+        return self.projector.project(design_columns if design_columns.ndim > 1 else design_columns[:, None]).reshape(
+            design_columns.shape
+        )
 
-    def chi2_drop(self, signature: Floats) -> tuple[float, int]:
-        """Decrease of chi-square if parameters of signatures (m, q) are estimated too, and its degrees of freedom."""
-        scores = self._projected_basis(signature).T @ self.residuals
+    def chi2_drop(self, design_columns: Floats) -> tuple[float, int]:
+        """Decrease of chi-square by parameters with the design columns (m, q), and its degrees of freedom."""
+        scores = self._projected_basis(design_columns).T @ self.residuals
         return float(scores @ scores), len(scores)
 
-    def _projected_basis(self, signature: Floats) -> Floats:
-        return orthonormal_columns(self.project(signature), self.norms_beyond_centring(signature))
+    def _projected_basis(self, design_columns: Floats) -> Floats:
+        return orthonormal_columns(self.project(design_columns), self.norms_beyond_centring(design_columns))
 
-    def norms_beyond_centring(self, signature: Floats) -> Floats:
-        """Lengths (q,) of signatures (m, q) without the part that centring errors in the model absorb.
+    def norms_beyond_centring(self, design_columns: Floats) -> Floats:
+        """Lengths (q,) of design columns (m, q) without the part that centring errors in the model absorb.
 
-        Displacements with a large standard deviation absorb nearly all of a signature. What remains is visible if it is
-        large compared with these lengths, not with those of the whole signatures.
+        Displacements with a large standard deviation absorb nearly all of an effect. What remains is visible if it is
+        large compared with these lengths, not with those of the whole columns.
         """
-        squares = lowest = np.sum(signature**2, axis=0)
+        squares = lowest = np.sum(design_columns**2, axis=0)
         is_used, sightings = self.used_readings, self.sightings
         for errors in self.adjustment.problem.model.centring_errors:
-            changes = np.zeros((*is_used.shape, signature.shape[1]))
-            changes[is_used] = signature[: int(is_used.sum())]
+            changes = np.zeros((*is_used.shape, design_columns.shape[1]))
+            changes[is_used] = design_columns[: int(is_used.sum())]
             place = np.flatnonzero(errors.occupation >= 0)
             slope = np.where(is_used[:, :, None], sightings.target_derivatives / self.sigma[:, :, None], 0.0)[place]
             normals = np.tile(np.eye(3) / errors.sigma**2, (errors.n_occupations, 1, 1))
-            scores = np.zeros((errors.n_occupations, 3, signature.shape[1]))
+            scores = np.zeros((errors.n_occupations, 3, design_columns.shape[1]))
             np.add.at(normals, errors.occupation[place], np.einsum("nki,nkj->nij", slope, slope))
             np.add.at(scores, errors.occupation[place], np.einsum("nki,nkq->niq", slope, changes[place]))
             absorbed = np.einsum("niq,niq->q", scores, np.linalg.solve(normals, scores))
             lowest = np.minimum(lowest, squares - absorbed)
         return np.sqrt(np.maximum(lowest, 0.0))
 
-    def with_signatures(self, signature: Floats) -> ResidualSpace:
-        """Residual space of the adjustment in which the parameters of signatures (m, q) are estimated too."""
-        basis = self._projected_basis(signature)
+    def with_design_columns(self, design_columns: Floats) -> ResidualSpace:
+        """Residual space of the adjustment in which parameters with these design columns (m, q) are estimated too."""
+        basis = self._projected_basis(design_columns)
         residual = self.residuals - basis @ (basis.T @ self.residuals)
         return ResidualSpace(self.projector.with_removed_columns(basis), residual, self.adjustment)
 
-    def with_effects(self, laws: Sequence[Signature]) -> ResidualSpace:
+    def with_effects(self, laws: Sequence[LinearEffect]) -> ResidualSpace:
         """Residual space of the adjustment in which the parameters of effects or laws are estimated too."""
-        return self.with_signatures(np.hstack([self.whitened_signature(law) for law in laws])) if laws else self
+        return self.with_design_columns(np.hstack([self.whitened_design(law) for law in laws])) if laws else self
 
-    def target_shifts(self, signature: Floats) -> Floats:
+    def target_shifts(self, design_columns: Floats) -> Floats:
         """Shifts (T, 3) [m] of the T adjusted targets by a whitened change (m,) of the observations."""
         adjustment = self.adjustment
-        normal_side = (adjustment.solution.system.design.T @ signature)[:, None]
+        normal_side = (adjustment.solution.system.design.T @ design_columns)[:, None]
         change: Floats = adjustment.factorised_normals.covariance_columns(normal_side)[:, 0][
             adjustment.problem.unknowns.target_columns
         ]
@@ -154,9 +156,9 @@ class ResidualSpace:
 
 
 def orthonormal_columns(projected_columns: Floats, norms: Floats) -> Floats:
-    """Orthonormal basis (m, r) of the space that projected signatures (m, q) span.
+    """Orthonormal basis (m, r) of the space that projected design columns (m, q) span.
 
-    `norms` (q,) are the lengths of the signatures before projection. Directions with a negligible part of these lengths
+    `norms` (q,) are the lengths of the columns before projection. Directions with a negligible part of these lengths
     are dropped.
     """
     unit = projected_columns / np.where(norms > 0, norms, 1.0)

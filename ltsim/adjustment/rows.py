@@ -47,9 +47,9 @@ class GaugeRows(ReferenceLengths):
         """Changes (g, g) [m] of the lengths by each of g independent errors of unit size: inverse of `decorrelate`."""
         return np.diag(self.sigma) if self.correlation_root is None else self.sigma[:, None] * self.correlation_root
 
-    def decorrelate(self, values: Floats) -> Floats:
+    def decorrelate(self, length_changes: Floats) -> Floats:
         """Changes of lengths (g,) or (g, q) [m] transformed to independent errors of unit standard deviation."""
-        scaled_values = values / (self.sigma if values.ndim == 1 else self.sigma[:, None])
+        scaled_values = length_changes / (self.sigma if length_changes.ndim == 1 else self.sigma[:, None])
         return self.decorrelate_scaled(scaled_values)
 
     def decorrelate_scaled(self, length_values: Floats) -> Floats:
@@ -73,8 +73,8 @@ class GaugeRows(ReferenceLengths):
         They are the derivatives of the lengths with respect to the first target.
         """
         gap = points[self.first_targets] - points[self.second_targets]
-        length = np.linalg.norm(gap, axis=1, keepdims=True)
-        return gap / np.where(length > 0.0, length, 1.0)
+        gap_lengths = np.linalg.norm(gap, axis=1, keepdims=True)
+        return gap / np.where(gap_lengths > 0.0, gap_lengths, 1.0)
 
 
 @dataclass(frozen=True)
@@ -108,14 +108,20 @@ class ControlRows:
             for i, n in enumerate(marks.mark_names)
             if n and marks.target_indices[i] < 0 and marks.first_setup_on_mark[i] == i
         ]
-        rows = cls._from_places(recording, places)
-        return replace(rows, declared_points=rows.declared_points + marks.instrument_offsets[rows.place_indices])
+        control_rows = cls._from_places(recording, places)
+        return replace(
+            control_rows,
+            declared_points=control_rows.declared_points + marks.instrument_offsets[control_rows.place_indices],
+        )
 
     @classmethod
     def _from_places(cls, recording: Recording, indices_and_names: list[tuple[int, str]]) -> ControlRows:
         setups = [(i, recording.target_setup(name)) for i, name in indices_and_names]
-        rows = [(i, t) for i, t in setups if t.known_mm is not None]
-        return cls(np.array([i for i, _ in rows], dtype=np.int64), *_declared_coordinates([t for _, t in rows]))
+        control_setups = [(i, t) for i, t in setups if t.known_mm is not None]
+        return cls(
+            np.array([i for i, _ in control_setups], dtype=np.int64),
+            *_declared_coordinates([t for _, t in control_setups]),
+        )
 
     def __len__(self) -> int:
         return len(self.place_indices)
@@ -282,11 +288,11 @@ class LevelRows:
         """Equations of those levelled stations whose readings in use (n, 3) contain angles."""
         angles = np.bincount(recording.station, used_readings[:, 1:].any(axis=1), len(recording.stations)) > 0
         setups = [(i, recording.station_setup(name)) for i, name in enumerate(recording.stations)]
-        rows = [(i, s) for i, s in setups if s.levelled and angles[i]]
-        station = np.array([i for i, _ in rows], dtype=np.int64)
+        levelled_setups = [(i, s) for i, s in setups if s.levelled and angles[i]]
+        station = np.array([i for i, _ in levelled_setups], dtype=np.int64)
         vertical = plumb_directions(recording)[station]
         sideways, back = perpendicular_vectors(vertical)
-        sigma = np.array([s.levelling_sigma_arcsec for _, s in rows], dtype=np.float64) * ARCSECOND
+        sigma = np.array([s.levelling_sigma_arcsec for _, s in levelled_setups], dtype=np.float64) * ARCSECOND
         return cls(station, sigma, vertical, np.stack([-back, sideways], axis=1))
 
     def __len__(self) -> int:
@@ -322,8 +328,8 @@ class YawRows:
         """Equations of those stations with a known yaw whose readings in use (n, 3) contain azimuths."""
         n_azimuths = np.bincount(recording.station, used_readings[:, 1], len(recording.stations)) > 0
         setups = [(i, recording.station_setup(name)) for i, name in enumerate(recording.stations)]
-        rows = [(i, s.yaw_sigma_arcsec, s.yaw_deg) for i, s in setups if s.yaw_sigma_arcsec and n_azimuths[i]]
-        station, sigma, yaw = (np.array([row[k] for row in rows], dtype=np.float64) for k in range(3))
+        yaw_setups = [(i, s.yaw_sigma_arcsec, s.yaw_deg) for i, s in setups if s.yaw_sigma_arcsec and n_azimuths[i]]
+        station, sigma, yaw = (np.array([row[k] for row in yaw_setups], dtype=np.float64) for k in range(3))
         return cls(station.astype(np.int64), sigma * ARCSECOND, yaw * DEGREE)
 
     def __len__(self) -> int:
@@ -361,22 +367,22 @@ def free_motions(
     points = np.concatenate([group.declared_points for group in controls]) if controls else np.zeros((1, 3))
     centre = points.mean(axis=0)
     radius = max(float(np.abs(points - centre).max()), 1e-9) if len(points) > 1 else 1.0
-    rows = [
+    constraint_rows = [
         rigid_motion_design((group.declared_points - centre) / radius)[group.declared_components.ravel()]
         for group in controls
     ]
     if len(differences):
-        rows.append(differences.motion_derivatives(centre, radius))
+        constraint_rows.append(differences.motion_derivatives(centre, radius))
     if len(levels):
         mean = levels.plumb_directions.mean(axis=0)
         is_parallel = float(np.linalg.norm(levels.plumb_directions - mean, axis=1).max()) < MAX_PARALLEL_PLUMB_ANGLE
         across = levels.horizontal_axes[:1] if is_parallel else levels.horizontal_axes
-        rows.append(np.concatenate([np.zeros((2 * len(across), 3)), across.reshape(-1, 3)], axis=1))
+        constraint_rows.append(np.concatenate([np.zeros((2 * len(across), 3)), across.reshape(-1, 3)], axis=1))
     if len(yaws):
-        rows.append(np.eye(6)[5:])
-    if not rows:
+        constraint_rows.append(np.eye(6)[5:])
+    if not constraint_rows:
         return np.eye(6)
-    _, singular, right = np.linalg.svd(np.vstack(rows))
+    _, singular, right = np.linalg.svd(np.vstack(constraint_rows))
     rank = int(np.sum(singular > MAX_COLLINEAR_RATIO * singular.max(initial=0.0)))
     motions = right[rank:].T
     motions[3:] /= radius

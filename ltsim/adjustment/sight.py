@@ -64,8 +64,8 @@ class FitReadings:
     def thin_rows(self) -> tuple[Ints, FitReadings]:
         """Indices of at most `MAX_FIT_ROWS` evenly selected pointings, and the readings of these."""
         k = len(self.readings)
-        rows = np.arange(k) if k <= MAX_FIT_ROWS else np.linspace(0, k - 1, MAX_FIT_ROWS).astype(np.int64)
-        return rows, self.select_rows(rows)
+        thinned_rows = np.arange(k) if k <= MAX_FIT_ROWS else np.linspace(0, k - 1, MAX_FIT_ROWS).astype(np.int64)
+        return thinned_rows, self.select_rows(thinned_rows)
 
     def residuals(self, local_points: Floats) -> tuple[Floats, Floats]:
         """Whitened residuals (b, 3 k) of b trial solutions, and their derivatives (b, 3 k, 3) by the local points.
@@ -74,14 +74,14 @@ class FitReadings:
         """
         size, rows = local_points.shape[:2]
         polar = to_polar(local_points.reshape(-1, 3))
-        by = polar_jacobian(polar, np.ones(len(polar), dtype=np.int64))
+        point_derivatives = polar_jacobian(polar, np.ones(len(polar), dtype=np.int64))
         range_ = polar[:, 0].reshape(size, rows).copy()
-        reduce_to_horizontal(polar, (by,), np.tile(self.is_horizontal, size))
-        by, polar = by.reshape(size, rows, 3, 3), polar.reshape(size, rows, 3)
+        reduce_to_horizontal(polar, (point_derivatives,), np.tile(self.is_horizontal, size))
+        point_derivatives, polar = point_derivatives.reshape(size, rows, 3, 3), polar.reshape(size, rows, 3)
         gap = self.readings - polar
         gap[:, :, 1:] = wrap_angle(gap[:, :, 1:])
         scale = np.stack([1.0 / range_, np.cos(polar[:, :, 2]), np.ones_like(range_)], axis=2) / APPROXIMATE_SIGMA
-        gap, by = gap * scale, by * scale[..., None]
+        gap, point_derivatives = gap * scale, point_derivatives * scale[..., None]
         unread = np.isnan(self.readings)
-        gap[:, unread], by[:, unread] = 0.0, 0.0
-        return gap.reshape(size, -1), by.reshape(size, -1, 3)
+        gap[:, unread], point_derivatives[:, unread] = 0.0, 0.0
+        return gap.reshape(size, -1), point_derivatives.reshape(size, -1, 3)

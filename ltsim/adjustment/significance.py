@@ -63,8 +63,8 @@ MIN_MEAN_REPEATS = 1.5
 half of the places are then repeated. Without repeats a displacement looks like noise, or is part of the coordinates.
 """
 MIN_EQUIVALENT_CORRELATION = 0.9
-"""Squared correlation of two residuals or signatures above which errors of both count as indistinguishable: 9/10 of the
-chi-square of one is explained by the other.
+"""Squared correlation of two residuals or design columns above which errors of both count as indistinguishable:
+9/10 of the chi-square of one is explained by the other.
 """
 MIN_MISFIT_RATIO = 10.0
 """Ratio of the misfits of two models of the same points (with and without a declared datum, a mirror image, another

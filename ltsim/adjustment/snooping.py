@@ -61,23 +61,23 @@ def _is_copied_row(recording: Recording) -> Bools:
 
     Two pointings may be equal by chance. Without times rows count as copies only if all repeated pointings are equal.
     """
-    values = np.sort(recording.readings, axis=None)
-    if not np.any(values[1:] == values[:-1]):
+    sorted_readings = np.sort(recording.readings, axis=None)
+    if not np.any(sorted_readings[1:] == sorted_readings[:-1]):
         return np.zeros(len(recording), dtype=bool)
     place = np.stack([recording.station, recording.target, recording.face], axis=1)
     clock = recording.time[:, None] if recording.has_clock else np.zeros((len(recording), 0))
-    rows = np.concatenate([place, clock, np.nan_to_num(recording.readings, nan=np.inf)], axis=1)
+    comparable_rows = np.concatenate([place, clock, np.nan_to_num(recording.readings, nan=np.inf)], axis=1)
     is_repeated = _equals_earlier_row(np.concatenate([place, clock], axis=1))
-    is_copied = _equals_earlier_row(rows) & recording.is_measured.any(axis=1)
+    is_copied = _equals_earlier_row(comparable_rows) & recording.is_measured.any(axis=1)
     if recording.has_clock:
         return is_copied
     return is_copied & (is_copied.sum() >= max(MIN_COPIED_ROWS, int(is_repeated.sum())))
 
 
-def _equals_earlier_row(rows: np.ndarray) -> Bools:
+def _equals_earlier_row(array_rows: np.ndarray) -> Bools:
     """Flags (n,) of the rows of an array that equal an earlier row."""
-    is_later = np.ones(len(rows), dtype=bool)
-    is_later[np.unique(rows, axis=0, return_index=True)[1]] = False
+    is_later = np.ones(len(array_rows), dtype=bool)
+    is_later[np.unique(array_rows, axis=0, return_index=True)[1]] = False
     return is_later
 
 
@@ -119,9 +119,11 @@ def is_undetermined_target(problem: NetworkProblem, state: NetworkState) -> Bool
     if not is_doubtful.any():
         return is_doubtful
     weights = np.where(problem.used_readings, 1.0 / problem.sigma, 0.0)[:, :, None]
-    rows = np.where(problem.used_readings[:, :, None], problem.model.linearise(state).target_derivatives * weights, 0.0)
+    whitened_rows = np.where(
+        problem.used_readings[:, :, None], problem.model.linearise(state).target_derivatives * weights, 0.0
+    )
     normal = np.zeros((count, 3, 3))
-    np.add.at(normal, recording.target, np.swapaxes(rows, 1, 2) @ rows)
+    np.add.at(normal, recording.target, np.swapaxes(whitened_rows, 1, 2) @ whitened_rows)
     gauge, control = problem.gauge_rows, problem.control_rows
     along = gauge.unit_vectors(state.target_points) / gauge.sigma[:, None]
     for end in (gauge.first_targets, gauge.second_targets):
@@ -330,9 +332,9 @@ def prediction_sigmas(
     """
     assert solution.factor is not None
     system = problem.linear_system(solution.x, prediction or problem.model.linearise(solution.x))
-    rows = to_dense(system.design[np.flatnonzero(is_omitted[problem.used_readings])])
-    response = solution.factor.covariance_columns(np.ascontiguousarray(rows.T))
-    return np.asarray(np.sqrt(1.0 + np.maximum(np.sum(rows * response.T, axis=1), 0.0)))
+    omitted_rows = to_dense(system.design[np.flatnonzero(is_omitted[problem.used_readings])])
+    response = solution.factor.covariance_columns(np.ascontiguousarray(omitted_rows.T))
+    return np.asarray(np.sqrt(1.0 + np.maximum(np.sum(omitted_rows * response.T, axis=1), 0.0)))
 
 
 def _test_readings(

@@ -57,21 +57,21 @@ class NetworkInitialiser:
     Parameters
     ----------
     recording : Recording
-    pairs : StationTargetPairs
+    station_target_pairs : StationTargetPairs
         Completely measured targets of each station, in the frame of the station.
     frame : DeclaredFrame
     """
 
-    def __init__(self, recording: Recording, pairs: StationTargetPairs, frame: DeclaredFrame) -> None:
-        self._recording, self._pairs, self._frame = recording, pairs, frame
+    def __init__(self, recording: Recording, station_target_pairs: StationTargetPairs, frame: DeclaredFrame) -> None:
+        self._recording, self._pairs, self._frame = recording, station_target_pairs, frame
         stations, targets = len(recording.stations), len(recording.targets)
         self._readings = FitReadings.from_recording(recording)
         self._front_readings = self._readings.readings
-        self._pair_offsets = pairs.values_by_pair(recording, self._readings.reflector_offsets)
+        self._pair_offsets = station_target_pairs.values_by_pair(recording, self._readings.reflector_offsets)
         self._positions = np.full((stations, 3), np.nan)
         self._rotations = np.tile(np.eye(3), (stations, 1, 1))
         self._is_joined = np.zeros(stations, dtype=bool)
-        self._pair_points = np.full((len(pairs), 3), np.nan)
+        self._pair_points = np.full((len(station_target_pairs), 3), np.nan)
         self._is_covered = np.zeros(targets, dtype=bool)
         self._located_targets = np.full((targets, 3), np.nan)
         self._is_levelled = self._is_in_frame = self._is_from_plan = False
@@ -189,10 +189,10 @@ class NetworkInitialiser:
         tried, self._failed_attempts[key] = self._failed_attempts.get(key), n_neighbours
         return tried != n_neighbours
 
-    def _locate_point(self, rows: Ints) -> Floats | None:
-        station = self._recording.station[rows]
+    def _locate_point(self, pointing_indices: Ints) -> Floats | None:
+        station = self._recording.station[pointing_indices]
         position, rotation = self._positions[station], self._rotations[station]
-        sight = self._readings.select_rows(rows)
+        sight = self._readings.select_rows(pointing_indices)
         front = sight.readings
         no_heights = np.isnan(front[:, 2]) & (np.isnan(front[:, 0]) | sight.is_horizontal)
         if self._is_levelled and self._frame.is_levelled[station].all() and no_heights.all():
@@ -254,8 +254,8 @@ class NetworkInitialiser:
     def _transform(self, rotation: Floats, translation: Floats) -> None:
         self._rotations = rotation @ self._rotations
         points = (self._positions, self._pair_points, self._located_targets)
-        moved = (places @ rotation.T + translation for places in points)
-        self._positions, self._pair_points, self._located_targets = moved
+        moved_points = (places @ rotation.T + translation for places in points)
+        self._positions, self._pair_points, self._located_targets = moved_points
 
     def _to_declared_frame(self) -> bool:
         """True if the network was transformed to the declared frame, for which it needs enough declared points."""
@@ -320,12 +320,12 @@ class NetworkInitialiser:
         counts = np.diff(self._pairs.first_pair_of_station)
         if not counts.any():
             return
-        first = 0 if counts[0] >= 3 else int(np.argmax(counts))
+        first_station = 0 if counts[0] >= 3 else int(np.argmax(counts))
         rotation = np.eye(3)
-        if self._frame.is_levelled[first]:
-            rotation = smallest_rotation(VERTICAL, self._frame.marks.plumb_directions[first])
+        if self._frame.is_levelled[first_station]:
+            rotation = smallest_rotation(VERTICAL, self._frame.marks.plumb_directions[first_station])
             self._is_levelled = True
-        self._join_station(first, np.zeros(3), rotation)
+        self._join_station(first_station, np.zeros(3), rotation)
 
     def _begin_with_ranges(self) -> None:
         """Start with all stations that measured ranges to the same targets."""
@@ -354,8 +354,8 @@ class NetworkInitialiser:
     def _begin_with_bearings(self) -> None:
         """Start with the plan from directions of upright stations and from horizontal lengths."""
         recording, frame, marks = self._recording, self._frame, self._frame.marks
-        rows = np.flatnonzero(frame.is_levelled[recording.station] & np.isfinite(self._front_readings[:, 1]))
-        if not len(rows) or np.isfinite(self._front_readings[:, 2]).any():
+        bearing_rows = np.flatnonzero(frame.is_levelled[recording.station] & np.isfinite(self._front_readings[:, 1]))
+        if not len(bearing_rows) or np.isfinite(self._front_readings[:, 2]).any():
             return
         over, extra = marks.target_indices, len(self._located_targets) + marks.first_setup_on_mark
         stands = np.where(over >= 0, over, extra)
@@ -363,10 +363,12 @@ class NetworkInitialiser:
         ranged_indices = np.flatnonzero(np.isfinite(self._front_readings[:, 0]))
         starts, ends = stands[recording.station[ranged_indices]], recording.target[ranged_indices]
         lines = PlanLengths(starts, ends, self._front_readings[ranged_indices, 0])
-        station, end = recording.station[rows], recording.target[rows]
-        plan = fit_plan(station, stands[station], end, self._front_readings[rows, 1], control, lines)
+        station, end = recording.station[bearing_rows], recording.target[bearing_rows]
+        plan = fit_plan(station, stands[station], end, self._front_readings[bearing_rows, 1], control, lines)
         if plan is None:
-            self._open_lines = lines_without_length(station, stands[station], end, self._front_readings[rows, 1], lines)
+            self._open_lines = lines_without_length(
+                station, stands[station], end, self._front_readings[bearing_rows, 1], lines
+            )
             return
         places, yaw, in_frame = np.pad(plan[0], ((0, 0), (0, 1))), plan[1], plan[2]
         if in_frame:

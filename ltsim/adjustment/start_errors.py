@@ -25,11 +25,11 @@ def require_connected_stations(recording: Recording, is_joined: Bools, points: F
     if is_joined.all():
         return
     lost = listing([recording.stations[s] for s in np.flatnonzero(~is_joined)])
-    count = len(points)
-    if count >= 3 and are_collinear(points):
-        what = f"the {count} targets that it shares with the network lie on one line; three that do not"
+    n_targets = len(points)
+    if n_targets >= 3 and are_collinear(points):
+        what = f"the {n_targets} targets that it shares with the network lie on one line; three that do not"
     else:
-        what = f"shares only {count} target{'s' * (count != 1)} with the network; at least three"
+        what = f"shares only {n_targets} target{'s' * (n_targets != 1)} with the network; at least three"
     raise NetworkError(
         f"station {lost}: {what} are needed (two between levelled stations, more where ranges or angles are missing), "
         f'or approximate coordinates of all; for a station over a target, set over = "TARGET"{undetermined_lines}'

@@ -59,9 +59,9 @@ def with_equal_times_per_run(sightings: Sightings) -> Sightings:
 
 def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[FittedMotion, str]]:
     """Motions of stations in an adjustment that no identified cause explains, and a sentence on each."""
-    first = 0
+    first_column = 0
     for effect in adjustment.effects:
-        columns = slice(first, first := first + len(effect.parameters))
+        columns = slice(first_column, first_column := first_column + len(effect.parameters))
         if isinstance(effect, FittedMotion):
             values, spread = adjustment.state.extra_parameters[columns], adjustment.extra_covariance[columns, columns]
             sizes = (("um", MICROMETRE, slice(0, 3)), ("urad", MICRORADIAN, slice(3, 6)))
@@ -82,5 +82,5 @@ def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[FittedMotion, str
 
 def _length_text(vector: Floats, covariance: Floats, unit: str) -> str:
     """Text of the length of a vector (3,) with its standard deviation."""
-    length = float(np.linalg.norm(vector))
-    return with_sigma(length, float(np.sqrt(vector @ covariance @ vector)) / max(length, 1e-30), unit)
+    vector_length = float(np.linalg.norm(vector))
+    return with_sigma(vector_length, float(np.sqrt(vector @ covariance @ vector)) / max(vector_length, 1e-30), unit)

@@ -217,8 +217,8 @@ def estimate_variance_components(
     )
     kinds = [(observable, name) for name in names for observable in OBSERVABLES]
     kinds += [("level", "")] if len(problem.level_rows) else []
-    rows = zip(kinds, factor.tolist(), sigma.tolist(), redundancy.tolist(), strict=False)
-    return problem, solution, tuple(VarianceComponent(*kind, *numbers) for kind, *numbers in rows)
+    component_rows = zip(kinds, factor.tolist(), sigma.tolist(), redundancy.tolist(), strict=False)
+    return problem, solution, tuple(VarianceComponent(*kind, *numbers) for kind, *numbers in component_rows)
 
 
 def _secant_step(change: Floats, last_change: Floats, last_step: Floats) -> Floats:

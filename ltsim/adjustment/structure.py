@@ -58,10 +58,10 @@ class UnknownColumns:
         stations, targets = len(recording.stations), len(recording.targets)
         size = 0
 
-        def fresh(rows: int, width: int) -> Ints:
+        def fresh(n_rows: int, width: int) -> Ints:
             nonlocal size
-            first, size = size, size + rows * width
-            return np.arange(first, size).reshape(rows, width)
+            first, size = size, size + n_rows * width
+            return np.arange(first, size).reshape(n_rows, width)
 
         has_columns = np.ones((stations, 6), dtype=bool)
         has_columns[:, :3] = (~over & (marks.first_setup_on_mark == np.arange(stations)))[:, None]
@@ -177,13 +177,13 @@ class UndeterminedUnknowns:
             network.marks,
             network.level_rows,
         )
-        count = len(recording.stations)
-        range_, azimuth, elevation = (np.bincount(recording.station, use[:, i], count) > 0 for i in range(3))
+        n_stations = len(recording.stations)
+        range_, azimuth, elevation = (np.bincount(recording.station, use[:, i], n_stations) > 0 for i in range(3))
         high = use[:, 2] | (use[:, 0] & ~recording.is_horizontal)
-        feels = np.bincount(recording.station, high, count) > 0
+        feels = np.bincount(recording.station, high, n_stations) > 0
         level, alone = (
-            np.zeros(count, dtype=bool),
-            (marks.first_setup_on_mark == np.arange(count)) & (marks.target_indices < 0),
+            np.zeros(n_stations, dtype=bool),
+            (marks.first_setup_on_mark == np.arange(n_stations)) & (marks.target_indices < 0),
         )
         level[levels.station_indices] = True
         alone[network.control_rows_of_marks.place_indices] = False
@@ -191,7 +191,7 @@ class UndeterminedUnknowns:
         is_read = np.bincount(recording.target, use.any(axis=1), len(recording.targets)) > 0
         is_read[network.control_rows.place_indices[network.control_rows.declared_components.all(axis=1)]] = True
         is_read[marks.target_indices[marks.target_indices >= 0]] = True
-        upright = np.zeros(count, dtype=bool)
+        upright = np.zeros(n_stations, dtype=bool)
         upright[levels.station_indices] = np.abs(levels.plumb_directions @ VERTICAL) > MIN_COS_PLUMB_INCLINATION
         on = marks.target_indices >= 0
         n_rows = np.bincount(recording.target, use.any(axis=1), len(recording.targets)) > 0
@@ -230,12 +230,12 @@ class UndeterminedUnknowns:
             unknowns.pose_columns[self.height_free_stations, 2:3],
             unknowns.target_columns[self.height_free_targets, 2:3],
         ]
-        rows = [
+        column_groups = [
             unknowns.pose_columns[self.yaw_free_stations, 3:],
             np.repeat(unknowns.pose_columns[self.tilt_free_stations, 3:], 2, axis=0),
         ]
-        rows.append(unknowns.target_columns[self.scale_target])
-        return np.concatenate([*rows, *(np.repeat(columns.reshape(-1, 1), 3, axis=1) for columns in single)])
+        column_groups.append(unknowns.target_columns[self.scale_target])
+        return np.concatenate([*column_groups, *(np.repeat(columns.reshape(-1, 1), 3, axis=1) for columns in single)])
 
     def fixed_directions(self, state: NetworkState) -> Floats:
         """Coefficients (h, 3) of the h equations that fix undetermined unknowns, in `fixed_columns`."""
@@ -310,8 +310,8 @@ def _has_approximate_scale(network: NetworkRows) -> bool:
 def _scale_target(network: NetworkRows) -> Ints:
     """Index (1,) of a target with an azimuth from the first station that has azimuths."""
     recording, rows = network.model.recording, np.flatnonzero(network.used_readings[:, 1])
-    first = rows[np.argsort(recording.station[rows], kind="stable")][:1]
-    return recording.target[first]
+    first_row = rows[np.argsort(recording.station[rows], kind="stable")][:1]
+    return recording.target[first_row]
 
 
 DecoratedParameters = ParamSpec("DecoratedParameters")
@@ -337,9 +337,9 @@ def raise_for_singular_network(
 
 def _sparsest_measurement_sentence(recording: Recording) -> str:
     """Sentence on the station and target of a network with the fewest readings."""
-    count = recording.is_measured.sum(axis=1)
-    stations = np.bincount(recording.station, count, len(recording.stations))
-    targets = np.bincount(recording.target, count, len(recording.targets))
+    n_measured = recording.is_measured.sum(axis=1)
+    stations = np.bincount(recording.station, n_measured, len(recording.stations))
+    targets = np.bincount(recording.target, n_measured, len(recording.targets))
     clause = (
         f"station {recording.stations[int(stations.argmin())]} has {stations.min():.0f} readings, "
         f"target {recording.targets[int(targets.argmin())]} has {targets.min():.0f}"

@@ -16,7 +16,7 @@ from ltsim.core.errors import ModelError, RecordError, unknown_name
 from ltsim.core.results import Table
 from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
 from ltsim.core.values import ValueEquality
-from ltsim.physics.model.construction import Construction, construction_for_parameters
+from ltsim.physics.model.construction import GeometricErrorModel, construction_for_parameters
 from ltsim.recordings.files import quoted_text
 from ltsim.recordings.recording import OBSERVABLES
 
@@ -25,7 +25,7 @@ from ltsim.recordings.recording import OBSERVABLES
 class CalibrationArrays(ValueEquality):
     """Arrays of a calibration in SI units: p parameters of each of I instruments, and the coordinates of T targets."""
 
-    construction: Construction
+    construction: GeometricErrorModel
     """Instrument model whose parameters were estimated."""
     instruments: tuple[str, ...]
     """Names of the instruments; a single unnamed instrument is called ''."""
@@ -101,7 +101,7 @@ class CalibrationArrays(ValueEquality):
 
 
 def arrays_from_file_rows(
-    construction: str, rows: Sequence[ParameterEntry], covariance: Sequence[Sequence[float]], file: object
+    construction: str, parameter_entries: Sequence[ParameterEntry], covariance: Sequence[Sequence[float]], file: object
 ) -> tuple[CalibrationArrays, list[str]]:
     """Arrays of the parameters in a calibration file, and the names of the parameters that the file lacks.
 
@@ -114,46 +114,52 @@ def arrays_from_file_rows(
         One sentence: key, value, expected value.
     """
     try:
-        built = construction_for_parameters(construction, [row.name for row in rows])
+        built = construction_for_parameters(construction, [row.name for row in parameter_entries])
     except ModelError as problem:
         raise RecordError(str(problem), file=file) from None
-    instruments = tuple(dict.fromkeys(row.instrument for row in rows)) or ("",)
+    instruments = tuple(dict.fromkeys(row.instrument for row in parameter_entries)) or ("",)
     place = {(i, name): k for k, (i, name) in enumerate((i, n) for i in instruments for n in built.parameter_names)}
-    at = _flat_parameter_indices(construction, rows, place, built.parameter_names, file)
-    factor = np.array([SI_PER_UNIT[row.unit] for row in rows])
+    flat_indices = _flat_parameter_indices(construction, parameter_entries, place, built.parameter_names, file)
+    factor = np.array([SI_PER_UNIT[row.unit] for row in parameter_entries])
 
     def with_file_values(default: Floats, file_values: Sequence[float | None]) -> Floats:
         """Parameters [SI] of all instruments: the values of the file, and the defaults where the file has none."""
-        merged, given = default.copy(), np.array([np.nan if cell is None else cell for cell in file_values]) * factor
-        merged[at] = np.where(np.isnan(given), default[at], given)
-        return merged
+        prior_covariance, given = (
+            default.copy(),
+            np.array([np.nan if cell is None else cell for cell in file_values]) * factor,
+        )
+        prior_covariance[flat_indices] = np.where(np.isnan(given), default[flat_indices], given)
+        return prior_covariance
 
     nominal_sigmas = np.array([p.prior_sigma for _ in instruments for p in built.parameters])
-    values = with_file_values(np.zeros(len(place)), [row.value for row in rows])
-    prior = with_file_values(nominal_sigmas, [row.prior_sigma for row in rows])
-    applied_values = with_file_values(values, [row.applied for row in rows])
-    merged = np.diag(with_file_values(prior, [row.sigma for row in rows]) ** 2)
+    values = with_file_values(np.zeros(len(place)), [row.value for row in parameter_entries])
+    prior = with_file_values(nominal_sigmas, [row.prior_sigma for row in parameter_entries])
+    applied_values = with_file_values(values, [row.applied for row in parameter_entries])
+    prior_covariance = np.diag(with_file_values(prior, [row.sigma for row in parameter_entries]) ** 2)
     if len(covariance):
-        merged[np.ix_(at, at)] = np.array(covariance) * np.outer(factor, factor)
+        prior_covariance[np.ix_(flat_indices, flat_indices)] = np.array(covariance) * np.outer(factor, factor)
     held, prior_rejected = np.zeros((2, len(place)), dtype=bool)
-    held[at], prior_rejected[at] = [row.held for row in rows], [row.prior_rejected for row in rows]
+    held[flat_indices], prior_rejected[flat_indices] = (
+        [row.held for row in parameter_entries],
+        [row.prior_rejected for row in parameter_entries],
+    )
     shape = (len(instruments), built.n_parameters)
     arrays = CalibrationArrays(
         construction=built,
         instruments=instruments,
         estimates=values.reshape(shape),
         prior_sigma=prior.reshape(shape),
-        covariance=merged,
+        covariance=prior_covariance,
         is_fixed=held.reshape(shape),
         is_prior_rejected=prior_rejected.reshape(shape),
         applied_values=None if np.array_equal(applied_values, values) else applied_values.reshape(shape),
     )
-    return arrays, [f"{n}@{i}" if i else n for (i, n), k in place.items() if k not in at]
+    return arrays, [f"{n}@{i}" if i else n for (i, n), k in place.items() if k not in flat_indices]
 
 
 def _flat_parameter_indices(
     construction: str,
-    rows: Sequence[ParameterEntry],
+    parameter_entries: Sequence[ParameterEntry],
     index_by_instrument_and_name: dict[tuple[str, str], int],
     names: Sequence[str],
     file: object,
@@ -162,19 +168,19 @@ def _flat_parameter_indices(
 
     Unknown names, unknown units and repeated parameters raise RecordError.
     """
-    at: list[int] = []
-    for number, row in enumerate(rows, start=1):
+    flat_indices: list[int] = []
+    for number, row in enumerate(parameter_entries, start=1):
         if (row.instrument, row.name) not in index_by_instrument_and_name:
             kind = f"parameter of construction {construction}"
             raise RecordError(f"parameters: {unknown_name(kind, quoted_text(row.name), names)}", file=file, row=number)
         if row.unit not in SI_PER_UNIT:
             expected = f"expected one of {', '.join(SI_PER_UNIT)}"
             raise RecordError(f"parameters: unknown unit '{quoted_text(row.unit)}'; {expected}", file=file, row=number)
-        at.append(index_by_instrument_and_name[row.instrument, row.name])
-        if at[-1] in at[:-1]:
+        flat_indices.append(index_by_instrument_and_name[row.instrument, row.name])
+        if flat_indices[-1] in flat_indices[:-1]:
             problem = f"parameters: '{quoted_text(row.name)}' occurs twice; expected one entry per parameter"
             raise RecordError(problem, file=file, row=number)
-    return at
+    return flat_indices
 
 
 def targets_table(names: Sequence[str], points: Floats, covariance: Floats) -> Table:
@@ -196,12 +202,12 @@ def residuals_table(adjustment: Adjustment) -> Table:
     def table_row(i: int, k: int) -> list[object]:
         unit, factor = DISPLAY_UNITS[k]
         names = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
-        size = (
+        residual_entries = (
             adjustment.residuals[i, k] / factor,
             unit,
             adjustment.redundancy[i, k],
             adjustment.normalised_residuals[i, k],
         )
-        return [i + 1, *names, recording.face[i], recording.repeat[i], OBSERVABLES[k], *size]
+        return [i + 1, *names, recording.face[i], recording.repeat[i], OBSERVABLES[k], *residual_entries]
 
     return RESIDUALS_TABLE.with_rows(table_row(i, k) for i, k in np.argwhere(adjustment.problem.used_readings).tolist())

@@ -42,9 +42,9 @@ from ltsim.core.errors import RecordError
 from ltsim.core.probability import format_p, two_sided
 from ltsim.core.results import Table
 from ltsim.core.rounding import MAX_ROUNDING_ERROR
-from ltsim.physics.effects.signature import Parameter
+from ltsim.physics.effects.linear_effect import Parameter
 from ltsim.physics.effects.smr_incidence import SmrIncidence
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import Finite, ResultFile
 
@@ -135,10 +135,10 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     @model_validator(mode="after")
     def _covariance_is_square(self) -> Self:
-        count = len(self.parameters)
-        rows = self.parameter_covariance
-        if rows and {len(rows), *map(len, rows)} != {count}:
-            raise ValueError(f"the covariance is not a square of {count} x {count} numbers")
+        n_parameters = len(self.parameters)
+        covariance_rows = self.parameter_covariance
+        if covariance_rows and {len(covariance_rows), *map(len, covariance_rows)} != {n_parameters}:
+            raise ValueError(f"the covariance is not a square of {n_parameters} x {n_parameters} numbers")
         return self
 
     @field_serializer("criteria")
@@ -168,8 +168,8 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     def with_changes(self, **changes: Any) -> Self:
         """Copy of the calibration with other values of the given fields or arrays."""
-        by_name = {entry.name for entry in dataclasses.fields(CalibrationArrays)} & changes.keys()
-        arrays = replace(self.arrays, **{name: changes.pop(name) for name in by_name})
+        array_names = {entry.name for entry in dataclasses.fields(CalibrationArrays)} & changes.keys()
+        arrays = replace(self.arrays, **{name: changes.pop(name) for name in array_names})
         return self._with_arrays_and_fields(arrays, **changes)
 
     def _with_arrays_and_fields(self, arrays: CalibrationArrays, **changes: Any) -> Self:
@@ -197,7 +197,7 @@ class Calibration(UncertaintyEntry, ResultFile):
         return self._warnings
 
     @property
-    def construction(self) -> Construction:
+    def construction(self) -> GeometricErrorModel:
         """Instrument model whose parameters were estimated."""
         return self.arrays.construction
 
@@ -309,8 +309,8 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     def _stations_table(self) -> Table:
         sigma = [s.sigma_position_mm or (None,) * 3 for s in self.stations]
-        rows = zip(self.stations, sigma, strict=True)
-        return STATIONS_TABLE.with_rows([s.name, *s.position_mm, *sigmas] for s, sigmas in rows)
+        stations_with_sigma = zip(self.stations, sigma, strict=True)
+        return STATIONS_TABLE.with_rows([s.name, *s.position_mm, *sigmas] for s, sigmas in stations_with_sigma)
 
     @property
     def applied_reflectors(self) -> dict[str, Floats]:
@@ -353,7 +353,7 @@ class Calibration(UncertaintyEntry, ResultFile):
 def _parameter_entries(arrays: CalibrationArrays, applied_values: Floats) -> tuple[ParameterEntry, ...]:
     """Entries of the estimates in display units, with the applied values (instruments, parameters) [SI] that differ."""
     is_multiple = len(arrays.instruments) > 1
-    entries = []
+    parameter_entries = []
     for i, instrument in enumerate(arrays.instruments):
         for k, parameter in enumerate(arrays.construction.parameters):
             value, sigma, factor = arrays.estimates[i, k], arrays.sigma[i, k], parameter.si_per_display_unit
@@ -369,8 +369,8 @@ def _parameter_entries(arrays: CalibrationArrays, applied_values: Floats) -> tup
             )
             further = {"applied": float(applied_values[i, k] / factor)} if differs else {}
             named = {"instrument": instrument} if is_multiple else {}
-            entries.append(entry.model_copy(update={**further, **named}))
-    return tuple(entries)
+            parameter_entries.append(entry.model_copy(update={**further, **named}))
+    return tuple(parameter_entries)
 
 
 def _entries_per_instrument(
@@ -380,15 +380,15 @@ def _entries_per_instrument(
 ) -> tuple[EntryType, ...]:
     """Entries of each instrument, from its estimates and covariance after the optional `transform`."""
     several, size = len(arrays.instruments) > 1, arrays.construction.n_parameters
-    rows: list[EntryType] = []
+    flat_entries: list[EntryType] = []
     parameters = arrays.construction.parameters
     for i, (name, values) in enumerate(zip(arrays.instruments, arrays.estimates, strict=True)):
         covariance = arrays.covariance[i * size : (i + 1) * size, i * size : (i + 1) * size]
         if transform is not None:
             values, covariance = transform(parameters, values, covariance, arrays.effective_prior_sigma[i])
         entries = make_entries(parameters, values, covariance)
-        rows += [entry.model_copy(update={"instrument": name}) if several else entry for entry in entries]
-    return tuple(rows)
+        flat_entries += [entry.model_copy(update={"instrument": name}) if several else entry for entry in entries]
+    return tuple(flat_entries)
 
 
 def _is_noise_estimated(noise: Sequence[NoiseRow]) -> bool:

@@ -24,7 +24,7 @@ from ltsim.calibration.evidence import LikelihoodInformation, likelihood_informa
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError, option
 from ltsim.core.values import ValueEquality
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.result_file import Entry, Finite
 from ltsim.solve.design import NORMAL_RANK_TOLERANCE
 
@@ -116,9 +116,8 @@ class CalibrationSeries(ValueEquality):
 
         Raises
         ------
-        RecordError
-            When there are fewer than two, the constructions differ, the instrument is not clear, a parameter has no
-            uncertainty, or the dates are none or out of order.
+            RecordError When there are fewer than two, the geometric error models differ, the instrument is not clear, a
+            parameter has no uncertainty, or the dates are none or out of order.
         """
         if len(labelled_calibrations) < 2:
             raise RecordError(
@@ -152,7 +151,7 @@ class CalibrationSeries(ValueEquality):
         return len(self.labels)
 
     @property
-    def construction(self) -> Construction:
+    def construction(self) -> GeometricErrorModel:
         """Instrument model of all calibrations."""
         return self.calibrations[0].construction
 
@@ -266,12 +265,12 @@ class CalibrationSeries(ValueEquality):
         `combination` (p, r) holds the coefficients of p parameters. The differences have the shape (m r,), in prior
         standard deviations.
         """
-        values = contrast @ (self.estimates / self.prior_sigma) @ combination
+        contrasts = contrast @ (self.estimates / self.prior_sigma) @ combination
         half_product: Floats = np.einsum(
             "mi,iajb,as->msjb", contrast, self._joint_covariance, combination, optimize=True
         )
         spread: Floats = np.einsum("msjb,nj,bt->msnt", half_product, contrast, combination, optimize=True)
-        return values.ravel(), spread.reshape(values.size, values.size)
+        return contrasts.ravel(), spread.reshape(contrasts.size, contrasts.size)
 
     @cached_property
     def population(self) -> ParameterPopulation:
@@ -320,9 +319,9 @@ class CalibrationSeries(ValueEquality):
             unit,
         )
         covariance = np.linalg.inv(likelihood.information + np.diag(spread**-2))
-        values = covariance @ (likelihood.information_vector + population.mean / unit * spread**-2)
+        posterior_means = covariance @ (likelihood.information_vector + population.mean / unit * spread**-2)
         return input_calibration.with_changes(
-            estimates=(values * unit)[None],
+            estimates=(posterior_means * unit)[None],
             covariance=covariance * np.outer(unit, unit),
             prior_sigma=population.spread[None],
             correction=None,

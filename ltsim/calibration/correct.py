@@ -8,7 +8,7 @@ from ltsim.calibration.files import CalibrationSource, load_calibration
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError, RecordError, option
 from ltsim.geometry.polar import to_face, to_polar, wrap_angle
-from ltsim.physics.model.construction import Construction, ideal_construction
+from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
 from ltsim.physics.model.incidence import incidence_shift
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.exchange import RecordingSource, load_recording
@@ -62,9 +62,9 @@ def correct(
             "and another cause may be in its parameters: run ltsim diagnose on its recording and calibrate again "
             f"without that cause, or give {option('allow_rejected=True')} to use it nevertheless"
         )
-    values = corrections.values_for(source)
+    parameter_values = corrections.values_for(source)
     uncorrected = source.with_readings(source.readings - incidence_correction_change(source, corrections))
-    readings = corrected_readings(uncorrected, corrections.construction, values)
+    readings = corrected_readings(uncorrected, corrections.construction, parameter_values)
     setup, mark = source.setup, {"corrected": True}
     instruments = {name: i.model_copy(update=mark) for name, i in setup.instruments.items()}
     marked_setup = {"instrument": setup.instrument.model_copy(update=mark), "instruments": instruments}
@@ -88,7 +88,7 @@ def incidence_correction_change(recording: Recording, calibration: Calibration) 
     return incidence_shift(recording, sightings, reflectors)
 
 
-def corrected_readings(recording: Recording, construction: Construction, values: Floats) -> Floats:
+def corrected_readings(recording: Recording, construction: GeometricErrorModel, values: Floats) -> Floats:
     """Readings of an ideal tracker for the measured points, shape (pointings, 3); NaN where no reading was made.
 
     `values` are the parameters of the instrument, shape (parameters,) or (pointings, parameters) [SI].
@@ -120,7 +120,8 @@ def _replacement_readings(recording: Recording) -> Floats:
     return model.predict(NetworkState(position, rotation, points, np.zeros((1, 0))))
 
 
-def _undetermined_rows_error(rows: Bools, reason: str) -> NetworkError:
+def _undetermined_rows_error(is_undetermined: Bools, reason: str) -> NetworkError:
     return NetworkError(
-        f"row {int(np.argmax(rows)) + 1} lacks a range or an angle, and its target has no coordinates: {reason}"
+        f"row {int(np.argmax(is_undetermined)) + 1} lacks a range or an angle, "
+        f"and its target has no coordinates: {reason}"
     )

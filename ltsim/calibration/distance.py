@@ -27,7 +27,7 @@ from ltsim.calibration.objective import DistanceProblem
 from ltsim.calibration.prior_information import ParameterSelection
 from ltsim.calibration.schema import FitEntry
 from ltsim.core.arrays import Floats, Ints
-from ltsim.physics.model.construction import Construction, declared_construction
+from ltsim.physics.model.construction import GeometricErrorModel, declared_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.reflectors import require_equal_radii
@@ -45,7 +45,7 @@ DISTANCE_METHODS: dict[str, ObjectiveNorm] = {
 
 def calibrate_distance(
     recording: Recording,
-    construction: Construction | None = None,
+    construction: GeometricErrorModel | None = None,
     *,
     method: str = "distance",
     advise: bool = True,
@@ -77,12 +77,12 @@ def calibrate_distance(
     else:
         estimate = solve_distances(problem, norm, start_values=start_values, fixed_mask=held.ravel())
         notes = sentences_on_minimum(problem, norm, estimate, held.ravel()) if advise else ()
-    values = estimate.unknowns.reshape(prior.shape) * prior
-    applied_values = values[0] if len(values) == 1 else values[recording.instrument]
+    parameter_values = estimate.unknowns.reshape(prior.shape) * prior
+    applied_values = parameter_values[0] if len(parameter_values) == 1 else parameter_values[recording.instrument]
     corrected_recording = recording.with_readings(corrected_readings(recording, model, applied_values))
     adjustment = adjust(corrected_recording)
     adjustment.solution.require_success()
-    propagation = ErrorPropagation(recording, model, values, estimate, adjustment)
+    propagation = ErrorPropagation(recording, model, parameter_values, estimate, adjustment)
     added_covariance = propagation.added_covariance()
     unknowns = adjustment.problem.unknowns
     pose = (
@@ -94,7 +94,7 @@ def calibrate_distance(
     arrays = CalibrationArrays(
         construction=model,
         instruments=recording.instruments,
-        estimates=values,
+        estimates=parameter_values,
         prior_sigma=prior,
         covariance=estimate.covariance * np.outer(scale, scale),
         null_space=null_space,
@@ -112,7 +112,7 @@ def calibrate_distance(
         undetermined=_undetermined_entries(adjustment, model, estimate, recommend_measurements=advise),
         frame=result.frame_text(adjustment),
         stations=result.station_poses(adjustment, pose),
-        criteria=result.criteria_table(recording, adjustment, model, values, reflectors=False),
+        criteria=result.criteria_table(recording, adjustment, model, parameter_values, reflectors=False),
         outliers=result.outlier_rows(adjustment),
         undetermined_targets=tuple(
             recording.targets[i] for i in np.flatnonzero(adjustment.problem.structure.is_unmeasured_target)
@@ -144,7 +144,11 @@ def _fit_entry(propagation: ErrorPropagation) -> FitEntry:
 
 
 def _undetermined_entries(
-    adjustment: Adjustment, construction: Construction, estimate: DistanceEstimate, *, recommend_measurements: bool
+    adjustment: Adjustment,
+    construction: GeometricErrorModel,
+    estimate: DistanceEstimate,
+    *,
+    recommend_measurements: bool,
 ) -> tuple[UndeterminedEntry, ...]:
     """Entries of the combinations of parameters that the distances do not determine."""
     instruments = adjustment.recording.instruments
@@ -176,7 +180,7 @@ class ErrorPropagation:
 
     recording: Recording
     """Uncorrected recording."""
-    construction: Construction
+    construction: GeometricErrorModel
     """Instrument model."""
     estimates: Floats
     """Estimated parameters, shape (instruments, parameters) [SI]."""
@@ -193,8 +197,8 @@ class ErrorPropagation:
     @cached_property
     def _whitened_design(self) -> Floats:
         """Whitened design matrix of readings and gauge, shape (observations, unknowns of the network)."""
-        rows = len(self._used_rows) + len(self.adjustment.problem.gauge_rows)
-        return to_dense(self.adjustment.solution.system.design[:rows])
+        n_rows = len(self._used_rows) + len(self.adjustment.problem.gauge_rows)
+        return to_dense(self.adjustment.solution.system.design[:n_rows])
 
     @cached_property
     def _adjustment_response(self) -> Floats:

@@ -86,9 +86,9 @@ def pair_difference_rows(problem: DistanceProblem, distances: SetDistances) -> C
     """Comparisons that are the single terms of eq. 9: differences of two sets, and deviations from gauge lengths."""
     first, second = set_pairs(distances)
     problem._check_matrix_size(len(first))
-    count = len(distances.lengths)
+    n_distances = len(distances.lengths)
     return _append_gauge_rows(
-        problem, distances, sp.csr_array(_selection_matrix(first, count) - _selection_matrix(second, count))
+        problem, distances, sp.csr_array(_selection_matrix(first, n_distances) - _selection_matrix(second, n_distances))
     )
 
 
@@ -136,17 +136,21 @@ def solve_distances(
         If no pair of targets was measured from two stations (or faces), and there is no gauge.
     """
     unknowns, free = _start_values(problem, start_values, fixed_mask)
-    rows = mean_deviation_rows(problem, problem.distances_at(unknowns))
-    _require_compared_distances(rows, np.ones_like(free))
-    estimated, undetermined = determined_combinations(rows, free)
+    deviation_rows = mean_deviation_rows(problem, problem.distances_at(unknowns))
+    _require_compared_distances(deviation_rows, np.ones_like(free))
+    estimated, undetermined = determined_combinations(deviation_rows, free)
     moved, iterations = np.inf, 0
     while iterations < MAX_ITERATIONS and not moved < MAX_ROUNDING_ERROR:
         iterations += 1
-        rows = compared_rows(problem, unknowns, norm)
-        step = estimated @ _unbounded_step(rows.unknown_derivatives @ estimated, rows.residuals, norm)
+        deviation_rows = compared_rows(problem, unknowns, norm)
+        step = estimated @ _unbounded_step(
+            deviation_rows.unknown_derivatives @ estimated, deviation_rows.residuals, norm
+        )
         unknowns = unknowns + step
         moved = float(np.max(np.abs(step), initial=0.0))
-    return _make_estimate(rows, norm, (unknowns, estimated, undetermined), iterations, moved < MAX_ROUNDING_ERROR)
+    return _make_estimate(
+        deviation_rows, norm, (unknowns, estimated, undetermined), iterations, moved < MAX_ROUNDING_ERROR
+    )
 
 
 def solve_equation_9(
@@ -189,19 +193,19 @@ def _start_values(
     problem: DistanceProblem, start_values: Floats | None, fixed_mask: Bools | None
 ) -> tuple[Floats, Bools]:
     """Start values of the unknowns, and mask of the unknowns to estimate, both of shape (unknowns,)."""
-    size = problem.prior_sigma.size
-    unknowns: Floats = np.zeros(size) if start_values is None else start_values.copy()
-    return unknowns, np.ones(size, dtype=bool) if fixed_mask is None else ~fixed_mask
+    n_parameters = problem.prior_sigma.size
+    unknowns: Floats = np.zeros(n_parameters) if start_values is None else start_values.copy()
+    return unknowns, np.ones(n_parameters, dtype=bool) if fixed_mask is None else ~fixed_mask
 
 
-def _require_compared_distances(rows: ComparedDistances, free_unknowns: Bools) -> None:
+def _require_compared_distances(compared_distances: ComparedDistances, free_unknowns: Bools) -> None:
     """Check that a comparison of distances depends on the unknowns to estimate; raises NetworkError otherwise."""
-    if not np.any(rows.unknown_derivatives[:, free_unknowns]):
+    if not np.any(compared_distances.unknown_derivatives[:, free_unknowns]):
         raise NetworkError("no distance can be compared: stations share no pair of targets, and there is no gauge")
 
 
 def _make_estimate(
-    rows: ComparedDistances,
+    compared_distances: ComparedDistances,
     norm: ObjectiveNorm,
     solution: tuple[Floats, Floats, tuple[ParameterCombination, ...]],
     n_iterations: int,
@@ -213,14 +217,14 @@ def _make_estimate(
     zero.
     """
     unknowns, estimated, undetermined = solution
-    covariance, noise = estimate_covariance(rows, estimated, norm)
+    covariance, noise = estimate_covariance(compared_distances, estimated, norm)
     prior = np.array([d.vector for d in undetermined]).reshape(len(undetermined), len(unknowns))
     return DistanceEstimate(
         unknowns,
         covariance + prior.T @ prior,
         noise,
         undetermined,
-        objective_of(rows, norm),
+        objective_of(compared_distances, norm),
         n_iterations,
         is_converged,
     )
@@ -232,13 +236,15 @@ def compared_rows(problem: DistanceProblem, unknowns: Floats, norm: ObjectiveNor
     return mean_deviation_rows(problem, distances) if norm == "squares" else pair_difference_rows(problem, distances)
 
 
-def objective_of(rows: ComparedDistances, norm: ObjectiveNorm) -> float:
+def objective_of(compared_distances: ComparedDistances, norm: ObjectiveNorm) -> float:
     """Objective of Sensors 2021, 21, 7479, eq. 9: sum of squares [m^2] or of absolute values [m] of residuals."""
-    return float(np.sum(rows.residuals**2) if norm == "squares" else np.sum(np.abs(rows.residuals)))
+    return float(
+        np.sum(compared_distances.residuals**2) if norm == "squares" else np.sum(np.abs(compared_distances.residuals))
+    )
 
 
 def determined_combinations(
-    rows: ComparedDistances, free_unknowns: Bools
+    compared_distances: ComparedDistances, free_unknowns: Bools
 ) -> tuple[Floats, tuple[ParameterCombination, ...]]:
     """Combinations of unknowns to estimate, and combinations to fix at zero.
 
@@ -246,12 +252,15 @@ def determined_combinations(
     listed in the order of their gains. Only unknowns in the mask `free_unknowns` take part.
     """
     strength, eigenvectors = np.linalg.eigh(
-        rows.unknown_derivatives[:, free_unknowns].T @ rows.unknown_derivatives[:, free_unknowns]
+        compared_distances.unknown_derivatives[:, free_unknowns].T
+        @ compared_distances.unknown_derivatives[:, free_unknowns]
     )
     vectors = np.zeros((len(free_unknowns), len(eigenvectors)))
     vectors[free_unknowns] = eigenvectors
     nonzero = strength > 1e-12 * strength[-1]
-    noise_response = np.asarray((rows.noise_derivatives.T @ (rows.unknown_derivatives @ vectors)).T)
+    noise_response = np.asarray(
+        (compared_distances.noise_derivatives.T @ (compared_distances.unknown_derivatives @ vectors)).T
+    )
     variance = np.full(len(strength), np.inf)
     variance[nonzero] = np.sum(noise_response[nonzero] ** 2, axis=1) / strength[nonzero] ** 2
     gain = 1.0 / (1.0 + variance)
@@ -260,12 +269,16 @@ def determined_combinations(
     return vectors[:, keep], tuple(sorted(combinations, key=lambda d: d.gain))
 
 
-def _split_observable_combinations(rows: ComparedDistances, free_unknowns: Bools) -> tuple[Floats, Floats]:
+def _split_observable_combinations(
+    compared_distances: ComparedDistances, free_unknowns: Bools
+) -> tuple[Floats, Floats]:
     """Combinations of unknowns that change a compared distance, and combinations that change none.
 
     Both have the shape (unknowns, combinations). Only unknowns in the mask `free_unknowns` take part.
     """
-    _, strength, right_vectors = np.linalg.svd(rows.unknown_derivatives[:, free_unknowns], full_matrices=False)
+    _, strength, right_vectors = np.linalg.svd(
+        compared_distances.unknown_derivatives[:, free_unknowns], full_matrices=False
+    )
     vectors = np.zeros((len(free_unknowns), len(right_vectors)))
     vectors[free_unknowns] = right_vectors.T
     nonzero = strength > MAX_ROUNDING_ERROR * strength[0]
@@ -280,19 +293,21 @@ def _unbounded_step(design: Floats, residual: Floats, norm: ObjectiveNorm) -> Fl
 
 
 def _bounded_step(
-    rows: ComparedDistances,
+    compared_distances: ComparedDistances,
     unknowns: Floats,
     free_unknowns: Bools,
     norm: ObjectiveNorm,
     bound_in_prior_sigmas: float | None,
 ) -> Floats:
     """Step of the free unknowns to the minimum of the linearised objective within the bounds."""
-    design = rows.unknown_derivatives[:, free_unknowns]
+    design = compared_distances.unknown_derivatives[:, free_unknowns]
     if bound_in_prior_sigmas is None:
-        visible = _split_observable_combinations(rows, free_unknowns)[0][free_unknowns]
-        return visible @ _unbounded_step(design @ visible, rows.residuals, norm)
+        visible = _split_observable_combinations(compared_distances, free_unknowns)[0][free_unknowns]
+        return visible @ _unbounded_step(design @ visible, compared_distances.residuals, norm)
     bounded_solver = _least_squares_in_bounds if norm == "squares" else _least_absolute_in_bounds
-    return bounded_solver(design, rows.residuals, (-bound_in_prior_sigmas - unknowns, bound_in_prior_sigmas - unknowns))
+    return bounded_solver(
+        design, compared_distances.residuals, (-bound_in_prior_sigmas - unknowns, bound_in_prior_sigmas - unknowns)
+    )
 
 
 def _least_squares_in_bounds(design: Floats, residual: Floats, bounds: tuple[Floats, Floats]) -> Floats:
@@ -322,13 +337,13 @@ def _least_absolute_in_bounds(design: Floats, residual: Floats, bounds: tuple[Fl
 
 
 def _line_search(
-    problem: DistanceProblem, unknowns: Floats, step: Floats, rows: ComparedDistances, norm: ObjectiveNorm
+    problem: DistanceProblem, unknowns: Floats, step: Floats, compared_distances: ComparedDistances, norm: ObjectiveNorm
 ) -> tuple[Floats, ComparedDistances, float]:
     """Backtracking line search along a step of the unknowns.
 
     The result is the new unknowns, the comparisons at these, and the relative decrease of the objective.
     """
-    before, share = objective_of(rows, norm), 1.0
+    before, share = objective_of(compared_distances, norm), 1.0
     while share > 1e-3:
         there = unknowns + share * step
         rows_there = compared_rows(problem, there, norm)
@@ -336,11 +351,11 @@ def _line_search(
         if fallen > 0.0:
             return there, rows_there, fallen
         share *= 0.5
-    return unknowns, rows, 0.0
+    return unknowns, compared_distances, 0.0
 
 
 def estimate_covariance(
-    rows: ComparedDistances, estimated_combinations: Floats, norm: ObjectiveNorm
+    compared_distances: ComparedDistances, estimated_combinations: Floats, norm: ObjectiveNorm
 ) -> tuple[Floats, Floats]:
     """Covariance of the estimates (unknowns, unknowns), and their covariance with the whitened observations.
 
@@ -348,17 +363,21 @@ def estimate_covariance(
     median for correlated normal observations is used: the score of an observation is its sign, with E[sign sign] = 2/pi
     asin(correlation), to first order off the diagonal.
     """
-    design = rows.unknown_derivatives @ estimated_combinations
+    design = compared_distances.unknown_derivatives @ estimated_combinations
     if norm == "squares":
         inverse = np.linalg.inv(design.T @ design)
-        influence = -inverse @ np.asarray((rows.noise_derivatives.T @ design).T)
+        influence = -inverse @ np.asarray((compared_distances.noise_derivatives.T @ design).T)
         noise = estimated_combinations @ influence
         return noise @ noise.T, noise
-    spread = np.sqrt(np.asarray(rows.noise_derivatives.multiply(rows.noise_derivatives).sum(axis=1)).ravel())
+    spread = np.sqrt(
+        np.asarray(
+            compared_distances.noise_derivatives.multiply(compared_distances.noise_derivatives).sum(axis=1)
+        ).ravel()
+    )
     spread = np.maximum(spread, 1e-12)
     scaled_design = design / spread[:, None]
     curvature = np.sqrt(2 / np.pi) * (design.T @ scaled_design)
-    noise_response = np.asarray((rows.noise_derivatives.T @ scaled_design).T) * np.sqrt(2 / np.pi)
+    noise_response = np.asarray((compared_distances.noise_derivatives.T @ scaled_design).T) * np.sqrt(2 / np.pi)
     score = noise_response @ noise_response.T + (1 - 2 / np.pi) * (design.T @ design)
     inverse = np.linalg.inv(curvature)
     covariance = estimated_combinations @ inverse @ score @ inverse.T @ estimated_combinations.T
@@ -372,9 +391,9 @@ def sentences_on_minimum(
     minimum = solve_equation_9(problem, norm, start_values=estimate.unknowns, fixed_mask=fixed_mask).objective_value
     power, unit = (1e6, "mm^2") if norm == "squares" else (1e3, "mm")
     method = "equation-9" if norm == "squares" else "equation-9-l1"
-    count = len(estimate.undetermined_combinations)
+    n_undetermined = len(estimate.undetermined_combinations)
     return (
-        f"eq. 9 is {power * estimate.objective_value:.4g} {unit} here: {count} combinations that the readings hardly "
-        f"determine are set to zero. The minimum of eq. 9 is {power * minimum:.4g} {unit} (method {method}): "
-        "there these combinations are fitted to the noise",
+        f"eq. 9 is {power * estimate.objective_value:.4g} {unit} here: {n_undetermined} combinations "
+        f"that the readings hardly determine are set to zero. The minimum of eq. 9 is {power * minimum:.4g} {unit} "
+        f"(method {method}): there these combinations are fitted to the noise",
     )

@@ -14,7 +14,7 @@ from ltsim.calibration.schema import HarmonicEntry
 from ltsim.core import probability
 from ltsim.core.arrays import Floats
 from ltsim.core.units import DEGREE
-from ltsim.physics.effects.signature import Parameter
+from ltsim.physics.effects.linear_effect import Parameter
 
 MAX_SIGMA_RATIO_COMBINATION = 0.25
 """Ratio of the standard deviation of a combination to that for independent members, at or below which the combination
@@ -143,7 +143,7 @@ def determined_combinations(
     each, and their sum to 0.3 urad. A combination is an eigenvector of the covariance of parameters with the same unit.
     Its first member has the coefficient 1. `estimates` (p,) and `covariance` (p, p) are in SI units.
     """
-    entries = []
+    combination_entries = []
     for unit in dict.fromkeys(p.unit for p in parameters):
         at = np.array([i for i, p in enumerate(parameters) if p.unit == unit])
         block, factor = covariance[np.ix_(at, at)], parameters[at[0]].si_per_display_unit
@@ -163,8 +163,8 @@ def determined_combinations(
             order, unit_of_first = [first, *np.delete(np.arange(count), first)], weights[first] * factor
             combination = {parameters[at[members[i]]].name: float(weights[i] / weights[first]) for i in order}
             value, sigma = float(weights @ estimates[at[members]]) / unit_of_first, sigma / abs(unit_of_first)
-            entries.append(DeterminedEntry(combination=combination, value=value, sigma=sigma, unit=unit))
-    return entries
+            combination_entries.append(DeterminedEntry(combination=combination, value=value, sigma=sigma, unit=unit))
+    return combination_entries
 
 
 def amplitude_and_phase(coefficients: Floats, covariance: Floats) -> tuple[float, float, float | None, float | None]:
@@ -197,11 +197,11 @@ def cosine_sine_pairs(names: Sequence[str]) -> Iterator[tuple[str, int, int]]:
 
 def harmonic_entries(parameters: Sequence[Parameter], estimates: Floats, covariance: Floats) -> list[HarmonicEntry]:
     """Amplitude and phase of each pair of a cosine and a sine parameter; estimates and covariance [SI]."""
-    entries = []
+    harmonic_list = []
     for name, *at in cosine_sine_pairs([p.name for p in parameters]):
         parameter = parameters[at[0]]
         amplitude, sigma, phase, spread = amplitude_and_phase(estimates[at], covariance[np.ix_(at, at)])
-        entries.append(
+        harmonic_list.append(
             HarmonicEntry(
                 name=name,
                 amplitude=amplitude / parameter.si_per_display_unit,
@@ -211,7 +211,7 @@ def harmonic_entries(parameters: Sequence[Parameter], estimates: Floats, covaria
                 sigma_phase_deg=None if spread is None else spread / DEGREE,
             )
         )
-    return entries
+    return harmonic_list
 
 
 def log_sum_exp(logarithms: Floats, axis: int = 0) -> Floats:

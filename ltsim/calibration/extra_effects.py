@@ -18,11 +18,11 @@ from ltsim.calibration.schema import FittedEffectEntry, FittedParameterEntry
 from ltsim.core.errors import ModelError, option
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
-from ltsim.physics.effects.signature import CandidateEffect, Parameter, ShapeParameter, Signature
+from ltsim.physics.effects.linear_effect import CandidateEffect, LinearEffect, Parameter, ShapeParameter
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.sizes import displayed_sizes
 from ltsim.physics.laws.words import law_suffix, regressor_text
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import MAX_ALTERNATIONS
 
@@ -39,7 +39,7 @@ class RequestedEffect:
     fixed_fields: frozenset[str] = frozenset()
     """Names of the fields whose values the user gave."""
 
-    def require_estimable(self, recording: Recording, construction: Construction) -> None:
+    def require_estimable(self, recording: Recording, construction: GeometricErrorModel) -> None:
         """Check that the effect can be estimated with the calibration of a recording; raises ModelError otherwise."""
         effect, name = self.effect, self.effect.name
         if isinstance(effect, NoiseEffect):
@@ -87,9 +87,9 @@ def fit_with_extra_effects(
     for wanted in extra_effects:
         candidates, space = wanted.candidates(adjustment), ResidualSpace.from_adjustment(adjustment)
         best = max(
-            candidates, key=lambda effect: float(neg_log_p_chi2(*space.chi2_drop(space.whitened_signature(effect))))
+            candidates, key=lambda effect: float(neg_log_p_chi2(*space.chi2_drop(space.whitened_design(effect))))
         )
-        freedom, before = space.chi2_drop(space.whitened_signature(best))[1], adjustment.chi2
+        freedom, before = space.chi2_drop(space.whitened_design(best))[1], adjustment.chi2
         if freedom:
             fixed.append(wanted.fixed_fields)
             adjustment, fit = _refit_with_best_constants(adjust_with, [*fit.effects, best], fixed)
@@ -102,12 +102,14 @@ def fit_with_extra_effects(
                 effect=name, place_text=place, chi2_drop=drop, n_distinguishable_parameters=freedom, n_candidates=tried
             )
         )
-    first = len(unreported_effects)
+    n_unreported = len(unreported_effects)
     rows = (
         _law_size_entries(effect, adjustment)
         if isinstance(effect, EmpiricalLaw)
         else _effect_entries(effect, estimated, given)
-        for effect, estimated, given in zip(fit.effects[first:], fit.estimates[first:], fixed[first:], strict=True)
+        for effect, estimated, given in zip(
+            fit.effects[n_unreported:], fit.estimates[n_unreported:], fixed[n_unreported:], strict=True
+        )
     )
     return adjustment, tuple(
         entry.model_copy(update={"parameters": next(rows)}) if entry.n_distinguishable_parameters else entry
@@ -131,8 +133,8 @@ def _refit_with_best_constants(
     return adjustment, fit
 
 
-def effect_display_name(effect: Signature, adjustment: Adjustment) -> str:
-    """Name of an effect; for an empirical law its text, response ~ regressor."""
+def effect_display_name(effect: LinearEffect, adjustment: Adjustment) -> str:
+    """Name of an effect; for an empirical law its text, as in `elevation ~ time`."""
     if not isinstance(effect, EmpiricalLaw):
         return effect.name
     regressor_name = regressor_text(effect.regressor, has_clock=adjustment.recording.has_clock)
@@ -142,22 +144,22 @@ def effect_display_name(effect: Signature, adjustment: Adjustment) -> str:
 def _law_size_entries(law: EmpiricalLaw, adjustment: Adjustment) -> tuple[FittedParameterEntry, ...]:
     """Entries of the estimated sizes of an empirical law, one of the effects of an adjustment."""
     effects_before = adjustment.effects[: adjustment.effects.index(law)]
-    first = sum(len(effect.parameters) for effect in effects_before)
-    columns = slice(first, first + len(law.parameters))
-    sizes = displayed_sizes(
+    first_parameter = sum(len(effect.parameters) for effect in effects_before)
+    columns = slice(first_parameter, first_parameter + len(law.parameters))
+    component_sizes = displayed_sizes(
         law,
         adjustment.sightings,
         adjustment.state.extra_parameters[columns],
         adjustment.extra_covariance[columns, columns],
     )
-    return tuple(FittedParameterEntry(**size._asdict()) for size in sizes)
+    return tuple(FittedParameterEntry(**size._asdict()) for size in component_sizes)
 
 
 def _effect_entries(
     effect: CandidateEffect, estimates: Sequence[ParameterEstimate], fixed_fields: frozenset[str]
 ) -> tuple[FittedParameterEntry, ...]:
     """Entries of an effect for the result: sizes, constants with names as values, fixed and estimated constants."""
-    numbers = [_parameter_entry(*estimate) for estimate in estimates]
+    parameter_entries = [_parameter_entry(*estimate) for estimate in estimates]
     words = [
         FittedParameterEntry(name=key, value=value if isinstance(value, str) else float(value), unit="")
         for key, value in vars(effect).items()
@@ -166,8 +168,8 @@ def _effect_entries(
     shape_entries = [
         _parameter_entry(s, getattr(effect, s.name), np.inf) for s in effect.shape_parameters if s.name in fixed_fields
     ]
-    count = len(effect.parameters)
-    return (*numbers[:count], *words, *shape_entries, *numbers[count:])
+    n_parameters = len(effect.parameters)
+    return (*parameter_entries[:n_parameters], *words, *shape_entries, *parameter_entries[n_parameters:])
 
 
 def _parameter_entry(parameter: Parameter | ShapeParameter, estimate: float, sigma: float) -> FittedParameterEntry:

@@ -176,9 +176,11 @@ class History(ResultFile):
             ),
         }
 
-    def _table_by_calibration(self, rows: Sequence[tuple[float, ...]]) -> ColumnValues:
+    def _table_by_calibration(self, values_by_parameter: Sequence[tuple[float, ...]]) -> ColumnValues:
         """Table with one row per calibration and one column per parameter, from the values of each parameter."""
-        columns = {f"{p.name} [{p.unit}]": list(column) for p, column in zip(self.parameters, rows, strict=True)}
+        columns = {
+            f"{p.name} [{p.unit}]": list(column) for p, column in zip(self.parameters, values_by_parameter, strict=True)
+        }
         return {"label": self.labels, **columns}
 
     def _changes_table(self) -> Table:
@@ -204,9 +206,9 @@ class History(ResultFile):
 
     @model_validator(mode="after")
     def _values_match_calibrations(self) -> Self:
-        count = len(self.calibrations)
+        n_calibrations = len(self.calibrations)
         for course in self.parameters:
-            if len(course.values) != count or len(course.sigmas) != count:
+            if len(course.values) != n_calibrations or len(course.sigmas) != n_calibrations:
                 raise ValueError(f"the parameter {course.name} needs one value and one sigma per calibration")
         return self
 

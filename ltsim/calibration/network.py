@@ -30,10 +30,10 @@ from ltsim.calibration.schema import FitEntry, VerdictEntry
 from ltsim.calibration.shrinkage import recommend_correction
 from ltsim.core.errors import ConvergenceError, LtsimError, NetworkError
 from ltsim.core.limits import MAX_CALIBRATED_POINTINGS
+from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.range_mode import RangeMode
-from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.verbs import name_tuple
-from ltsim.physics.model.construction import Construction, declared_construction, ideal_construction
+from ltsim.physics.model.construction import GeometricErrorModel, declared_construction, ideal_construction
 from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.recordings.recording import MODE_COLUMN, Recording
 from ltsim.recordings.result_file import SourceEntry
@@ -42,7 +42,7 @@ from ltsim.solve.gauss_newton import MAX_ALTERNATIONS
 
 def calibrate_network(
     recording: Recording,
-    construction: Construction | None = None,
+    construction: GeometricErrorModel | None = None,
     *,
     recommend_measurements: bool = True,
     robust: bool = False,
@@ -122,7 +122,11 @@ def calibrate_network(
         effects=fits,
         tests=tests,
     )
-    changes: dict[str, Any] = {"prior_sigma": prior.sigma, "is_prior_rejected": freed, "history_prior": history_prior}
+    new_fields: dict[str, Any] = {
+        "prior_sigma": prior.sigma,
+        "is_prior_rejected": freed,
+        "history_prior": history_prior,
+    }
     if choose_correction:
         wider = NO_PRIOR_SIGMA_FACTOR if chosen.has_no_prior else None
         factor = uncertainty_factor(calibration.fit, is_noise_estimated=calibration.verdict.scale_by_sigma0)
@@ -134,8 +138,8 @@ def calibrate_network(
             noise_factor=factor,
         )
         criteria = result.criteria_table(adjustment.recording, adjustment, model, applied_values)
-        changes |= {"correction": worth, "applied_values": applied_values, "criteria": criteria}
-    calibration = calibration.with_changes(**changes)
+        new_fields |= {"correction": worth, "applied_values": applied_values, "criteria": criteria}
+    calibration = calibration.with_changes(**new_fields)
     sentence = f"the readings scatter {quiet_by} times as much as declared: the noise was estimated instead"
     notes = [*calibration.notes, *([sentence] if quiet_by else []), *prior_conflict_sentences(calibration)]
     return calibration.with_changes(notes=tuple(notes))
@@ -226,13 +230,13 @@ def _noise_grouping(noise_from_data: bool) -> NoiseGrouping | None:
 
 def _adjust_with_options(
     recording: Recording,
-    construction: Construction,
+    construction: GeometricErrorModel,
     robust: bool,
     grouping: NoiseGrouping | None,
     datum: Sequence[str] | None,
     prior: ParameterPrior | None = None,
     selection: CauseSelection | None = None,
-    effects: Sequence[Signature] = (),
+    effects: Sequence[LinearEffect] = (),
 ) -> Adjustment:
     """Adjustment with the options of a calibration, with extra effects, and with the selected causes of a misfit."""
     how: dict[str, Any] = {"robust": robust, "variance_components": grouping, "datum": datum, "prior": prior}

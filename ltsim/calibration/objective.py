@@ -18,7 +18,7 @@ import scipy.sparse as sp
 from ltsim.adjustment.rows import GaugeRows
 from ltsim.core.arrays import MAX_MATRIX_ENTRIES, Floats, Ints
 from ltsim.core.errors import NetworkError
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 
 
@@ -42,7 +42,7 @@ class DistanceProblem:
 
     recording: Recording
     """Recording; pointings without a range or an angle are not used."""
-    construction: Construction
+    construction: GeometricErrorModel
     """Instrument model."""
     prior_sigma: Floats
     """Prior standard deviations, shape (instruments, parameters) [SI]; the units of the unknowns."""
@@ -64,13 +64,13 @@ class DistanceProblem:
 
         The indices are the set and the target of each mean point.
         """
-        count = len(self.recording.targets)
-        key = self.set_numbers * count + self.recording.target
+        n_targets = len(self.recording.targets)
+        key = self.set_numbers * n_targets + self.recording.target
         complete_rows = np.flatnonzero(self.recording.is_measured.all(axis=1))
         keys, inverse, repeats = np.unique(key[complete_rows], return_inverse=True, return_counts=True)
         entries = (1.0 / repeats[inverse], (inverse, complete_rows))
         matrix = sp.csr_array(sp.coo_array(entries, shape=(len(keys), len(key))))
-        return matrix, np.stack([keys // count, keys % count], axis=1)
+        return matrix, np.stack([keys // n_targets, keys % n_targets], axis=1)
 
     @cached_property
     def _distance_ends(self) -> tuple[Ints, Ints, Ints]:
@@ -105,10 +105,10 @@ class DistanceProblem:
         a, b, _ = self._distance_ends
         points = averaging @ point
         gap = points[a] - points[b]
-        length = np.linalg.norm(gap, axis=1)
-        unit = gap / length[:, None]
+        distances = np.linalg.norm(gap, axis=1)
+        unit = gap / distances[:, None]
         means = (averaging @ point_derivatives.reshape(len(point), -1)).reshape(len(points), 3, -1)
-        return length, unit, np.einsum("di,dip->dp", unit, means[a]) - np.einsum("di,dip->dp", unit, means[b])
+        return distances, unit, np.einsum("di,dip->dp", unit, means[a]) - np.einsum("di,dip->dp", unit, means[b])
 
     def distances_of_points(self, points: Floats) -> Floats:
         """Distances (D, B) within sets, for B realisations of the n measured points in instrument frames, (n, 3, B)."""
@@ -124,10 +124,10 @@ class DistanceProblem:
         instruments in prior standard deviations, shape (n, 3, q).
         """
         recording, (count, size) = self.recording, self.prior_sigma.shape
-        values = unknowns.reshape(self.prior_sigma.shape) * self.prior_sigma
+        parameter_values = unknowns.reshape(self.prior_sigma.shape) * self.prior_sigma
         raw_readings = np.where(recording.is_measured, readings, 1.0)
         index = recording.instrument
-        point, by_reading, by_value = self.construction.linearise(raw_readings, values[index])
+        point, by_reading, by_value = self.construction.linearise(raw_readings, parameter_values[index])
         design = np.zeros((len(raw_readings), 3, count * size))
         for i in range(count):
             rows = index == i
@@ -150,13 +150,13 @@ class DistanceProblem:
 
     def gauge_matches(self, distances: SetDistances) -> tuple[Ints, Ints]:
         """Indices of the distances that have a reference length, and the index of this length for each."""
-        count = len(self.recording.targets)
+        n_targets = len(self.recording.targets)
         lower_targets = np.minimum(self.reference_lengths.first_targets, self.reference_lengths.second_targets)
         upper_targets = np.maximum(self.reference_lengths.first_targets, self.reference_lengths.second_targets)
-        index = {int(key): i for i, key in enumerate(lower_targets * count + upper_targets)}
-        which = np.array([index.get(int(group), -1) for group in distances.pair_indices], dtype=np.int64)
-        rows = np.flatnonzero(which >= 0)
-        return rows, which[rows]
+        index = {int(key): i for i, key in enumerate(lower_targets * n_targets + upper_targets)}
+        gauge_indices = np.array([index.get(int(group), -1) for group in distances.pair_indices], dtype=np.int64)
+        matched_rows = np.flatnonzero(gauge_indices >= 0)
+        return matched_rows, gauge_indices[matched_rows]
 
 
 def centring_matrix(distances: SetDistances) -> tuple[sp.csr_array, Floats]:
@@ -179,6 +179,6 @@ def set_pairs(distances: SetDistances) -> tuple[Ints, Ints]:
 
 def _index_pairs(groups: Iterable[Ints]) -> tuple[Ints, Ints]:
     """First and second index of all pairs of members of the same group."""
-    pairs = [members[np.stack(np.triu_indices(len(members), k=1))] for members in groups]
-    first, second = np.concatenate(pairs, axis=1)
+    pairs_by_group = [members[np.stack(np.triu_indices(len(members), k=1))] for members in groups]
+    first, second = np.concatenate(pairs_by_group, axis=1)
     return first, second

@@ -53,25 +53,25 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
     gap = (adjustment.state.instrument_parameters - prior.mean).ravel()[free]
     likelihood = likelihood_information(gap, adjustment.constants_covariance[np.ix_(free, free)], used_sigma, unit)
     common_changes = np.tile(np.eye(size), len(rejected))[~prior.is_fixed.any(axis=0) & (len(rejected) > 1)]
-    ways = np.concatenate([np.eye(rejected.size)[free], common_changes])[:, free]
+    directions = np.concatenate([np.eye(rejected.size)[free], common_changes])[:, free]
 
     def log_odds_given(other_changes: Collection[int]) -> Floats:
         """Log odds of each candidate contradiction given the selected ones, rounded to 0.1.
 
         Of candidates that the readings do not distinguish, the first is then selected.
         """
-        given_changes = WIDENED_SIGMA_FACTOR * ways[list(other_changes)]
+        given_changes = WIDENED_SIGMA_FACTOR * directions[list(other_changes)]
         score, weight = score_test(
             likelihood.information, likelihood.information_vector, np.eye(len(free)) + given_changes.T @ given_changes
         )
-        strength = np.einsum("hi,ij,hj->h", ways, weight, ways)
-        informative = (strength > MAX_UNINFORMATIVE_GAIN) & ~np.isin(np.arange(len(ways)), list(other_changes))
-        estimate = ways @ score / np.where(informative, strength, np.inf)
-        odds = np.round(log_odds_of_errors(estimate * np.sqrt(np.abs(strength)) / scale, strength, len(ways)), 1)
+        strength = np.einsum("hi,ij,hj->h", directions, weight, directions)
+        informative = (strength > MAX_UNINFORMATIVE_GAIN) & ~np.isin(np.arange(len(directions)), list(other_changes))
+        estimate = directions @ score / np.where(informative, strength, np.inf)
+        odds = np.round(log_odds_of_errors(estimate * np.sqrt(np.abs(strength)) / scale, strength, len(directions)), 1)
         return np.where(informative & (np.abs(estimate) < WIDENED_SIGMA_FACTOR), odds, -np.inf)
 
     indices = [k for k, odds in forward_select(log_odds_given, 0.0).items() if odds[k] > 0.0]
-    rejected.flat[free] = ways[indices].any(axis=0)
+    rejected.flat[free] = directions[indices].any(axis=0)
     return rejected & (rejected.sum(axis=1, keepdims=True) <= MAX_WIDENED_FRACTION * size)
 
 

@@ -15,7 +15,7 @@ from ltsim.calibration.history import History
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, RecordError, SetupError, unknown_name
 from ltsim.core.units import SI_PER_UNIT
-from ltsim.physics.model.construction import Construction, all_parameter_names
+from ltsim.physics.model.construction import GeometricErrorModel, all_parameter_names
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import read_json, read_result
 
@@ -93,7 +93,7 @@ class EarlierCalibrations:
         return cls(content.construction, names, ("",), mean[None], covariance[None], spread, len(content.calibrations))
 
     def replace_nominal_prior(
-        self, nominal_prior: ParameterPrior, construction: Construction, instruments: tuple[str, ...]
+        self, nominal_prior: ParameterPrior, construction: GeometricErrorModel, instruments: tuple[str, ...]
     ) -> ParameterPrior:
         """Prior of the instruments of a recording, from the earlier calibrations where these have the parameter.
 
@@ -102,7 +102,7 @@ class EarlierCalibrations:
         Raises
         ------
         RecordError
-            For another construction or other instruments.
+            For another geometric error model or other instruments.
         """
         common_names = [name for name in construction.parameter_names if name in self.parameters]
         if not common_names:
@@ -143,11 +143,13 @@ class ParameterSelection:
     """True if the parameters have no prior: their prior standard deviations are then `NO_PRIOR_SIGMA_FACTOR` times
     those of the set-up."""
 
-    def prior_of(self, recording: Recording, construction: Construction) -> ParameterPrior:
+    def prior_of(self, recording: Recording, construction: GeometricErrorModel) -> ParameterPrior:
         """Prior of a recording's instruments for this selection; raises ModelError or SetupError for wrong names."""
         return self.prior_with_sigma(prior_sigmas(recording, construction), recording, construction)
 
-    def prior_with_sigma(self, sigma: Floats, recording: Recording, construction: Construction) -> ParameterPrior:
+    def prior_with_sigma(
+        self, sigma: Floats, recording: Recording, construction: GeometricErrorModel
+    ) -> ParameterPrior:
         """Prior of a recording's instruments for this selection and given sigmas (instruments, parameters) [SI]."""
         check_prior_names(recording, construction)
         nominal_prior = ParameterPrior.independent(sigma * (NO_PRIOR_SIGMA_FACTOR if self.has_no_prior else 1.0))
@@ -164,7 +166,7 @@ class ParameterSelection:
             ]
 
         is_fixed = np.zeros(nominal_prior.mean.shape, dtype=bool)
-        values = np.zeros(nominal_prior.mean.shape)
+        prior_means = np.zeros(nominal_prior.mean.shape)
         if self.estimated_parameters is not None:
             is_fixed[:] = True
             is_fixed.flat[indices_of(*self.estimated_parameters)] = False
@@ -174,7 +176,7 @@ class ParameterSelection:
             if len({k % construction.n_parameters for k in at}) > 1:
                 raise ModelError(f"'{name}' names several parameters; expected one parameter for a value")
             is_fixed.flat[at] = True
-            values.flat[at] = (
+            prior_means.flat[at] = (
                 float(value) * construction.parameters[at[0] % construction.n_parameters].si_per_display_unit
             )
         if is_fixed.all():
@@ -182,7 +184,7 @@ class ParameterSelection:
         # Held parameters carry no information on the others.
         covariance, diagonal = nominal_prior.covariance.copy(), np.eye(construction.n_parameters, dtype=bool)
         covariance[(is_fixed[:, :, None] | is_fixed[:, None, :]) & ~diagonal] = 0.0
-        return ParameterPrior(np.where(is_fixed, values, nominal_prior.mean), covariance, is_fixed)
+        return ParameterPrior(np.where(is_fixed, prior_means, nominal_prior.mean), covariance, is_fixed)
 
 
 def flat_parameter_indices(
@@ -203,7 +205,7 @@ def flat_parameter_indices(
     return [i * len(parameters) + k for i in instrument_indices for k in matches]
 
 
-def check_prior_names(recording: Recording, construction: Construction) -> None:
+def check_prior_names(recording: Recording, construction: GeometricErrorModel) -> None:
     """Check that the set-up declares priors only for parameters of the instrument model; raises SetupError."""
     setup = recording.setup
     tables = {"instrument": setup.instrument, **{f"instruments.{k}": i for k, i in setup.instruments.items()}}

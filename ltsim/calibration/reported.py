@@ -100,7 +100,7 @@ def _scaled_parameters(calibration: Calibration, factor: float) -> Floats:
 def _scaled_pose(pose: StationPose, factor: float, air_covariance: Floats) -> StationPose:
     """Pose with standard deviations multiplied by a factor, plus the covariance (6, 6) from errors of the air."""
     air = np.sqrt(np.diag(air_covariance))
-    sizes = {}
+    sigma_by_field = {}
     for name, unit, part in (
         ("sigma_position_mm", MILLIMETRE, air[:3]),
         ("sigma_rotation_arcsec", ARCSECOND, air[3:]),
@@ -108,8 +108,8 @@ def _scaled_pose(pose: StationPose, factor: float, air_covariance: Floats) -> St
         sigma = getattr(pose, name)
         if sigma is not None:
             given = np.array([np.nan if value is None else value for value in sigma])
-            sizes[name] = tuple(np.hypot(factor * given, part / unit).tolist())
-    return pose.with_values(**sizes)
+            sigma_by_field[name] = tuple(np.hypot(factor * given, part / unit).tolist())
+    return pose.with_values(**sigma_by_field)
 
 
 def _scaled_fitted_entry(entry: FittedEntryType, factor: float) -> FittedEntryType:

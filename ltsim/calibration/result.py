@@ -39,7 +39,7 @@ from ltsim.geometry.rigid import quaternion_from_matrix, rigid_motion_design
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.smr_incidence import SmrIncidence
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.physics.model.measurement import smr_radius_offsets
 from ltsim.recordings.recording import MODE_COLUMN, OBSERVABLES, Recording
 
@@ -67,7 +67,7 @@ def reflector_entries(adjustment: Adjustment) -> tuple[ReflectorEntry, ...]:
     """Entries of the estimated incidence errors of reflectors in fixed nests."""
     model, covariance = adjustment.problem.model, adjustment.extra_covariance
     values, units = model.incidence_parameters_by_reflector(adjustment.state.extra_parameters), SmrIncidence.parameters
-    entries = []
+    reflector_list = []
     for error, at in zip(model.incidence_errors, model.incidence_columns, strict=True):
         sigma = np.sqrt(np.einsum("ij,jk,ik->i", error.covariance_root, covariance[at, at], error.covariance_root))
         cells = zip(units, values[error.reflector].tolist(), sigma.tolist(), strict=True)
@@ -77,8 +77,8 @@ def reflector_entries(adjustment: Adjustment) -> tuple[ReflectorEntry, ...]:
             )
             for p, value, spread in cells
         )
-        entries.append(ReflectorEntry(reflector=error.reflector, parameters=parameters))
-    return tuple(entries)
+        reflector_list.append(ReflectorEntry(reflector=error.reflector, parameters=parameters))
+    return tuple(reflector_list)
 
 
 def station_poses(adjustment: Adjustment, covariance: Floats | None = None) -> tuple[StationPose, ...]:
@@ -111,16 +111,16 @@ def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
         named = {"row": i + 1, "station": station, "target": target, "observable": observable, "unit": unit}
         return OutlierRow(size=normalised_residual / factor, w=w, **named, **other_fields)
 
-    rows = []
+    outliers = []
     for i in np.flatnonzero(adjustment.is_gross_pointing).tolist():
         k = int(np.argmax(np.abs(scaled[i])))
-        rows.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), gross=True, excluded=True))
+        outliers.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), gross=True, excluded=True))
     single = adjustment.is_rejected & ~adjustment.is_gross_pointing[:, None] & _has_estimated_error(adjustment, scaled)
     for i, k in sorted(np.argwhere(single).tolist(), key=lambda at: -abs(scaled[at[0], at[1]])):
-        rows.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), excluded=True))
+        outliers.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), excluded=True))
     trusted = adjustment.flagged_readings(uses_estimated_noise=verdict_entry(adjustment).uses_estimated_noise)
     return (
-        *rows,
+        *outliers,
         *(
             row(o.row, o.observable_column, o.estimated_error, o.normalised_residual, p_value=o.p_value)
             for o in trusted
@@ -135,8 +135,8 @@ def _has_estimated_error(adjustment: Adjustment, scaled_residuals: Floats) -> Bo
     """
     recording = adjustment.recording
     lost = np.isin(recording.targets, adjustment.undetermined_targets)[recording.target]
-    untied = np.isin(recording.targets, adjustment.unconnected_targets)[recording.target]
-    return ~untied[:, None] & (~lost[:, None] | (np.abs(scaled_residuals) > MAX_CHANCE_SIGMAS))
+    is_unconnected = np.isin(recording.targets, adjustment.unconnected_targets)[recording.target]
+    return ~is_unconnected[:, None] & (~lost[:, None] | (np.abs(scaled_residuals) > MAX_CHANCE_SIGMAS))
 
 
 def verdict_entry(adjustment: Adjustment, fit: FitEntry | None = None) -> Verdict:
@@ -147,7 +147,7 @@ def verdict_entry(adjustment: Adjustment, fit: FitEntry | None = None) -> Verdic
 def noise_rows(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
     """Entries of the estimated noise, one per group of readings."""
     problem, recording = adjustment.problem, adjustment.recording
-    rows = []
+    noise_entries = []
     for c in adjustment.variance_components:
         if c.observable == "level":
             unit, factor, sigmas = "arcsec", ARCSECOND, problem.level_rows.sigma
@@ -160,7 +160,7 @@ def noise_rows(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
             ]
         if len(sigmas):
             typical = float(np.median(sigmas)) / factor
-            rows.append(
+            noise_entries.append(
                 NoiseRow(
                     observable=c.observable,
                     instrument=c.instrument,
@@ -171,12 +171,12 @@ def noise_rows(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
                     unit=unit,
                 )
             )
-    return tuple(rows)
+    return tuple(noise_entries)
 
 
 def reference_value_entries(adjustment: Adjustment) -> tuple[ReferenceValueEntry, ...]:
     """Entries of reference coordinates, lengths and levels with their tests, one entry per component."""
-    entries = []
+    value_entries = []
     for test, k in ((each, k) for each in adjustment.reference_tests for k in range(len(each.error))):
         unit, factor = ERROR_UNITS.get(test.kind, ("mm", MILLIMETRE))
         is_scalar, is_tested = (
@@ -196,8 +196,8 @@ def reference_value_entries(adjustment: Adjustment) -> tuple[ReferenceValueEntry
             w=test.normalised_error,
             excluded=test.is_excluded,
         )
-        entries.append(entry)
-    return tuple(entries)
+        value_entries.append(entry)
+    return tuple(value_entries)
 
 
 def axes_entry(adjustment: Adjustment) -> AxesEntry | None:
@@ -205,18 +205,18 @@ def axes_entry(adjustment: Adjustment) -> AxesEntry | None:
 
     None if no coordinates are declared.
     """
-    used = [test for test in adjustment.axis_tests if not test.is_excluded]
-    if not used:
+    accepted_tests = [test for test in adjustment.axis_tests if not test.is_excluded]
+    if not accepted_tests:
         return None
-    places = adjustment.state.target_points[[adjustment.recording.targets.index(test.name) for test in used]]
+    places = adjustment.state.target_points[[adjustment.recording.targets.index(test.name) for test in accepted_tests]]
     centre = places.mean(axis=0)
     free = motions_about_centre(adjustment.problem.free_motions, centre)
     motion = rigid_motion_design(places, centre) @ free
-    misses = np.concatenate([test.residual for test in used])
+    misses = np.concatenate([test.residual for test in accepted_tests])
     variance = float(misses @ misses) / max(len(misses) - free.shape[1], 1)
     sigma = np.sqrt(variance * np.diag(free @ np.linalg.inv(motion.T @ motion) @ free.T))
     return AxesEntry(
-        target_names=tuple(test.name for test in used),
+        target_names=tuple(test.name for test in accepted_tests),
         sigma_position_mm=(sigma[:3] / MILLIMETRE).tolist(),
         sigma_rotation_arcsec=(sigma[3:] / ARCSECOND).tolist(),
     )
@@ -230,19 +230,19 @@ def network_notes(adjustment: Adjustment) -> tuple[str, ...]:
 
 def _axes_notes(adjustment: Adjustment) -> tuple[str, ...]:
     """Note on how well declared coordinates define the axes; empty if no coordinates define only the axes."""
-    used = [test for test in adjustment.axis_tests if not test.is_excluded]
+    accepted_tests = [test for test in adjustment.axis_tests if not test.is_excluded]
     fitted = axes_entry(adjustment)
     if fitted is None:
         return ()
-    within = max(float(np.linalg.norm(test.residual)) for test in used) / MILLIMETRE
+    within = max(float(np.linalg.norm(test.residual)) for test in accepted_tests) / MILLIMETRE
     source = adjustment.recording.setup.axes
     out = [f"{test.name} ({test.error_text})" for test in adjustment.axis_tests if test.is_excluded]
     place, turn = (
         " ".join(f"{v:.2g}" for v in values) for values in (fitted.sigma_position_mm, fitted.sigma_rotation_arcsec)
     )
     sentence = (
-        f"coordinates in the axes of {source}: {len(used)} targets fit it within {within:.3g} mm, which leaves "
-        f"the axes uncertain by {place} mm (x y z, at the centroid) and {turn} arcsec (1 sigma)"
+        f"coordinates in the axes of {source}: {len(accepted_tests)} targets fit it within {within:.3g} mm, "
+        f"which leaves the axes uncertain by {place} mm (x y z, at the centroid) and {turn} arcsec (1 sigma)"
     )
     scale = scale_of_declared_axes(adjustment)
     if scale is not None:
@@ -255,7 +255,7 @@ def frame_text(adjustment: Adjustment) -> str:
     """Description of the coordinate frame."""
     problem, recording = adjustment.problem, adjustment.recording
     free = problem.free_motions.shape[1]
-    first = recording.stations[0]
+    first_station = recording.stations[0]
     control_rows, flat = problem.control_rows, adjustment.undetermined_heights[problem.control_rows.place_indices]
     control = [
         recording.targets[i]
@@ -271,15 +271,15 @@ def frame_text(adjustment: Adjustment) -> str:
     points = [f"the control point{'s' if len(control) > 1 else ''} {listing(control)}"] if control else []
     if free == 0:
         return f"the frame of {' and '.join([*points, *zeros])}"
-    rest = f"is {_free_frame_text(adjustment, first)}"
+    definition = f"is {_free_frame_text(adjustment, first_station)}"
     if adjustment.datum is not None:
-        rest += f", standard deviations by inner constraints over {listing(adjustment.datum.point_names)}"
+        definition += f", standard deviations by inner constraints over {listing(adjustment.datum.point_names)}"
     if free == 6 or not (points or zeros or not adjustment.undetermined_heights.all()):
-        return rest.removeprefix("is ")
+        return definition.removeprefix("is ")
     if not control and not problem.difference_rows.names:
-        return f"{', x '.join([f'z is defined by the levels of {listing(levelled)}', *zeros])}; the rest {rest}"
+        return f"{', x '.join([f'z is defined by the levels of {listing(levelled)}', *zeros])}; the rest {definition}"
     levels = ["the levels"] if levelled else []
-    return f"{' and '.join([*points, *levels, *zeros])}; the remaining freedom {rest}"
+    return f"{' and '.join([*points, *levels, *zeros])}; the remaining freedom {definition}"
 
 
 def _free_frame_text(adjustment: Adjustment, station: str) -> str:
@@ -303,7 +303,7 @@ def _has_declared_datum_points(adjustment: Adjustment) -> bool:
 
 def undetermined_entries(
     adjustment: Adjustment,
-    construction: Construction,
+    construction: GeometricErrorModel,
     undetermined_directions: list[list[ParameterCombination]],
     *,
     recommend_measurements: bool,
@@ -318,23 +318,27 @@ def undetermined_entries(
         names = construction.instrument_parameter_names(instruments)[i * construction.n_parameters :]
         for direction, (instruction, sentence) in zip(group, measurements[i], strict=True):
             terms = direction.coefficients(names)
-            combinations.append(
-                UndeterminedEntry(combination=terms, gain=direction.gain, cure=sentence, measurement=instruction)
-            )
+            entry = UndeterminedEntry(combination=terms, gain=direction.gain, cure=sentence, measurement=instruction)
+            combinations.append(entry)
     return tuple(combinations)
 
 
 def undetermined_directions(covariance: Floats, prior_sigma: Floats) -> list[list[ParameterCombination]]:
     """Undetermined combinations of each instrument; covariance (I p, I p) and prior sigmas (I, p) of I instruments."""
-    count, size = prior_sigma.shape
-    if not size:
-        return [[] for _ in range(count)]
-    blocks = covariance.reshape(count, size, count, size)
-    return [undetermined_combinations(blocks[i, :, i], prior_sigma[i]) for i in range(count)]
+    n_instruments, n_parameters = prior_sigma.shape
+    if not n_parameters:
+        return [[] for _ in range(n_instruments)]
+    blocks = covariance.reshape(n_instruments, n_parameters, n_instruments, n_parameters)
+    return [undetermined_combinations(blocks[i, :, i], prior_sigma[i]) for i in range(n_instruments)]
 
 
 def criteria_table(
-    recording: Recording, adjustment: Adjustment, construction: Construction, values: Floats, *, reflectors: bool = True
+    recording: Recording,
+    adjustment: Adjustment,
+    construction: GeometricErrorModel,
+    parameter_values: Floats,
+    *,
+    reflectors: bool = True,
 ) -> CriteriaEntry | None:
     """Disagreement of the stations before and after correction, without excluded pointings; None for a single station.
 
@@ -346,10 +350,10 @@ def criteria_table(
     try:
         if not construction.n_parameters:
             return evaluate_criteria(recording, row_mask=use)
-        applied = values[0] if len(values) == 1 else values[recording.instrument]
+        applied = parameter_values[0] if len(parameter_values) == 1 else parameter_values[recording.instrument]
         model, state = adjustment.problem.model, adjustment.state
         shift = model.effects_change(adjustment.sightings, state.extra_parameters)
-        if reflectors and np.any(values):
+        if reflectors and np.any(parameter_values):
             shift += model.incidence_change(adjustment.sightings, state.extra_parameters)
         return evaluate_criteria(recording, construction, applied, reading_changes=shift, row_mask=use)
     except NetworkError:
@@ -358,10 +362,10 @@ def criteria_table(
 
 def _recording_with_reference_smr(recording: Recording, adjustment: Adjustment) -> Recording:
     """Recording with ranges as if each pointing had been made with the reference SMR."""
-    off = smr_radius_offsets(recording)
-    if off is None:
+    offsets = smr_radius_offsets(recording)
+    if offsets is None:
         return recording
-    readings = recording.readings + exact_target_change(adjustment.sightings, -off)
+    readings = recording.readings + exact_target_change(adjustment.sightings, -offsets)
     return recording.replace(readings=readings, setup=recording.setup.model_copy(update={"reflectors": {}}))
 
 
@@ -381,9 +385,7 @@ def _handedness_notes(adjustment: Adjustment) -> tuple[str, ...]:
 def _undetermined_height_notes(adjustment: Adjustment) -> tuple[str, ...]:
     """Note on the targets whose height is undetermined."""
     names = [adjustment.recording.targets[t] for t in np.flatnonzero(adjustment.undetermined_heights)]
-    if not names:
-        return ()
-    return (f"adjusted in plan only, as no reading determines their height: {listing(names)}",)
+    return (f"adjusted in plan only, as no reading determines their height: {listing(names)}",) if names else ()
 
 
 def range_zero_notes(adjustment: Adjustment) -> tuple[str, ...]:

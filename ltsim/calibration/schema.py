@@ -75,7 +75,7 @@ class ParameterEntry(Entry):
     """Estimate of a parameter in its display unit."""
 
     name: str
-    """Name of the parameter, as in `ltsim effects` and the construction."""
+    """Name of the parameter in the geometric error model, as in `ltsim effects`."""
     value: Finite
     """Estimate, with the sign of a correction: truth minus reading."""
     sigma: Sigma = None
@@ -303,7 +303,7 @@ class FittedEffectEntry(Entry):
     """Effect or empirical law that was estimated with the calibration because the user requested it."""
 
     effect: str
-    """Name as in `ltsim effects`; for an empirical law its text as in a diagnosis, response ~ regressor."""
+    """Name as in `ltsim effects`; for an empirical law its text, as in `elevation ~ time`."""
     place_text: str = ""
     """Stations and targets at which the effect acts; empty for all."""
     parameters: tuple[FittedParameterEntry, ...] = ()

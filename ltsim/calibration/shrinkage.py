@@ -105,8 +105,8 @@ def recommend_correction(
         words, plural = listing(list(map(parameter_text, not_applied))), len(not_applied) > 1
         terms, they = ("terms", "they are") if plural else ("term", "it is")
         notes.append(f"held-out targets are predicted better without the {terms} {words}: {they} not applied")
-    values = mean * held
-    values[used_terms] = spread @ applied
+    held_means = mean * held
+    held_means[used_terms] = spread @ applied
     correction = RecommendedCorrection(
         prior_scale=evidence.most_likely_scale,
         plausible_scale=evidence.plausible_scale_limits,
@@ -116,7 +116,7 @@ def recommend_correction(
         not_applied=not_applied,
         sentences=tuple(notes),
     )
-    return correction, values.reshape(prior.mean.shape)
+    return correction, held_means.reshape(prior.mean.shape)
 
 
 class ScaledPrior:
@@ -240,11 +240,11 @@ class ScaledPrior:
     ) -> tuple[float, float]:
         """Expected rms error [m] of a new point from the constants, uncorrected and with the applied parameters."""
         scale = self.scale_of_applied_values
-        mean = prior_mean + self.estimate(scale)
+        posterior_mean = prior_mean + self.estimate(scale)
         spread = (self._basis / (self._strength + scale**-2)) @ self._basis.T
         remaining_variance = float(np.sum(spread * point_error_form))
-        bias = mean - applied_values
-        return float(np.sqrt(mean @ point_error_form @ mean + remaining_variance)), float(
+        bias = posterior_mean - applied_values
+        return float(np.sqrt(posterior_mean @ point_error_form @ posterior_mean + remaining_variance)), float(
             np.sqrt(bias @ point_error_form @ bias + remaining_variance)
         )
 
@@ -267,7 +267,7 @@ def point_error_form(adjustment: Adjustment) -> Floats:
     """
     recording, state = adjustment.recording, adjustment.state
     count, size = state.instrument_parameters.shape
-    total = np.zeros((count * size, count * size))
+    form = np.zeros((count * size, count * size))
     is_complete = recording.is_measured.all(axis=1)
     for number in range(len(recording.stations)):
         rows = np.flatnonzero(is_complete & (recording.station == number))
@@ -278,8 +278,8 @@ def point_error_form(adjustment: Adjustment) -> Floats:
         points, _, by_value = adjustment.construction.linearise(readings, values)
         error = remove_rigid_motion(by_value.reshape(-1, size), points)
         block = slice(instrument * size, (instrument + 1) * size)
-        total[block, block] += error.T @ error
-    return total / max(int(is_complete.sum()), 1)
+        form[block, block] += error.T @ error
+    return form / max(int(is_complete.sum()), 1)
 
 
 @dataclass(frozen=True)
@@ -329,12 +329,12 @@ def terms_to_drop(adjustment: Adjustment, noise_factor: float = 1.0) -> Ints:
     targets = held_out_targets(adjustment)
     if len(targets) < MIN_PREDICTED_TARGETS:
         return none
-    values = adjustment.state.instrument_parameters.ravel()
-    gone, now = none, sum(t.sum_of_squares(values, none) for t in targets)
+    parameter_values = adjustment.state.instrument_parameters.ravel()
+    gone, now = none, sum(t.sum_of_squares(parameter_values, none) for t in targets)
     candidates = _informative_terms(adjustment)
     while candidates:
         tried = [np.concatenate([gone, term]) for term in candidates]
-        after = [sum(t.sum_of_squares(values, fixed) for t in targets) for fixed in tried]
+        after = [sum(t.sum_of_squares(parameter_values, fixed) for t in targets) for fixed in tried]
         best = int(np.argmin(after))
         if now - after[best] <= MIN_HELD_OUT_IMPROVEMENT * noise_factor**2:
             break
@@ -349,8 +349,8 @@ def _informative_terms(adjustment: Adjustment) -> list[Ints]:
     remaining = np.diag(adjustment.reduced_covariance)[at] / prior.sigma.ravel() ** 2
     open_ = ~prior.is_fixed.ravel() & (remaining < 1.0 - MAX_UNINFORMATIVE_GAIN)
     sines = {i: j for _, i, j in cosine_sine_pairs(adjustment.construction.parameter_names)}
-    each = [[k, sines[k]] if k in sines else [k] for k in range(prior.mean.shape[1]) if k not in sines.values()]
-    terms = [[i * prior.mean.shape[1] + k for k in term] for i in range(len(prior.mean)) for term in each]
+    term_groups = [[k, sines[k]] if k in sines else [k] for k in range(prior.mean.shape[1]) if k not in sines.values()]
+    terms = [[i * prior.mean.shape[1] + k for k in term] for i in range(len(prior.mean)) for term in term_groups]
     chosen = [[k for k in term if open_[k]] for term in terms]
     return [np.array(term, dtype=np.int64) for term in chosen if term]
 

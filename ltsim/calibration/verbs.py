@@ -27,7 +27,7 @@ from ltsim.core.errors import LtsimError, ModelError, RecordError, option, unkno
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.verbs import SizedEffect, effect_tuple, make_effect, name_tuple
 from ltsim.physics.laws.words import parse_law
-from ltsim.physics.model.construction import Construction, make_construction as construction_called
+from ltsim.physics.model.construction import GeometricErrorModel, make_construction as construction_called
 from ltsim.recordings import Recording
 from ltsim.recordings.exchange import RecordingSource, load_recording, read
 
@@ -39,7 +39,7 @@ def calibrate(
     recording: RecordingSource,
     *,
     method: str = "network",
-    construction: str | Construction | None = None,
+    construction: str | GeometricErrorModel | None = None,
     robust: bool = False,
     noise_from_data: bool = False,
     datum: str | Sequence[str] | None = None,
@@ -62,7 +62,7 @@ def calibrate(
         Rigorous network adjustment (`network`); the paper's distance objective over determined combinations, by least
         squares (`distance`) or least absolute deviations (`distance-l1`); or the minimum of that objective over all
         parameters, which fits undetermined combinations to the noise (`equation-9`, `equation-9-l1`).
-    construction : {`misalignment`, `dh`, `steering-mirror`} or Construction, optional
+    construction : {`misalignment`, `dh`, `steering-mirror`} or GeometricErrorModel, optional
         Misalignments with the source in the head (`misalignment`, 16 parameters) or with a steering mirror
         (`steering-mirror`, 21), or the paper's Denavit-Hartenberg chain (`dh`, 78); default: the model
         declared in the set-up.
@@ -113,10 +113,10 @@ def calibrate(
     check_mapping("hold", hold)
     if method not in ("network", *DISTANCE_METHODS):
         raise unknown_name("method", method, ("network", *DISTANCE_METHODS))
-    if isinstance(construction, Construction):
+    if isinstance(construction, GeometricErrorModel):
         if harmonics is not None or degree is not None:
             raise ModelError("harmonics and degree can be set only if construction is a name, such as 'dh'")
-        built: Construction | None = construction
+        built: GeometricErrorModel | None = construction
     else:
         built = _named_construction(construction, harmonics, degree)
     has_no_prior = isinstance(prior, str) and prior == NO_PRIOR_OPTION
@@ -195,7 +195,7 @@ def _parse_effect_text(text: str, recording: Recording) -> RequestedEffect:
     return RequestedEffect(make_effect(name.strip(), places, constants), frozenset(fixed_names))
 
 
-def _named_construction(name: str | None, harmonics: int | None, degree: int | None) -> Construction | None:
+def _named_construction(name: str | None, harmonics: int | None, degree: int | None) -> GeometricErrorModel | None:
     """Instrument model with the given name; None for the model declared in the set-up."""
     if name is not None:
         return construction_called(name, harmonics, degree)
@@ -232,9 +232,9 @@ def evaluate(recording: RecordingSource, calibration: CalibrationSource | None =
         return Criteria.from_criteria(source, criteria_of(source, row_mask=use))
     corrections = load_calibration(calibration)
     change = incidence_correction_change(source, corrections)
-    values = corrections.values_for(source)
+    parameter_values = corrections.values_for(source)
     return Criteria.from_criteria(
-        source, criteria_of(source, corrections.construction, values, reading_changes=change, row_mask=use)
+        source, criteria_of(source, corrections.construction, parameter_values, reading_changes=change, row_mask=use)
     )
 
 
@@ -261,10 +261,10 @@ def verify(recording: RecordingSource, nominal: str | Path, calibration: Calibra
     """
     source, corrections = load_recording(recording), load_calibration(calibration)
     change = incidence_correction_change(source, corrections)
-    values = corrections.values_for(source)
+    parameter_values = corrections.values_for(source)
     points = read_nominal(Path(nominal))
     return Criteria.from_criteria(
-        source, verified(source, points, corrections.construction, values, reading_changes=change)
+        source, verified(source, points, corrections.construction, parameter_values, reading_changes=change)
     )
 
 

@@ -48,8 +48,8 @@ class NewPointErrors(Result):
     """Rms errors [m] before and after correction of the readings, by name of the calibration."""
 
     def _lines(self) -> list[str]:
-        first = next(iter(self.errors.values()))
-        raw, floor = first.raw_rms / MICROMETRE, first.true_parameters_rms / MICROMETRE
+        first_errors = next(iter(self.errors.values()))
+        raw, floor = first_errors.raw_rms / MICROMETRE, first_errors.true_parameters_rms / MICROMETRE
         errors = ", ".join(f"{name} {error.calibrated_rms / MICROMETRE:.1f} um" for name, error in self.errors.items())
         return [f"Error of a new point: raw {raw:.1f} um, {errors}; with the true parameters {floor:.1f} um"]
 
@@ -126,19 +126,19 @@ def compare_calibrations(
             raise SetupError(f"'{name}' calibrates another recording than that of seed {seed}, trial {trial}")
     if not by_name:
         raise SetupError("no calibration is given, expected at least one")
-    values = np.array([*truth.instrument_values.values()]).reshape(len(base_scenario.trackers_in_use), -1)
+    true_values = np.array([*truth.instrument_values.values()]).reshape(len(base_scenario.trackers_in_use), -1)
     geometry = make_geometry(
         make_validation_scenario(str(validation_scenario), base_scenario, place), seed, VALIDATION_STREAM_KEY
     )
     recording, there = measure_trial(
-        geometry, seed, trial, true_instrument_errors=values, stream_key=VALIDATION_STREAM_KEY
+        geometry, seed, trial, true_instrument_errors=true_values, stream_key=VALIDATION_STREAM_KEY
     )
 
     def error(points: Any) -> float:
         return cloud_error(recording, points, there.target_points)
 
     raw_errors = error(measured_points(recording))
-    floor = error(measured_points(recording, geometry.construction, values[geometry.sightings.instrument]))
+    floor = error(measured_points(recording, geometry.construction, true_values[geometry.sightings.instrument]))
     calibration_by_name = (
         by_name
         if applied

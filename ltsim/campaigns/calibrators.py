@@ -27,13 +27,13 @@ from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError, SetupError
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import Construction, construction_with_orders
+from ltsim.physics.model.construction import GeometricErrorModel, construction_with_orders
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.simulation.draws import StandardNormalSource
 
 
-def estimated_construction(method: Method) -> Construction:
-    """Construction whose parameters a method estimates."""
+def estimated_construction(method: Method) -> GeometricErrorModel:
+    """Geometric error model whose parameters a calibration method estimates."""
     return construction_with_orders(method.construction, method.harmonics, method.degree)
 
 
@@ -71,21 +71,21 @@ class GeometryStack(CellTruth):
     @classmethod
     def from_truths(cls, truths: tuple[CellTruth, ...]) -> Self:
         """Stack of true geometries with the same sightings."""
-        first = truths[0]
-        shared_fields = {f.name: getattr(first, f.name) for f in fields(CellTruth) if f.name != "state"}
+        first_truth = truths[0]
+        shared_fields = {f.name: getattr(first_truth, f.name) for f in fields(CellTruth) if f.name != "state"}
         states = [truth.state for truth in truths]
         position, rotation, points = (
             np.ascontiguousarray(np.stack([getattr(state, name) for state in states], axis=-1))
             for name in ("station_positions", "station_rotations", "target_points")
         )
         order = [np.argsort(_pointing_keys(truth)) for truth in truths]
-        rows = np.empty((len(order[0]), len(truths)), dtype=np.int64)
-        rows[order[0]] = np.stack(order, axis=1)
+        row_order = np.empty((len(order[0]), len(truths)), dtype=np.int64)
+        row_order[order[0]] = np.stack(order, axis=1)
         return cls(
             **shared_fields,
-            state=NetworkState(position, rotation, points, first.state.instrument_parameters),
+            state=NetworkState(position, rotation, points, first_truth.state.instrument_parameters),
             truths=truths,
-            row_of_pointing=rows,
+            row_of_pointing=row_order,
         )
 
     def gather(self, arrays: Iterable[Floats]) -> Floats:
@@ -118,7 +118,7 @@ class GeometryStack(CellTruth):
     def _effect_design(self, effects: tuple[Effect, ...]) -> Floats:
         return self.gather(truth.effect_design_function(effects)[..., 0] for truth in self.truths)
 
-    def _compute_chain_and_design(self, built: Construction) -> tuple[ChainProgram, Floats]:
+    def _compute_chain_and_design(self, built: GeometricErrorModel) -> tuple[ChainProgram, Floats]:
         """Kinematic chain of all trials, and derivative of the readings with respect to p parameters, (n, 3, p, B)."""
         flattened = np.swapaxes(self.nominal_readings, 1, 2).reshape(-1, 3)
         by_value = built.reading_design(flattened, np.zeros(built.n_parameters))[1]
@@ -134,26 +134,26 @@ class GeometryStack(CellTruth):
         compute_readings(program, which, self.local_points, self.reading_derivatives, true_parameters, deviation)
         return deviation
 
-    def draw_numbered_trials(self, seed: int, numbers: Ints) -> TrialBatch:
+    def draw_numbered_trials(self, seed: int, trial_numbers: Ints) -> TrialBatch:
         """Trials with the given numbers, one for each geometry of the stack, with their random values."""
-        sources = StandardNormalSource(seed, numbers).single_trial_sources()
+        sources = StandardNormalSource(seed, trial_numbers).single_trial_sources()
         draws = [
             truth.distributions.draw(numbers_of_trial)
             for truth, numbers_of_trial in zip(self.truths, sources, strict=True)
         ]
-        values = np.concatenate([draw.instrument_values for draw in draws], axis=2)
-        exact = self._exact_deviations(values)
+        instrument_values = np.concatenate([draw.instrument_values for draw in draws], axis=2)
+        exact = self._exact_deviations(instrument_values)
         single_trials = tuple(
             truth.block_from_draw(draw, self.array_of_trial(exact, k)[:, :, None])
             for k, (truth, draw) in enumerate(zip(self.truths, draws, strict=True))
         )
-        amounts = tuple(
+        effect_values = tuple(
             np.concatenate(parts, axis=1)
             for parts in zip(*(block.effect_values for block in single_trials), strict=True)
         )
         length_errors = np.concatenate([block.length_errors for block in single_trials], axis=1)
         deviation = self.gather(block.reading_deviations[:, :, 0] for block in single_trials)
-        return TrialBatch(numbers, values, amounts, deviation, length_errors, single_trials)
+        return TrialBatch(trial_numbers, instrument_values, effect_values, deviation, length_errors, single_trials)
 
 
 def stack_geometries(truths: dict[int, CellTruth]) -> Iterator[tuple[GeometryStack, Ints]]:
@@ -161,15 +161,15 @@ def stack_geometries(truths: dict[int, CellTruth]) -> Iterator[tuple[GeometrySta
 
     `truths` holds the true geometry of each trial by its number. A trial with an incomplete pointing has its own stack.
     """
-    groups: dict[tuple[object, ...], list[int]] = {}
+    trials_by_pattern: dict[tuple[object, ...], list[int]] = {}
     for number, truth in truths.items():
         judge = TrialEvaluator(truth)
         names = truth.recording.stations, truth.recording.targets
         whole = truth.recording.is_measured.all(axis=0).all()
         pattern = np.sort(_pointing_keys(truth)).tobytes() if whole else number
         key = (*names, pattern, judge.has_criteria, judge.has_frame.tobytes())
-        groups.setdefault(key, []).append(number)
-    for numbers in groups.values():
+        trials_by_pattern.setdefault(key, []).append(number)
+    for numbers in trials_by_pattern.values():
         yield GeometryStack.from_truths(tuple(truths[number] for number in numbers)), np.array(numbers)
 
 
@@ -195,8 +195,8 @@ class StackCalibrator(TrialCalibrator):
     @classmethod
     def for_stack(cls, method: Method, stack: GeometryStack) -> Self:
         """Calibrator of a stack by a method of the campaign file."""
-        first = make_calibrator(method, stack.truths[0])
-        return cls(stack, first.construction, first.effects, method.method, method)
+        first_calibrator = make_calibrator(method, stack.truths[0])
+        return cls(stack, first_calibrator.construction, first_calibrator.effects, method.method, method)
 
     def single_trial_calibrator(self, trial: int) -> TrialCalibrator:
         """Calibrator of a single trial."""
@@ -316,12 +316,12 @@ class StackedNetwork(BatchNetwork):
 
     @cached_property
     def _affected_readings(self) -> tuple[Ints, Floats, Floats]:
-        count = 3 * len(self.recording)
-        flattened = [part._extra_design.reshape(count, -1) for part in self.networks]
-        rows = np.flatnonzero(np.any([design.any(axis=1) for design in flattened], axis=0))
-        design = np.stack([design[rows] for design in flattened])
-        sigma = np.stack([part.reading_sigmas.ravel()[rows] for part in self.networks])
-        return rows, design, design / sigma[:, :, None]
+        n_readings = 3 * len(self.recording)
+        flattened = [part._extra_design.reshape(n_readings, -1) for part in self.networks]
+        affected_rows = np.flatnonzero(np.any([design.any(axis=1) for design in flattened], axis=0))
+        design = np.stack([design[affected_rows] for design in flattened])
+        sigma = np.stack([part.reading_sigmas.ravel()[affected_rows] for part in self.networks])
+        return affected_rows, design, design / sigma[:, :, None]
 
     @cached_property
     def _non_reading_design(self) -> tuple[Floats, Floats]:

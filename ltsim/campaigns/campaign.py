@@ -1,8 +1,9 @@
 """Execution of a campaign: workers compute shards, one process writes them, and any interruption can be resumed.
 
-A shard is a file with the rows of some trials of one cell. The rows are identical byte by byte for any number of
-workers, interruptions and backend, if processor type and package versions are the same: compiler and matrix library
-choose their instructions by the processor, which changes the last bit of a sum. The manifest names both.
+A shard is a file with the rows of some trials of one combination of settings. The rows are identical byte by
+byte for any number of workers, interruptions and backend, if processor type and package versions are the same: compiler
+and matrix library choose their instructions by the processor, which changes the last bit of a sum. The manifest names
+both.
 """
 
 import os
@@ -194,7 +195,7 @@ def _configuration_notes(
 def _extended_campaign(
     store: CampaignFolder, campaign: CampaignFile, cells: tuple[CampaignCell, ...], file: Path, *, resume: bool
 ) -> tuple[CampaignFile, tuple[CampaignCell, ...]]:
-    """Campaign of a folder with the additions of the file: its settings, and its cells.
+    """Campaign of a folder with the additions of the file: its settings, and its combinations of settings (cells).
 
     Existing cells keep their numbers. Raises SetupError if the file would change existing rows.
     """
@@ -340,7 +341,7 @@ def _pending_shards(
 
 
 def _half_intervals(folder: Path, statistic: str, shards: int) -> dict[tuple[int, str], float]:
-    """Half-width of the 95 % confidence interval of a statistic's mean, by cell and method.
+    """Half-width of the 95 % confidence interval of a statistic's mean, by combination of settings (cell) and method.
 
     Only the first `shards` shards of each cell are used.
     """

@@ -54,16 +54,16 @@ def transform_to_network(clouds: Floats, rotation: Floats, position: Floats) -> 
 def _centre_cloud(cloud: Floats, used_targets: Bools, centred_cloud: Floats) -> None:
     """Subtraction of the mean over the used targets (T,) from a cloud (T, 3, B)."""
     centred_cloud[:] = 0.0
-    count = 0
+    n_points = 0
     for k in range(len(cloud)):
         if used_targets[k]:
-            count += 1
+            n_points += 1
             for c in range(3):
                 for t in range(centred_cloud.shape[1]):
                     centred_cloud[c, t] += cloud[k, c, t]
     for c in range(3):
         for t in range(centred_cloud.shape[1]):
-            centred_cloud[c, t] /= count
+            centred_cloud[c, t] /= n_points
 
 
 @compile_function
@@ -151,15 +151,15 @@ def _rotate_columns(rotations: Floats, columns: Floats) -> None:
 @compile_function
 def add_square_error(aligned_cloud: Floats, reference_cloud: Floats, used_targets: Bools, square_sum: Floats) -> int:
     """Number of used targets; the sum of their squared distances between two clouds is added to `square_sum` (B,)."""
-    count = 0
+    n_points = 0
     for i in range(len(aligned_cloud)):
         if used_targets[i]:
-            count += 1
+            n_points += 1
             for c in range(3):
                 for t in range(len(square_sum)):
                     gap = aligned_cloud[i, c, t] - reference_cloud[i, c, t]
                     square_sum[t] += gap * gap
-    return count
+    return n_points
 
 
 @compile_function
@@ -172,7 +172,7 @@ def distance_criterion(clouds: Floats, is_visible: Bools, mean_coordinates: Floa
     stations, targets, _, trials = clouds.shape
     length, middle, spread = np.empty((stations, trials)), np.empty(trials), np.empty(trials)
     mean_coordinates[:], maximum[:] = 0.0, 0.0
-    pairs = 0
+    n_pairs = 0
     for i in range(targets):
         for j in range(i + 1, targets):
             count = 0
@@ -187,7 +187,7 @@ def distance_criterion(clouds: Floats, is_visible: Bools, mean_coordinates: Floa
                         middle[t] += row[t]
             if count < 2:
                 continue
-            pairs += 1
+            n_pairs += 1
             spread[:] = 0.0
             part = 1.0 / count
             for s in range(count):
@@ -198,18 +198,18 @@ def distance_criterion(clouds: Floats, is_visible: Bools, mean_coordinates: Floa
                 mean_coordinates[t] += value
                 maximum[t] = max(maximum[t], value)
     for t in range(trials):
-        mean_coordinates[t] /= pairs
+        mean_coordinates[t] /= n_pairs
 
 
 @compile_function
-def coordinate_criterion(aligned_clouds: Floats, is_visible: Bools, mean: Floats, maximum: Floats) -> None:
+def coordinate_criterion(aligned_clouds: Floats, is_visible: Bools, mean_points: Floats, maximum: Floats) -> None:
     """Disagreement of stations in coordinates (Sensors 2021, 21, 7479): mean and maximum over targets, (B,) [um].
 
     The value of a target is the mean distance between its positions from two stations, over all pairs of stations.
     """
     stations, targets, _, trials = aligned_clouds.shape
     spread = np.empty(trials)
-    mean[:], maximum[:] = 0.0, 0.0
+    mean_points[:], maximum[:] = 0.0, 0.0
     n_used = 0
     for i in range(targets):
         count = 0
@@ -227,10 +227,10 @@ def coordinate_criterion(aligned_clouds: Floats, is_visible: Bools, mean: Floats
         n_used += 1
         for t in range(trials):
             value = MICROMETRES_PER_METRE * spread[t] / count
-            mean[t] += value
+            mean_points[t] += value
             maximum[t] = max(maximum[t], value)
     for t in range(trials):
-        mean[t] /= n_used
+        mean_points[t] /= n_used
 
 
 @compile_function
@@ -289,7 +289,7 @@ def distance_gradient(
     """
     sets, targets, _, trials = clouds.shape
     lengths, middle = np.empty((sets, trials)), np.empty(trials)
-    size = np.empty(trials)
+    distances = np.empty(trials)
     for i in range(targets):
         for j in range(i + 1, targets):
             count = 0
@@ -306,13 +306,13 @@ def distance_gradient(
                     continue
                 for t in range(trials):
                     gap = lengths[s, t] - middle[t] / count
-                    size[t] = count * gap
+                    distances[t] = count * gap
                     cost[t] += count * gap * gap
                 if gauge_index >= 0:
                     for t in range(trials):
                         gap = lengths[s, t] - length[gauge_index, t]
-                        size[t] += gap
+                        distances[t] += gap
                         cost[t] += gap * gap
                 _add_line_derivative(
-                    clouds[s, i], clouds[s, j], point_gradient[s, i], point_gradient[s, j], size, lengths[s]
+                    clouds[s, i], clouds[s, j], point_gradient[s, i], point_gradient[s, j], distances, lengths[s]
                 )

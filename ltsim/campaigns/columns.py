@@ -1,4 +1,4 @@
-"""Columns of a campaign's rows: settings of the cell, then results, each with its unit."""
+"""Columns of a campaign's rows: levels of the factors, then results, each with its unit."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -11,7 +11,7 @@ from ltsim.campaigns.design import Factor
 from ltsim.campaigns.schema import PARAMETER_UNIT_TEXT, TRIAL_STATUSES, WITHOUT_RESULT, find_column
 from ltsim.core.arrays import Floats
 from ltsim.physics.effects.effect import Effect, Parameter, effect_parameter_names
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 
 ResultColumns = dict[str, NDArray[Any]]
 """Results by name of the column, each (B,) with one value per trial; the name contains the unit of a length."""
@@ -33,7 +33,7 @@ class ParameterLabel(NamedTuple):
 
 
 def parameter_labels(
-    construction: Construction, instruments: Sequence[str], effects: Sequence[Effect]
+    construction: GeometricErrorModel, instruments: Sequence[str], effects: Sequence[Effect]
 ) -> list[ParameterLabel]:
     """Labels of the parameters of all instruments, followed by the parameters of effects."""
     names = construction.instrument_parameter_names(instruments)
@@ -84,7 +84,7 @@ def _column_metadata(name: str, parameters: Mapping[str, str]) -> dict[str, str]
 def append_settings(
     table: pa.Table, factors: Sequence[Factor], level_by_factor: Mapping[str, Any], parameters: Mapping[str, str]
 ) -> pa.Table:
-    """Rows of a cell with its settings as columns after `cell`, and units as metadata of the columns."""
+    """Rows of one combination of settings, with its settings as columns after `cell` and units as metadata."""
     columns = dict(zip(table.column_names, table.columns, strict=True))
     cell = {"cell": columns.pop("cell")}
     settings = {
@@ -103,24 +103,24 @@ def append_settings(
 def method_table(cell: int, method: str, column_groups: list[ResultColumns]) -> pa.Table:
     """Table of a method's columns. Displayed numbers have seven digits; a value that does not exist is empty."""
     names = dict.fromkeys(name for part in column_groups for name in part)
-    merged = {
+    values_by_column = {
         name: np.concatenate(
             [part[name] if name in part else np.full(len(part["trial"]), np.nan) for part in column_groups]
         )
         for name in names
     }
-    order = np.argsort(merged["trial"])
-    merged = {name: values[order] for name, values in merged.items()}
-    trial, status = merged.pop("trial"), merged.pop("status").astype(np.int64)
-    count = len(trial)
+    order = np.argsort(values_by_column["trial"])
+    values_by_column = {name: values[order] for name, values in values_by_column.items()}
+    trial, status = values_by_column.pop("trial"), values_by_column.pop("status").astype(np.int64)
+    n_trials = len(trial)
     is_lost = status == TRIAL_STATUSES.index(WITHOUT_RESULT)
     columns: dict[str, pa.Array] = {
-        "cell": pa.array(np.full(count, cell), pa.int32()),
-        "method": pa.array([method] * count, pa.string()),
+        "cell": pa.array(np.full(n_trials, cell), pa.int32()),
+        "method": pa.array([method] * n_trials, pa.string()),
         "trial": pa.array(trial, pa.int64()),
         "status": pa.array([TRIAL_STATUSES[s] for s in status], pa.string()),
     }
-    for name, values in merged.items():
+    for name, values in values_by_column.items():
         empty = np.isnan(values) | (is_lost if name.startswith(("z:", "estimate:")) or "after" in name else False)
         columns[name] = pa.array(values.astype(np.float32), pa.float32(), mask=empty)
     return pa.table(columns)

@@ -54,7 +54,7 @@ class Range(TomlSection):
 
 
 class Design(TomlSection):
-    """Points distributed evenly over ranges of several keys, in place of a grid with too many cells."""
+    """Points distributed evenly over ranges of several keys, in place of a grid with too many combinations."""
 
     kind: Literal["latin-hypercube", "sobol"]
     """Kind of design: Latin hypercube (McKay 1979), or scrambled Sobol sequence (Owen 1998)."""
@@ -88,7 +88,7 @@ class Design(TomlSection):
 
 
 class Factor(Entry):
-    """Factor of a campaign: a setting that differs between its cells."""
+    """Factor of a campaign: a setting that differs between its combinations of settings."""
 
     name: str
     """Name of the factor, and of its column in rows and summary."""
@@ -100,7 +100,7 @@ class Factor(Entry):
     """Type of the values; tables are written as JSON."""
 
     def level(self, scenario: Mapping[str, Any]) -> Any:
-        """Value of the factor in a cell, from the tables of the cell's scenario.
+        """Value of the factor in a combination of settings (cell), from the tables of the cell's scenario.
 
         A table is returned as JSON, a missing key as None.
         """
@@ -131,5 +131,5 @@ def short_key_names(keys: Sequence[str]) -> dict[str, str]:
 
 
 def cell_label(factors: Sequence[Factor], level_by_factor: Mapping[str, Any]) -> str:
-    """Description of a cell in one line: the value of each factor."""
+    """Description of a combination of settings in one line: the value of each factor."""
     return ", ".join(f"{f.name} = {f.level_text(level_by_factor[f.name])}" for f in factors) or "as the scenario says"

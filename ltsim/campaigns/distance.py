@@ -150,23 +150,23 @@ class BatchDistance(BatchCalibrator):
         deviation, prior = block.reading_deviations, self.distance_problem.prior_sigma[:, :, None]
         sets, visible, share, gauge = self._set_membership
         recording, trials = self.truth.recording, deviation.shape[2]
-        length = self.distance_problem.reference_lengths.lengths[:, None] + block.length_errors
-        values = np.zeros((*self.distance_problem.prior_sigma.shape, trials))
+        reference_lengths = self.distance_problem.reference_lengths.lengths[:, None] + block.length_errors
+        parameter_values = np.zeros((*self.distance_problem.prior_sigma.shape, trials))
         points, moved = np.empty(deviation.shape), np.full(trials, np.inf)
         for _ in range(MAX_DISTANCE_STEPS):
-            compute_points(self._chain_program, recording.instrument, deviation, values, points)
+            compute_points(self._chain_program, recording.instrument, deviation, parameter_values, points)
             clouds = np.zeros((*visible.shape, 3, trials))
             add_station_means(points, sets, recording.target, share, clouds)
-            forces, gradient = np.zeros_like(clouds), np.zeros_like(values)
-            distance_gradient(clouds, visible, gauge, length, forces, np.zeros(trials))
+            forces, gradient = np.zeros_like(clouds), np.zeros_like(parameter_values)
+            distance_gradient(clouds, visible, gauge, reference_lengths, forces, np.zeros(trials))
             membership = (recording.instrument, sets, recording.target, share)
-            backpropagate_mean_forces(self._chain_program, *membership, deviation, values, forces, gradient)
+            backpropagate_mean_forces(self._chain_program, *membership, deviation, parameter_values, forces, gradient)
             step = self.step_matrix @ (gradient * prior).reshape(-1, trials)
-            values += step.reshape(values.shape) * prior
+            parameter_values += step.reshape(parameter_values.shape) * prior
             moved = np.abs(step).max(axis=0)
             if not np.any(moved >= CONVERGED_CHANGE):
                 break
-        return values, moved
+        return parameter_values, moved
 
     def _values_by_trial(self, block: TrialBatch, trial_numbers: Ints) -> tuple[Floats, Floats]:
         """Parameters (I, p, B) [SI] of selected trials, and their largest change (B,) in the last step [prior sigma].
@@ -217,22 +217,24 @@ class BatchDistance(BatchCalibrator):
         ]
         return axes[:, order]
 
-    def _objective_terms(self, block: TrialBatch, values: Floats, trials: Ints) -> Floats:
+    def _objective_terms(self, block: TrialBatch, parameter_values: Floats, trials: Ints) -> Floats:
         """Terms (R, B) of the sum in the distance objective, for some trials at their parameters (I, p, B) [SI]."""
-        deviation, values = (np.ascontiguousarray(a) for a in (block.reading_deviations[:, :, trials], values))
+        deviation, parameter_values = (
+            np.ascontiguousarray(a) for a in (block.reading_deviations[:, :, trials], parameter_values)
+        )
         points = np.empty(deviation.shape)
-        compute_points(self._chain_program, self.truth.recording.instrument, deviation, values, points)
+        compute_points(self._chain_program, self.truth.recording.instrument, deviation, parameter_values, points)
         change = self.distance_problem.distances_of_points(points) - self._nominal_distances.lengths[:, None]
         rows, gauge = self._pair_difference_rows, self.distance_problem.reference_lengths
         length_errors = gauge.decorrelate(block.length_errors[:, trials])
         by_gauge = rows.noise_derivatives[:, rows.noise_derivatives.shape[1] - len(gauge) :]
         return rows.residuals[:, None] + rows.comparison_matrix @ change + by_gauge @ length_errors
 
-    def _adjusted_targets(self, block: TrialBatch, values: Floats) -> BatchFit:
+    def _adjusted_targets(self, block: TrialBatch, parameter_values: Floats) -> BatchFit:
         """Network adjustment of the readings that parameters (I, p, B) [SI] have corrected."""
         deviation = block.reading_deviations
         points = np.empty(deviation.shape)
-        compute_points(self._chain_program, self.truth.recording.instrument, deviation, values, points)
+        compute_points(self._chain_program, self.truth.recording.instrument, deviation, parameter_values, points)
         x, y, z = points[:, 0], points[:, 1], points[:, 2]
         horizontal = np.hypot(x, y)
         is_back_face = (self.truth.recording.face == 2)[:, None]

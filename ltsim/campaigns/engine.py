@@ -24,7 +24,7 @@ from ltsim.core.errors import LtsimError
 from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
-from ltsim.physics.model.construction import Construction, ideal_construction
+from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.simulation.simulator import with_certificates
@@ -70,24 +70,33 @@ class CalibratedBlock:
 
         The rows are the parameters of each instrument, followed by those of the effects.
         """
-        trials = len(self.chi2)
+        n_trials = len(self.chi2)
         sigma = self.instrument_sigmas if self.instrument_sigmas.ndim == 3 else self.instrument_sigmas[:, :, None]
         value_groups = [(self.instrument_values, sigma), (self.effect_values, self.effect_sigmas)]
-        values = [v.reshape(-1, trials) for v, _ in value_groups]
-        sigmas = [np.broadcast_to(s, v.shape).reshape(-1, trials) for v, s in value_groups]
-        return np.concatenate(values), np.concatenate(sigmas)
+        flat_values = [v.reshape(-1, n_trials) for v, _ in value_groups]
+        sigmas = [np.broadcast_to(s, v.shape).reshape(-1, n_trials) for v, s in value_groups]
+        return np.concatenate(flat_values), np.concatenate(sigmas)
 
     @classmethod
     def without_solution(
-        cls, truth: CellTruth, construction: Construction, effects: Sequence[Effect], trials: int
+        cls, truth: CellTruth, construction: GeometricErrorModel, effects: Sequence[Effect], n_trials: int
     ) -> CalibratedBlock:
         """Results of trials without a solution: all estimates are NaN, the status is that of a failure."""
-        values = np.full((len(truth.recording.instruments), construction.n_parameters, trials), np.nan)
-        points = np.full((*truth.state.target_points.shape[:2], trials), np.nan)
-        extra = np.full((sum(len(e.parameters) for e in effects), trials), np.nan)
-        is_lost = np.full(trials, TRIAL_STATUSES.index(WITHOUT_RESULT))
-        reflectors = {name: np.zeros((len(SmrIncidence.parameters), trials)) for name in truth.reflector_masks}
-        return cls(values, values.copy(), points, np.full(trials, np.nan), is_lost, extra, extra.copy(), reflectors)
+        instrument_values = np.full((len(truth.recording.instruments), construction.n_parameters, n_trials), np.nan)
+        points = np.full((*truth.state.target_points.shape[:2], n_trials), np.nan)
+        effect_values = np.full((sum(len(e.parameters) for e in effects), n_trials), np.nan)
+        is_lost = np.full(n_trials, TRIAL_STATUSES.index(WITHOUT_RESULT))
+        reflectors = {name: np.zeros((len(SmrIncidence.parameters), n_trials)) for name in truth.reflector_masks}
+        return cls(
+            instrument_values,
+            instrument_values.copy(),
+            points,
+            np.full(n_trials, np.nan),
+            is_lost,
+            effect_values,
+            effect_values.copy(),
+            reflectors,
+        )
 
     def copy_trial(self, trial: int, source: CalibratedBlock, place: int) -> None:
         """Copy of a trial's result from trial `place` of another block, written to trial `trial` of this block.
@@ -110,9 +119,9 @@ class TrialCalibrator:
     """Base class of the calibrators that a campaign compares."""
 
     truth: CellTruth
-    """True geometry of the cell whose trials are calibrated."""
-    construction: Construction
-    """Construction whose parameters are estimated."""
+    """True geometry of the combination of settings whose trials are calibrated."""
+    construction: GeometricErrorModel
+    """Geometric error model of the instrument, whose parameters are estimated."""
     effects: tuple[Effect, ...] = ()
     """Additional effects that are estimated."""
     method: str = "network"
@@ -159,8 +168,8 @@ def set_membership(truth: CellTruth, sets: Ints) -> tuple[Bools, Floats]:
     recording, targets = truth.recording, len(truth.recording.targets)
     is_complete = np.asarray(recording.is_measured.all(axis=1) & truth.recorded_observables.all())
     key = sets * targets + recording.target
-    count = np.bincount(key[is_complete], minlength=(int(sets.max()) + 1) * targets)
-    return count.reshape(-1, targets) > 0, np.where(is_complete, 1.0 / np.maximum(count[key], 1), 0.0)
+    n_members = np.bincount(key[is_complete], minlength=(int(sets.max()) + 1) * targets)
+    return n_members.reshape(-1, targets) > 0, np.where(is_complete, 1.0 / np.maximum(n_members[key], 1), 0.0)
 
 
 def is_suspect_trial(deviation: Floats, local_points: Floats) -> Bools:
@@ -259,8 +268,8 @@ class BatchCalibrator(TrialCalibrator):
         network, fit = self.batch_network, self.batch_network.fit_trials(block.reading_deviations, block.length_errors)
         status, sigma = np.zeros(len(fit.chi2), dtype=np.int64), network.parameter_sigmas
         extra_columns = slice(network.end_indices[2], network.end_indices[2] + len(fit.effect_values))
-        extra = np.sqrt(np.diag(network.covariance)[extra_columns, None]) if self.effects else np.zeros((0, 1))
-        other_arrays = fit.effect_values, extra, fit.incidence_parameters
+        effect_sigmas = np.sqrt(np.diag(network.covariance)[extra_columns, None]) if self.effects else np.zeros((0, 1))
+        other_arrays = fit.effect_values, effect_sigmas, fit.incidence_parameters
         return CalibratedBlock(
             fit.instrument_values, sigma, fit.target_increments, fit.chi2, status, *other_arrays
         ), fit.has_converged
@@ -290,7 +299,7 @@ class BatchCalibrator(TrialCalibrator):
         serial_block = self.serial_calibrator.calibrate(block, np.array([trial]))
         if serial_block.status_indices[trial] != 0:
             return float("nan")
-        values = (
+        value_differences = (
             np.abs(serial_block.instrument_values[:, :, trial] - results.instrument_values[:, :, trial])
             / results.instrument_sigmas
         )
@@ -299,7 +308,7 @@ class BatchCalibrator(TrialCalibrator):
         gap = (
             np.abs(align_to_points(truth + serial_block.target_errors[:, :, trial], batch) - batch) / self.target_sigmas
         )
-        return float(max(values.max(initial=0.0), np.nanmax(gap)))
+        return float(max(value_differences.max(initial=0.0), np.nanmax(gap)))
 
     @cached_property
     def target_sigmas(self) -> Floats:

@@ -19,7 +19,7 @@ from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.verbs import diagnose
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
-from ltsim.physics.effects.signature import CandidateEffect
+from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.effects.verbs import SizedEffect
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.model.construction import declared_construction
@@ -93,18 +93,21 @@ def inject(
     for cause in causes:
         if isinstance(cause, (list, tuple)):
             raise ModelError("causes are separate arguments, not a list: inject(recording, first, second)")
-    changed = load_recording(recording)
+    changed_recording = load_recording(recording)
     injector, injected = (
-        Injector(changed, ResidualSpace.from_adjustment(adjust(changed, declared_construction(changed)))),
+        Injector(
+            changed_recording,
+            ResidualSpace.from_adjustment(adjust(changed_recording, declared_construction(changed_recording))),
+        ),
         [],
     )
     for number, cause in enumerate(causes):
         rng = stream(seed, "inject", number)
         drawn, values = _scaled_injection(injector, cause, noncentrality, rng)
-        changed, entry = injector.inject(drawn, values, _catalogue_name(cause), rng)
-        injector = injector.with_recording(changed)
+        changed_recording, entry = injector.inject(drawn, values, _catalogue_name(cause), rng)
+        injector = injector.with_recording(changed_recording)
         injected.append(entry)
-    return RecordingWithInjection(changed, InjectionTruth(seed, tuple(injected)))
+    return RecordingWithInjection(changed_recording, InjectionTruth(seed, tuple(injected)))
 
 
 def injection_curve(
@@ -145,15 +148,15 @@ def injection_curve(
         )
     original = load_recording(recording)
     background = diagnose(original)
-    rows = []
+    curve_rows = []
     for strength in strengths:
         draws = [inject(original, cause, noncentrality=strength, seed=seed + k) for k in range(injections)]
         judged = [
             compare_with_injection(diagnose(made), truth.injected_effects[0], background) for made, truth in draws
         ]
-        rows.append(_curve_row(strength, [truth.injected_effects[0] for _, truth in draws], judged))
+        curve_rows.append(_curve_row(strength, [truth.injected_effects[0] for _, truth in draws], judged))
     effect_names = tuple(sorted({f.effect for f in background.findings}))
-    return DetectionCurve(_catalogue_name(cause), effect_names, tuple(rows))
+    return DetectionCurve(_catalogue_name(cause), effect_names, tuple(curve_rows))
 
 
 def _catalogue_name(cause: str | CandidateEffect | SizedEffect) -> str:
@@ -174,12 +177,12 @@ def compare_with_injection(
     located_findings = [f for f in new_findings if _has_same_place(cause.effect, f)]
     name = cause.effect.name
     identified_findings = [f for f in located_findings if name in (f.effect, *(e.effect for e in f.equivalents))]
-    first = new_findings[:1]
+    first_finding = new_findings[:1]
     return {
         "detections": bool(new_findings),
         "placed": bool(located_findings),
         "named": bool(identified_findings),
-        "right": bool(first) and first[0].effect == name and first[0] in located_findings,
+        "right": bool(first_finding) and first_finding[0].effect == name and first_finding[0] in located_findings,
     }
 
 
@@ -192,8 +195,8 @@ def _finding_key(finding: Any) -> tuple[Any, ...]:
 def _has_same_place(cause: CandidateEffect, finding: Any) -> bool:
     """True if a finding names the stations and targets of the injected effect, and a common observable."""
     scope = finding.where
-    pairs = [(set(cause.stations), set(scope.stations)), (set(cause.targets), set(scope.targets))]
-    overlaps = all(a == b if len(a) < 2 else len(a & b) >= MIN_PLACE_OVERLAP * len(a | b) for a, b in pairs)
+    place_pairs = [(set(cause.stations), set(scope.stations)), (set(cause.targets), set(scope.targets))]
+    overlaps = all(a == b if len(a) < 2 else len(a & b) >= MIN_PLACE_OVERLAP * len(a | b) for a, b in place_pairs)
     observables = set(scope.observables) or set(cause.observables)
     return overlaps and bool(observables & set(cause.observables))
 
@@ -281,19 +284,21 @@ def _parameter_values(
     cause: CandidateEffect, given_values: Mapping[str, float], injector: Injector, random_generator: np.random.Generator
 ) -> Floats:
     """Values (q,) [SI] of the parameters of an effect: those given, or random ones from their priors."""
-    sizes = np.array([p.prior_sigma for p in cause.parameters]) * random_generator.standard_normal(
+    drawn_values = np.array([p.prior_sigma for p in cause.parameters]) * random_generator.standard_normal(
         len(cause.parameters)
     )
     positive = [p.is_positive or isinstance(cause, NoiseEffect) for p in cause.parameters]
-    sizes = np.where(positive, np.abs(sizes), sizes)
+    drawn_values = np.where(positive, np.abs(drawn_values), drawn_values)
     if isinstance(cause, Blunder):
         return np.ones(len(cause.parameters))
     if not given_values:
-        return sizes
+        return drawn_values
     if isinstance(cause, EmpiricalLaw):
-        law_changes = cause.columns(injector.residual_space.sightings) @ sizes.reshape(-1, cause.regressor.n_columns).T
+        law_changes = (
+            cause.columns(injector.residual_space.sightings) @ drawn_values.reshape(-1, cause.regressor.n_columns).T
+        )
         rms = float(
             np.sqrt(np.mean(np.sum(law_changes[cause.row_weights(injector.residual_space.sightings) > 0] ** 2, axis=1)))
         )
-        return sizes * given_values[AMPLITUDE_NAME] * cause.parameters[0].si_per_display_unit / rms
+        return drawn_values * given_values[AMPLITUDE_NAME] * cause.parameters[0].si_per_display_unit / rms
     return np.array([given_values.get(p.name, 0.0) * p.si_per_display_unit for p in cause.parameters])

@@ -34,38 +34,40 @@ def _add_small_angle(cosine: float, sine: float, small_angle: float) -> tuple[fl
 @compile_inlined
 def _rotate_by_small_vector(u: float, v: float, w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Vector (x, y, z) rotated by a small rotation vector (u, v, w), by Rodrigues' formula."""
-    size = u * u + v * v + w * w
-    a = 1.0 - size * (1.0 / 6.0) * (1.0 - size * (1.0 / 20.0))
-    b = 0.5 - size * (1.0 / 24.0) * (1.0 - size * (1.0 / 30.0))
+    squared_angle = u * u + v * v + w * w
+    a = 1.0 - squared_angle * (1.0 / 6.0) * (1.0 - squared_angle * (1.0 / 20.0))
+    b = 0.5 - squared_angle * (1.0 / 24.0) * (1.0 - squared_angle * (1.0 / 30.0))
     cx, cy, cz = v * z - w * y, w * x - u * z, u * y - v * x
     return (x + a * cx + b * (v * cz - w * cy), y + a * cy + b * (w * cx - u * cz), z + a * cz + b * (u * cy - v * cx))
 
 
 @compile_function
-def _motion_amounts(pointing: int, chain: ChainProgram, deviation: Floats, values: Floats, amounts: Floats) -> None:
+def _motion_amounts(
+    pointing: int, chain: ChainProgram, deviation: Floats, parameter_values: Floats, amounts: Floats
+) -> None:
     """Deviation (M, B) of each motion from its nominal size, for reading deviations (3, B) and parameters (p, B)."""
     _, _, sign, driven, _, first, fed, varies, basis, slope = chain
-    trials = amounts.shape[1]
+    n_trials = amounts.shape[1]
     for m in range(len(driven)):
         row = amounts[m]
         if driven[m] >= 0:
             reading_deviation = deviation[driven[m]]
-            for t in range(trials):
+            for t in range(n_trials):
                 row[t] = reading_deviation[t]
         else:
-            for t in range(trials):
+            for t in range(n_trials):
                 row[t] = 0.0
         for j in range(first[m], first[m + 1]):
             k = fed[j]
-            value = values[k]
+            value = parameter_values[k]
             b = basis[k, pointing]
             if varies[k] == 0:
-                for t in range(trials):
+                for t in range(n_trials):
                     row[t] += value[t] * trial_value(b, t)
             else:
                 b0, b1, b2 = slope[k, pointing, 0], slope[k, pointing, 1], slope[k, pointing, 2]
                 d0, d1, d2 = deviation[0], deviation[1], deviation[2]
-                for t in range(trials):
+                for t in range(n_trials):
                     row[t] += value[t] * (
                         trial_value(b, t)
                         + trial_value(b0, t) * d0[t]
@@ -73,7 +75,7 @@ def _motion_amounts(pointing: int, chain: ChainProgram, deviation: Floats, value
                         + trial_value(b2, t) * d2[t]
                     )
         if sign[m] != 1.0:
-            for t in range(trials):
+            for t in range(n_trials):
                 row[t] *= sign[m]
 
 
@@ -81,12 +83,12 @@ def _motion_amounts(pointing: int, chain: ChainProgram, deviation: Floats, value
 def _forward_chain(pointing: int, chain: ChainProgram, amounts: Floats, path: Floats) -> None:
     """Points along the chain at one pointing, written to `path` (M + 1, 3, B); path[0] is in the instrument's frame."""
     is_rotation, axis, _, _, amount, _, _, _, _, _ = chain
-    trials = amounts.shape[1]
-    last = len(is_rotation)
+    n_trials = amounts.shape[1]
+    n_motions = len(is_rotation)
     for c in range(3):
-        for t in range(trials):
-            path[last, c, t] = 0.0
-    for m in range(last - 1, -1, -1):
+        for t in range(n_trials):
+            path[n_motions, c, t] = 0.0
+    for m in range(n_motions - 1, -1, -1):
         a = axis[m]
         b, c = (a + 1) % 3, (a + 2) % 3
         delta = amounts[m]
@@ -94,13 +96,13 @@ def _forward_chain(pointing: int, chain: ChainProgram, amounts: Floats, path: Fl
         along2, across2, above2 = path[m, a], path[m, b], path[m, c]
         if is_rotation[m] == 0:
             fixed = amount[m, pointing, 0]
-            for t in range(trials):
+            for t in range(n_trials):
                 along2[t] = along[t] + (trial_value(fixed, t) + delta[t])
                 across2[t] = across[t]
                 above2[t] = above[t]
         else:
             c0, s0 = amount[m, pointing, 0], amount[m, pointing, 1]
-            for t in range(trials):
+            for t in range(n_trials):
                 cosine, sine = _add_small_angle(trial_value(c0, t), trial_value(s0, t), delta[t])
                 along2[t] = along[t]
                 across2[t] = cosine * across[t] - sine * above[t]
@@ -120,30 +122,30 @@ def _backpropagate(
 ) -> None:
     """Subtraction, from `gradient` (p, B), of a force (3, B) on the target times the derivative by each parameter."""
     is_rotation, axis, sign, _, amount, first, fed, varies, basis, slope = chain
-    trials = amounts.shape[1]
+    n_trials = amounts.shape[1]
     for m in range(len(is_rotation)):
         a = axis[m]
         b, c = (a + 1) % 3, (a + 2) % 3
         along, across, above = force[a], force[b], force[c]
         if first[m + 1] > first[m]:
             if is_rotation[m] == 0:
-                for t in range(trials):
+                for t in range(n_trials):
                     moment[t] = sign[m] * along[t]
             else:
                 p1, p2 = path[m, b], path[m, c]
-                for t in range(trials):
+                for t in range(n_trials):
                     moment[t] = sign[m] * (p1[t] * above[t] - p2[t] * across[t])
             for j in range(first[m], first[m + 1]):
                 k = fed[j]
                 row = gradient[k]
                 b_ = basis[k, pointing]
                 if varies[k] == 0:
-                    for t in range(trials):
+                    for t in range(n_trials):
                         row[t] -= moment[t] * trial_value(b_, t)
                 else:
                     b0, b1, b2 = slope[k, pointing, 0], slope[k, pointing, 1], slope[k, pointing, 2]
                     d0, d1, d2 = deviation[0], deviation[1], deviation[2]
-                    for t in range(trials):
+                    for t in range(n_trials):
                         row[t] -= moment[t] * (
                             trial_value(b_, t)
                             + trial_value(b0, t) * d0[t]
@@ -153,7 +155,7 @@ def _backpropagate(
         if is_rotation[m] != 0:
             c0, s0 = amount[m, pointing, 0], amount[m, pointing, 1]
             delta = amounts[m]
-            for t in range(trials):
+            for t in range(n_trials):
                 cosine, sine = _add_small_angle(trial_value(c0, t), trial_value(s0, t), delta[t])
                 f1, f2 = across[t], above[t]
                 across[t] = cosine * f1 + sine * f2
@@ -180,7 +182,7 @@ def compute_readings(
     instrument: Ints,
     local_points: Floats,
     point_derivatives: Floats,
-    values: Floats,
+    parameter_values: Floats,
     deviation: Floats,
 ) -> None:
     """Readings minus nominal readings (n, 3, B) at which the chain reaches `local_points` (n, 3), by Newton's method.
@@ -191,7 +193,7 @@ def compute_readings(
     motions, trials = len(chain[0]), deviation.shape[2]
     amounts, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
     for i in range(len(deviation)):
-        parameters = values[instrument[i]]
+        parameters = parameter_values[instrument[i]]
         for _ in range(MAX_BATCH_NEWTON_STEPS):
             _motion_amounts(i, chain, deviation[i], parameters, amounts)
             _forward_chain(i, chain, amounts, path)
@@ -221,7 +223,7 @@ def backpropagate_mean_forces(
     target: Ints,
     mean_weights: Floats,
     deviation: Floats,
-    values: Floats,
+    parameter_values: Floats,
     forces: Floats,
     parameter_gradient: Floats,
 ) -> None:
@@ -235,7 +237,7 @@ def backpropagate_mean_forces(
     force, moment = np.empty((3, trials)), np.empty(trials)
     for i in range(len(deviation)):
         tracker = instrument[i]
-        _motion_amounts(i, chain, deviation[i], values[tracker], amounts)
+        _motion_amounts(i, chain, deviation[i], parameter_values[tracker], amounts)
         _forward_chain(i, chain, amounts, path)
         for c in range(3):
             for t in range(trials):

@@ -25,7 +25,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
 from ltsim.geometry.rigid import pose_design
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.physics.model.incidence import IncidenceErrors
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, Prediction, sightings_of
 from ltsim.recordings.recording import Recording
@@ -63,8 +63,8 @@ class BatchNetwork:
     """Recording with nominal readings: those of an ideal tracker at `state`."""
     state: NetworkState
     """Nominal state: true poses and targets."""
-    construction: Construction
-    """Construction whose parameters are estimated."""
+    construction: GeometricErrorModel
+    """Geometric error model of the instrument, whose parameters are estimated."""
     chain_program: ChainProgram
     """Kinematic chain around the nominal readings."""
     effects: tuple[Effect, ...] = ()
@@ -94,12 +94,12 @@ class BatchNetwork:
     @cached_property
     def nominal_state(self) -> NetworkState:
         """Nominal state with zero parameters."""
-        instruments = len(self.recording.instruments)
+        n_instruments = len(self.recording.instruments)
         return NetworkState(
             self.state.station_positions,
             self.state.station_rotations,
             self.state.target_points,
-            np.zeros((instruments, self.construction.n_parameters)),
+            np.zeros((n_instruments, self.construction.n_parameters)),
             np.zeros(self.model.n_extra_parameters),
         )
 
@@ -109,8 +109,8 @@ class BatchNetwork:
         unknowns = self.problem.unknowns
         pose = unknowns.pose_columns.size
         targets = pose + unknowns.target_columns.size
-        values = targets + unknowns.instrument_columns.size
-        return pose, targets, values, values + unknowns.extra_columns.size
+        end_of_parameters = targets + unknowns.instrument_columns.size
+        return pose, targets, end_of_parameters, end_of_parameters + unknowns.extra_columns.size
 
     @cached_property
     def column_order(self) -> Ints:
@@ -133,8 +133,8 @@ class BatchNetwork:
     def _non_reading_design(self) -> tuple[Floats, Floats]:
         """Whitened design (r, K) of the r observations other than readings, and their nominal residuals (r, 1)."""
         design, residual = self._whitened_system
-        count = int(self.problem.used_readings.sum())
-        return design[count:, self.column_order], residual[count:, None]
+        n_readings = int(self.problem.used_readings.sum())
+        return design[n_readings:, self.column_order], residual[n_readings:, None]
 
     @cached_property
     def _whitened_system(self) -> tuple[Floats, Floats]:
@@ -313,8 +313,8 @@ class BatchNetwork:
         Effects include declared nuisance errors. For trials with separate geometries the designs are (B, r, q).
         """
         flattened = self._extra_design.reshape(self.reading_sigmas.size, -1)
-        rows = np.flatnonzero(flattened.any(axis=1))
-        return rows, flattened[rows], flattened[rows] / self.reading_sigmas.reshape(-1, 1)[rows]
+        indices = np.flatnonzero(flattened.any(axis=1))
+        return indices, flattened[indices], flattened[indices] / self.reading_sigmas.reshape(-1, 1)[indices]
 
     @cached_property
     def _start_matrices(self) -> tuple[Floats, Floats, Floats]:
@@ -373,7 +373,7 @@ class BatchNetwork:
         The residuals of lengths are exact; all others are linear in the increments (K, B).
         """
         design, nominal = self._non_reading_design
-        rows = nominal - multiply_by_trial(design, increments)
+        residuals = nominal - multiply_by_trial(design, increments)
         gauge = self.problem.gauge_rows
         if len(gauge):
             moved = self.split_unknowns(increments)[1]
@@ -386,8 +386,8 @@ class BatchNetwork:
             bent = linear - np.sqrt(np.sum((arm + change) ** 2, axis=1))
             if length_errors is not None:
                 bent += length_errors
-            rows[: len(gauge)] += gauge.decorrelate(bent)
-        return rows
+            residuals[: len(gauge)] += gauge.decorrelate(bent)
+        return residuals
 
 
 def multiply_by_trial(matrix: Floats, columns: Floats) -> Floats:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.geometry.kinematics import ElementaryMotion, RotationStep
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 
 DERIVATIVE_STEP = 1e-4
 """Step [m, rad] of the central difference for the derivative of a basis function; the relative error of the derivative
@@ -50,8 +50,8 @@ class ChainProgram(NamedTuple):
     """Derivative of each basis function with respect to the three readings, (p, n, 3)."""
 
     @classmethod
-    def from_construction(cls, construction: Construction, readings: Floats) -> Self:
-        """Arrays of a construction about raw readings (n, 3); motions that are always zero are omitted."""
+    def from_construction(cls, construction: GeometricErrorModel, readings: Floats) -> Self:
+        """Arrays of a geometric error model, linearised at readings (n, 3), without motions that are always zero."""
         slots = [term.slot for term in construction.terms]
         motions_by_slot = {
             m.slot: [k for k, slot in enumerate(slots) if slot == m.slot]
@@ -74,14 +74,16 @@ class ChainProgram(NamedTuple):
             basis_derivatives=slope,
         )
 
-    def split_trials(self, trials: int) -> Self:
+    def split_trials(self, n_trials: int) -> Self:
         """Arrays with a last index for the trial.
 
         The rows of these arrays are pointings; for each pointing, one row per trial follows the other.
         """
 
-        def per_trial(rows: Floats) -> Floats:
-            by_trial = rows.reshape(rows.shape[0], rows.shape[1] // trials, trials, *rows.shape[2:])
+        def per_trial(array_rows: Floats) -> Floats:
+            by_trial = array_rows.reshape(
+                array_rows.shape[0], array_rows.shape[1] // n_trials, n_trials, *array_rows.shape[2:]
+            )
             return np.ascontiguousarray(np.moveaxis(by_trial, 2, -1))
 
         return self._replace(
@@ -99,19 +101,19 @@ def _reading_index(motion: ElementaryMotion) -> int:
     if motion.nominal is None:
         return -1
     probe = np.vstack([np.zeros(3), np.eye(3)])
-    amounts = np.asarray(motion.nominal(probe))
-    return next((c for c in range(3) if amounts[c + 1] != amounts[0]), -1)
+    probed_amounts = np.asarray(motion.nominal(probe))
+    return next((c for c in range(3) if probed_amounts[c + 1] != probed_amounts[0]), -1)
 
 
 def _nominal_amount(motion: ElementaryMotion, readings: Floats) -> Floats:
     """Size of a motion at readings (n, 3): translation and 0, or cosine and sine of a rotation, (n, 2)."""
-    amount = np.zeros(len(readings)) if motion.nominal is None else motion.sign * motion.nominal(readings)
+    nominal_amounts = np.zeros(len(readings)) if motion.nominal is None else motion.sign * motion.nominal(readings)
     if isinstance(motion, RotationStep):
-        return np.stack([np.cos(amount), np.sin(amount)], axis=1)
-    return np.stack([amount, np.zeros_like(amount)], axis=1)
+        return np.stack([np.cos(nominal_amounts), np.sin(nominal_amounts)], axis=1)
+    return np.stack([nominal_amounts, np.zeros_like(nominal_amounts)], axis=1)
 
 
-def _basis_derivatives(construction: Construction, readings: Floats) -> Floats:
+def _basis_derivatives(construction: GeometricErrorModel, readings: Floats) -> Floats:
     """Derivative (p, n, 3) of each basis function with respect to the readings."""
     step = DERIVATIVE_STEP * np.eye(3)[:, None, :]
     shifted_readings = np.concatenate([readings + step, readings - step]).reshape(-1, 3)

@@ -211,7 +211,7 @@ def recover(
     method, with_effects
         Options of ltsim's calibrator, as of `calibrate`.
     construction : str, optional
-        Construction of the instrument in ltsim's calibrator; default that of the scenario.
+        Geometric error model of the instrument in ltsim's calibrator; default that of the scenario.
     calibrator : callable or str, optional
         External calibrator, checked together with that of ltsim: a command ``CMD {recording} {out}`` that reads a
         recording and writes parameters as JSON. In Python it can also be a function of a recording that returns value,
@@ -285,10 +285,14 @@ def _with_same_parameters(
     outcome: TrialScore | FailedTrial, earlier_trials: Sequence[TrialScore | None]
 ) -> TrialScore | FailedTrial:
     """The outcome; a failure if its parameters are not those of the first trial with a result."""
-    first = next((other for other in earlier_trials if other is not None), None)
-    if first is None or isinstance(outcome, FailedTrial) or outcome.parameter_names == first.parameter_names:
+    first_trial = next((other for other in earlier_trials if other is not None), None)
+    if (
+        first_trial is None
+        or isinstance(outcome, FailedTrial)
+        or outcome.parameter_names == first_trial.parameter_names
+    ):
         return outcome
-    differing = sorted({*outcome.parameter_names} ^ {*first.parameter_names})[0]
+    differing = sorted({*outcome.parameter_names} ^ {*first_trial.parameter_names})[0]
     reason = f"trial {len(earlier_trials)}: the calibrator gives {differing} in a part of the trials only"
     return FailedTrial(reason, is_external=True)
 

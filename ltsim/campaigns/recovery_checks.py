@@ -163,10 +163,10 @@ def parameter_checks(name: str, z_scores: Floats, alpha: float) -> list[Recovery
 
     `alpha` is the false-alarm rate of each check.
     """
-    count = len(z_scores)
-    shift = max(MEAN_Z_MARGIN, float(stats.norm.isf(alpha / 2) / np.sqrt(count)))
-    tails = stats.chi2.ppf([alpha / 2, 1 - alpha / 2], count - 1) / (count - 1)
-    coverage_limits = stats.binom.ppf([alpha / 2, 1 - alpha / 2], count, NOMINAL_COVERAGE) / count
+    n_scores = len(z_scores)
+    shift = max(MEAN_Z_MARGIN, float(stats.norm.isf(alpha / 2) / np.sqrt(n_scores)))
+    tails = stats.chi2.ppf([alpha / 2, 1 - alpha / 2], n_scores - 1) / (n_scores - 1)
+    coverage_limits = stats.binom.ppf([alpha / 2, 1 - alpha / 2], n_scores, NOMINAL_COVERAGE) / n_scores
     coverage = float(np.mean(np.abs(z_scores) <= stats.norm.isf(0.5 * (1 - NOMINAL_COVERAGE))))
     deviation = min(1 - DEVIATION_Z_MARGIN, np.sqrt(tails[0])), max(1 + DEVIATION_Z_MARGIN, np.sqrt(tails[1]))
     limits = (

@@ -34,7 +34,7 @@ from ltsim.core.errors import CalibratorError, ConvergenceError, LtsimError
 from ltsim.core.parallel import run_parallel
 from ltsim.core.results import Table, columns_of, number_columns, text_columns
 from ltsim.core.values import ValueEquality
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings import Recording
 from ltsim.recordings.result_file import Entry, OptionalFloat
 from ltsim.simulation.physics import instrument_error_distribution, make_scenario_construction
@@ -114,7 +114,7 @@ class RecoverySettings:
     """Calibration settings of a recovery check: ltsim's method, and optionally a calibrator of the user."""
 
     method: str = "network"
-    construction: Construction | None = None
+    construction: GeometricErrorModel | None = None
     extra_effects: tuple[RequestedEffect, ...] = ()
     calibrator: ExternalCalibrator | None = None
     errors: ErrorOrigin = "drawn"
@@ -136,9 +136,9 @@ def run_trials(
 def with_errors_from_prior(scenario: Scenario) -> Scenario:
     """Scenario whose instruments have errors drawn from the priors that the calibrator uses."""
     error_fields = {"errors": {"draw": True}, "error_factor": 1.0}
-    by_name = {name: tracker.model_copy(update=error_fields) for name, tracker in scenario.instruments.items()}
+    tracker_by_name = {name: tracker.model_copy(update=error_fields) for name, tracker in scenario.instruments.items()}
     return scenario.model_copy(
-        update={"instrument": scenario.instrument.model_copy(update=error_fields), "instruments": by_name}
+        update={"instrument": scenario.instrument.model_copy(update=error_fields), "instruments": tracker_by_name}
     )
 
 
@@ -169,7 +169,7 @@ def run_trial(scenario: Scenario, seed: int, index: int, settings: RecoverySetti
         return FailedTrial(reason, is_external=True)
 
 
-def calibrate_with(recording: Recording, settings: RecoverySettings, construction: Construction) -> Calibration:
+def calibrate_with(recording: Recording, settings: RecoverySettings, construction: GeometricErrorModel) -> Calibration:
     """Calibration of a recording by the method of ltsim in the settings."""
     if settings.method == "network":
         return calibrate_network(

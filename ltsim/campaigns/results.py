@@ -58,7 +58,7 @@ class CampaignResults(CampaignStatistics, Result):
         return paired_differences(self, statistic, **pair)
 
     def statistic(self, function: Callable[..., float], *columns: str) -> list[StatisticSummary]:
-        """Value of a function of the trials, for every cell and method, with its 95 % confidence interval.
+        """Value of a function of the trials, by combination of settings and method, with its 95 % confidence interval.
 
         Parameters
         ----------
@@ -132,9 +132,9 @@ class CampaignResults(CampaignStatistics, Result):
 
         Returns
         -------
-        xarray.Dataset
-            Each statistic with its confidence limits ``NAME_low`` and ``NAME_high``, and its unit in `attrs`. Axes are
-            `calibrator` (the methods) and the factors; if the cells are no full grid, `cell` with the factors along it.
+            xarray.Dataset Each statistic with its confidence limits ``NAME_low`` and ``NAME_high``, and its unit in
+            `attrs`. Axes are `calibrator` (the methods) and the factors; if the combinations of settings are no
+            full grid, `cell` with the factors along it.
 
         Raises
         ------
@@ -163,7 +163,7 @@ class CampaignResults(CampaignStatistics, Result):
         return Dataset(variables, {METHOD_AXIS: methods} | axes | along, title)
 
     def _xarray_axes(self) -> tuple[dict[str, Any], list[tuple[int, ...]], dict[str, Any]]:
-        """Values of each axis, position of each cell on the axes, and coordinates along an axis.
+        """Values of each axis, position of each combination of settings on the axes, and coordinates along an axis.
 
         Factors of a full grid are axes; other cells are on one axis with the values of the factors.
         """
@@ -200,7 +200,7 @@ LEVEL_ROUNDING = 5e-4
 three digits.
 """
 CellMethod = tuple[int, str]
-"""Number of a cell, and name of a method."""
+"""Number of a combination of settings, and name of a method."""
 
 
 @dataclass(frozen=True)
@@ -229,11 +229,11 @@ class PairedDifference:
     @property
     def sentence(self) -> str:
         """Sentence on the difference."""
-        where = "".join(f", {name} {value}" for name, value in self.settings.items())
+        place = "".join(f", {name} {value}" for name, value in self.settings.items())
         gap, unit = f"{self.difference:.4g}", f" {self.unit}" if self.unit else ""
         interval = f"95 %: {self.low:.4g} to {self.high:.4g}{unit}"
         return (
-            f"{self.statistic}, {self.first} less {self.second}{where}: {gap}{unit} ({interval}; {self.trials} trials)"
+            f"{self.statistic}, {self.first} less {self.second}{place}: {gap}{unit} ({interval}; {self.trials} trials)"
         )
 
 
@@ -248,8 +248,8 @@ class PairedDifferences(Result):
         return [entry.sentence for entry in self.entries]
 
     def _tables(self) -> Mapping[str, Callable[[], ColumnValues]]:
-        plain = [{**e.settings, **{k: v for k, v in vars(e).items() if k != "settings"}} for e in self.entries]
-        return {"differences": lambda: columns_from_rows(plain)}
+        flat_rows = [{**e.settings, **{k: v for k, v in vars(e).items() if k != "settings"}} for e in self.entries]
+        return {"differences": lambda: columns_from_rows(flat_rows)}
 
 
 def paired_differences(results: CampaignStatistics, statistic: str, **pair: tuple[Any, Any]) -> PairedDifferences:
@@ -275,7 +275,7 @@ def paired_differences(results: CampaignStatistics, statistic: str, **pair: tupl
 def _comparison_pairs(
     results: CampaignStatistics, factor_name: str, first_level: Any, second_level: Any
 ) -> Iterator[tuple[dict[str, Any], CellMethod, CellMethod]]:
-    """Common settings, first cell and method, second cell and method of each comparison.
+    """Common settings, first cell (combination of settings) and method, second cell and method of each comparison.
 
     Raises ModelError if there is no such factor, method or level.
     """
@@ -317,7 +317,7 @@ def _level_of(factor_name: str, requested_level: Any, levels: Sequence[Any]) -> 
 
 
 def _trial_values(results: CampaignStatistics, statistic: str, cell: int, method: str) -> tuple[Floats, Floats]:
-    """Numbers (N,) of the trials of a cell and method, and the terms to be averaged over these trials.
+    """Numbers (N,) of the trials of a combination of settings and method, and the terms to average over them.
 
     The terms are (1, N) for a mean, and (2, N), numerator and denominator, for a ratio of means.
     """

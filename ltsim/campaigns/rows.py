@@ -52,16 +52,16 @@ MAX_TRIALS_PER_STACK = 64
 
 @dataclass(frozen=True)
 class ShardTask:
-    """Task of a worker: computation of one shard, a file with the rows of some trials of one cell."""
+    """Task of a worker: computation of one shard, a file with rows of trials of one combination of settings."""
 
     campaign: CampaignFile
     scenario: Scenario
     cell_digest: str
-    """Digest of everything that determines the rows of the cell."""
+    """Digest of everything that determines the rows of the combination of settings."""
     cell: int
-    """Number of the cell."""
+    """Number of the combination of settings."""
     shard: int
-    """Number of the shard within the cell."""
+    """Number of the shard within the combination of settings."""
     validation_scenario: Scenario | None = None
     """Scenario of `judge_in`, which gives held-out points for the evaluation; None without the key."""
     session_effects: tuple[type[Effect], ...] = field(default_factory=lambda: CATALOGUE.session_effects)
@@ -71,7 +71,7 @@ class ShardTask:
 
     @property
     def key(self) -> dict[str, str]:
-        """Metadata of the shard's file: campaign, cell, shard and statistics."""
+        """Metadata of the shard's file: campaign, combination of settings, shard and statistics."""
         statistics = " ".join(self.campaign.statistics)
         return {
             "campaign": self.cell_digest,
@@ -83,7 +83,7 @@ class ShardTask:
 
 @dataclass(frozen=True)
 class CellContext:
-    """Quantities that all trials of a cell share."""
+    """Quantities that all trials of a combination of settings share."""
 
     campaign: CampaignFile
     scenario: Scenario
@@ -109,12 +109,12 @@ class CellContext:
 
     @cached_property
     def factors(self) -> tuple[Factor, ...]:
-        """Factors of the campaign: the settings that differ between its cells."""
+        """Factors of the campaign: the settings that differ between its combinations of settings."""
         return self.campaign.factors(self.scenario)
 
     @cached_property
     def levels(self) -> dict[str, Any]:
-        """Levels of the factors in this cell, by name."""
+        """Levels of the factors in this combination of settings, by name."""
         tables = self.scenario.model_dump(mode="json", by_alias=True)
         return {factor.name: factor.level(tables) for factor in self.factors}
 
@@ -173,7 +173,7 @@ class CellContext:
 
 @lru_cache(maxsize=4)
 def cell_context(campaign: str, scenario: str, validation_scenario: str) -> CellContext:
-    """Context of a cell, from campaign and scenarios as JSON.
+    """Context of a combination of settings (cell), from campaign and scenarios as JSON.
 
     The result is cached, because a worker computes many shards of the same cell.
     """

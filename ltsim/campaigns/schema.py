@@ -55,23 +55,23 @@ def _parameter_column(name: str, unit: str, group: StatisticGroup, description: 
 
 
 def _criterion_columns(criterion_kind: str, description: str) -> list[RowColumn]:
-    sizes = {
+    meaning_by_column = {
         f"{criterion_kind}_{when}_{which}_um": f"{word} of {description}, {words}"
         for when, words in (("before", "readings without corrections"), ("after", "readings corrected"))
         for which, word in (("mean", "mean"), ("max", "largest"))
     }
     gain = {f"{criterion_kind}_improvement_percent": f"100 (1 - after / before) of the mean {criterion_kind} criterion"}
-    return _result_columns("criteria", "um", **sizes) + _result_columns("criteria", "%", **gain)
+    return _result_columns("criteria", "um", **meaning_by_column) + _result_columns("criteria", "%", **gain)
 
 
 def _error_columns(prefix: str, description: str) -> list[RowColumn]:
     floor = "readings corrected by the true parameters: the limit of noise and unmodelled effects"
-    sizes = {
+    meaning_by_column = {
         f"{prefix}error_raw_um": f"{description}; readings without corrections",
         f"{prefix}error_calibrated_um": f"{description}; readings corrected by the estimates",
         f"{prefix}error_true_parameters_um": f"{description}; {floor}",
     }
-    return _result_columns("errors", "um", **sizes) + _result_columns(
+    return _result_columns("errors", "um", **meaning_by_column) + _result_columns(
         "errors", "", **{f"{prefix}share_removed": POOLED_RATIOS.format(prefix)}
     )
 
@@ -145,7 +145,7 @@ ROWS_TABLE = Table(
 
 
 def summary_table(factors: Mapping[str, str]) -> Table:
-    """Table `summary.csv` of a campaign: one row per cell, method and column of the rows.
+    """Table `summary.csv` of a campaign: one row per combination of settings, method and column of the rows.
 
     `factors` holds the kind of each factor by its name.
     """
@@ -182,7 +182,7 @@ class TrackerSettings(Entry):
 
 
 class ScenarioSettings(Entry):
-    """Scenario of a cell, with all its settings."""
+    """Scenario of one combination of factor levels, with all its settings."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -199,15 +199,16 @@ class CellEntry(Entry):
     """Cell of a campaign: a combination of settings."""
 
     cell: NonNegativeInt
-    """Number of the cell."""
+    """Number of the combination of settings."""
     label: str
-    """Description of the cell in a line: the level of each factor."""
+    """Description of the combination of settings in a line: the level of each factor."""
     levels: dict[str, LevelValue] = Field(default_factory=dict)
     """Value of each factor, by the factor's name."""
     settings: dict[str, Any] = Field(default_factory=dict)
-    """Values that the cell changes in the scenario, by dotted key."""
+    """Settings of this combination that replace those of the base scenario, by dotted key."""
     digest: str = ""
-    """Digest of all that determines the rows of the cell; the metadata of its shards contain it too."""
+    """Digest of all that determines the rows of the combination of settings; the metadata of its shards contain
+    it too."""
 
 
 FACTORS_TABLE = Table(
@@ -262,13 +263,13 @@ class ManifestFile(ResultFile):
     seed: NonNegativeInt = 0
     """Root of the random draws."""
     trials: NonNegativeInt
-    """Largest number of trials of each cell."""
+    """Largest number of trials of each combination of settings."""
     shard: NonNegativeInt | None = None
     """Number of trials in a file of rows."""
     methods: tuple[str, ...] = Field(min_length=1)
     """Names of the calibrators."""
     factors: tuple[Factor, ...] = ()
-    """Settings that differ between cells."""
+    """Settings that differ between combinations of settings."""
     cells: tuple[CellEntry, ...] = Field(min_length=1)
     """Cells of the campaign."""
     versions: dict[str, str] = Field(default_factory=dict)
@@ -280,7 +281,7 @@ class ManifestFile(ResultFile):
     settings: dict[str, Any] = Field(default_factory=dict)
     """Contents of the campaign file."""
     scenarios: tuple[ScenarioSettings, ...] = ()
-    """Scenario of each cell."""
+    """Scenario of each combination of settings."""
 
     def _lines(self) -> list[str]:
         title = f"{self.title}: " if self.title else ""

@@ -78,15 +78,17 @@ class TrueParameter(NamedTuple):
 
 def true_parameters(truth: Truth) -> dict[str, TrueParameter]:
     """True parameters by name; those of effects as ``head-sag:sag``, followed by their place if they have one."""
-    values = {name: TrueParameter(value, truth.units[name]) for name, value in truth.instrument_values.items()}
+    instrument_values = {
+        name: TrueParameter(value, truth.units[name]) for name, value in truth.instrument_values.items()
+    }
     effects = [applied.effect for applied in truth.applied_effects]
     names = effect_parameter_names((e.name, e.place_text, [p.name for p in e.parameters]) for e in effects)
-    entries = [
+    effect_values = [
         TrueParameter(float(value), parameter.unit)
         for applied in truth.applied_effects
         for parameter, value in zip(applied.effect.parameters, applied.parameter_values, strict=True)
     ]
-    return values | dict(zip(names, entries, strict=True))
+    return instrument_values | dict(zip(names, effect_values, strict=True))
 
 
 def check_true_parameters(names: Sequence[str], true_names: Collection[str], truth: Truth) -> None:
@@ -129,15 +131,15 @@ class ExpectedTruth:
             np.linalg.solve(e.covariance_root, _true_incidence_parameters(truth) - e.mean_parameters)
             for e in model.incidence_errors
         ]
-        more = np.concatenate([np.zeros(0), *reflectors])
+        reflector_values = np.concatenate([np.zeros(0), *reflectors])
         columns = np.concatenate(
             [unknowns.instrument_columns.ravel(), *(unknowns.extra_columns[at] for at in model.incidence_columns)]
         )
-        is_free = np.concatenate([~calibration.is_fixed.ravel(), np.ones(len(more), dtype=bool)])
-        units = np.concatenate([prior, np.ones(len(more))])
+        is_free = np.concatenate([~calibration.is_fixed.ravel(), np.ones(len(reflector_values), dtype=bool)])
+        units = np.concatenate([prior, np.ones(len(reflector_values))])
         missed = adjustment.reduced_covariance[columns[:, None], columns] / np.outer(units, units)
         missed = np.where(is_free[:, None] & is_free, missed, 0.0)
-        return cls(np.append(mean, more), np.append(drawn, 0.0 * more), missed, columns, units)
+        return cls(np.append(mean, reflector_values), np.append(drawn, 0.0 * reflector_values), missed, columns, units)
 
     @property
     def is_drawn_from_prior(self) -> bool:
@@ -152,11 +154,13 @@ class ExpectedTruth:
 
 def _true_incidence_parameters(truth: Truth) -> Floats:
     """True parameters (14,) [SI] of the range error over incidence (effect `smr-incidence`) of all reflectors."""
-    total = SmrIncidence().parameters_from_table
+    incidence_parameters = SmrIncidence().parameters_from_table
     for applied in truth.applied_effects:
         if isinstance(applied.effect, SmrIncidence) and not applied.effect.place_text:
-            total = total + applied.effect.parameters_from_table + applied.parameter_values
-    return total
+            incidence_parameters = (
+                incidence_parameters + applied.effect.parameters_from_table + applied.parameter_values
+            )
+    return incidence_parameters
 
 
 def score_calibration(
@@ -169,11 +173,11 @@ def score_calibration(
     """
     check_true_parameters(calibration.instrument_parameter_names, truth.instrument_values, truth)
     expected = ExpectedTruth.from_calibration(calibration, truth, distribution)
-    count = len(calibration.instrument_parameter_names)
+    n_parameters = len(calibration.instrument_parameter_names)
     true = np.array([truth.instrument_values[name] for name in calibration.instrument_parameter_names])
     prior = calibration.prior_sigma.ravel()
     error, sigma_scaled = (calibration.estimates.ravel() - true) / prior, calibration.sigma.ravel() / prior
-    missed = expected.bias_matrix[:count]
+    missed = expected.bias_matrix[:n_parameters]
     variance = sigma_scaled**2 - missed**2 @ expected.missing_variance
     noisy = variance > MIN_NOISE_FRACTION * sigma_scaled**2
     standard = np.where(noisy, (error + missed @ expected.mean_truth) / np.sqrt(np.where(noisy, variance, 1.0)), np.nan)
@@ -188,17 +192,17 @@ def score_calibration(
     instrument = np.stack(
         [calibration.estimates.ravel() / factor, calibration.sigma.ravel() / factor, true / factor, standard]
     )
-    more = true_parameters(truth)
-    fitted = {name: entry for name, entry in _effect_parameters(calibration).items() if name in more}
-    plain = np.all(expected.truth_sigmas[:count] == 1.0) and not np.any(
-        expected.mean_truth[:count]
+    true_by_name = true_parameters(truth)
+    fitted = {name: entry for name, entry in _effect_parameters(calibration).items() if name in true_by_name}
+    plain = np.all(expected.truth_sigmas[:n_parameters] == 1.0) and not np.any(
+        expected.mean_truth[:n_parameters]
     )  # else priors move effects too
-    extra = np.array(
-        [[e.value, e.sigma or np.nan, more[name].value / SI_PER_UNIT[e.unit]] for name, e in fitted.items()]
+    effect_scores = np.array(
+        [[e.value, e.sigma or np.nan, true_by_name[name].value / SI_PER_UNIT[e.unit]] for name, e in fitted.items()]
     )
-    extra = extra.reshape(-1, 3).T
-    z = (1.0 if plain else np.nan) * (extra[0] - extra[2]) / extra[1]
-    value, sigma, right, scores = np.concatenate([instrument, np.vstack([extra, z])], axis=1)
+    effect_scores = effect_scores.reshape(-1, 3).T
+    z = (1.0 if plain else np.nan) * (effect_scores[0] - effect_scores[2]) / effect_scores[1]
+    value, sigma, right, scores = np.concatenate([instrument, np.vstack([effect_scores, z])], axis=1)
     names, shown = (
         tuple(calibration.instrument_parameter_names) + tuple(fitted),
         units + tuple(e.unit for e in fitted.values()),
@@ -208,9 +212,9 @@ def score_calibration(
 
 def _effect_parameters(calibration: Calibration) -> dict[str, ParameterEstimate]:
     """Estimates of the parameters of effects in a calibration, by the names of `true_parameters`."""
-    entries = calibration.effects
-    names = effect_parameter_names((e.effect, e.place_text, [p.name for p in e.parameters]) for e in entries)
-    parameters = [parameter for entry in entries for parameter in entry.parameters]
+    effect_entries = calibration.effects
+    names = effect_parameter_names((e.effect, e.place_text, [p.name for p in e.parameters]) for e in effect_entries)
+    parameters = [parameter for entry in effect_entries for parameter in entry.parameters]
     return {
         name: ParameterEstimate(parameter.value, parameter.sigma, parameter.unit)
         for name, parameter in zip(names, parameters, strict=True)
@@ -289,15 +293,15 @@ def score_estimates(
     scale = np.array([SI_PER_UNIT[estimates[name].unit] for name in names]) / factor
     value = scale * np.array([estimates[name].value for name in names])
     sigma = scale * np.array([estimates[name].sigma or np.nan for name in names])
-    right = np.array([true[name].value for name in names]) / factor
-    standard = (value - right) / sigma if errors == "drawn" else np.full(len(value), np.nan)
-    other = None
+    true_values = np.array([true[name].value for name in names]) / factor
+    standard = (value - true_values) / sigma if errors == "drawn" else np.full(len(value), np.nan)
+    ltsim_score = None
     if reference is not None:
         places = [
             reference.parameter_names.index(name) if name in reference.parameter_names else None for name in names
         ]
         same = np.array([np.nan if k is None else reference.estimates[k] for k in places])
-        other = TrialScore(names, units, same, np.full(len(same), np.nan), right, standard)
+        ltsim_score = TrialScore(names, units, same, np.full(len(same), np.nan), true_values, standard)
     every = () if reference is None else reference.parameter_names
-    score = TrialScore(names, units, value, sigma, right, standard, is_external=True, ltsim_estimates=other)
+    score = TrialScore(names, units, value, sigma, true_values, standard, is_external=True, ltsim_estimates=ltsim_score)
     return replace(score, ltsim_parameter_names=every)

@@ -24,7 +24,7 @@ from ltsim.simulation.sections import PlacedEffect
 CAMPAIGN_FORMAT = "ltsim-campaign/1"
 """Format and version of a campaign file."""
 MAX_CELLS = 4096
-"""Largest number of cells of a campaign file; a file with more is rejected."""
+"""Largest number of combinations of settings of a campaign file; a file with more is rejected."""
 MAX_SHARDS = 500_000
 """Largest number of files of rows (shards) of a campaign; a campaign with more is rejected."""
 VALIDATION_STREAM_KEY = "judge"
@@ -46,11 +46,11 @@ class Method(TomlSection):
     printed.
     """
     construction: Literal["misalignment", "dh", "steering-mirror", "ideal"] = "misalignment"
-    """Construction whose parameters are estimated; `ideal` estimates none."""
+    """Geometric error model whose parameters are estimated; `ideal` has none."""
     harmonics: Annotated[int, Field(ge=0, le=4)] = 2
-    """Number of harmonics of each joint error in a `dh` construction."""
+    """Number of harmonics of each joint error in the model `dh`."""
     degree: Annotated[int, Field(ge=0, le=4)] = 2
-    """Degree of the polynomials in the range for a `dh` construction."""
+    """Degree of the polynomials in the range in the model `dh`."""
     effects: tuple[PlacedEffect, ...] = ()
     """Additional effects to estimate, tables `[[methods.effects]]`."""
     solver: Literal["batch", "single"] = "batch"
@@ -77,7 +77,9 @@ class Method(TomlSection):
 
 
 class StoppingRule(TomlSection):
-    """Adaptive stopping rule of a cell, evaluated after each round of trials; every round adds 50 % more trials.
+    """Adaptive stopping rule of a combination of settings (cell), evaluated after each round of trials.
+
+    Every round adds 50 % more trials.
 
     A cell stops when, for every method, the half-width of the confidence interval of the mean of `statistic` is at most
     `within`.
@@ -86,7 +88,8 @@ class StoppingRule(TomlSection):
     statistic: str = "target_error_um"
     """Column of the results of trials, or the improvement in percent of the agreement of stations."""
     within: Positive
-    """Half-width of the 95 % confidence interval of the mean at which a cell stops, in the statistic's unit."""
+    """Half-width of the 95 % confidence interval of the mean at which a combination of settings stops, in the
+    statistic's unit."""
 
 
 class CampaignFile(TomlSection):
@@ -108,11 +111,12 @@ class CampaignFile(TomlSection):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Root of all random draws."""
     trials: Annotated[int, Field(ge=1, le=10**9)] = 1000
-    """Number of trials of each cell."""
+    """Number of trials of each combination of settings."""
     shard: Annotated[int, Field(ge=1, le=65_536)] = 4096
     """Number of trials per output file; if the process is killed, at most one unfinished file is lost."""
     geometry: Literal["shared", "per-trial"] = "shared"
-    """Placing of stations and targets: a common one for all trials of a cell, or a separate one for each."""
+    """Placing of stations and targets: a common one for all trials of a combination of settings, or a separate
+    one for each."""
     verify: Annotated[int, Field(ge=0, le=1000)] = 2
     """Number of trials at the start of each output file that the full solver repeats for verification."""
     statistics: tuple[StatisticGroup, ...] = ("criteria", "errors", "z-scores")
@@ -120,14 +124,14 @@ class CampaignFile(TomlSection):
     judge_in: str = ""
     """Held-out points for the evaluation: a scenario (built-in, or a file in the folder of this one) measured with the
     true instruments of each trial, or a table of points (`target,x_mm,y_mm,z_mm` in a file `NAME.csv`) measured from
-    the stations of the cell.
+    the stations of the combination of settings.
     """
     judge_drift: Annotated[float, Field(ge=0)] = 0.0
     """Random drift of the instruments (except the range scale) between calibration and the measurement of held-out
     points, in units of the prior sigma.
     """
     settings: dict[str, Any] = Field(default_factory=dict)
-    """Changes of the scenario for all cells, by dotted key."""
+    """Changes of the scenario for all combinations of settings, by dotted key."""
     link: dict[str, Annotated[tuple[str, ...], Field(min_length=1)]] = Field(default_factory=dict)
     """Names for groups of keys that take the same value; the column of the rows has this name."""
     grid: dict[str, list[Any]] = Field(default_factory=dict)
@@ -137,7 +141,7 @@ class CampaignFile(TomlSection):
     cells: tuple[dict[str, Any], ...] = ()
     """Combinations one by one, tables `[[cells]]`."""
     stop: StoppingRule | None = None
-    """Rule that ends a cell before it has all its trials."""
+    """Rule that ends a combination of settings before it has all its trials."""
     methods: tuple[Method, ...] = (Method(),)
     """Calibration methods to compare, tables `[[methods]]`."""
 
@@ -190,17 +194,17 @@ class CampaignFile(TomlSection):
 
     @property
     def n_shards_per_cell(self) -> int:
-        """Number of shards of each cell."""
+        """Number of shards of each combination of settings."""
         return -(-self.trials // self.shard)
 
     @property
     def varied_keys(self) -> tuple[str, ...]:
-        """Dotted keys and names of links that differ between cells, in the file's order."""
+        """Dotted keys and names of links that differ between combinations of settings, in the file's order."""
         keys = (key for cell in self.cells for key in cell)
         return tuple(dict.fromkeys((*keys, *(self.design.ranges if self.design else ()), *self.grid)))
 
     def factors(self, scenario: Scenario) -> tuple[Factor, ...]:
-        """Factors that differ between cells; `scenario` is the scenario of any cell.
+        """Factors that differ between combinations of settings (cells); `scenario` is the scenario of any cell.
 
         If a table varies together with the key `title`, the title represents the table.
         """
@@ -215,23 +219,23 @@ class CampaignFile(TomlSection):
         return tuple(factor for factor in factors if factor.kind != "table" or "title" not in self.varied_keys)
 
     def cell_changes(self) -> Iterator[dict[str, Any]]:
-        """Changes of the scenario for each cell, by dotted key."""
-        first = {name: self.link.get(name, (name,))[0] for name in self.varied_keys}
-        points = self.design.points(self.seed, first) if self.design else [{}]
+        """Changes of the scenario for each combination of settings, by dotted key."""
+        first_key_by_name = {name: self.link.get(name, (name,))[0] for name in self.varied_keys}
+        points = self.design.points(self.seed, first_key_by_name) if self.design else [{}]
         for listed, point in itertools.product(self.cells or ({},), points):
             for values in itertools.product(*self.grid.values()):
                 values_by_name = self.settings | listed | point | dict(zip(self.grid, values, strict=True))
                 yield self.values_by_key(values_by_name)
 
-    def values_by_key(self, values: Mapping[str, Any]) -> dict[str, Any]:
+    def values_by_key(self, values_by_name: Mapping[str, Any]) -> dict[str, Any]:
         """Values by dotted key; the value of a name in `link` is assigned to each of its keys."""
-        return {key: value for name, value in values.items() for key in self.link.get(name, (name,))}
+        return {key: value for name, value in values_by_name.items() for key in self.link.get(name, (name,))}
 
 
 def load_campaign(
     path: Path, changes: Mapping[str, Any] | None = None, tables: Mapping[str, Any] | None = None
 ) -> tuple[CampaignFile, tuple[Scenario, ...]]:
-    """Campaign of a file, or of `tables` in place of a file, and the scenario of each of its cells.
+    """Campaign of a file, or of `tables` in place of a file, and the scenario of each combination of settings.
 
     `changes` are new values of keys of the file (such as `trials`) or of dotted keys of the scenario, which are then
     the same in all cells. Raises SetupError.
@@ -257,10 +261,10 @@ def load_campaign(
     return campaign, tuple(items)
 
 
-def override_campaign(campaign: CampaignFile, changes: Mapping[str, Any], path: Path) -> CampaignFile:
-    """Campaign with other values of its keys, or of keys of the scenario in all cells."""
+def override_campaign(campaign: CampaignFile, key_changes: Mapping[str, Any], path: Path) -> CampaignFile:
+    """Campaign with other values of its keys, or of keys of the scenario in all combinations of settings."""
     tables = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
-    for key, value in changes.items():
+    for key, value in key_changes.items():
         if key in CampaignFile.model_fields:
             tables[key] = value
         elif key in campaign.grid:
@@ -281,17 +285,18 @@ class CampaignCell:
     validation_scenario: Scenario | None
     """Scenario of the held-out points; None without `judge_in`."""
     settings: dict[str, Any]
-    """Values that the cell changes in the scenario, by dotted key."""
+    """Settings of this combination that replace those of the base scenario, by dotted key."""
     levels: dict[str, Any]
     """Value of each factor, by the factor's name."""
     digest: str
-    """Digest of everything that determines the rows of the cell, except their number and the stored columns."""
+    """Digest of everything that determines the rows of the combination of settings, except their number and the
+    stored columns."""
 
 
 def make_cells(
     campaign: CampaignFile, scenarios: Sequence[Scenario], path: Path
 ) -> tuple[tuple[Factor, ...], tuple[CampaignCell, ...]]:
-    """Factors that differ between cells, and the cells; raises SetupError for a cell without a valid scenario."""
+    """Factors, and their combinations (cells); raises SetupError for a combination without a valid scenario."""
     factors, cells = campaign.factors(scenarios[0]), []
     deciding = {"seed", "shard", "geometry", "verify", "methods", "judge_drift"}
     cell_seed_text = campaign.model_dump_json(include=deciding, by_alias=True)

@@ -59,7 +59,7 @@ class CampaignStatistics:
     ----------
     folder : Path
     max_shards : int, optional
-        Number of files per cell that are read, from the first one; default all.
+        Number of files per combination of settings (cell) that are read, from the first one; default all.
 
     Raises
     ------
@@ -120,7 +120,7 @@ class CampaignStatistics:
         return plain | {f.name: [level[f.name] for level in self.levels] for f in self.factors}
 
     def _check_cells(self) -> None:
-        """Check that all rows belong to cells and methods of the manifest; raises ValueError."""
+        """Check that all rows belong to combinations of settings and methods of the manifest; raises ValueError."""
         for cell, method in self._database.execute("SELECT DISTINCT cell, method FROM rows").fetchall():
             if cell not in range(len(self.levels)) or method not in self.manifest.methods:
                 raise ValueError(f"cell {cell} by {method} is not in {ManifestFile.FILE}")
@@ -157,8 +157,8 @@ class CampaignStatistics:
     def _summary(self) -> Table:
         table = summary_table({factor.name: factor.kind for factor in self.factors})
         quantiles = table.header[-len(QUANTILE_LEVELS) :]
-        rows = self._with_settings(self.summary().columns)
-        return table.with_rows(row | dict(zip(quantiles, row["quantiles"], strict=True)) for row in rows)
+        summary_rows = self._with_settings(self.summary().columns)
+        return table.with_rows(row | dict(zip(quantiles, row["quantiles"], strict=True)) for row in summary_rows)
 
     def _rows(self) -> ColumnValues:
         with _interruptible():
@@ -167,8 +167,8 @@ class CampaignStatistics:
             return dict(zip(names, zip(*rows.fetchall(), strict=True), strict=True))
 
     def _with_settings(self, entries: Sequence[Entry]) -> list[dict[str, Any]]:
-        rows = [entry.model_dump(mode="json") for entry in entries]
-        return [{"cell": row["cell"]} | self.levels[row["cell"]] | row for row in rows]
+        entry_rows = [entry.model_dump(mode="json") for entry in entries]
+        return [{"cell": row["cell"]} | self.levels[row["cell"]] | row for row in entry_rows]
 
     def query(self, sql: str) -> list[tuple[Any, ...]]:
         """Result rows of any query over `rows` and `cells`.
@@ -200,19 +200,19 @@ class CampaignStatistics:
         return student_quantile(n_trials, level) * deviation / math.sqrt(n_trials)
 
     def distribution(self, column: str) -> list[StatisticSummary]:
-        """Mean, standard deviation and quantiles of a column in every cell and for every method."""
+        """Mean, standard deviation and quantiles of a column in every combination of settings and for every method."""
         name = self._sql_column(column)
         if column in RATIO_STATISTICS:
             return self._ratios_of_means(column)
-        size = self.manifest.trials * len(self.manifest.cells) * len(self.manifest.methods)
-        kind = "quantile_cont" if size <= MAX_ROWS_EXACT_QUANTILES else "approx_quantile"
-        what = (
+        n_values = self.manifest.trials * len(self.manifest.cells) * len(self.manifest.methods)
+        kind = "quantile_cont" if n_values <= MAX_ROWS_EXACT_QUANTILES else "approx_quantile"
+        select_list = (
             f"count({name}), avg({name}), stddev_samp({name}), min({name}), max({name}), {kind}({name}, "
             f"{[*QUANTILE_LEVELS]})"
         )
         summaries = []
         for cell, method, count, mean, deviation, low, high, quantiles in self._query_each_cell(
-            what, f"isfinite({name})"
+            select_list, f"isfinite({name})"
         ):
             half = self.half_interval(count, _nan_if_none(deviation))
             summaries.append(
@@ -233,8 +233,10 @@ class CampaignStatistics:
             )
         return summaries
 
-    def _query_each_cell(self, expressions: str, condition: str = "true", rows: str = "rows") -> list[tuple[Any, ...]]:
-        sql = f"SELECT cell, method, {expressions} FROM {rows} WHERE {condition} "
+    def _query_each_cell(
+        self, expressions: str, condition: str = "true", row_selection: str = "rows"
+    ) -> list[tuple[Any, ...]]:
+        sql = f"SELECT cell, method, {expressions} FROM {row_selection} WHERE {condition} "
         sql += "GROUP BY cell, method ORDER BY cell, method"
         if sql not in self._cache:  # a page asks the same for its figures and for each of its tables
             self._cache[sql] = self.query(sql)
@@ -244,10 +246,10 @@ class CampaignStatistics:
         """Ratios of two means over all trials, with confidence intervals by the delta method."""
         gained, correctable = sql_terms(column)
         terms = f"(SELECT cell, method, {gained} AS a, {correctable} AS b FROM rows)"
-        what = "count(a), avg(a), avg(b), var_samp(a), covar_samp(a, b), var_samp(b)"
+        select_list = "count(a), avg(a), avg(b), var_samp(a), covar_samp(a, b), var_samp(b)"
         shares = []
         for cell, method, count, above, below, *moments in self._query_each_cell(
-            what, "a IS NOT NULL AND b IS NOT NULL", terms
+            select_list, "a IS NOT NULL AND b IS NOT NULL", terms
         ):
             value = half = math.nan
             if below > 0:
@@ -258,18 +260,18 @@ class CampaignStatistics:
         return shares
 
     def column_values(self, column: str, cell: int, method: str, *, max_trials: int) -> Floats:
-        """Finite values (n,) of a column for a cell and method, from the first `max_trials` trials."""
+        """Finite values (n,) of a column for a combination of settings and method, from `max_trials` trials."""
         name = self._sql_column(column)
         return self.term_values((name,), cell, method, f"isfinite({name}) AND trial < {int(max_trials)}")[0]
 
     def term_values(self, terms: Sequence[str], cell: int, method: str, condition: str) -> Floats:
-        """Values (k, n) of k SQL expressions for the n trials of a cell and method that meet a condition, in order."""
+        """Values (k, n) of k SQL expressions for the n trials of a combination of settings that meet a condition."""
         word = method.replace("'", "''")
-        rows = self.query(
+        query_rows = self.query(
             f"SELECT {', '.join(terms)} FROM rows WHERE cell = {int(cell)} AND method = '{word}' AND {condition} "
             "ORDER BY trial"
         )
-        return np.array(rows, dtype=np.float64).reshape(len(rows), len(terms)).T
+        return np.array(query_rows, dtype=np.float64).reshape(len(query_rows), len(terms)).T
 
     def z_score_summaries(self) -> list[ZScoreSummary]:
         """Mean, standard deviation and coverage of the z-scores of every parameter."""
@@ -285,11 +287,11 @@ class CampaignStatistics:
     def solver_comparisons(self) -> list[SolverComparison]:
         """Numbers of trials by solver, and largest difference between the solvers in the verified sample."""
         ended = f"count(*) FILTER (status = '{WITHOUT_RESULT}'), count(*) FILTER (status = '{FULL_SOLVER}')"
-        rows = self._query_each_cell(f"count(*), {ended}, count({DIFFERENCE_COLUMN}), max({DIFFERENCE_COLUMN})")
-        return [SolverComparison(**dict(zip(SolverComparison.model_fields, row, strict=True))) for row in rows]
+        query_rows = self._query_each_cell(f"count(*), {ended}, count({DIFFERENCE_COLUMN}), max({DIFFERENCE_COLUMN})")
+        return [SolverComparison(**dict(zip(SolverComparison.model_fields, row, strict=True))) for row in query_rows]
 
     def summary(self) -> CampaignSummary:
-        """Statistics of all columns, cells and methods."""
+        """Statistics of all columns, combinations of settings and methods."""
         columns_used = [
             c for c in self.columns if not c.startswith(("z:", "estimate:", "true:")) and c != DIFFERENCE_COLUMN
         ]

@@ -1,4 +1,6 @@
-"""Adaptive stopping: the trials that are still needed, round by round, for cells whose mean is not precise enough.
+"""Adaptive stopping: the trials that are still needed, round by round, for cells whose mean is imprecise.
+
+A cell is one combination of settings.
 
 A round depends only on the rows of previous rounds, and thus neither on the number of workers nor on interruptions. The
 trials of a stopped cell are the first trials of the full run.
@@ -23,13 +25,12 @@ if TYPE_CHECKING:
 ROUND_GROWTH_FACTOR = 1.5
 """Ratio of the number of trials after a round to the number before the round."""
 MIN_TRIALS_BEFORE_STOP = 64
-"""Smallest number of trials before the first evaluation of a cell."""
+"""Smallest number of trials before the first evaluation of a combination of settings."""
 INTERVAL_ERROR_RATE = 0.05
-"""Probability that any confidence interval of a cell does not contain the mean; without adaptive stopping, the
-probability for each interval.
-"""
+"""Probability that any confidence interval of a combination of settings does not contain the mean; without
+adaptive stopping, the probability for each interval."""
 ShardKey = tuple[int, int]
-"""Shard as a pair of cell number and shard number."""
+"""Number of the combination of settings, and number of the shard among its files."""
 
 
 def student_quantile(n_values: int, error_rate: float) -> float:
@@ -37,15 +38,15 @@ def student_quantile(n_values: int, error_rate: float) -> float:
     return -float(special.stdtrit(n_values - 1, 0.5 * error_rate)) if n_values > 1 else math.inf
 
 
-def interval_error_rate(trials: int, shard: int, *, is_stopping: bool) -> float:
-    """Error rate of each confidence interval of a cell, so that all together have `INTERVAL_ERROR_RATE`."""
-    return INTERVAL_ERROR_RATE / len(evaluation_schedule(trials, shard)) if is_stopping else INTERVAL_ERROR_RATE
+def interval_error_rate(n_trials: int, shard_size: int, *, is_stopping: bool) -> float:
+    """Error rate of each confidence interval of a combination of settings; all together have `INTERVAL_ERROR_RATE`."""
+    return INTERVAL_ERROR_RATE / len(evaluation_schedule(n_trials, shard_size)) if is_stopping else INTERVAL_ERROR_RATE
 
 
-def evaluation_schedule(trials: int, shard: int) -> list[int]:
-    """Numbers of finished shards after which a cell is evaluated."""
-    n_shards = -(-trials // shard)
-    schedule = [min(-(-MIN_TRIALS_BEFORE_STOP // shard), n_shards)]
+def evaluation_schedule(n_trials: int, shard_size: int) -> list[int]:
+    """Numbers of finished shards after which a combination of settings is evaluated."""
+    n_shards = -(-n_trials // shard_size)
+    schedule = [min(-(-MIN_TRIALS_BEFORE_STOP // shard_size), n_shards)]
     while schedule[-1] < n_shards:
         schedule.append(min(math.ceil(ROUND_GROWTH_FACTOR * schedule[-1]), n_shards))
     return schedule
@@ -56,8 +57,8 @@ def iterate_rounds(
 ) -> Iterator[list[ShardKey]]:
     """Shards to be computed, round by round; a round begins when all shards of the previous one are finished.
 
-    `half_intervals` is a function of the statistic's name and the number of shards per cell. It returns the half-width
-    of the confidence interval of the mean, by cell and method.
+    `half_intervals` is a function of the statistic's name and the number of shards per combination of settings (cell).
+    It returns the half-width of the confidence interval of the mean, by cell and method.
     """
     if (stop := campaign.stop) is None:
         yield [(cell, shard) for cell in range(n_cells) for shard in range(campaign.n_shards_per_cell)]

@@ -81,7 +81,7 @@ class CampaignFolder:
         return self.folder / ROWS_FOLDER / f"cell-{cell:04d}" / f"shard-{shard:06d}.parquet"
 
     def shards(self, max_shards: int | None = None) -> list[Path]:
-        """Paths of the finished shards in order, in each cell at most the first `max_shards`."""
+        """Paths of the finished shards in order, in each combination of settings at most the first `max_shards`."""
         paths = sorted(self.folder.glob(f"{ROWS_FOLDER}/cell-*/shard-*.parquet"))
         return [path for path in paths if max_shards is None or path.name < self.shard_path(0, max_shards).name]
 
@@ -95,7 +95,7 @@ class CampaignFolder:
             raise SetupError(f"{path}: cannot be read ({problem}); {repair}") from None
 
     def verify(self, shards: Iterable[Path], cell_digests: Mapping[int, str]) -> None:
-        """Check that the shards are unchanged since they were written, and belong to their cells.
+        """Check that the shards are unchanged since they were written, and belong to their combination of settings.
 
         `cell_digests` is the digest of each cell by its number. Raises OSError, ValueError or pyarrow.ArrowException.
         """

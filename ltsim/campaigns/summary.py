@@ -1,4 +1,4 @@
-"""Summary of a campaign: statistics of its cells and methods, as Python objects and as JSON."""
+"""Summary of a campaign: statistics of its combinations of settings and methods, as Python objects and as JSON."""
 
 import math
 from typing import Annotated, Literal
@@ -19,10 +19,13 @@ NumberOrNaN = Annotated[float, PlainSerializer(_null_if_not_finite, return_type=
 
 
 class StatisticSummary(Entry):
-    """Statistic over the trials of one cell and method; a ratio over all trials has only a mean and an interval."""
+    """Statistic over the trials of one combination of settings and method.
+
+    A ratio over all trials has only a mean and an interval.
+    """
 
     cell: int
-    """Number of the cell."""
+    """Number of the combination of settings."""
     method: str
     """Name of the method."""
     column: str
@@ -54,7 +57,7 @@ class ZScoreSummary(Entry):
     """
 
     cell: int
-    """Number of the cell."""
+    """Number of the combination of settings."""
     method: str
     """Name of the method."""
     parameter: str
@@ -73,7 +76,7 @@ class SolverComparison(Entry):
     """Comparison of the batch and the full solver in the trials of one combination of factors, for one method."""
 
     cell: int
-    """Number of the cell."""
+    """Number of the combination of settings."""
     method: str
     """Name of the method."""
     trials: int
@@ -96,9 +99,9 @@ class CampaignSummary(Entry):
     title: str
     """Title of the campaign."""
     trials: int
-    """Largest number of trials of each cell."""
+    """Largest number of trials of each combination of settings."""
     factors: tuple[Factor, ...]
-    """Settings that differ between cells."""
+    """Settings that differ between combinations of settings."""
     cells: tuple[CellEntry, ...]
     """Cells of the campaign."""
     ends: tuple[SolverComparison, ...]
@@ -108,6 +111,6 @@ class CampaignSummary(Entry):
     meanings: dict[str, str]
     """Meaning of each column."""
     columns: tuple[StatisticSummary, ...]
-    """Statistics of each column, cell and method."""
+    """Statistics of each column, combination of settings and method."""
     z_scores: tuple[ZScoreSummary, ...]
     """Summaries of the z-scores of each parameter."""

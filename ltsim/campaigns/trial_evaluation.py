@@ -26,7 +26,7 @@ from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Bools, Floats
 from ltsim.geometry.rigid import determines_pose
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import Construction, ideal_construction
+from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
 
 MAX_UNDETERMINED_ROTATION_RATIO = 1e-3
 """Largest ratio of the spread of targets across a line to their spread along it, at which they do not determine the
@@ -73,12 +73,12 @@ class TrialEvaluator:
         )
 
     def station_clouds(
-        self, deviation: Floats, construction: Construction | None = None, values: Floats | None = None
+        self, deviation: Floats, construction: GeometricErrorModel | None = None, values: Floats | None = None
     ) -> Floats:
         """Means (S, T, 3, B) [m], over faces and repeats, of the measured points in the nominal frame.
 
-        `deviation` (n, 3, B) is readings minus nominal readings; they are corrected by the `values` (I, p, B) of a
-        construction.
+        `deviation` (n, 3, B) is readings minus nominal readings; they are corrected by the parameters
+        `values` (I, p, B) of the geometric error model.
         """
         recording, trials = self.truth.recording, deviation.shape[2]
         if construction is None or values is None:
@@ -108,10 +108,10 @@ class TrialEvaluator:
         coordinate_criterion(placed_points, self.is_measured, coordinate_mean, coordinate_largest)
         return columns
 
-    def _true_targets(self, trials: int) -> Floats:
+    def _true_targets(self, n_trials: int) -> Floats:
         """True targets (T, 3, B) [m]."""
         points = self.truth.state.target_points
-        return points if points.ndim == 3 else np.ascontiguousarray(np.repeat(points[:, :, None], trials, axis=2))
+        return points if points.ndim == 3 else np.ascontiguousarray(np.repeat(points[:, :, None], n_trials, axis=2))
 
     def cloud_error(self, clouds: Floats) -> Floats:
         """Rms distance (B,) [um] of measured from true targets, after a rigid fit of each station's points.
@@ -155,7 +155,11 @@ class TrialEvaluator:
         return columns
 
     def method_columns(
-        self, block: TrialBatch, estimates: CalibratedBlock, construction: Construction, effects: Sequence[Effect] = ()
+        self,
+        block: TrialBatch,
+        estimates: CalibratedBlock,
+        construction: GeometricErrorModel,
+        effects: Sequence[Effect] = (),
     ) -> ResultColumns:
         """Columns of a method: criteria and errors after correction by its parameters and effects.
 

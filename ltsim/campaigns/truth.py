@@ -1,4 +1,4 @@
-"""True geometry of a campaign's cell, and its trials, drawn in blocks exactly as by the simulator.
+"""True geometry of a cell (combination of settings), and its trials, drawn in blocks exactly as by the simulator.
 
 A trial depends on its number alone, and not on workers, number of trials or compared methods. All cells of a campaign
 use the same random streams: they differ by their settings and not by chance.
@@ -21,7 +21,7 @@ from ltsim.core.randomness import TRIALS_PER_STREAM as TRIALS_PER_STREAM
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.reflectors import smr_names
@@ -66,7 +66,7 @@ class TrialBatch:
 
 @dataclass(frozen=True)
 class CellTruth:
-    """True geometry of a cell, and the distributions from which its trials are drawn.
+    """True geometry of a combination of settings, and the distributions from which its trials are drawn.
 
     n pointings, I instruments with p parameters, q parameters of an effect, B trials.
     """
@@ -92,8 +92,8 @@ class CellTruth:
         return self.distributions.sightings
 
     @property
-    def construction(self) -> Construction:
-        """Construction of the true instrument."""
+    def construction(self) -> GeometricErrorModel:
+        """Geometric error model of the true instrument."""
         return self.distributions.construction
 
     @property
@@ -123,21 +123,21 @@ class CellTruth:
 
         The parameters (14, B) [SI] are those of the effect `smr-incidence`, the range error over incidence.
         """
-        total = np.zeros((len(self.recording), 1))
+        range_errors = np.zeros((len(self.recording), 1))
         for name, pointings in self.reflector_masks.items():
             if name in reflectors:
                 design, values = self.effect_design_function((SmrIncidence(),))[:, 0], reflectors[name]
                 shared = design.shape[2] == 1  # one geometry for all trials
                 errors = design[..., 0] @ values if shared else np.einsum("nqb,qb->nb", design, values)
-                total = total + pointings[:, None] * errors
-        return total
+                range_errors = range_errors + pointings[:, None] * errors
+        return range_errors
 
     @cached_property
-    def _chain_cache(self) -> list[tuple[Construction, tuple[ChainProgram, Floats]]]:
-        """Kinematic chain and design of each construction that was requested."""
+    def _chain_cache(self) -> list[tuple[GeometricErrorModel, tuple[ChainProgram, Floats]]]:
+        """Kinematic chain and design matrix of each geometric error model that was requested."""
         return []
 
-    def chain_and_design(self, construction: Construction) -> tuple[ChainProgram, Floats]:
+    def chain_and_design(self, construction: GeometricErrorModel) -> tuple[ChainProgram, Floats]:
         """Kinematic chain about the nominal readings, and derivative (n, 3, p) of the readings by its parameters."""
         for other, chain in self._chain_cache:  # comparing a few is quicker than hashing one
             if other == construction:
@@ -145,13 +145,13 @@ class CellTruth:
         self._chain_cache.append((construction, self._compute_chain_and_design(construction)))
         return self._chain_cache[-1][1]
 
-    def _compute_chain_and_design(self, construction: Construction) -> tuple[ChainProgram, Floats]:
+    def _compute_chain_and_design(self, construction: GeometricErrorModel) -> tuple[ChainProgram, Floats]:
         nominal_readings = self.recording.readings
         by_value = construction.reading_design(nominal_readings, np.zeros(construction.n_parameters))[1]
         return ChainProgram.from_construction(construction, nominal_readings), by_value
 
-    def chain_program(self, construction: Construction) -> ChainProgram:
-        """Kinematic chain of a construction about the nominal readings."""
+    def chain_program(self, construction: GeometricErrorModel) -> ChainProgram:
+        """Kinematic chain of a geometric error model, linearised at the nominal readings."""
         return self.chain_and_design(construction)[0]
 
     @cached_property

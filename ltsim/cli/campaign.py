@@ -116,7 +116,7 @@ def campaign(
 
 
 def solver_difference_sentence(comparison: SolverComparison, results: CampaignResults) -> str:
-    """Sentence on a cell whose batch solver differs too much from the full solver: cell, difference and limit."""
+    """Sentence on a combination of settings for which the batch solver differs too much from the full solver."""
     cell = results.manifest.cells[comparison.cell].label
     return (
         f"cell {comparison.cell + 1} ({cell}), {comparison.method}: the batch solver differs from the full solver by "

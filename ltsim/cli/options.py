@@ -92,21 +92,23 @@ def split_names(text: str | None) -> tuple[str, ...] | None:
     return None if text is None else tuple(dict.fromkeys(n.strip() for n in text.split(",") if n.strip()))
 
 
-def hints_from_texts(pairs: list[str] | None, columns: str | None = None, *, is_growing: bool = False) -> Hints:
+def hints_from_texts(
+    key_value_texts: list[str] | None, columns: str | None = None, *, is_growing: bool = False
+) -> Hints:
     """Hints from `KEY=VALUE` texts; raises RecordError for an invalid key or value."""
     from ltsim.recordings import Hints
 
-    values: dict[str, Any] = {}
+    value_by_key: dict[str, Any] = {}
     types = {name: kind for name, kind in get_type_hints(Hints).items() if name not in ("columns", "incomplete_tail")}
-    for pair in pairs or []:
+    for pair in key_value_texts or []:
         key, _, value = pair.partition("=")
         if key not in types or not value:
             raise RecordError(f"--hint {pair}: expected KEY=VALUE with a key among {', '.join(types)}")
         choices = get_args(get_args(types[key])[0])  # of `Literal[...] | None`
         if choices and value not in choices:
             raise RecordError(f"--hint {pair}: {key} can be {' or '.join(choices)}")
-        values[key] = Path(value) if key in ("points", "setup") else value
-    return Hints(**values, columns=columns, incomplete_tail=is_growing)
+        value_by_key[key] = Path(value) if key in ("points", "setup") else value
+    return Hints(**value_by_key, columns=columns, incomplete_tail=is_growing)
 
 
 @dataclass(frozen=True)
@@ -369,8 +371,8 @@ def _constant_value(tree: ast.Module, name: str) -> ast.expr | None:
 def _documented_parameters(docstring: str) -> Iterator[tuple[str, tuple[str, str]]]:
     """Names of the parameters in a numpy docstring, each with its type and text."""
     section = re.search(r"Parameters\n-+\n(.*?)(?:\n\n\S[^\n]*\n-+\n|\Z)", docstring, re.DOTALL)
-    entries = re.split(r"\n(?=\S)", section[1]) if section else []
-    for entry in entries:
+    parameter_texts = re.split(r"\n(?=\S)", section[1]) if section else []
+    for entry in parameter_texts:
         heading, _, text = entry.partition("\n")
         names, _, docstring_type = heading.partition(" : ")
         for name in names.split(","):

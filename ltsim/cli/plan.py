@@ -16,7 +16,7 @@ from ltsim.cli.terminal import Terminal
 from ltsim.core.errors import RecordError, SetupError
 
 if TYPE_CHECKING:
-    from ltsim.physics.effects.signature import Signature
+    from ltsim.physics.effects.linear_effect import LinearEffect
     from ltsim.planning.result import Plan
     from ltsim.planning.survey import PlannedSurvey
     from ltsim.planning.verbs import StationAlternative
@@ -109,14 +109,14 @@ def plan(
     if show:
         terminal.print_always(plan_text(source))
         return None
-    changes = options.pop("move")
-    if without is not None and (changes or out is not None):
+    moved_stations = options.pop("move")
+    if without is not None and (moved_stations or out is not None):
         raise SetupError(
             "--without lists places for a station and takes neither --move nor --out; use --move to evaluate a place"
         )
     if without is not None:
         return _print_station_alternatives(terminal, source, lt.station_alternatives(source, without))
-    writes_no_files = terminal.as_json or bool(changes)
+    writes_no_files = terminal.as_json or bool(moved_stations)
     folder = out if out is not None or writes_no_files else Path(f"plan-{Path(source).stem}")
     check_overwrite(
         folder,
@@ -124,9 +124,9 @@ def plan(
         (*(table.file for table in PLAN_TABLES), "scenario.toml", FLOOR_PLAN_FILE, TRADE_OFF_FILE, WORK_ORDER_FILE),
         force=force,
     )
-    if changes:
+    if moved_stations:
         with terminal.show_progress("evaluating the layout"):
-            plan_result = lt.plan(source, move=changes)
+            plan_result = lt.plan(source, move=moved_stations)
     else:
         plan_result = _search_plan(terminal, source, folder, {"jobs": jobs, **options})
     return _write_and_print_plan(terminal, plan_result, folder)
@@ -259,7 +259,7 @@ def _propose_next_measurement(
 
     terminal.print_text(recording.headline)
     summary = ""
-    modelled_effects: tuple[Signature, ...] = ()
+    modelled_effects: tuple[LinearEffect, ...] = ()
     if not effect_names:
         with terminal.show_progress("diagnosing"):
             diagnosis = lt.diagnose(recording)

@@ -37,8 +37,8 @@ MAX_MAPPING_NUMBER = 1e12
 def range_text(argument_name: str) -> str:
     """Range of an argument as text: `0 or more`, `1 to 256`."""
     low, high = ARGUMENT_BOUNDS[argument_name]
-    number = ",d" if isinstance(low, int) else "g"
-    return f"{low:g} or more" if high is None else f"{low:g} to {high:{number}}"
+    number_format = ",d" if isinstance(low, int) else "g"
+    return f"{low:g} or more" if high is None else f"{low:g} to {high:{number_format}}"
 
 
 def check_bounds(*, required_argument: str = "", **argument_values: object) -> None:
@@ -68,8 +68,8 @@ def bounded_parser(argument_name: str) -> Callable[[object], int | float]:
                 value = kind(text)
             except ValueError:
                 value = text
-        values: dict[str, Any] = {argument_name: value}
-        check_bounds(**values)
+        value_by_name: dict[str, Any] = {argument_name: value}
+        check_bounds(**value_by_name)
         return value  # type: ignore[return-value]
 
     return parse_bounded

@@ -40,12 +40,12 @@ def stack_columns(*columns: Floats) -> Floats:
     return array
 
 
-def stack_and_release(rows: list[Singles]) -> Singles:
+def stack_and_release(row_arrays: list[Singles]) -> Singles:
     """Array (k, ...) of k rows from a list; the list is emptied, so that the rows need their memory only once."""
-    array = np.empty((len(rows), *rows[0].shape), dtype=np.float32)
-    while rows:
-        last = rows.pop()
-        array[len(rows)] = last
+    array = np.empty((len(row_arrays), *row_arrays[0].shape), dtype=np.float32)
+    while row_arrays:
+        last = row_arrays.pop()
+        array[len(row_arrays)] = last
     return array
 
 

@@ -40,10 +40,10 @@ class RecordError(LtsimError):
         column: str | None = None,
     ) -> None:
         self.file, self.row, self.column = file, row, column
-        where = [] if file is None else [str(file)]
-        where += [] if row is None else [f"row {row}"]
-        where += [] if column is None else [f"column {column}"]
-        super().__init__(", ".join(where) + ": " + message if where else message)
+        location_texts = [] if file is None else [str(file)]
+        location_texts += [] if row is None else [f"row {row}"]
+        location_texts += [] if column is None else [f"column {column}"]
+        super().__init__(", ".join(location_texts) + ": " + message if location_texts else message)
 
 
 class SetupError(LtsimError):

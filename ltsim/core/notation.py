@@ -26,10 +26,10 @@ def number_text(value: float | None, n_digits: int = 3) -> str:
         return MISSING_TEXT
     if value == 0:
         return "0"
-    size = abs(value)
-    if not 1e-4 <= size < 1e6:
+    absolute_value = abs(value)
+    if not 1e-4 <= absolute_value < 1e6:
         return f"{value:.{max(n_digits - 1, 0)}e}"
-    return fixed_point_text(value, max(n_digits - 1 - math.floor(math.log10(size)), 0))
+    return fixed_point_text(value, max(n_digits - 1 - math.floor(math.log10(absolute_value)), 0))
 
 
 def with_sigma(value: float | None, sigma: float | None, unit: str = "") -> str:
@@ -61,14 +61,14 @@ def decimals_of_sigma(sigma: float) -> int:
     return min(max(1 - math.floor(math.log10(rounded_sigma)), 0), MAX_DECIMALS)
 
 
-def align_columns(header: Sequence[str], rows: Sequence[Sequence[str]], n_text_columns: int = 1) -> str:
+def align_columns(header: Sequence[str], table_rows: Sequence[Sequence[str]], n_text_columns: int = 1) -> str:
     """Rows as aligned text: the first `n_text_columns` columns flush left, the others flush right.
 
     ModelError is raised if a row is not as long as the header.
     """
-    if any(len(row) != len(header) for row in rows):
+    if any(len(row) != len(header) for row in table_rows):
         raise ModelError("a row of a table is not as long as its header")
-    lines = [header, *rows]
+    lines = [header, *table_rows]
     widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
     return "\n".join(
         "  ".join(
@@ -79,11 +79,11 @@ def align_columns(header: Sequence[str], rows: Sequence[Sequence[str]], n_text_c
     )
 
 
-def listing(items: Sequence[str], max_items: int = MAX_LISTED_ITEMS) -> str:
+def listing(names: Sequence[str], max_items: int = MAX_LISTED_ITEMS) -> str:
     """List of names as text; names beyond `max_items` are only counted: `a, b and 3 more`."""
-    if len(items) <= max_items:
-        return ", ".join(items)
-    return ", ".join(items[:max_items]) + f" and {len(items) - max_items} more"
+    if len(names) <= max_items:
+        return ", ".join(names)
+    return ", ".join(names[:max_items]) + f" and {len(names) - max_items} more"
 
 
 def fixed_point_text(value: float | None, n_decimals: int) -> str:

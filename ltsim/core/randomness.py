@@ -82,7 +82,7 @@ def standard_normal_trials(
 
 def _block_numbers(seed: int, block_number: int, n_values: int, *stream_key: str | int) -> NDArray[np.float64]:
     """Standard normal numbers of all trials that share one stream, shape (n_values, `TRIALS_PER_STREAM`)."""
-    numbers = stream(seed, *stream_key, "block", block_number).standard_normal((n_values, TRIALS_PER_STREAM))
+    normal_numbers = stream(seed, *stream_key, "block", block_number).standard_normal((n_values, TRIALS_PER_STREAM))
     if not block_number:
-        numbers[:, 0] = stream(seed, *stream_key).standard_normal(n_values)
-    return numbers
+        normal_numbers[:, 0] = stream(seed, *stream_key).standard_normal(n_values)
+    return normal_numbers

@@ -202,8 +202,8 @@ class Table(ValueEquality):
 
     def with_columns(self, names: str) -> Table:
         """Copy of the table with the columns `names` (separated by blanks), and with their standard deviations."""
-        by_name = {column.name: column for column in self.columns}
-        columns_used = [by_name[name] for name in names.split() if name in by_name]
+        column_by_name = {column.name: column for column in self.columns}
+        columns_used = [column_by_name[name] for name in names.split() if name in column_by_name]
         names_used = dict.fromkeys(name for c in columns_used for name in (c.name, c.sigma or c.like) if name)
         indices = [self.header.index(name) for name in names_used]
         rows = tuple(tuple(row[i] for i in indices) for row in self.rows)
@@ -213,8 +213,8 @@ class Table(ValueEquality):
         """All values of one column; raises ModelError for an unknown name."""
         if column_name not in self.header:
             raise unknown_name(f"column of {self.name}", column_name, self.header)
-        at = self.header.index(column_name)
-        return [row[at] for row in self.rows]
+        column_index = self.header.index(column_name)
+        return [row[column_index] for row in self.rows]
 
     def json(self) -> list[dict[str, Any]]:
         """Rows of the table as mappings from column name to value."""
@@ -302,13 +302,13 @@ class Table(ValueEquality):
         head = "".join(
             f'<th title="{escape(self.meanings.get(name, ""))}">{escape(name)}</th>' for name in self.headings
         )
-        rows = "".join(
+        row_html = "".join(
             "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>"
             for row in replace(self, rows=self.rows[:MAX_NOTEBOOK_ROWS]).cells()
         )
-        more = len(self.rows) - MAX_NOTEBOOK_ROWS
-        rest = f"<p>and {more} more rows: to_dataframe()</p>" if more > 0 else ""
-        return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{rest}"
+        n_more = len(self.rows) - MAX_NOTEBOOK_ROWS
+        more_rows_html = f"<p>and {n_more} more rows: to_dataframe()</p>" if n_more > 0 else ""
+        return f"<table><thead><tr>{head}</tr></thead><tbody>{row_html}</tbody></table>{more_rows_html}"
 
 
 class Result(ValueEquality):
@@ -375,8 +375,8 @@ def unguard_formula(text: str) -> str:
 
 
 def _column_kind(column: Sequence[Any]) -> ColumnKind:
-    first = next((value for value in column if value is not None), None)
-    return "flag" if isinstance(first, bool | np.bool_) else "text" if isinstance(first, str) else "number"
+    first_value = next((value for value in column if value is not None), None)
+    return "flag" if isinstance(first_value, bool | np.bool_) else "text" if isinstance(first_value, str) else "number"
 
 
 def _parse_value(column: Column, cell: str, file: object, row: int) -> Any:
@@ -393,6 +393,6 @@ def _parse_value(column: Column, cell: str, file: object, row: int) -> Any:
     return value
 
 
-def columns_from_rows(rows: Sequence[Mapping[str, Any]]) -> ColumnValues:
+def columns_from_rows(table_rows: Sequence[Mapping[str, Any]]) -> ColumnValues:
     """Values of each column, from rows with the same keys."""
-    return {key: [row[key] for row in rows] for key in (rows[0] if rows else ())}
+    return {key: [row[key] for row in table_rows] for key in (table_rows[0] if table_rows else ())}

@@ -8,9 +8,9 @@ that converges quadratically has ended: half of the digits of double precision, 
 """
 MAX_SOLUTION_ROUNDING_ERROR = 1e-6
 """Relative size up to which a number that was computed from normal equations counts as zero, or two of them as equal:
-redundancy numbers, fractions of squared signatures, coefficients of combinations, log evidences. Normal equations have
-the square of the condition number of the design, so that results differ by more than `MAX_ROUNDING_ERROR` between
-processors.
+redundancy numbers, squared fractions of an effect that remain in residuals, coefficients of combinations, log
+evidences. Normal equations have the square of the condition number of the design, so that results differ by more than
+`MAX_ROUNDING_ERROR` between processors.
 """
 MAX_SINGLE_ROUNDING_ERROR = 1e-3
 """Difference up to which log evidences in single precision count as equal: the spacing of numbers near 10,000, the log

@@ -45,12 +45,12 @@ def assemble_diagnosis(
     noises = [noise_finding(finding, baseline.sightings, detection, has_clock=has_clock) for finding in case.noise]
     certain = [finding for finding in (*shifts, *noises) if finding.evidence.p_real >= MIN_PROBABLE]
     is_noise_only = not certain_findings and all(finding.effect == NoiseLevel.name for finding in certain)
-    likely = (
+    likely_findings = (
         (certain + [finding for finding in shifts if finding not in certain] or noises) if is_noise_only else certain
     )
-    likely = sorted(likely, key=lambda finding: -finding.evidence.chi2_drop)
+    likely_findings = sorted(likely_findings, key=lambda finding: -finding.evidence.chi2_drop)
     room = max(MAX_MODEL_MEMBERS - len(certain_findings), 0)
-    findings = sorted([*certain_findings, *likely[:room]], key=lambda finding: -finding.evidence.chi2_drop)
+    findings = sorted([*certain_findings, *likely_findings[:room]], key=lambda finding: -finding.evidence.chi2_drop)
     before = after = Misfit(chi2=baseline.chi2, dof=baseline.dof, held_out_rms=errors.before)
     if model.members or case.noise:
         dof = baseline.dof - model.basis.shape[1]
@@ -72,7 +72,7 @@ def assemble_diagnosis(
             detection.p_value,
             before,
             after,
-            n_withheld=len(model_fit.withheld_keys) + len(likely[room:]),
+            n_withheld=len(model_fit.withheld_keys) + len(likely_findings[room:]),
             is_contradicted=errors.log_odds_of_model < 0.0,
         ),
         global_test=GlobalTest(

@@ -137,15 +137,15 @@ def model_weights(
         np.array([ranking.log_evidence_none, *(h.log_evidence for h in ranking.entries)]) / temperature
     ).tolist()
     probable = [(h, p) for h, p in zip(ranking.entries, rest_of, strict=True) if p > MIN_AVERAGED_PROBABILITY]
-    entries = [(h, p) for h, p in probable if not _is_noise_hypothesis(h)]
-    entries = [(h, p) for h, p in entries[:MAX_AVERAGED_HYPOTHESES] if h.key != selected.key]
+    other_models = [(h, p) for h, p in probable if not _is_noise_hypothesis(h)]
+    other_models = [(h, p) for h, p in other_models[:MAX_AVERAGED_HYPOTHESES] if h.key != selected.key]
     none += sum(p for h, p in zip(ranking.entries, rest_of, strict=True) if _is_noise_hypothesis(h))
-    p_rest = max(1.0 - none - sum(p for _, p in entries), 0.0)
+    p_rest = max(1.0 - none - sum(p for _, p in other_models), 0.0)
     instances = _instances_at_probable_shapes(searcher, other_effects, selected)
-    changes = [expected_change(searcher, other_effects, h) for h, _ in (*instances, *entries)]
-    changes.append(np.zeros_like(changes[0]))
-    weights = np.array([*(p_rest * p for _, p in instances), *(p for _, p in entries), none])
-    return weights / weights.sum(), np.array(changes)
+    coordinate_changes = [expected_change(searcher, other_effects, h) for h, _ in (*instances, *other_models)]
+    coordinate_changes.append(np.zeros_like(coordinate_changes[0]))
+    weights = np.array([*(p_rest * p for _, p in instances), *(p for _, p in other_models), none])
+    return weights / weights.sum(), np.array(coordinate_changes)
 
 
 def _is_noise_hypothesis(hypothesis: Hypothesis) -> bool:
@@ -173,8 +173,10 @@ def first_order_change(searcher: Searcher, model: Model) -> Floats:
     """Linear approximation of the change (m,) of the whitened readings by all effects in a refitted model."""
     if not model.members:
         return np.zeros(searcher.space.n_rows)
-    mean = wide_prior_posterior(*model.gram_and_scores, np.concatenate([h.plausible_sizes for h in model.members]))[0]
-    change: Floats = np.hstack([searcher.space.whitened_signature(h.effect) for h in model.members]) @ mean
+    coefficient_means = wide_prior_posterior(
+        *model.gram_and_scores, np.concatenate([h.plausible_sizes for h in model.members])
+    )[0]
+    change: Floats = np.hstack([searcher.space.whitened_design(h.effect) for h in model.members]) @ coefficient_means
     return change
 
 
@@ -182,7 +184,7 @@ def expected_change(searcher: Searcher, other_effects: Model, hypothesis: Hypoth
     """Posterior mean (m,) of the change of the whitened readings by an explanation, given the `other_effects`."""
     moments = searcher.evidence_calculator.gram_and_score([hypothesis.effect], other_effects)[0]
     change: Floats = (
-        searcher.space.whitened_signature(hypothesis.effect)
+        searcher.space.whitened_design(hypothesis.effect)
         @ coefficient_posterior(*moments, hypothesis.plausible_sizes)[0]
     )
     return change

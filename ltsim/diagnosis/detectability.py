@@ -19,13 +19,13 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats, batches
 from ltsim.core.errors import ModelError
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
-from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures
+from ltsim.diagnosis.catalogue_designs import CatalogueDesigns
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import Undetectable
 from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import Effect, NoiseEffect
-from ltsim.physics.effects.signature import Signature
+from ltsim.physics.effects.linear_effect import LinearEffect
 
 MAX_DETECTABLE_SIZE_RATIO = 10.0
 """Smallest detectable size of an effect, as a multiple of a large but plausible size, from which the effect is reported
@@ -36,14 +36,14 @@ DetectabilityReport = tuple[tuple[MinimalSize, ...], tuple[Undetectable, ...]]
 """Smallest detectable sizes of the detectable effects, and entries of the effects that are not detectable."""
 
 
-def detectability_report(space: ResidualSpace, catalogue_signatures: CatalogueSignatures) -> DetectabilityReport:
+def detectability_report(space: ResidualSpace, catalogue_designs: CatalogueDesigns) -> DetectabilityReport:
     """Detectable effects of the catalogue, and the others, those that cause the largest target errors first.
 
     An effect with several parameters is reported with the one that has the smallest ratio of the detectable to the
-    plausible size, at a median place. `catalogue_signatures` contain all effects of the catalogue at all places.
+    plausible size, at a median place. `catalogue_designs` contain all effects of the catalogue at all places.
     """
     detectable, undetectable = [], []
-    for effects in catalogue_signatures.effects_by_family():
+    for effects in catalogue_designs.effects_by_family():
         rows = _detectability_of_effects(space, effects).table()
         size_ratios = np.array([row.median_size / row.prior_sigma for row in rows])
         best = int(np.flatnonzero(size_ratios <= size_ratios.min() * (1.0 + MAX_SOLUTION_ROUNDING_ERROR))[0])
@@ -59,20 +59,20 @@ def _detectability_of_effects(space: ResidualSpace, effects: Sequence[Effect]) -
 
     `effects` are the effect at all its places and shapes.
     """
-    entries: list[tuple[Effect, Floats, float, int, Floats]] = []
+    visible_effects: list[tuple[Effect, Floats, float, int, Floats]] = []
     for size, same in groupby(select_places(effects), key=lambda effect: len(effect.parameters)):
         sample = list(same)
         for batch in (sample[part] for part in batches(len(sample), space.n_rows * size)):
-            signatures = np.hstack([space.whitened_signature(effect) for effect in batch])
-            edges = np.arange(0, signatures.shape[1] + 1, size)
-            grams = np.stack(space.projector.gram_matrices(signatures, edges, slice(None)))
-            norm = np.linalg.norm(signatures, axis=0).reshape(-1, size)
+            designs = np.hstack([space.whitened_design(effect) for effect in batch])
+            edges = np.arange(0, designs.shape[1] + 1, size)
+            grams = np.stack(space.projector.gram_matrices(designs, edges, slice(None)))
+            norm = np.linalg.norm(designs, axis=0).reshape(-1, size)
             unit = np.where(norm > 0, norm, 1.0)
             information, share, rank = visible_information(
                 grams / (unit[:, :, None] * unit[:, None, :]), norm, MAX_SOLUTION_ROUNDING_ERROR
             )
-            entries += zip(batch, information, share.tolist(), rank.tolist(), repeat(np.zeros((0, 0))))
-    return effect_detectability(entries, len(effects))
+            visible_effects += zip(batch, information, share.tolist(), rank.tolist(), repeat(np.zeros((0, 0))))
+    return effect_detectability(visible_effects, len(effects))
 
 
 def _undetectable_entry(space: ResidualSpace, effect: Effect, size_ratio: float) -> Undetectable:
@@ -80,12 +80,13 @@ def _undetectable_entry(space: ResidualSpace, effect: Effect, size_ratio: float)
 
     `size_ratio` is its smallest detectable size divided by a large but plausible size.
     """
-    sizes = np.diag([p.prior_sigma for p in effect.parameters])
+    plausible_changes = np.diag([p.prior_sigma for p in effect.parameters])
     distortion = round(
-        max(target_distortion(space, space.whitened_signature(effect) @ size) for size in sizes), DISTORTION_DECIMALS
+        max(target_distortion(space, space.whitened_design(effect) @ size_text) for size_text in plausible_changes),
+        DISTORTION_DECIMALS,
     )
-    size = f"only from {size_ratio:.0f} times its plausible size on" if np.isfinite(size_ratio) else "at no size"
-    reason = f"poses, targets and instrument parameters absorb the effect, which would be detected {size}"
+    size_text = f"only from {size_ratio:.0f} times its plausible size on" if np.isfinite(size_ratio) else "at no size"
+    reason = f"poses, targets and instrument parameters absorb the effect, which would be detected {size_text}"
     factor = size_ratio if np.isfinite(size_ratio) else None
     return Undetectable(
         effect=effect.name,
@@ -106,7 +107,7 @@ def target_distortion(space: ResidualSpace, shift: Floats) -> float:
 
 
 def separating_measurement(
-    adjustment: Adjustment, effect: str, equivalents: Iterable[str], other_effects: Sequence[Signature]
+    adjustment: Adjustment, effect: str, equivalents: Iterable[str], other_effects: Sequence[LinearEffect]
 ) -> str:
     """Sentence on the measurement that discriminates an effect from its equivalents; empty without equivalents.
 
@@ -124,7 +125,7 @@ def separating_measurement(
     return rank_deciding_measurements(adjustment, explanations, other_effects, stops_at_first=True).advice_sentence
 
 
-def ambiguous_explanations(diagnosis: Diagnosis) -> tuple[tuple[str, ...], tuple[Signature, ...]]:
+def ambiguous_explanations(diagnosis: Diagnosis) -> tuple[tuple[str, ...], tuple[LinearEffect, ...]]:
     """Names of the explanations of the first ambiguous finding, and the effects of all other findings.
 
     Both are empty for a diagnosis without an ambiguous finding.

@@ -16,7 +16,7 @@ from ltsim.calibration.prior_information import EarlierCalibrations
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_DIAGNOSED_POINTINGS
 from ltsim.diagnosis.assembly import assemble_diagnosis
-from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures
+from ltsim.diagnosis.catalogue_designs import CatalogueDesigns
 from ltsim.diagnosis.detect import detect
 from ltsim.diagnosis.detectability import detectability_report
 from ltsim.diagnosis.diagnosis import Diagnosis
@@ -36,8 +36,8 @@ from ltsim.diagnosis.preprocessing import adapted_baseline, is_consistent_when_o
 from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS
 from ltsim.diagnosis.schema import Finding
 from ltsim.diagnosis.selection_state import SelectionState
+from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.effects.noise_level import NoiseLevel
-from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.responses import VARIED_CONSTANTS, constants_of_slot
 from ltsim.physics.model.construction import declared_construction
@@ -89,8 +89,8 @@ def diagnose(
 
     Raises
     ------
-    RecordError
-        When the history is of other instruments or another construction, or `level` is not a false-alarm rate.
+        RecordError When the history is of other instruments or of another geometric error model, or `level` is not a
+        false-alarm rate.
     """
     if not SINGLE_LEVEL <= level < 1.0:
         raise RecordError(f"the level is {level:g}; expected a false-alarm rate from {SINGLE_LEVEL:g} to 1")
@@ -168,12 +168,12 @@ Its arguments are an adjustment, and the smallest log evidence of a contradictio
 
 def _search_recording(
     case: SelectionState, comparison: ConstantComparison, *, mismatch: bool
-) -> tuple[tuple[ResidualSpace, CatalogueSignatures], Model, Refit]:
-    """Residual space and catalogue signatures before the search, the selected model, and its nonlinear refit.
+) -> tuple[tuple[ResidualSpace, CatalogueDesigns], Model, Refit]:
+    """Residual space and catalogue design matrices before the search, the selected model, and its nonlinear refit.
 
     The model is empty without a `mismatch`.
     """
-    beginning = case.space, case.searcher.catalogue_signatures
+    beginning = case.space, case.searcher.catalogue_designs
     model = _select_model(case, MIN_EFFECT_LOG_EVIDENCE, comparison) if mismatch else case.empty_model
     return beginning, *_refit_model(case, model)
 
@@ -189,14 +189,15 @@ def _contradicting_constants(
     if not model.members:
         return with_model
     contradictions = comparison(case.space.adjustment, MIN_EFFECT_LOG_EVIDENCE).contradictions
-    size = {
+    difference_by_constant = {
         (contradiction.instruments, contradiction.parameter.name): abs(contradiction.difference)
         for contradiction in contradictions
     }
     return tuple(
         c
         for c in with_model
-        if abs(c.difference) > MIN_REMAINING_OFFSET * size.get((c.instruments, c.parameter.name), np.inf)
+        if abs(c.difference)
+        > MIN_REMAINING_OFFSET * difference_by_constant.get((c.instruments, c.parameter.name), np.inf)
     )
 
 
@@ -298,8 +299,8 @@ def _most_probable_noise(
     `ranked` are pairs of log evidence and a change of the noise. `log_evidence_of_effects` is the log of the summed
     evidence of all other hypotheses.
     """
-    values = np.array([value for value, _ in ranked])
-    weights = np.exp(values - log_sum_exp(np.array([0.0, log_evidence_of_effects, *values])))
+    log_evidences = np.array([value for value, _ in ranked])
+    weights = np.exp(log_evidences - log_sum_exp(np.array([0.0, log_evidence_of_effects, *log_evidences])))
     p_by_name: dict[str, float] = {}
     for (_, entry), weight in zip(ranked, weights.tolist(), strict=True):
         p_by_name[entry.effect.name] = min(p_by_name.get(entry.effect.name, 0.0) + weight, 1.0)

@@ -147,8 +147,8 @@ class Diagnosis(ResultFile):
         """Table of the targets, with the change of each coordinate against the ordinary adjustment."""
         sigma = np.sqrt(np.einsum("tii->ti", self.targets.covariance))
         change = self.targets.points - self.baseline_adjustment.state.target_points
-        rows = np.concatenate([self.targets.points, sigma, change], axis=1) / MILLIMETRE
-        named = zip(self.final_adjustment.recording.targets, rows, strict=True)
+        coordinate_rows = np.concatenate([self.targets.points, sigma, change], axis=1) / MILLIMETRE
+        named = zip(self.final_adjustment.recording.targets, coordinate_rows, strict=True)
         return DIAGNOSED_TARGETS_TABLE.with_rows([name, *row] for name, row in named)
 
     def _fit_table(self) -> Table:

@@ -30,9 +30,9 @@ def best_ratio(
     Parameters
     ----------
     gram : (w k, w k) float
-        Products of the projected signature with itself, for w components with k coefficients each.
+        Products of the projected design columns with each other, for w components with k coefficients each.
     score : (w k,) float
-        Products of the projected signature with the residuals.
+        Products of the projected design columns with the residuals.
     plausible_sizes : (w k,) float
         Plausible sizes of the coefficients, equal in all components.
     """
@@ -42,23 +42,23 @@ def best_ratio(
     coefficients = coefficient_posterior(gram, score, plausible_sizes)[0].reshape(n_components, k)
     ratio = np.linalg.svd(coefficients / plausible_sizes[:k], full_matrices=False)[0][:, 0]
     for _ in range(MAX_ITERATIONS):
-        mean = coefficient_posterior(np.einsum("i,iajb,j->ab", ratio, products, ratio), ratio @ scores, common_spread)[
-            0
-        ]
-        normal = np.einsum("a,iajb,b->ij", mean, products, mean)
-        step = np.linalg.lstsq(normal, scores @ mean, rcond=1e-9)[0]
+        coefficient_means = coefficient_posterior(
+            np.einsum("i,iajb,j->ab", ratio, products, ratio), ratio @ scores, common_spread
+        )[0]
+        normal = np.einsum("a,iajb,b->ij", coefficient_means, products, coefficient_means)
+        step = np.linalg.lstsq(normal, scores @ coefficient_means, rcond=1e-9)[0]
         if not step.any():
             break
         previous, ratio = ratio, step / np.linalg.norm(step)
         if np.abs(ratio - previous).max() < MAX_ROUNDING_ERROR:
             break
     ratio = np.round(ratio * np.sign(ratio[np.argmax(np.abs(ratio))]), RATIO_DECIMALS)
-    inner = np.einsum("i,iajb,j->ab", ratio, products, ratio)
-    mean = coefficient_posterior(inner, ratio @ scores, common_spread)[0]
-    cross = np.einsum("a,iajb,j->ib", mean, products, ratio)
-    curvature = np.einsum("a,iajb,b->ij", mean, products, mean)
-    curvature -= cross @ np.linalg.solve(inner + np.diag(common_spread**-2.0), cross.T)
-    evidence = float(log_evidence_of_coefficients(inner, ratio @ scores, common_spread))
+    component_gram = np.einsum("i,iajb,j->ab", ratio, products, ratio)
+    coefficient_means = coefficient_posterior(component_gram, ratio @ scores, common_spread)[0]
+    cross = np.einsum("a,iajb,j->ib", coefficient_means, products, ratio)
+    curvature = np.einsum("a,iajb,b->ij", coefficient_means, products, coefficient_means)
+    curvature -= cross @ np.linalg.solve(component_gram + np.diag(common_spread**-2.0), cross.T)
+    evidence = float(log_evidence_of_coefficients(component_gram, ratio @ scores, common_spread))
     return tuple(ratio.tolist()), evidence, _log_share_of_ratios(curvature, ratio)
 
 
@@ -67,8 +67,10 @@ def _log_share_of_ratios(curvature: Floats, ratio: Floats) -> float:
 
     `curvature` (w, w) is the curvature of the log evidence at the best `ratio` (w,).
     """
-    count = len(ratio)
+    n_components = len(ratio)
     tangent = np.linalg.svd(ratio[None])[2][1:]
     strength = np.maximum(np.linalg.eigvalsh(tangent @ curvature @ tangent.T), 1e-12)
-    log_area = 0.5 * count * np.log(np.pi) - gammaln(0.5 * count)  # of the half sphere in `count` dimensions
+    log_area = 0.5 * n_components * np.log(np.pi) - gammaln(
+        0.5 * n_components
+    )  # of the half sphere in `n_components` dimensions
     return float(min(0.5 * np.sum(np.log(2.0 * np.pi / strength)) - log_area, 0.0))

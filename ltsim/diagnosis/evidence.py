@@ -1,13 +1,12 @@
 """Log marginal likelihoods (evidence) of the hypotheses of a diagnosis.
 
 Let r be the whitened residuals, and P the projector onto the residual space, which removes all that the ordinary
-adjustment estimates. A hypothesis has a signature g and coefficients b ~ N(0, t^2 L) with a size factor t; the diagonal
-matrix L contains the squares of the plausible sizes. Its log marginal likelihood ratio relative to the model without it
-is
-    log B = sum_j [ z_j^2 t^2 / (1 + t^2 d_j) - log(1 + t^2 d_j) ] / 2.
-Here d_j are the eigenvalues of L^1/2 g' P g L^1/2, and z_j the scores L^1/2 g' r along its eigenvectors. The ratio is
-averaged over the size factors t. It is also averaged over places, shapes and length scales, which penalises hypotheses
-with many of them. Changes of the noise enter by their restricted likelihood, averaged over a grid of sizes.
+adjustment estimates. A hypothesis has a design matrix g and coefficients b ~ N(0, t^2 L) with a size factor t; the
+diagonal matrix L contains the squares of the plausible sizes. Its log marginal likelihood ratio relative to the model
+without it is log B = sum_j [ z_j^2 t^2 / (1 + t^2 d_j) - log(1 + t^2 d_j) ] / 2. Here d_j are the eigenvalues of L^1/2
+g' P g L^1/2, and z_j the scores L^1/2 g' r along its eigenvectors. The ratio is averaged over the size factors t. It is
+also averaged over places, shapes and length scales, which penalises hypotheses with many of them. Changes of the noise
+enter by their restricted likelihood, averaged over a grid of sizes.
 
 Shapes below: m rows of the residual space, h hypotheses, k coefficients, and a number of trials (simulated recordings).
 
@@ -33,20 +32,20 @@ from ltsim.calibration.evidence import (
 )
 from ltsim.core.arrays import Bools, Floats, Ints, Singles, batches
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.effects.outlier import OBSERVABLE_COLUMN, Outlier
-from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.recordings.recording import OBSERVABLES
 
 
-def index_of_best(values: Floats) -> int:
+def index_of_best(log_evidences: Floats) -> int:
     """Index of the largest value. If several values are equal, as on a plateau, it is the middle index of these."""
-    ties = np.flatnonzero(values >= np.max(values) - MAX_SOLUTION_ROUNDING_ERROR)
+    ties = np.flatnonzero(log_evidences >= np.max(log_evidences) - MAX_SOLUTION_ROUNDING_ERROR)
     return int(ties[(len(ties) - 1) // 2])
 
 
-def ranked_indices(values: Floats, max_difference: float = MAX_SOLUTION_ROUNDING_ERROR) -> Ints:
+def ranked_indices(log_evidences: Floats, max_difference: float = MAX_SOLUTION_ROUNDING_ERROR) -> Ints:
     """Indices in the order of decreasing values. Values within `max_difference` keep their order."""
-    falling = np.nan_to_num(-values)
+    falling = np.nan_to_num(-log_evidences)
     order = np.argsort(falling, kind="stable")
     group = np.cumsum(np.diff(falling[order]) > max_difference)
     return order[np.lexsort((order, np.append(0, group)[: len(order)]))]
@@ -63,18 +62,18 @@ def simulated_log_evidence(scores: Floats, eigenvalues: Floats) -> Floats:
 
     `scores` (h, k, trials) and `eigenvalues` (h, k) are those of k eigenvectors.
     """
-    parts = [
+    log_evidence_parts = [
         _log_sum_exp_in_place(logs, 1) for logs in _simulated_log_evidence(scores, eigenvalues, np.zeros(len(scores)))
     ]
-    evidence: Floats = np.concatenate(parts).astype(np.float64)
+    evidence: Floats = np.concatenate(log_evidence_parts).astype(np.float64)
     return evidence
 
 
 def simulated_log_total(scores: Singles, eigenvalues: Floats, log_prior: Floats) -> Floats:
     """Log (trials,) of the sum of the evidence of all hypotheses with their priors (h,), for simulated residuals."""
     flattened = scores.reshape(-1, *scores.shape[-2:]), eigenvalues.reshape(-1, scores.shape[-2])
-    parts = [_log_sum_exp_in_place(logs, (0, 1)) for logs in _simulated_log_evidence(*flattened, log_prior)]
-    return log_sum_exp(np.stack(parts).astype(np.float64))
+    log_total_parts = [_log_sum_exp_in_place(logs, (0, 1)) for logs in _simulated_log_evidence(*flattened, log_prior)]
+    return log_sum_exp(np.stack(log_total_parts).astype(np.float64))
 
 
 def _simulated_log_evidence(scores: Floats | Singles, eigenvalues: Floats, log_prior: Floats) -> Iterator[Singles]:
@@ -91,8 +90,8 @@ def _log_sum_exp_in_place(logs: Singles, axis: int | tuple[int, ...]) -> Singles
     """Log of the sum of exp(logs) along `axis`. The array `logs` is overwritten."""
     top = logs.max(axis=axis, keepdims=True)
     np.exp(np.subtract(logs, top, out=logs), out=logs)
-    total: Singles = np.log(logs.sum(axis=axis)) + top.squeeze(axis)
-    return total
+    log_total: Singles = np.log(logs.sum(axis=axis)) + top.squeeze(axis)
+    return log_total
 
 
 def log_restricted_likelihood_ratio(squares: Floats, redundancy: Floats, variance_factor: Floats) -> Floats:
@@ -119,11 +118,11 @@ def log_evidence_of_wrong_readings(
     log_prior : float
         Log prior probability that any reading is wrong. It is divided equally among all readings.
     """
-    sizes = np.concatenate([Outlier(observable=name).size_scales for name in OBSERVABLE_COLUMN])
-    scale = (sizes / space.sigma)[space.used_readings]
+    plausible_sizes = np.concatenate([Outlier(observable=name).size_scales for name in OBSERVABLE_COLUMN])
+    scale = (plausible_sizes / space.sigma)[space.used_readings]
     score, eigenvalues = residual[: len(scale)] * scale, np.maximum(redundancy[: len(scale)], 0.0) * scale**2
-    values = log_evidence((score**2)[:, None], eigenvalues[:, None]) + log_prior - np.log(len(scale))
-    return float(np.maximum(values, 0.0).sum())
+    log_evidences = log_evidence((score**2)[:, None], eigenvalues[:, None]) + log_prior - np.log(len(scale))
+    return float(np.maximum(log_evidences, 0.0).sum())
 
 
 def log_means_by_group(values: Floats, groups: Ints, n_groups: int) -> Floats:
@@ -134,9 +133,9 @@ def log_means_by_group(values: Floats, groups: Ints, n_groups: int) -> Floats:
     order = np.argsort(groups, kind="stable")
     starts = np.searchsorted(groups[order], np.arange(n_groups))
     top = np.maximum.reduceat(values[order], starts, axis=0)
-    total = np.add.reduceat(np.exp(values[order] - top[groups[order]]), starts, axis=0)
-    size = np.bincount(groups, minlength=n_groups).reshape(-1, *([1] * (values.ndim - 1)))
-    means: Floats = top + np.log(total / size)
+    group_sums = np.add.reduceat(np.exp(values[order] - top[groups[order]]), starts, axis=0)
+    group_sizes = np.bincount(groups, minlength=n_groups).reshape(-1, *([1] * (values.ndim - 1)))
+    means: Floats = top + np.log(group_sums / group_sizes)
     return means
 
 
@@ -146,9 +145,9 @@ def log_evidence_of_coefficients(gram: Floats, score: Floats, plausible_sizes: F
     Parameters
     ----------
     gram : (..., k, k) float
-        Gram matrix of the projected signature.
+        Gram matrix of the projected design matrix.
     score : (..., k) float
-        Product of the signature with the residuals.
+        Product of the design matrix with the residuals.
     plausible_sizes : (..., k) float
         Plausible sizes of the coefficients.
     """
@@ -174,10 +173,10 @@ def coefficient_posterior(
     weight = normalised_probabilities(log_evidences)
     variances = sizes[:, None] ** 2 / (1.0 + sizes[:, None] ** 2 * eigenvalues)
     means = variances * z
-    mean = weight @ means
-    deviations = means - mean
-    inner = np.diag(weight @ variances) + (weight[:, None] * deviations).T @ deviations
-    return turn @ mean, turn @ inner @ turn.T, float(log_sum_exp(log_evidences))
+    averaged_mean = weight @ means
+    deviations = means - averaged_mean
+    inner_covariance = np.diag(weight @ variances) + (weight[:, None] * deviations).T @ deviations
+    return turn @ averaged_mean, turn @ inner_covariance @ turn.T, float(log_sum_exp(log_evidences))
 
 
 def _eigen_decomposition(gram: Floats, plausible_sizes: Floats) -> tuple[Floats, Floats]:
@@ -192,7 +191,7 @@ def _eigen_decomposition(gram: Floats, plausible_sizes: Floats) -> tuple[Floats,
 MAX_AVERAGED_HYPOTHESES = 12
 """Largest number of hypotheses, the most probable first, over which an estimate is averaged (processor time)."""
 N_REFINED = 7
-"""Number of hypotheses of a kind (families of effects, of noise, and laws, also at each place), the best ones of an
+"""Number of hypotheses of a kind (catalogue effects, noise changes, and laws, also at each place), the best ones of an
 approximation, that are evaluated without it (processor time).
 """
 MAX_REFINED_DEFICIT = 10.0
@@ -209,12 +208,12 @@ def wide_prior_posterior(gram: Floats, score: Floats, plausible_sizes: Floats) -
     return coefficient_posterior(gram, score, plausible_sizes, np.array([WIDE_PRIOR_SIZES]), np.zeros(1))
 
 
-def log_sign_weight(mean: float, sigma: float) -> float:
+def log_sign_weight(posterior_mean: float, sigma: float) -> float:
     """Log factor on the evidence of a parameter that cannot be negative, from its posterior mean and deviation.
 
     The factor is twice the posterior probability of a positive size.
     """
-    return float(np.log(2.0) + log_ndtr(mean / max(sigma, 1e-300)))
+    return float(np.log(2.0) + log_ndtr(posterior_mean / max(sigma, 1e-300)))
 
 
 def log_evidence_of_effect(effect: CandidateEffect, gram: Floats, score: Floats) -> float:
@@ -296,8 +295,8 @@ def log_bayes_factor_discrepancy(space: ResidualSpace, shift: Floats, residual: 
     kind = np.nonzero(space.used_readings)[1]
     rows = np.flatnonzero(shift[: len(kind)])
     kind, square, share = kind[rows], residual[rows] ** 2, redundancy[rows]
-    count = np.maximum(np.bincount(kind, minlength=3), 1)
-    size = (np.bincount(kind, shift[rows] ** 2, minlength=3) / count)[kind]
-    variance = 1.0 + DISCREPANCY_RATIOS[:, None] ** 2 * size
+    n_by_kind = np.maximum(np.bincount(kind, minlength=3), 1)
+    mean_squares = (np.bincount(kind, shift[rows] ** 2, minlength=3) / n_by_kind)[kind]
+    variance = 1.0 + DISCREPANCY_RATIOS[:, None] ** 2 * mean_squares
     log_likelihood_ratios = log_restricted_likelihood_ratio(square, share, variance).sum(axis=1)
     return float(log_sum_exp(log_likelihood_ratios) - np.log(len(DISCREPANCY_RATIOS)))

@@ -1,7 +1,7 @@
 """Gram matrices, scores and log evidence of effects given a model, without approximation, for many effects at a time.
 
-The residuals and the basis of a model lie in the residual space. A signature therefore has to be projected only for its
-products with itself, which are the same for every model.
+The residuals and the basis of a model lie in the residual space. A design matrix therefore has to be projected only for
+its products with itself, which are the same for every model.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,7 +15,7 @@ from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Floats, Ints
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.evidence import index_of_best, log_evidence_of_coefficients, log_evidence_of_effect
 from ltsim.diagnosis.hypotheses import Model
-from ltsim.physics.effects.signature import CandidateEffect
+from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.responses import RESPONSES_BY_NAME
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
@@ -47,14 +47,15 @@ class EvidenceCalculator:
     def gram_and_score(self, effects: Sequence[CandidateEffect], base_model: Model) -> list[tuple[Floats, Floats]]:
         """Gram matrix (k, k) and score (k,) of each effect, given the adjustment and a model.
 
-        They are the products of the projected signature of its k parameters with itself and with the residuals.
+        They are the products of the projected design columns of its k parameters with each other and with the
+        residuals.
         """
         moments: dict[int, tuple[Floats, Floats]] = {}
         for rows, members in self._batches(effects):
             batch_effects = [effects[i] for i in members]
-            signatures, edges = self._adjacent_signatures(batch_effects, rows)
-            self._cache_projected_grams(batch_effects, signatures, edges, rows)
-            overlap, score = base_model.basis[rows.rows].T @ signatures, base_model.residual[rows.rows] @ signatures
+            designs, edges = self._adjacent_designs(batch_effects, rows)
+            self._cache_projected_grams(batch_effects, designs, edges, rows)
+            overlap, score = base_model.basis[rows.rows].T @ designs, base_model.residual[rows.rows] @ designs
             for i, low, high in zip(members, edges[:-1], edges[1:], strict=True):
                 part = overlap[:, low:high]
                 moments[i] = self._grams[effects[i]] - part.T @ part, score[low:high]
@@ -62,19 +63,19 @@ class EvidenceCalculator:
 
     def log_evidence(self, effects: Sequence[CandidateEffect], base_model: Model) -> Floats:
         """Log marginal likelihood ratio (effects,) of each effect given a model, averaged over sizes."""
-        values = np.zeros(len(effects))
+        log_evidences = np.zeros(len(effects))
         by_size: dict[int, list[int]] = {}
         moments = self.gram_and_score(effects, base_model)
         for i, (effect, (gram, score)) in enumerate(zip(effects, moments, strict=True)):
             if any(p.is_positive for p in effect.parameters):
-                values[i] = log_evidence_of_effect(effect, gram, score)
+                log_evidences[i] = log_evidence_of_effect(effect, gram, score)
             else:
                 by_size.setdefault(len(score), []).append(i)
         for members in by_size.values():
             spreads = np.stack([effects[i].size_scales for i in members])
             grams, scores = (np.stack([moments[i][j] for i in members]) for j in (0, 1))
-            values[members] = log_evidence_of_coefficients(grams, scores, spreads)
-        return values
+            log_evidences[members] = log_evidence_of_coefficients(grams, scores, spreads)
+        return log_evidences
 
     def refine_locally(self, effects: Sequence[CachedType], base_model: Model) -> list[tuple[CachedType, float]]:
         """Best effect of a local search from each effect over its neighbours, with a log evidence.
@@ -103,12 +104,12 @@ class EvidenceCalculator:
                     moving_indices.append(i)
         return list(zip(best, means.tolist(), strict=True))
 
-    def whitened_signature(self, effect: CandidateEffect) -> Floats:
-        """Whitened signature (m, k) of an effect with k parameters, on all m rows of the residual space."""
-        rows = self._rows_of(effect)
-        signature = np.zeros((self.space.n_rows, len(effect.parameters)))
-        signature[rows.rows] = self._adjacent_signatures([effect], rows)[0]
-        return signature
+    def whitened_design(self, effect: CandidateEffect) -> Floats:
+        """Whitened design matrix (m, k) of an effect with k parameters, on all m rows of the residual space."""
+        residual_rows = self._rows_of(effect)
+        design_columns = np.zeros((self.space.n_rows, len(effect.parameters)))
+        design_columns[residual_rows.rows] = self._adjacent_designs([effect], residual_rows)[0]
+        return design_columns
 
     def _batches(self, effects: Sequence[CandidateEffect]) -> Iterator[tuple[ResidualRows, list[int]]]:
         """Batches of effects that act on the same rows, as pairs of the rows and the indices of the effects.
@@ -137,46 +138,46 @@ class EvidenceCalculator:
                 self._rows[place] = ResidualRows(acting_rows, self._pointing[acting_rows])
         return self._rows[place]
 
-    def _adjacent_signatures(self, effects: Sequence[CandidateEffect], rows: ResidualRows) -> tuple[Floats, Ints]:
-        """Whitened signatures of effects side by side, (r, q) on r rows, and the index of the first column of each.
+    def _adjacent_designs(self, effects: Sequence[CandidateEffect], residual_rows: ResidualRows) -> tuple[Floats, Ints]:
+        """Whitened design columns of effects side by side, (r, q) on r rows, and the index of the first column of each.
 
         The q columns are the parameters of all effects. The indices end with q.
         """
         edges = np.append(0, np.cumsum([len(effect.parameters) for effect in effects]))
         if not isinstance(effects[0], EmpiricalLaw):
-            return np.hstack([self.space.whitened_signature(effect) for effect in effects]), edges
-        signatures = np.empty((len(rows.pointing), edges[-1]))
+            return np.hstack([self.space.whitened_design(effect) for effect in effects]), edges
+        designs = np.empty((len(residual_rows.pointing), edges[-1]))
         response_changes: dict[str, Floats] = {}
         for effect, low, high in zip(effects, edges[:-1], edges[1:], strict=True):
             assert isinstance(effect, EmpiricalLaw)
             name = effect.response.name
             if name not in response_changes:
-                response_changes[name] = self._response_changes(name)[rows.rows]
-            moved = effect.change_along_direction(response_changes[name], self.space.sightings, rows.pointing)
-            columns = effect.columns(self.space.sightings)[rows.pointing]
-            shape = len(signatures), moved.shape[1], columns.shape[1]
-            np.multiply(moved[:, :, None], columns[:, None, :], out=signatures[:, low:high].reshape(shape))
-        return signatures, edges
+                response_changes[name] = self._response_changes(name)[residual_rows.rows]
+            moved = effect.change_along_direction(response_changes[name], self.space.sightings, residual_rows.pointing)
+            columns = effect.columns(self.space.sightings)[residual_rows.pointing]
+            shape = len(designs), moved.shape[1], columns.shape[1]
+            np.multiply(moved[:, :, None], columns[:, None, :], out=designs[:, low:high].reshape(shape))
+        return designs, edges
 
     def _response_changes(self, name: str) -> Floats:
-        """Whitened change (m, c) of the readings per unit of each of c components of a response, computed once."""
+        """Whitened change (m, c) of the readings per unit of each of c components of a changed quantity, cached."""
         if name not in self._changes_by_response:
             self._changes_by_response[name] = self.space.whiten(RESPONSES_BY_NAME[name][1](self.space.sightings))
         return self._changes_by_response[name]
 
     def _cache_projected_grams(
-        self, effects: Sequence[CandidateEffect], signatures: Floats, edges: Ints, rows: ResidualRows
+        self, effects: Sequence[CandidateEffect], designs: Floats, edges: Ints, residual_rows: ResidualRows
     ) -> None:
-        """Computation of the Gram matrices of the projected signatures of new effects, which are then cached.
+        """Computation of the Gram matrices of the projected design columns of new effects, which are then cached.
 
-        `edges` are the indices of the first column of each effect in `signatures`, followed by the number of columns.
+        `edges` are the indices of the first column of each effect in `designs`, followed by the number of columns.
         """
         new_indices = sorted({effect: i for i, effect in enumerate(effects) if effect not in self._grams}.values())
         if not new_indices:
             return
-        columns = signatures
+        columns = designs
         if len(new_indices) < len(effects):
-            columns = np.hstack([signatures[:, edges[i] : edges[i + 1]] for i in new_indices])
+            columns = np.hstack([designs[:, edges[i] : edges[i + 1]] for i in new_indices])
         ends = np.append(0, np.cumsum(np.diff(edges)[new_indices]))
-        grams = self.space.projector.gram_matrices(columns, ends, rows.rows)
+        grams = self.space.projector.gram_matrices(columns, ends, residual_rows.rows)
         self._grams.update(zip((effects[i] for i in new_indices), grams, strict=True))

@@ -38,8 +38,8 @@ from ltsim.diagnosis.words import (
 )
 from ltsim.physics.effects import BASELINE_EFFECTS
 from ltsim.physics.effects.effect import Effect, SlotEffect
+from ltsim.physics.effects.linear_effect import CandidateEffect, n_constants
 from ltsim.physics.effects.outlier import Outlier
-from ltsim.physics.effects.signature import CandidateEffect, n_constants
 from ltsim.physics.laws.centring import CentringVariance
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.places import instrument_places
@@ -84,9 +84,9 @@ class ExplainedRecording:
         ]
         effect, spread = self.refit.effects[member], model.members[member].plausible_sizes
         moments = searcher.evidence_calculator.gram_and_score([effect], other_members)[0]
-        mean = coefficient_posterior(*moments, spread)[0]
+        coefficient_means = coefficient_posterior(*moments, spread)[0]
         redundancy = searcher.space.redundancy - np.sum(model.basis**2, axis=1)
-        shift = searcher.space.whitened_signature(effect) @ mean
+        shift = searcher.space.whitened_design(effect) @ coefficient_means
         likeness = log_bayes_factor_discrepancy(searcher.space, shift, model.residual, redundancy)
         ranking = searcher.ranking(other_members).with_rivals(noises).with_unmodelled_cause(likeness)
         return ranking.with_held_out_evidence(self.held_out_log_odds)
@@ -99,8 +99,10 @@ class ExplainedRecording:
         hypothesis, ranking = self.model.members[member], self.rankings[member]
         if hypothesis.is_catalogued:
             return ranking.probabilities_by_name().get(hypothesis.name, 0.0)
-        acts = set(hypothesis.effect.observables)
-        p_same = ranking.posterior_probability_of(lambda h: not h.is_catalogued and set(h.effect.observables) == acts)
+        changed_observables = set(hypothesis.effect.observables)
+        p_same = ranking.posterior_probability_of(
+            lambda h: not h.is_catalogued and set(h.effect.observables) == changed_observables
+        )
         return p_same + P_EVEN * ranking.p_unmodelled
 
     @cached_property
@@ -141,9 +143,9 @@ class ExplainedRecording:
         the observable, nor the form of the effect is determined.
         """
         effect, gain = self.refit.effects[member], float(self.squared_residual_decreases[member].sum())
-        sizes = [size for size in self.refit.estimates[member] if size.parameter in effect.parameters]
+        size_estimates = [size for size in self.refit.estimates[member] if size.parameter in effect.parameters]
         is_significant = isinstance(effect, EmpiricalLaw) or gain > MIN_SIGNIFICANT_SIGMAS**2 * n_constants(effect)
-        is_significant |= any(abs(size.value) > MIN_SIGNIFICANT_SIGMAS * size.sigma for size in sizes)
+        is_significant |= any(abs(size.value) > MIN_SIGNIFICANT_SIGMAS * size.sigma for size in size_estimates)
         p_located, anywhere = self.p_located[member], FindingScope(covariates=covariate_file_names(effect.covariates))
         is_specific = self._scope(effect) != anywhere or p_located >= MIN_PROBABLE
         if not (is_significant and is_specific):
@@ -157,13 +159,13 @@ class ExplainedRecording:
     def _p_wrong_readings(self, member: int) -> float:
         """Probability that several wrong readings with separate errors are the cause, not an effect in the model."""
         searcher, model = self.state.searcher, self.model
-        others = searcher.model_without(model, member)
+        other_model = searcher.model_without(model, member)
         if isinstance(model.members[member].effect, Outlier):
             return 0.0
-        redundancy = searcher.space.redundancy - np.sum(others.basis**2, axis=1)
-        prior = log_prior_share("named", len(searcher.catalogue_signatures.families))
-        rival = log_evidence_of_wrong_readings(searcher.space, others.residual, redundancy, prior)
-        return float(expit(rival - (model.score - others.score)))
+        redundancy = searcher.space.redundancy - np.sum(other_model.basis**2, axis=1)
+        prior = log_prior_share("named", len(searcher.catalogue_designs.families))
+        rival = log_evidence_of_wrong_readings(searcher.space, other_model.residual, redundancy, prior)
+        return float(expit(rival - (model.score - other_model.score)))
 
     def finding(self, member: int) -> Finding:
         """Finding of an effect in the model, given the other effects in it."""
@@ -174,13 +176,13 @@ class ExplainedRecording:
         probability, rivals = self.probability(member), name_probabilities(ranking.probabilities_by_name(), name)[1]
         p_located = self.p_located[member]
         gain = self.squared_residual_decreases[member]
-        mean = coefficient_posterior(
+        coefficient_means = coefficient_posterior(
             *searcher.evidence_calculator.gram_and_score([effect], others)[0], hypothesis.plausible_sizes
         )[0]
-        signature, rows = space.whitened_signature(effect), int(space.used_readings.sum())
-        shift = signature @ mean
-        projected_signature = searcher.model_of([hypothesis]).projected_signatures[0] @ mean
-        scope = self._scope(effect, active_observables(space.used_readings, shift[:rows], projected_signature[:rows]))
+        design_columns, rows = space.whitened_design(effect), int(space.used_readings.sum())
+        shift = design_columns @ coefficient_means
+        projected_design = searcher.model_of([hypothesis]).projected_designs[0] @ coefficient_means
+        scope = self._scope(effect, active_observables(space.used_readings, shift[:rows], projected_design[:rows]))
         estimates = self._estimates_of(member, hypothesis, others)
         extra_fields: dict[str, Any] = {}
         sentence = ""
@@ -201,7 +203,7 @@ class ExplainedRecording:
             doubt = self._plausibility_sentence(effect, estimates)
             sentence = catalogue_sentence(name, scope, estimates, probability, p_located=p_located) + doubt
         extra_fields["moves_targets_um"] = distortion = target_distortion(space, shift)
-        n_touched = max(int(np.count_nonzero(signature.any(axis=1))), 1)
+        n_touched = max(int(np.count_nonzero(design_columns.any(axis=1))), 1)
         sigmas_text = number_text(np.sqrt(max(float(gain.sum()), 0.0) / n_touched), 2)
         sentence += f" If left uncorrected, it causes residuals of {sigmas_text} sigma (rms)"
         sentence += f" and shifts the targets by {number_text(distortion, 2)} um (rms).{self._readings_sentence(gain)}"
@@ -228,16 +230,17 @@ class ExplainedRecording:
         reading_gain = chi2_decreases[: int(use.sum())]
         order = np.argsort(-reading_gain)
         min_sum = MIN_LISTED_CHI2_FRACTION * max(float(chi2_decreases.sum()), MAX_ROUNDING_ERROR)
-        count = int(np.searchsorted(np.cumsum(reading_gain[order]), min_sum)) + 1
-        if count > MAX_LISTED_ITEMS:
+        n_readings = int(np.searchsorted(np.cumsum(reading_gain[order]), min_sum)) + 1
+        if n_readings > MAX_LISTED_ITEMS:
             return ""
-        at = [
-            (int(row), int(kind)) for row, kind in zip(*(part[order[:count]] for part in np.nonzero(use)), strict=True)
+        row_and_observable = [
+            (int(row), int(kind))
+            for row, kind in zip(*(part[order[:n_readings]] for part in np.nonzero(use)), strict=True)
         ]
         station, target = recording.stations, recording.targets
         names = (
             f"{OBSERVABLES[k]} from {station[recording.station[i]]} to {target[recording.target[i]]} (row {i + 1})"
-            for i, k in at
+            for i, k in row_and_observable
         )
         return f" Most of it is in the {', the '.join(names)}."
 
@@ -250,10 +253,10 @@ class ExplainedRecording:
         effect = self.model.members[member].effect
 
         def scope_of(candidate: CandidateEffect) -> FindingScope:
-            where = self._scope(candidate)
-            if where.targets and not isinstance(effect, EmpiricalLaw):
-                return FindingScope(targets=where.targets)
-            return where.model_copy(update={"observables": tuple(sorted(candidate.observables))})
+            scope = self._scope(candidate)
+            if scope.targets and not isinstance(effect, EmpiricalLaw):
+                return FindingScope(targets=scope.targets)
+            return scope.model_copy(update={"observables": tuple(sorted(candidate.observables))})
 
         scope = scope_of(effect)
         return self.rankings[member].posterior_probability_of(lambda h: scope_of(h.effect) == scope)
@@ -318,15 +321,15 @@ def noise_finding(
     """Finding on a change of the noise, limited to the observables in which the change is significant."""
     effect = hypothesis.effect
     scope = effect_scope(effect, _observables_with_changed_noise(hypothesis, sightings))
-    sizes = zip(effect.parameters, hypothesis.sizes, hypothesis.size_sigmas, strict=True)
-    rows = [ParameterEstimate.from_si(*names) for names in sizes if np.isfinite(names[2])]
+    size_estimates = zip(effect.parameters, hypothesis.sizes, hypothesis.size_sigmas, strict=True)
+    estimates = [ParameterEstimate.from_si(*names) for names in size_estimates if np.isfinite(names[2])]
     more, sentence = {}, ""
     if isinstance(effect, VarianceFunction):
         more = {"formula": effect.text, "carrier": effect.response_text, "driver": effect.regressor_text}
         most = ""
         if effect.group_kind:
-            rows = sorted(rows, key=lambda e: -e.value)[:MAX_REPORTED_NOISE_SIZES]
-            sure = [e for e in rows if e.value > MIN_SIGNIFICANT_SIGMAS * e.sigma] or rows
+            estimates = sorted(estimates, key=lambda e: -e.value)[:MAX_REPORTED_NOISE_SIZES]
+            sure = [e for e in estimates if e.value > MIN_SIGNIFICANT_SIGMAS * e.sigma] or estimates
             worst = {e.name.partition(" at ")[2]: number_text(np.sqrt(1.0 + e.value), 2) for e in reversed(sure)}
             names = [f"{name} ({times})" for name, times in reversed(worst.items())][:2]
             most = f", most at {' and '.join(names)}, as a factor on the declared standard deviation"
@@ -335,25 +338,25 @@ def noise_finding(
             most = f", from {', '.join(f'{low} to {high}' for low, high in zip(ends[::2], ends[1::2], strict=True))}"
         if effect.region is not None:
             most += f", {region_text(effect.region)}"
-            rows += [
+            estimates += [
                 ParameterEstimate(name=f"centre-{axis}", value=value, sigma=effect.region.width, unit="m")
                 for axis, value in zip(effect.region.bounded_axes, effect.region.centre, strict=True)
             ]
         sentence = unknown_effect_sentence(scope, effect.text + most)
         if isinstance(effect, CentringVariance):
-            sentence = effect.sentence(with_sigma(rows[0].value, rows[0].sigma, rows[0].unit))
+            sentence = effect.sentence(with_sigma(estimates[0].value, estimates[0].sigma, estimates[0].unit))
     return Finding(
         effect=effect.name,
         known=not isinstance(effect, VarianceFunction),
         where=scope,
-        parameters=tuple(rows),
+        parameters=tuple(estimates),
         evidence=FindingEvidence(
             chi2_drop=hypothesis.chi2_drop,
-            parameters=len(rows),
+            parameters=len(estimates),
             p_value=detection.p_value_of(hypothesis.evidence),
             probability=hypothesis.probability,
         ),
-        sentence=sentence or catalogue_sentence(effect.name, scope, rows, hypothesis.probability),
+        sentence=sentence or catalogue_sentence(effect.name, scope, estimates, hypothesis.probability),
         equivalents=hypothesis.equivalents,
         **_non_empty_entries(more),
     )
@@ -361,17 +364,17 @@ def noise_finding(
 
 def _observables_with_changed_noise(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str, ...]:
     """Observables whose noise is significantly larger than declared, or smaller if the largest change is a decrease."""
-    sizes = hypothesis.effect.size_scales
-    sizes_in_units = np.array(hypothesis.sizes) / sizes
+    size_scales = hypothesis.effect.size_scales
+    sizes_in_units = np.array(hypothesis.sizes) / size_scales
     signed_sizes = (
         sizes_in_units * np.sign(sizes_in_units[np.argmax(np.abs(sizes_in_units))])
-        > MIN_SIGNIFICANT_SIGMAS * np.array(hypothesis.size_sigmas) / sizes
+        > MIN_SIGNIFICANT_SIGMAS * np.array(hypothesis.size_sigmas) / size_scales
     )
     unit_variance = np.ones((len(sightings), len(OBSERVABLES)))
-    acts = (
-        hypothesis.effect.variance(sightings, unit_variance, np.where(signed_sizes, sizes, 0.0)) != unit_variance
+    is_changed = (
+        hypothesis.effect.variance(sightings, unit_variance, np.where(signed_sizes, size_scales, 0.0)) != unit_variance
     ).any(axis=0)
-    return tuple(name for name, act in zip(OBSERVABLES, acts, strict=True) if act)
+    return tuple(name for name, act in zip(OBSERVABLES, is_changed, strict=True) if act)
 
 
 def law_text(law: EmpiricalLaw, driver: str) -> str:
@@ -381,15 +384,15 @@ def law_text(law: EmpiricalLaw, driver: str) -> str:
     return f"{phrase} differs{suffix}" if law.regressor.kind == "constant" else f"{phrase} follows {driver}{suffix}"
 
 
-def _non_empty_entries(entries: Mapping[str, Any]) -> dict[str, Any]:
+def _non_empty_entries(entry_values: Mapping[str, Any]) -> dict[str, Any]:
     """Entries whose value is not empty."""
-    return {key: value for key, value in entries.items() if value}
+    return {key: value for key, value in entry_values.items() if value}
 
 
 def _is_implausible_size(effect: CandidateEffect, estimates: Sequence[ParameterEstimate]) -> bool:
     """True if a size is much larger than plausible, or negative for a parameter that must be positive."""
-    sizes = zip(effect.parameters, effect.size_scales.tolist(), strict=True)
-    matches = [(e, p, size) for p, size in sizes for e in estimates if e.name == p.name]
+    parameter_scales = zip(effect.parameters, effect.size_scales.tolist(), strict=True)
+    matches = [(e, p, size) for p, size in parameter_scales for e in estimates if e.name == p.name]
     is_large = any(
         abs(e.value) - 2 * e.sigma > MAX_DETECTABLE_SIZE_RATIO * size / p.si_per_display_unit for e, p, size in matches
     )

@@ -14,7 +14,7 @@ from ltsim.diagnosis.schema import Equivalent, Finding, FindingEvidence, Paramet
 from ltsim.diagnosis.scopes import confined_scope
 from ltsim.diagnosis.words import percent_text
 from ltsim.physics.effects import BASELINE_EFFECTS, parameter_text
-from ltsim.physics.effects.signature import Parameter
+from ltsim.physics.effects.linear_effect import Parameter
 from ltsim.recordings.recording import OBSERVABLES
 
 DECLARED_COORDINATES_TEXT = "declared coordinates"
@@ -37,7 +37,7 @@ def gross_error_finding(blunder: IdentifiedBlunder) -> Finding:
 
 def axis_finding(test: ReferenceTest) -> Finding:
     """Finding of a point whose declared coordinates contradict the axes that the other points define."""
-    rows = [
+    estimates = [
         ParameterEstimate(name=f"off along {axis}", value=e / MILLIMETRE, sigma=s / MILLIMETRE, unit="mm")
         for axis, e, s in zip(test.declared_components, test.error.tolist(), test.sigma_error.tolist(), strict=True)
         if np.isfinite(s)
@@ -46,7 +46,7 @@ def axis_finding(test: ReferenceTest) -> Finding:
         effect="unknown",
         known=False,
         where=confined_scope(targets=(test.name,)),
-        parameters=tuple(rows),
+        parameters=tuple(estimates),
         evidence=FindingEvidence(chi2_drop=test.chi2_drop, parameters=test.rank, p_value=None, probability=P_CAP_TESTS),
         sentence=test.sentence[0].upper() + test.sentence[1:] + ".",
         formula=f"the {DECLARED_COORDINATES_TEXT} of {test.name} is wrong",
@@ -119,16 +119,16 @@ def finding_of_test(test: CauseTest) -> Finding:
     """Finding of a test that was accepted as a cause."""
     name = "outlier" if test.kind == "outlier" else EFFECT_BY_CAUSE.get((test.kind, test.acts_on), "unknown")
     observables = (test.acts_on,) if test.acts_on in OBSERVABLES else ()
-    rows: tuple[ParameterEstimate, ...] = ()
+    estimates: tuple[ParameterEstimate, ...] = ()
     if test.estimate is not None:
-        rows = (ParameterEstimate(name="size", value=test.estimate, sigma=test.sigma or 0.0, unit=test.unit),)
+        estimates = (ParameterEstimate(name="size", value=test.estimate, sigma=test.sigma or 0.0, unit=test.unit),)
     formula = f"the {test.acts_on} of {', '.join((*test.where.stations, *test.where.targets))} is wrong"
     wrong = test.kind == "reference-value"
     return Finding(
         effect=name,
         known=name != "unknown",
         where=confined_scope(observables=observables, stations=test.where.stations, targets=test.where.targets),
-        parameters=rows,
+        parameters=estimates,
         evidence=FindingEvidence(
             chi2_drop=test.statistic, parameters=test.dof, p_value=test.p_value, probability=test.probability or 1.0
         ),

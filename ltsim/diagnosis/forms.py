@@ -160,10 +160,10 @@ def _forms_at_set_ups(calculator: EvidenceCalculator, form: Hypothesis, base_mod
     laws = [x for x, n in zip(laws, n_pointings, strict=True) if n >= MIN_POINTINGS_PER_COEFFICIENT * len(x.parameters)]
     share = P_SINGLE_SET_UP.get(law.response.kind, P_RARE_FORM)
     log_prior = form.log_prior + float(np.log(share / max(len(laws), 1)))
-    values = calculator.log_evidence(laws, base_model)
+    log_evidences = calculator.log_evidence(laws, base_model)
     hypotheses = [
         Hypothesis(x, log_prior, float(value) + log_prior, catalogue_name(x))
-        for x, value in zip(laws, values, strict=True)
+        for x, value in zip(laws, log_evidences, strict=True)
     ]
     with_ratios = [
         other for hypothesis in hypotheses for other in _forms_with_ratio(calculator, hypothesis, base_model)
@@ -249,11 +249,11 @@ def response_curve(law: EmpiricalLaw, sightings: Sightings, mean: Floats, covari
         at, columns = x[chosen], law.columns(sightings)[law.row_weights(sightings) > 0][chosen]
     unit, factor = law.response.display_unit_of(int(np.argmax(np.abs(way))))
     sigma = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", columns, covariance, columns), 0.0))
-    values = columns @ mean
+    curve_values = columns @ mean
     return ResponseCurve(
         covariate=regressor.covariates[0],
         unit=unit,
         at=tuple(at.tolist()),
-        value=tuple((values * factor).tolist()),
+        value=tuple((curve_values * factor).tolist()),
         sigma=tuple((sigma * factor).tolist()),
     )

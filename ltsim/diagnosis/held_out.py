@@ -93,8 +93,8 @@ def fold_rows(space: ResidualSpace, seed: int) -> list[Ints]:
     pointing, sightings = np.nonzero(space.used_readings)[0], space.sightings
     pair = np.unique(np.stack([sightings.station, sightings.target]), axis=1, return_inverse=True)[1]
     fold_of_pair = stream(seed, "diagnose", "folds").permutation(int(pair.max(initial=-1)) + 1) % N_FOLDS
-    groups = (np.flatnonzero(fold_of_pair[pair][pointing] == fold) for fold in range(N_FOLDS))
-    return [rows for rows in groups if len(rows)]
+    row_folds = (np.flatnonzero(fold_of_pair[pair][pointing] == fold) for fold in range(N_FOLDS))
+    return [rows for rows in row_folds if len(rows)]
 
 
 def _normalised_errors_on_fold(residual: Floats, eigenvalues: Floats, eigenvectors: Floats) -> Floats:
@@ -115,6 +115,8 @@ def _selected_model_shift(space: ResidualSpace, searcher: Searcher, threshold: f
     model = searcher.select_model(threshold, requires_member=True)
     if not model.members:
         return np.zeros(space.n_rows)
-    mean = wide_prior_posterior(*model.gram_and_scores, np.concatenate([h.plausible_sizes for h in model.members]))[0]
-    signatures: Sequence[Floats] = [space.whitened_signature(effect) for effect in model.effects]
-    return np.hstack(signatures) @ mean
+    coefficient_means = wide_prior_posterior(
+        *model.gram_and_scores, np.concatenate([h.plausible_sizes for h in model.members])
+    )[0]
+    designs: Sequence[Floats] = [space.whitened_design(effect) for effect in model.effects]
+    return np.hstack(designs) @ coefficient_means

@@ -18,7 +18,7 @@ from ltsim.diagnosis.evidence import index_of_best
 from ltsim.diagnosis.prior import LOG_ODDS_REPEATED, P_UNMODELLED
 from ltsim.diagnosis.schema import Equivalent
 from ltsim.physics.effects import find_effect
-from ltsim.physics.effects.signature import CandidateEffect
+from ltsim.physics.effects.linear_effect import CandidateEffect
 
 MAX_EQUIVALENTS = 3
 """Largest number of other effects that a finding lists because they cannot be excluded."""
@@ -59,10 +59,10 @@ class Model:
 
     members: tuple[Hypothesis, ...]
     """Hypotheses of the model."""
-    projected_signatures: tuple[Floats, ...]
+    projected_designs: tuple[Floats, ...]
     """Change of the m whitened residuals by a unit of each of k coefficients of an effect, (m, k), for each effect."""
-    signature_norms: tuple[Floats, ...]
-    """Lengths (k,) of the columns of each signature before the projection."""
+    design_norms: tuple[Floats, ...]
+    """Lengths (k,) of the design columns of each effect before the projection."""
     baseline_residual: Floats = field(repr=False)
     """Whitened residuals (m,) of the empty model."""
 
@@ -76,7 +76,7 @@ class Model:
         """Orthonormal basis (m, e) of the changes of the m whitened residuals by all effects of the model."""
         if not self.members:
             return np.zeros((len(self.baseline_residual), 0))
-        return orthonormal_columns(np.hstack(self.projected_signatures), np.concatenate(self.signature_norms))
+        return orthonormal_columns(np.hstack(self.projected_designs), np.concatenate(self.design_norms))
 
     @cached_property
     def residual(self) -> Floats:
@@ -86,9 +86,9 @@ class Model:
 
     @cached_property
     def gram_and_scores(self) -> tuple[Floats, Floats]:
-        """Gram matrix (k, k) of all projected signatures, and their products (k,) with the empty model's residuals."""
-        projected_signature = np.hstack(self.projected_signatures)
-        return projected_signature.T @ projected_signature, projected_signature.T @ self.baseline_residual
+        """Gram matrix (k, k) of all projected columns, and their products (k,) with the empty model's residuals."""
+        projected_design = np.hstack(self.projected_designs)
+        return projected_design.T @ projected_design, projected_design.T @ self.baseline_residual
 
     @cached_property
     def discrepancy_penalty(self) -> float:
@@ -98,7 +98,7 @@ class Model:
         """
         if all(h.is_catalogued for h in self.members):
             return 0.0
-        norms = np.concatenate(self.signature_norms)
+        norms = np.concatenate(self.design_norms)
         unit = 1.0 / np.where(norms > 0, norms, 1.0)
         gram, score = self.gram_and_scores
         strength, turn = np.linalg.eigh(gram * np.outer(unit, unit))
@@ -144,9 +144,9 @@ class Ranking:
 
     def with_rivals(self, rivals: Sequence[Hypothesis]) -> Ranking:
         """Ranking that also contains the hypotheses `rivals`."""
-        entries = sorted([*self.entries, *rivals], key=lambda h: -h.log_evidence)
-        total = float(log_sum_exp(np.array([self.log_evidence_total, *(h.log_evidence for h in rivals)])))
-        return Ranking(tuple(entries), total)
+        hypotheses = sorted([*self.entries, *rivals], key=lambda h: -h.log_evidence)
+        log_total = float(log_sum_exp(np.array([self.log_evidence_total, *(h.log_evidence for h in rivals)])))
+        return Ranking(tuple(hypotheses), log_total)
 
     def with_unmodelled_cause(self, log_bayes_factor: float) -> Ranking:
         """Ranking with an unmodelled cause, from its log Bayes factor against the best hypothesis."""
@@ -203,30 +203,32 @@ class Ranking:
 
     def probabilities_by_name(self) -> dict[str, float]:
         """Posterior probability by name of the effect, `unknown` included."""
-        by_name = {"unknown": self.p_unmodelled} if self.p_unmodelled else {}
+        p_by_name = {"unknown": self.p_unmodelled} if self.p_unmodelled else {}
         for hypothesis, weight in zip(self.entries, self.posterior_probabilities.tolist(), strict=True):
-            by_name[hypothesis.name] = min(by_name.get(hypothesis.name, 0.0) + weight, 1.0)
-        return by_name
+            p_by_name[hypothesis.name] = min(p_by_name.get(hypothesis.name, 0.0) + weight, 1.0)
+        return p_by_name
 
 
 def most_probable_name(probabilities: Mapping[str, float]) -> str:
     """Most probable name; `unknown` if that is more probable than all other names together."""
-    by_name = {name: chance for name, chance in probabilities.items() if name != "unknown"}
+    p_by_name = {name: chance for name, chance in probabilities.items() if name != "unknown"}
     return (
         "unknown"
-        if probabilities.get("unknown", 0.0) > sum(by_name.values())
-        else max(by_name, key=lambda name: by_name[name])
+        if probabilities.get("unknown", 0.0) > sum(p_by_name.values())
+        else max(p_by_name, key=lambda name: p_by_name[name])
     )
 
 
 def name_probabilities(probabilities: Mapping[str, float], name: str) -> tuple[float, tuple[Equivalent, ...]]:
     """Probability of a name, and the most probable other names that are not excluded."""
-    others = [
+    equivalents = [
         Equivalent(effect=other_name, probability=p)
         for other_name, p in probabilities.items()
         if other_name != name and p > MIN_REPORTED_PROBABILITY
     ]
-    return probabilities.get(name, 0.0), tuple(sorted(others, key=lambda other: -other.probability)[:MAX_EQUIVALENTS])
+    return probabilities.get(name, 0.0), tuple(
+        sorted(equivalents, key=lambda other: -other.probability)[:MAX_EQUIVALENTS]
+    )
 
 
 def _log_evidence_over_sizes(model: Model) -> float:
@@ -246,8 +248,8 @@ def _log_evidence_over_sizes(model: Model) -> float:
         scale = np.pad(EVIDENCE_SIZES[sizes][:, owner] * spread, ((0, 0), (0, 1)), constant_values=1.0)
         factor = np.linalg.cholesky(bordered_matrix * scale[:, :, None] * scale[:, None, :] + unit_prior)
         fit = 0.5 * np.sum(factor[:, -1, :-1] ** 2, axis=1)  # the last row of the factor holds the solved residual
-        size = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)[:, :-1]), axis=1)
-        value: Floats = fit - size + LOG_SIZE_PRIOR[sizes].sum(axis=1)
+        half_log_determinants = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)[:, :-1]), axis=1)
+        value: Floats = fit - half_log_determinants + LOG_SIZE_PRIOR[sizes].sum(axis=1)
         return value
 
     best, every = np.full(count, int(np.flatnonzero(EVIDENCE_SIZES == 1.0)[0])), np.arange(len(EVIDENCE_SIZES))

@@ -31,7 +31,7 @@ from ltsim.diagnosis.evidence import normalised_probabilities
 from ltsim.diagnosis.prior import log_prior_share
 from ltsim.diagnosis.schema import InstrumentEntry, ParameterEstimate
 from ltsim.physics.effects.effect import Parameter
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 from ltsim.solve.design import scale_to_unit_diagonal
 
@@ -48,14 +48,16 @@ def instrument_entries(adjustment: Adjustment) -> tuple[InstrumentEntry, ...]:
 
 def _instrument_entry(adjustment: Adjustment, instrument: int) -> InstrumentEntry:
     parameters = adjustment.construction.parameters
-    values = adjustment.state.instrument_parameters[instrument]
+    constants = adjustment.state.instrument_parameters[instrument]
     covariance = adjustment.instrument_covariance_of(instrument)
     sigma, prior = np.sqrt(np.maximum(np.diag(covariance), 0.0)), adjustment.problem.prior.sigma[instrument]
     return InstrumentEntry(
         name=adjustment.recording.instruments[instrument],
-        parameters=tuple(ParameterEstimate.from_si(p, v, s) for p, v, s in zip(parameters, values, sigma, strict=True)),
+        parameters=tuple(
+            ParameterEstimate.from_si(p, v, s) for p, v, s in zip(parameters, constants, sigma, strict=True)
+        ),
         determined=tuple(
-            determined_combinations(parameters, *with_plausible_priors(parameters, values, covariance, prior))
+            determined_combinations(parameters, *with_plausible_priors(parameters, constants, covariance, prior))
         ),
     )
 
@@ -147,8 +149,12 @@ def find_contradictions(adjustment: Adjustment, min_log_evidence: float) -> Cont
         [corrected_indices] if len(corrected_indices) > 1 else []
     )
     reference_texts = {group: CONSTANT_REFERENCE_PHRASES[bool(is_corrected[group[0]])] for group in owners}
-    changes = tuple(ConstantChange(group, k, reference_texts[group]) for group in owners for k in range(unit.shape[1]))
-    return compare_constants(adjustment, ExpectedConstants(np.zeros(unit.size), covariance, changes), min_log_evidence)
+    possible_changes = tuple(
+        ConstantChange(group, k, reference_texts[group]) for group in owners for k in range(unit.shape[1])
+    )
+    return compare_constants(
+        adjustment, ExpectedConstants(np.zeros(unit.size), covariance, possible_changes), min_log_evidence
+    )
 
 
 def compare_constants(
@@ -186,15 +192,15 @@ def compare_constants(
             np.einsum("hi,ij,hj->h", change_directions, weight, change_directions),
             change_directions @ score,
         )
-        values = np.full(len(change_directions), -np.inf)
+        log_evidences = np.full(len(change_directions), -np.inf)
         for k in np.flatnonzero(
             (strength > MAX_ROUNDING_ERROR) & ~np.isin(np.arange(len(change_directions)), list(other_changes))
         ):
             change = expectation.changes[k]
-            values[k] = log_prior + _change_log_evidence(
+            log_evidences[k] = log_prior + _change_log_evidence(
                 score_along[k] / strength[k], 1.0 / strength[k] + change.added_variances, change.log_weights
             )
-        return values
+        return log_evidences
 
     odds_by_change = forward_select(logs, min_log_evidence)
     score, weight = score_test(likelihood.information, score_vector, expectation.covariance)
@@ -232,7 +238,7 @@ def compare_constants(
 
 def _contradiction_of_change(
     adjustment: Adjustment,
-    changes: Sequence[ConstantChange],
+    constant_changes: Sequence[ConstantChange],
     log_evidences: Floats,
     change_index: int,
     difference: float,
@@ -244,8 +250,8 @@ def _contradiction_of_change(
     `log_evidences` are those of all changes, `difference` and `sigma` the difference from the reference and its
     standard deviation [SI].
     """
-    change, parameters = changes[change_index], adjustment.construction.parameters
-    rivals = [i for i, other in enumerate(changes) if other.instruments == change.instruments]
+    change, parameters = constant_changes[change_index], adjustment.construction.parameters
+    rivals = [i for i, other in enumerate(constant_changes) if other.instruments == change.instruments]
     share = normalised_probabilities(log_evidences[rivals])
     return ConstantContradiction(
         instruments=tuple(adjustment.recording.instruments[i] for i in change.instruments),
@@ -256,7 +262,7 @@ def _contradiction_of_change(
         p_value=p_value,
         against=change.reference_text,
         rivals={
-            parameters[changes[rivals[i]].constant]: float(share[i])
+            parameters[constant_changes[rivals[i]].constant]: float(share[i])
             for i in np.argsort(-share)
             if share[i] > MIN_REPORTED_PROBABILITY
         },
@@ -292,9 +298,9 @@ class HistoryExpectation:
 
     @classmethod
     def from_calibrations(
-        cls, calibrations: EarlierCalibrations, recording: Recording, construction: Construction
+        cls, calibrations: EarlierCalibrations, recording: Recording, construction: GeometricErrorModel
     ) -> HistoryExpectation:
-        """Expectation from earlier calibrations; raises RecordError for other instruments or another construction."""
+        """Expectation from earlier calibrations; raises RecordError for other instruments or another error model."""
         names = recording.instruments
         if len(calibrations.instruments) < min(len(names), 2):
             raise RecordError(
@@ -309,19 +315,26 @@ class HistoryExpectation:
     def find_contradictions(self, adjustment: Adjustment, min_log_evidence: float) -> ContradictingConstants:
         """Constants that changed since the earlier calibrations, each with a log evidence above `min_log_evidence`."""
         parameters, unit = adjustment.construction.parameters, self.specification
-        at = [k for k, p in enumerate(parameters) if p.name in self.earlier.parameters]
-        names = [parameters[k].name for k in at]
+        parameter_indices = [k for k, p in enumerate(parameters) if p.name in self.earlier.parameters]
+        names = [parameters[k].name for k in parameter_indices]
         covariance = [block / np.outer(u, u) for block, u in zip(self.expected.covariance, unit, strict=True)]
-        changes: list[ConstantChange] = []
+        possible_changes: list[ConstantChange] = []
         for i, block in enumerate(covariance):
-            spreads = zip(*self._additional_variances(block[np.ix_(at, at)], unit[i, at], names), strict=True)
-            changes += [
+            spreads = zip(
+                *self._additional_variances(
+                    block[np.ix_(parameter_indices, parameter_indices)], unit[i, parameter_indices], names
+                ),
+                strict=True,
+            )
+            possible_changes += [
                 ConstantChange((i,), k, self._reference_phrase(parameters[k]), *s)
-                for k, s in zip(at, spreads, strict=True)
+                for k, s in zip(parameter_indices, spreads, strict=True)
             ]
-        mean = (self.expected.mean / unit).ravel()
+        expected_means = (self.expected.mean / unit).ravel()
         return compare_constants(
-            adjustment, ExpectedConstants(mean, linalg.block_diag(*covariance), tuple(changes)), min_log_evidence
+            adjustment,
+            ExpectedConstants(expected_means, linalg.block_diag(*covariance), tuple(possible_changes)),
+            min_log_evidence,
         )
 
     def _additional_variances(self, variance: Floats, unit: Floats, names: list[str]) -> tuple[Floats, Floats]:
@@ -333,8 +346,8 @@ class HistoryExpectation:
         manufacturer. `variance` (k, k) is the expected covariance, `unit` (k,) the specification [SI], and `names` are
         the names of the constants.
         """
-        count = self.earlier.n_calibrations
-        if count == 1:
+        n_calibrations = self.earlier.n_calibrations
+        if n_calibrations == 1:
             return np.zeros((len(unit), 1)), np.zeros((len(unit), 1))
         spread = (
             self.earlier.between_calibration_sigma[[self.earlier.parameters.index(name) for name in names]] ** 2
@@ -343,14 +356,16 @@ class HistoryExpectation:
         precision = (
             np.diag(np.linalg.inv(variance - np.diag(spread))) - 1.0
         )  # of the mean, without the maker's guarantee
-        variances = count / np.maximum(precision, MAX_ROUNDING_ERROR)
+        variances = n_calibrations / np.maximum(precision, MAX_ROUNDING_ERROR)
         usual_variance = variances + np.median(spread) - spread
         added_variance = np.minimum(
             np.outer(variances, VARIANCE_RATIO_GRID - 1.0), np.maximum(1.0 - spread, 0.0)[:, None]
         )
-        shown = (count - 1 + PRIOR_DOF * usual_variance / variances)[:, None]
-        weights = -0.5 * (count - 1 + PRIOR_DOF) * np.log(VARIANCE_RATIO_GRID) - 0.5 * shown / VARIANCE_RATIO_GRID
-        return np.maximum(added_variance * (1.0 + 1.0 / count), -spread[:, None]), weights
+        shown = (n_calibrations - 1 + PRIOR_DOF * usual_variance / variances)[:, None]
+        weights = (
+            -0.5 * (n_calibrations - 1 + PRIOR_DOF) * np.log(VARIANCE_RATIO_GRID) - 0.5 * shown / VARIANCE_RATIO_GRID
+        )
+        return np.maximum(added_variance * (1.0 + 1.0 / n_calibrations), -spread[:, None]), weights
 
     def _reference_phrase(self, parameter: Parameter) -> str:
         """Text of the reference with which a constant is compared."""

@@ -1,8 +1,8 @@
-"""Batch of empirical laws: all combinations of some responses, regressors and places, scored together.
+"""Batch of empirical laws: all combinations of changed quantities, regressors and places, scored together.
 
-The score of a response c with a regressor d at a place is the sum over its pointings of (derivative of c) x (column of
-d) x (residual). Pointings that belong to the same places form a cell. One matrix product for each cell gives the sums
-for all hypotheses.
+The score of a changed quantity c with a regressor d at a place is the sum over its pointings of (derivative of c) x
+(column of d) x (residual). Pointings that belong to the same places form a cell. One matrix product for each cell gives
+the sums for all hypotheses.
 
 Shapes below: n pointings, P places, C responses with c components each, D regressors with k columns each (d of them in
 one step), and v vectors of the null ensemble.
@@ -42,7 +42,7 @@ class ScreenedLaw:
     response: Response
     """Quantity that the law changes."""
     regressor: Regressor
-    """Function on which the response depends."""
+    """Function of covariates on which the changed quantity depends."""
     place: LawPlace
     """Place at which the law acts."""
     log_evidence: float
@@ -118,8 +118,8 @@ class RegressorColumns:
             return self._compute_columns(self._regressors[regressor_range])
         if self._all_columns is None:
             self._all_columns = self._compute_columns(self._regressors)
-        size = self._regressors[0].n_columns
-        return self._all_columns[:, regressor_range.start * size : regressor_range.stop * size]
+        n_columns = self._regressors[0].n_columns
+        return self._all_columns[:, regressor_range.start * n_columns : regressor_range.stop * n_columns]
 
     def release(self) -> None:
         """Removal of the columns from memory, unless they are always cached."""
@@ -127,23 +127,23 @@ class RegressorColumns:
             self._all_columns = None
 
     def _compute_columns(self, regressors: Sequence[Regressor]) -> Singles:
-        size = regressors[0].n_columns
-        columns = np.empty((len(self._sightings), len(regressors) * size), dtype=np.float32)
+        n_columns = regressors[0].n_columns
+        columns = np.empty((len(self._sightings), len(regressors) * n_columns), dtype=np.float32)
         for i, driver in enumerate(regressors):
             made = driver.columns(self._sightings, acts_on_targets=self._acts_on_targets)
-            columns[:, i * size : (i + 1) * size] = made[self._order]
+            columns[:, i * n_columns : (i + 1) * n_columns] = made[self._order]
         return columns
 
 
 @dataclass(frozen=True)
 class LawBatch:
-    """Batch of laws: all combinations of responses, regressors and places.
+    """Batch of empirical laws: all combinations of responses (changed quantities), regressors and places.
 
     The responses are of one kind. The regressors have the same number of columns and of length scales.
     """
 
     responses: tuple[Response, ...]
-    """Responses, C of them, with c components each."""
+    """Quantities that the laws change, C of them, with c components each."""
     regressors: tuple[Regressor, ...]
     """Regressors, D of them, with k columns each."""
     places: tuple[LawPlace, ...]
@@ -151,11 +151,11 @@ class LawBatch:
     partition: RowPartition
     """Partition of the pointings by these places."""
     weights: Singles
-    """Whitened change (n, 3, C, c) of the readings by a plausible size of each component of each response."""
+    """Whitened change (n, 3, C, c) of the readings by a plausible size of each component of each changed quantity."""
     columns: RegressorColumns
     """Columns of the regressors, shared by batches with the same regressors and cells."""
     log_prior: Floats
-    """Log prior (P,) of one response, regressor and length scale at each place."""
+    """Log prior (P,) of one law (response, regressor and length scale) at each place."""
     _quadratic_forms: dict[int, list[tuple[Floats, Singles]]] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -173,19 +173,23 @@ class LawBatch:
         """
         count, size = len(self.regressors), self.regressors[0].n_columns
         products = size * self.weights[0, 0].size * len(self.places)
-        entries = max(products * MIN_SIMULATED_RECORDINGS, self.columns.n_entries_per_regressor)
-        batch_results = [self._log_evidence_at_places(null_ensemble, part) for part in batches(count, entries)]
-        values = np.concatenate([values for values, _ in batch_results], axis=2).reshape(len(self.places), -1)
+        n_entries = max(products * MIN_SIMULATED_RECORDINGS, self.columns.n_entries_per_regressor)
+        batch_results = [self._log_evidence_at_places(null_ensemble, part) for part in batches(count, n_entries)]
+        log_evidences = np.concatenate([log_evidences for log_evidences, _ in batch_results], axis=2).reshape(
+            len(self.places), -1
+        )
         null = log_sum_exp(np.stack([null for _, null in batch_results]))
-        best_index = np.argsort(-np.round(values / MAX_SINGLE_ROUNDING_ERROR), axis=1, kind="stable")[:, :N_REFINED]
+        best_index = np.argsort(-np.round(log_evidences / MAX_SINGLE_ROUNDING_ERROR), axis=1, kind="stable")[
+            :, :N_REFINED
+        ]
         hits = [
             ScreenedLaw(self.responses[i // count], self.regressors[i % count], place, v, prior)
             for place, prior, indices, here in zip(
-                self.places, self.log_prior.tolist(), best_index, values, strict=True
+                self.places, self.log_prior.tolist(), best_index, log_evidences, strict=True
             )
             for i, v in zip(indices.tolist(), here[indices].tolist(), strict=True)
         ]
-        return hits, float(log_sum_exp(values.ravel())), null
+        return hits, float(log_sum_exp(log_evidences.ravel())), null
 
     def _log_evidence_at_places(self, null_ensemble: NullEnsemble, regressor_range: slice) -> tuple[Floats, Floats]:
         """Log evidence (P, C, d) with priors of the laws with a range of d regressors, and null values (trials,).
@@ -225,13 +229,13 @@ class LawBatch:
         return transforms
 
     def _products_with_ensemble(self, null_ensemble: NullEnsemble, columns: Singles) -> Singles:
-        """Products (P, C, d, c k, v) of the signatures of laws with v vectors of the ensemble, at all places.
+        """Products (P, C, d, c k, v) of the design matrices of laws with v vectors of the ensemble, at all places.
 
         `columns` (n, d k) are those of d regressors.
         """
         _, _, count, ways = self.weights.shape
         vectors, d = null_ensemble.probe_vectors.shape[1], columns.shape[1] // self.regressors[0].n_columns
-        sums = np.zeros(
+        cell_sums = np.zeros(
             (len(self.partition.cell_edges) - 1, columns.shape[1], count * ways * vectors), dtype=np.float32
         )
         for part, rows, cells in self.partition.chunks(count * ways * vectors):
@@ -239,23 +243,23 @@ class LawBatch:
             moved = (np.swapaxes(weights, 1, 2) @ null_ensemble.vectors_at(rows)).reshape(len(rows), -1)
             turned = columns[part].T
             for cell, at in cells:
-                sums[cell] += turned[:, at] @ moved[at]
-        products = self.partition.sums_over_places(sums).reshape(len(self.places), d, -1, count, ways, vectors)
+                cell_sums[cell] += turned[:, at] @ moved[at]
+        products = self.partition.sums_over_places(cell_sums).reshape(len(self.places), d, -1, count, ways, vectors)
         return np.ascontiguousarray(products.transpose(0, 3, 1, 4, 2, 5)).reshape(len(products), count, d, -1, vectors)
 
     def _gram_matrices(self, columns: Singles) -> Floats:
-        """Gram matrices (P, C, d, c k, c k) of the signatures of laws, from the `columns` (n, d k) of d regressors."""
+        """Gram matrices (P, C, d, c k, c k) of the designs of laws, from the `columns` (n, d k) of d regressors."""
         _, _, count, ways = self.weights.shape
         k = self.regressors[0].n_columns
         d = columns.shape[1] // k
-        sums = np.zeros((len(self.partition.cell_edges) - 1, count * ways * ways, d * k * k))
+        cell_sums = np.zeros((len(self.partition.cell_edges) - 1, count * ways * ways, d * k * k))
         for part, rows, cells in self.partition.chunks(d * k * k):
             blocks, weights = columns[part].reshape(len(rows), d, k), self.weights[rows]
             pairs = (blocks[:, :, :, None] * blocks[:, :, None, :]).reshape(len(rows), -1)
             turned = np.einsum("nica,nicb->ncab", weights, weights).reshape(len(rows), -1).T
             for cell, at in cells:
-                sums[cell] += turned[:, at] @ pairs[at]
-        grams = self.partition.sums_over_places(sums).reshape(len(self.places), count, ways, ways, d, k, k)
+                cell_sums[cell] += turned[:, at] @ pairs[at]
+        grams = self.partition.sums_over_places(cell_sums).reshape(len(self.places), count, ways, ways, d, k, k)
         return grams.transpose(0, 1, 4, 2, 5, 3, 6).reshape(len(grams), count, d, ways * k, ways * k)
 
 

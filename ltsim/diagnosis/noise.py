@@ -49,8 +49,8 @@ from ltsim.diagnosis.noise_windows import NoiseWindows
 from ltsim.diagnosis.repeats import redundancy_of_means, relative_variance_of_means, repeat_means
 from ltsim.physics.effects import CATALOGUE
 from ltsim.physics.effects.effect import NoiseEffect
+from ltsim.physics.effects.linear_effect import CandidateNoiseEffect
 from ltsim.physics.effects.noise_level import NoiseLevel
-from ltsim.physics.effects.signature import NoiseSignature
 from ltsim.physics.laws.centring import CentringVariance
 from ltsim.physics.laws.places import instrument_places
 from ltsim.physics.laws.variance import REPETITION_KINDS, VarianceFunction
@@ -92,7 +92,7 @@ class NoiseBank:
     hypotheses: list[NoiseHypothesis]
     """Hypotheses with one size, h of them."""
     families: tuple[str, ...]
-    """Names of the families of these hypotheses."""
+    """Names of the kinds of noise change (families) of these hypotheses."""
     family_index: Ints
     """Index (h,) of the family of each hypothesis."""
     factors: NoiseFactors
@@ -113,8 +113,8 @@ class NoiseBank:
         """Noise hypotheses on a residual space. The noise level may be less than declared only if `allows_quieter`."""
         repeat_patterns = [repeat_means(space, faces) for faces in REPETITION_KINDS]
         means = sp.csr_array(sp.vstack(repeat_patterns))
-        sizes = space.n_rows - int(space.used_readings.sum()), *(m.shape[0] for m in repeat_patterns)
-        other_groups = [np.full(size, len(OBSERVABLES) + i) for i, size in enumerate(sizes)]
+        pattern_counts = space.n_rows - int(space.used_readings.sum()), *(m.shape[0] for m in repeat_patterns)
+        other_groups = [np.full(size, len(OBSERVABLES) + i) for i, size in enumerate(pattern_counts)]
         factors = NoiseFactors.from_patterns(
             _noise_patterns(space, hypotheses, repeat_patterns),
             np.concatenate([np.nonzero(space.used_readings)[1], *other_groups]),
@@ -141,8 +141,8 @@ class NoiseBank:
 
     def family_evidence(self, residual: Floats | Singles, redundancy: Floats) -> Floats:
         """Log evidence (families, trials) with priors in the diagonal form, of `families`, then of `group_noises`."""
-        parts = batches(residual.shape[1], len(residual))
-        return np.hstack([self._family_evidence(residual[:, part].astype(np.float64), redundancy) for part in parts])
+        slices = batches(residual.shape[1], len(residual))
+        return np.hstack([self._family_evidence(residual[:, part].astype(np.float64), redundancy) for part in slices])
 
     def _family_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         patterns = self._log_evidence_by_family(self.log_likelihood_ratio(residual, redundancy))
@@ -184,7 +184,7 @@ class NoiseBank:
     def _fine_log_evidence(
         self, members: Ints, best_member: int, ratio: Floats, residual: Floats, redundancy: Floats
     ) -> float:
-        """Log evidence of a family, with a fine grid of sizes of its best effect.
+        """Log evidence of a kind of noise change, with a fine grid of sizes of its best effect.
 
         `members` are the indices of the family's hypotheses, `best_member` is the best of them, and `ratio` contains
         their log likelihood ratios. For an effect with several parameters, each alone and all together are averaged.
@@ -204,13 +204,13 @@ class NoiseBank:
     def ranked_families(
         self, residual: Floats, redundancy: Floats, model_basis: Floats
     ) -> list[tuple[float, NoiseHypothesis]]:
-        """Pairs of log evidence with prior and the best hypothesis of each family, the best family first.
+        """Pairs of log evidence (with prior) and best hypothesis of each kind of noise change, the best kind first.
 
         `residual` (m,), `redundancy` (m,) and the basis `model_basis` (m, e) are those of a model.
         """
         ratio = self.log_likelihood_ratio(residual[:, None], redundancy)
         evidence = self._log_evidence_by_family(ratio)[:, 0]
-        entries = []
+        ranking = []
         for rank, family in enumerate(np.argsort(-evidence)):
             members = np.flatnonzero(self.family_index == family)
             likeliest = int(members[int(np.argmax(ratio[members, 0]))])
@@ -219,11 +219,11 @@ class NoiseBank:
                 value = self._fine_log_evidence(members, likeliest, ratio[members, 0], residual, redundancy)
                 value += self.log_prior_of_family(self.families[family])
                 value += self._excess_over_diagonal_form(likeliest, float(ratio[likeliest, 0]), residual, model_basis)
-            entries.append((value, self.hypotheses[likeliest]))
-        for change, value in self.ranked_group_noise(residual, redundancy, max(0.0, *(value for value, _ in entries))):
+            ranking.append((value, self.hypotheses[likeliest]))
+        for change, value in self.ranked_group_noise(residual, redundancy, max(0.0, *(value for value, _ in ranking))):
             effect = change.most_likely_effect(residual, redundancy)
-            entries.append((value, NoiseHypothesis(change.name, effect, (0.0,) * len(effect.parameters))))
-        return sorted(entries, key=lambda entry: -entry[0])
+            ranking.append((value, NoiseHypothesis(change.name, effect, (0.0,) * len(effect.parameters))))
+        return sorted(ranking, key=lambda entry: -entry[0])
 
     def expected_factors(self) -> Floats:
         """Posterior mean (n, 3) of the variance factors of the readings over all hypotheses and no change.
@@ -236,24 +236,24 @@ class NoiseBank:
             sizes = np.array(most_likely_sizes(space, space.sigma, hypothesis).sizes)
             values.append(value)
             factors.append(hypothesis.effect.variance(space.sightings, space.sigma, sizes) / space.sigma**2)
-        rows = np.count_nonzero(space.used_readings)
+        n_readings = np.count_nonzero(space.used_readings)
         for change, value in self.ranked_group_noise(residual, redundancy, max(values)):
             values.append(value)
             factors.append(np.ones(space.sigma.shape))
-            factors[-1][space.used_readings] = change.expected_factors(residual, redundancy)[:rows]
-        mean = np.einsum("k,kij->ij", normalised_probabilities(np.array(values)), np.stack(factors))
-        return np.nan_to_num(mean, nan=1.0)
+            factors[-1][space.used_readings] = change.expected_factors(residual, redundancy)[:n_readings]
+        mean_factors = np.einsum("k,kij->ij", normalised_probabilities(np.array(values)), np.stack(factors))
+        return np.nan_to_num(mean_factors, nan=1.0)
 
     def _ranked_patterns(self, residual: Floats, redundancy: Floats) -> list[tuple[NoiseHypothesis, float]]:
         """Most probable patterns of noise, each at its best size, with the log evidence summed over its sizes."""
         ratio = self.log_likelihood_ratio(residual[:, None], redundancy)[:, 0]
         prior = np.array([self.log_prior_of_family(name) for name in self.families])
         prior -= np.log(np.bincount(self.family_index))
-        members: dict[NoiseSignature, list[int]] = {}
+        members: dict[CandidateNoiseEffect, list[int]] = {}
         for i, hypothesis in enumerate(self.hypotheses):
             members.setdefault(hypothesis.effect, []).append(i)
-        logs = ratio + prior[self.family_index]
-        evidence = np.array([float(log_sum_exp(logs[same])) for same in members.values()])
+        log_evidence = ratio + prior[self.family_index]
+        evidence = np.array([float(log_sum_exp(log_evidence[same])) for same in members.values()])
         none, groups, ranked = np.zeros((len(residual), 0)), list(members.values()), []
         for i in np.argsort(-evidence)[:MAX_AVERAGED_HYPOTHESES]:
             best = groups[i][int(np.argmax(ratio[groups[i]]))]
@@ -306,7 +306,7 @@ def _noise_patterns(
 
 
 def reml_gain_function(
-    space: ResidualSpace, sigma: Floats, effect: NoiseSignature, residual: Floats, redundancy: Floats
+    space: ResidualSpace, sigma: Floats, effect: CandidateNoiseEffect, residual: Floats, redundancy: Floats
 ) -> Callable[[Floats], Floats]:
     """Function from the sizes (k,) of k variance parameters to the gain (k,) of restricted log likelihood by each.
 
@@ -340,17 +340,17 @@ def _tail_with_variances(hypothesis: NoiseHypothesis, reml_gain: Callable[[Float
     weight is (1 - p) + p E[1 / f], as in the EM algorithm for scale mixtures (Little 1988, Applied Statistics 37, 23).
     The fraction of readings in the tail is the one with the largest likelihood.
     """
-    count = len(hypothesis.effect.parameters)
-    logs = np.stack([reml_gain(np.full(count, factor - 1.0)) for factor in TAIL_VARIANCE_FACTORS])
-    logs -= reml_gain(np.zeros(count))
-    ratio = log_sum_exp(logs) - np.log(len(TAIL_VARIANCE_FACTORS))
+    n_parameters = len(hypothesis.effect.parameters)
+    base_gain = reml_gain(np.zeros(n_parameters))
+    log_gains = np.stack([reml_gain(np.full(n_parameters, f - 1.0)) - base_gain for f in TAIL_VARIANCE_FACTORS])
+    ratio = log_sum_exp(log_gains) - np.log(len(TAIL_VARIANCE_FACTORS))
     likelihood = [np.logaddexp(np.log1p(-q), np.log(q) + ratio).sum() for q in NOISY_GROUP_FRACTIONS]
     q = float(NOISY_GROUP_FRACTIONS[int(np.argmax(likelihood))])
     inside = expit(ratio + np.log(q / (1.0 - q)))
-    weight = 1.0 - inside + inside * (np.exp(logs - log_sum_exp(logs)) / TAIL_VARIANCE_FACTORS[:, None]).sum(axis=0)
+    probabilities = np.exp(log_gains - log_sum_exp(log_gains))
+    weight = 1.0 - inside + inside * (probabilities / TAIL_VARIANCE_FACTORS[:, None]).sum(axis=0)
     values = 1.0 / weight - 1.0
-    drop = 2.0 * float((reml_gain(values) - reml_gain(np.zeros(count))).sum())
-    sigma = np.sqrt(2.0) * (1.0 + values)  # of a variance from one reading
+    drop, sigma = 2.0 * float((reml_gain(values) - base_gain).sum()), np.sqrt(2.0) * (1.0 + values)  # one reading each
     return replace(hypothesis, sizes=tuple(values.tolist()), chi2_drop=drop, size_sigmas=tuple(sigma.tolist()))
 
 

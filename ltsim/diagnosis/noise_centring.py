@@ -53,16 +53,16 @@ def estimate_centring(space: ResidualSpace, hypothesis: NoiseHypothesis) -> Nois
     effect, adjustment = hypothesis.effect, space.adjustment
     assert isinstance(effect, CentringVariance)
     declared = adjustment.recording.setup.centring
-    number = next((i for i, c in enumerate(declared) if c == effect.uncertainty(hypothesis.sizes[0])), None)
-    if number is None:
+    centring_index = next((i for i, c in enumerate(declared) if c == effect.uncertainty(hypothesis.sizes[0])), None)
+    if centring_index is None:
         occupation = target_occupations(adjustment.recording, effect.uncertainty(MILLIMETRE))
-        gain, sigma, count = best_centring_sigma(space, occupation)
-        return replace(hypothesis, sizes=(sigma,), size_sigmas=(_sigma_of(sigma, count),), chi2_drop=2.0 * gain)
-    at = adjustment.problem.model.centring_columns[number]
-    values, covariance = adjustment.state.extra_parameters[at], adjustment.extra_covariance[at, at]
+        gain, sigma, n_effective = best_centring_sigma(space, occupation)
+        return replace(hypothesis, sizes=(sigma,), size_sigmas=(_sigma_of(sigma, n_effective),), chi2_drop=2.0 * gain)
+    columns = adjustment.problem.model.centring_columns[centring_index]
+    values, covariance = adjustment.state.extra_parameters[columns], adjustment.extra_covariance[columns, columns]
     sigma = float(np.sqrt((values @ values + np.trace(covariance)) / len(values)))
-    count = len(values) - float(np.trace(covariance)) / sigma**2
-    return replace(hypothesis, sizes=(sigma,), size_sigmas=(_sigma_of(sigma, count),))
+    n_effective = len(values) - float(np.trace(covariance)) / sigma**2
+    return replace(hypothesis, sizes=(sigma,), size_sigmas=(_sigma_of(sigma, n_effective),))
 
 
 def with_centring(recording: Recording, noise: Sequence[NoiseHypothesis]) -> Recording:
@@ -96,11 +96,11 @@ def _shows_centring(recording: Recording, occupation: Ints, *, by_face: bool) ->
     With `by_face` the pointings must repeat in one face: displacements for each set-up would otherwise fit any error of
     the model that recurs in both faces.
     """
-    rows = np.flatnonzero(occupation >= 0)
-    count, targets = len(np.unique(occupation[rows])), len(np.unique(recording.target[rows]))
-    n_visits = len(np.unique(np.stack([occupation[rows], recording.face[rows] * by_face]), axis=1).T)
+    occupied_rows = np.flatnonzero(occupation >= 0)
+    count, targets = len(np.unique(occupation[occupied_rows])), len(np.unique(recording.target[occupied_rows]))
+    n_visits = len(np.unique(np.stack([occupation[occupied_rows], recording.face[occupied_rows] * by_face]), axis=1).T)
     return (
         count <= MAX_CENTRING_OCCUPATIONS
         and count >= MIN_MEAN_REPEATS * targets
-        and len(rows) >= MIN_MEAN_REPEATS * n_visits
+        and len(occupied_rows) >= MIN_MEAN_REPEATS * n_visits
     )

@@ -49,8 +49,8 @@ class PatternGroup:
             Redundancy numbers k.
         """
         squares, redundancy = squares[self.row_indices], redundancy[self.row_indices]
-        count = self.added_variance.size if isinstance(self.added_variance, np.ndarray) else self.added_variance.nnz
-        for part in batches(len(self.members), count // max(self.added_variance.shape[0], 1)):
+        n_nonzero = self.added_variance.size if isinstance(self.added_variance, np.ndarray) else self.added_variance.nnz
+        for part in batches(len(self.members), n_nonzero // max(self.added_variance.shape[0], 1)):
             logs = self._log_variance_factors_of(part)
             fit = (_precision_loss(logs) @ squares).astype(np.float64)
             yield self.members[part], 0.5 * (fit - (logs @ redundancy)[:, None])
@@ -61,16 +61,16 @@ class PatternGroup:
         if not isinstance(log_factors, np.ndarray):
             return log_factors.indices, log_factors.data.astype(np.float64)
         changed_indices = np.flatnonzero(log_factors[0])
-        rows = np.arange(log_factors.shape[1]) if isinstance(self.row_indices, slice) else self.row_indices
-        return rows[changed_indices], log_factors[0, changed_indices].astype(np.float64)
+        row_indices = np.arange(log_factors.shape[1]) if isinstance(self.row_indices, slice) else self.row_indices
+        return row_indices[changed_indices], log_factors[0, changed_indices].astype(np.float64)
 
     def _log_variance_factors_of(self, members: slice) -> Singles | sp.csr_array:
         """Log variance factors (h, r) of a range of h members."""
         added_variance, size = self.added_variance[self.pattern_index[members]], self.size[members]
         if isinstance(added_variance, np.ndarray):
             return np.log1p(size[:, None] * added_variance)
-        data = np.log1p(np.repeat(size, np.diff(added_variance.indptr)) * added_variance.data)
-        return sp.csr_array((data, added_variance.indices, added_variance.indptr), added_variance.shape)
+        log_factors = np.log1p(np.repeat(size, np.diff(added_variance.indptr)) * added_variance.data)
+        return sp.csr_array((log_factors, added_variance.indices, added_variance.indptr), added_variance.shape)
 
 
 def _precision_loss(logs: Singles | sp.csr_array) -> Singles | sp.csr_array:
@@ -119,13 +119,13 @@ class NoiseFactors:
                 )
                 owners.append((count, sizes))
             count += len(sizes)
-        groups = [_pattern_group(few, slice(None), _sparse_rows(sparse, len(kind)))] if sparse else []
+        pattern_groups = [_pattern_group(few, slice(None), _sparse_rows(sparse, len(kind)))] if sparse else []
         del sparse
         for touched_kinds, (filled, owners) in dense.items():
-            groups.append(
+            pattern_groups.append(
                 _pattern_group(owners, np.flatnonzero(np.array(touched_kinds)[kind]), stack_and_release(filled))
             )
-        return cls(count, tuple(groups))
+        return cls(count, tuple(pattern_groups))
 
     def log_likelihood_ratios(self, squares: Singles, redundancy: Floats) -> Floats:
         """Log likelihood ratios (h, trials) of all hypotheses.
@@ -156,8 +156,8 @@ def _pattern_group(
 ) -> PatternGroup:
     members = np.concatenate([first + np.arange(len(sizes)) for first, sizes in owners])
     pattern_index = np.repeat(np.arange(len(owners)), [len(sizes) for _, sizes in owners])
-    size = np.concatenate([sizes for _, sizes in owners]).astype(np.float32)
-    return PatternGroup(members, pattern_index, size, row_indices, added_variance)
+    pattern_sizes = np.concatenate([sizes for _, sizes in owners]).astype(np.float32)
+    return PatternGroup(members, pattern_index, pattern_sizes, row_indices, added_variance)
 
 
 def _sparse_rows(row_entries: Sequence[tuple[Ints, Singles]], n_rows: int) -> sp.csr_array:

@@ -18,8 +18,8 @@ from ltsim.adjustment.significance import MIN_REPEATS_FOR_VARIANCE
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
 from ltsim.diagnosis.evidence import log_restricted_likelihood_ratio, normalised_probabilities
+from ltsim.physics.effects.linear_effect import CandidateNoiseEffect
 from ltsim.physics.effects.noise_level import NoiseLevel
-from ltsim.physics.effects.signature import NoiseSignature
 from ltsim.physics.laws.variance import VarianceFunction, noise_groups
 from ltsim.recordings.recording import OBSERVABLES
 
@@ -45,7 +45,7 @@ NOISY_OBSERVABLE_SETS: tuple[tuple[str, ...], ...] = (*((name,) for name in OBSE
 class GroupNoise:
     """Change of the noise with a separate variance factor for each of g groups of readings."""
 
-    effect: NoiseSignature
+    effect: CandidateNoiseEffect
     """Change of the noise, with one parameter per group."""
     members: sp.csr_array
     """Indicators (g, m) of the rows of each group."""
@@ -54,7 +54,7 @@ class GroupNoise:
 
     @property
     def name(self) -> str:
-        """Name of the family of noise hypotheses."""
+        """Name of this kind of noise change."""
         return self.effect.name
 
     def log_evidence_by_group(self, residual: Floats, redundancy: Floats) -> Floats:
@@ -63,8 +63,8 @@ class GroupNoise:
         `residual` (m, trials) are whitened residuals, and `redundancy` (m,) their redundancy numbers.
         """
         squares, share = self.members @ residual**2, self.members @ redundancy
-        total = log_sum_exp(log_restricted_likelihood_ratio(squares, share[:, None], self.factors[:, None, None]))
-        return total - np.log(len(self.factors))
+        log_totals = log_sum_exp(log_restricted_likelihood_ratio(squares, share[:, None], self.factors[:, None, None]))
+        return log_totals - np.log(len(self.factors))
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (trials,) for residuals (m, trials)."""
@@ -86,13 +86,15 @@ class GroupNoise:
 
     def _added_variance_if_noisy(self, residual: Floats, redundancy: Floats) -> Floats:
         """Posterior mean (g,) of the added variance of each group, if its noise differs from the declared noise."""
-        logs = log_restricted_likelihood_ratio(
+        log_ratios = log_restricted_likelihood_ratio(
             self.members @ residual**2, self.members @ redundancy, self.factors[:, None]
         )
-        mean: Floats = np.sum(normalised_probabilities(logs) * (self.factors[:, None] - 1.0), axis=0)
-        return mean
+        mean_added_variance: Floats = np.sum(
+            normalised_probabilities(log_ratios) * (self.factors[:, None] - 1.0), axis=0
+        )
+        return mean_added_variance
 
-    def most_likely_effect(self, residual: Floats, redundancy: Floats) -> NoiseSignature:
+    def most_likely_effect(self, residual: Floats, redundancy: Floats) -> CandidateNoiseEffect:
         """Change of the noise whose sizes are to be estimated for whitened residuals (m,)."""
         del residual, redundancy
         return self.effect
@@ -184,15 +186,17 @@ class NoiseByGroup(GroupNoise):
         pointing, kind = np.nonzero(space.used_readings)
         column = np.array([observables.index(o) if o in observables else -1 for o in OBSERVABLES])[kind]
         places = np.flatnonzero(column >= 0)
-        rows = pointing[places] * len(observables) + column[places]
+        reading_indices = pointing[places] * len(observables) + column[places]
         names, _ = noise_groups(space.sightings, "reading")
-        members = sp.csr_array((np.ones(len(rows)), (rows, places)), (len(names) * len(observables), space.n_rows))
+        members = sp.csr_array(
+            (np.ones(len(reading_indices)), (reading_indices, places)), (len(names) * len(observables), space.n_rows)
+        )
         effect = VarianceFunction(observables, group_kind="reading", group_names=names, per_observable=True)
         return cls(effect, members, TAIL_VARIANCE_FACTORS)
 
     @property
     def name(self) -> str:
-        """Name of the family."""
+        """Name of this kind of noise change."""
         return f"unknown:noise:each {getattr(self.effect, 'group_kind', '')}"
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:

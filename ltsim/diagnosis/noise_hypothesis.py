@@ -11,7 +11,7 @@ from ltsim.diagnosis.prior import log_prior_share
 from ltsim.diagnosis.schema import Equivalent
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import NoiseEffect
-from ltsim.physics.effects.signature import NoiseSignature
+from ltsim.physics.effects.linear_effect import CandidateNoiseEffect
 
 
 @dataclass(frozen=True)
@@ -19,8 +19,8 @@ class NoiseHypothesis:
     """Change of the noise with its sizes, which are a point of a grid, or estimates."""
 
     family: str
-    """Name of the family of similar changes, which begins with `unknown` if the catalogue has none of them."""
-    effect: NoiseSignature
+    """Name of the kind of noise change, which begins with `unknown` if the catalogue has none of them."""
+    effect: CandidateNoiseEffect
     """Effect that changes the noise."""
     sizes: tuple[float, ...]
     """Sizes of its parameters [SI]."""

@@ -36,7 +36,7 @@ NOISY_REGION_SHAPES = ("xyz", "xy", "x", "y")
 def variance_functions(
     sightings: Sightings, instrument_places: Sequence[LawPlace]
 ) -> Iterator[tuple[str, VarianceFunction, tuple[float, ...]]]:
-    """Iterator over changes of the noise outside the catalogue: family, variance function, and the sizes to be tried.
+    """Changes of the noise outside the catalogue, one by one: name, variance function, and the sizes to be tried.
 
     `instrument_places` are the places of laws of single instruments.
     """
@@ -59,7 +59,7 @@ def variance_functions(
                 ADDED_VARIANCES_OF_TARGETS,
             )
     names = sightings.target_names
-    groups = (
+    target_groups = (
         [(t,) for t in range(len(names))] + sorted(target_clusters(sightings))
         if len(names) <= MAX_SEPARATE_TARGETS
         else []
@@ -67,7 +67,7 @@ def variance_functions(
     for acts in NOISY_OBSERVABLE_SETS:
         for faces in REPETITION_KINDS if acts == ("distance",) and np.ptp(sightings.face) else REPETITION_KINDS[:1]:
             yield "repeating", VarianceFunction(acts, repetition=faces), ADDED_VARIANCES_OF_ALL
-        for group in groups:
+        for group in target_groups:
             yield "target", VarianceFunction(acts, targets=tuple(names[t] for t in group)), ADDED_VARIANCES_OF_TARGETS
     for region, acts in product(
         candidate_regions(sightings, NOISY_REGION_SHAPES), (("distance",), OBSERVABLES[1:], OBSERVABLES)

@@ -66,9 +66,10 @@ class NoiseWindows(GroupNoise):
         before = distinct[np.searchsorted(distinct, starts[1:]) - 1]
         times = np.concatenate([[distinct[0]], 0.5 * (starts[1:] + before), [distinct[-1]]])
         step = np.searchsorted(starts, time[pointing], side="right") - 1
-        rows = step * len(OBSERVABLES) + kind
+        reading_indices = step * len(OBSERVABLES) + kind
         members = sp.csr_array(
-            (np.ones(len(rows)), (rows, np.arange(len(rows)))), (steps * len(OBSERVABLES), space.n_rows)
+            (np.ones(len(reading_indices)), (reading_indices, np.arange(len(reading_indices)))),
+            (steps * len(OBSERVABLES), space.n_rows),
         )
         return (
             cls(
@@ -82,7 +83,7 @@ class NoiseWindows(GroupNoise):
 
     @property
     def name(self) -> str:
-        """Name of the family."""
+        """Name of this kind of noise change."""
         return "unknown:noise:windows"
 
     def _log_likelihood_ratios(self, residual: Floats, redundancy: Floats) -> Floats:
@@ -106,13 +107,13 @@ class NoiseWindows(GroupNoise):
         gains = np.exp(self._log_likelihood_ratios(residual, redundancy))
         p_change = self._change_probabilities[:, None, None, None]
         quiet = noisy = np.full((len(p_change), *gains.shape[1:]), 0.5)
-        total = np.zeros(quiet.shape)
+        log_totals = np.zeros(quiet.shape)
         for gain in gains:
             quiet, noisy = quiet + p_change * (noisy - quiet), (noisy + p_change * (quiet - noisy)) * gain
             scale = quiet + noisy
-            total += np.log(scale)
+            log_totals += np.log(scale)
             quiet, noisy = quiet / scale, noisy / scale
-        flattened = total.reshape(-1, total.shape[-1])
+        flattened = log_totals.reshape(-1, log_totals.shape[-1])
         return log_sum_exp(flattened) - np.log(len(flattened) * self.n_places)
 
     def _expected_added_variance(self, residual: Floats, redundancy: Floats) -> Floats:
@@ -172,9 +173,9 @@ class NoiseWindows(GroupNoise):
             index_of_best(np.array([self._log_evidence_of(effect, residual, redundancy) for effect in places]))
         ]
         whole = replace(place, observables=OBSERVABLES, covariate_band=(self.times[0], self.times[-1]))
-        here = (whole.variance(s, self.space.sigma, np.ones(1)) > self.space.sigma**2)[self.space.used_readings]
-        rows = np.pad(here, (0, len(residual) - len(here))).astype(np.float64)
-        members = sp.csr_array(self.members @ sp.diags_array(rows))
+        is_noisy = (whole.variance(s, self.space.sigma, np.ones(1)) > self.space.sigma**2)[self.space.used_readings]
+        noisy_rows = np.pad(is_noisy, (0, len(residual) - len(is_noisy))).astype(np.float64)
+        members = sp.csr_array(self.members @ sp.diags_array(noisy_rows))
         return (replace(self, effect=whole, members=members, n_places=len(places)),)
 
     def _log_evidence_of(self, effect: VarianceFunction, residual: Floats, redundancy: Floats) -> float:

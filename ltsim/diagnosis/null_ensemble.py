@@ -1,8 +1,8 @@
-"""Null ensemble: residuals of simulated recordings without any effect, and the basis that projects signatures.
+"""Null ensemble: residuals of simulated recordings without any effect, and the basis that projects design matrices.
 
-A signature g has the Gram matrix g' P g in the residual space with projector P. It is g' g minus the squared products
-of g with an orthonormal basis of the estimated parameters. In a large network it is instead the mean squared product
-with simulated residuals, whose covariance is P (Monte Carlo). These residuals are independent of the simulated
+A design matrix g has the Gram matrix g' P g in the residual space with projector P. It is g' g minus the squared
+products of g with an orthonormal basis of the estimated parameters. In a large network it is instead the mean squared
+product with simulated residuals, whose covariance is P (Monte Carlo). These residuals are independent of the simulated
 recordings that give the p-value (trials). The recording and the trials are scored by the same function, and without any
 effect they are exchangeable. Gram matrices and scores are sums over the pointings of g times a few vectors.
 """
@@ -34,7 +34,7 @@ N_GRAM_DRAWS = 200
 
 @dataclass(frozen=True)
 class NullEnsemble:
-    """Null ensemble: a residual space with the vectors whose products with signatures give scores and Gram matrices."""
+    """Residual space with random vectors, whose products with design matrices give scores and Gram matrices."""
 
     space: ResidualSpace
     """Residual space with m rows."""
@@ -44,7 +44,7 @@ class NullEnsemble:
     n_trials: int
     """Number t of simulated recordings that give the p-value of a search; 0 for a search without p-value."""
     model_basis: Floats
-    """Orthonormal basis (m, e) of the signatures of the model."""
+    """Orthonormal basis (m, e) of the design columns of the model's effects."""
     is_first_pass: bool
     """True while the model is empty."""
     gram_is_monte_carlo: bool
@@ -85,9 +85,9 @@ class NullEnsemble:
     def _row_of_reading(self) -> Ints:
         """Row (n, 3) of the residual space of each reading; 0 for readings that are not used, whose weight is zero."""
         use = self.space.used_readings
-        rows = np.zeros(use.shape, dtype=np.int64)
-        rows[use] = np.arange(int(use.sum()))
-        return rows
+        row_of_reading = np.zeros(use.shape, dtype=np.int64)
+        row_of_reading[use] = np.arange(int(use.sum()))
+        return row_of_reading
 
     def vectors_at(self, pointings: Ints) -> Singles:
         """Elements (p, 3, v) of the v vectors at p pointings; meaningless for readings that are not used."""
@@ -102,7 +102,7 @@ class NullEnsemble:
         return scores[..., 0], scores[..., 1:edge], scores[..., edge:]
 
     def projected_gram(self, scores: Floats | Singles, products: Floats) -> Floats:
-        """Gram matrices (..., k, k) of k projected columns of a signature.
+        """Gram matrices (..., k, k) of k projected design columns of an effect.
 
         Parameters
         ----------

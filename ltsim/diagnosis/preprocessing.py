@@ -24,7 +24,7 @@ from ltsim.adjustment.significance import (
 from ltsim.core.arrays import Bools
 from ltsim.diagnosis.findings_from_tests import axis_finding, finding_of_test, gross_error_finding
 from ltsim.diagnosis.schema import Finding
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import OBSERVABLES, Recording
 
 MIN_FAR_OUTLIER_SIGMAS = 8.0
@@ -73,7 +73,11 @@ def is_consistent_when_omitted(adjustment: Adjustment, is_omitted: Bools) -> Boo
 
 
 def adapted_baseline(
-    recording: Recording, construction: Construction, selection: CauseSelection, *, is_restored: Bools | None = None
+    recording: Recording,
+    construction: GeometricErrorModel,
+    selection: CauseSelection,
+    *,
+    is_restored: Bools | None = None,
 ) -> tuple[Adjustment, Bools, list[Finding]]:
     """Adjustment of the recording without its blunders, flags (n, 3) of the readings in it, and findings on blunders.
 

@@ -46,21 +46,21 @@ RESPONSE_PRIOR = {
     "reflector": 0.02,
     "air": 0.04,
 }
-"""Prior probability of each kind of response of a law. An unknown error mostly affects only a reading. If all targets
-seem to move, it is more probable that the stands move."""
+"""Prior probability of each kind of quantity that a law changes (its response). An unknown error mostly affects only a
+reading. If all targets seem to move, it is more probable that the stands move."""
 RESPONSE_PRIOR_AT_TARGETS = {"reading": 0.15, "target": 0.75, "reflector": 0.1}
-"""Prior probability of each kind of response of a law that acts at some targets only. Mostly the target itself changes,
-because an error of the instrument does not depend on the target."""
+"""Prior probability of each kind of quantity that a law changes, for a law that acts at some targets only. Mostly the
+target itself changes, because an error of the instrument does not depend on the target."""
 FORM_WEIGHTS = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2, "members": 0.2}
 """Prior weights of the forms that a law may have. They are divided by their sum over the forms that are possible for
 the law. The most probable forms are a curve and a formula."""
 P_RARE_FORM = 0.1
 """Prior probability of each rarer form of a law: a few steps and ramps; a law that is switched on and off; separate
-coefficients at each set-up; a law at one set-up alone, except for the kinds of responses in `P_SINGLE_SET_UP`.
+coefficients at each set-up; a law at one set-up alone, except for the kinds of quantities in `P_SINGLE_SET_UP`.
 """
 P_SINGLE_SET_UP = {"stand": 0.5}
-"""Prior probability that a law acts at only one set-up, by kind of response. It is large for stands, which differ
-between set-ups more than instruments do."""
+"""Prior probability that a law acts at only one set-up, by the kind of quantity that it changes. It is large for
+stands, which differ between set-ups more than instruments do."""
 MAX_MODEL_MEMBERS = 5
 """Largest number of members of a model, of reported findings, and of reported constants of instruments."""
 LOG_ODDS_REPEATED = float(np.log(0.03))

@@ -69,10 +69,10 @@ def product_forms(calculator: EvidenceCalculator, form: Hypothesis, base_model: 
     if not weights:
         return []
     laws = [_law_product(law, weight) for weight in weights]
-    values = calculator.log_evidence(laws, base_model)
-    top = index_of_best(values)
+    log_evidences = calculator.log_evidence(laws, base_model)
+    top = index_of_best(log_evidences)
     prior = form.log_prior + float(np.log(OPERATOR_ODDS / len(weights)))
-    if values[top] + prior < form.log_evidence - MAX_REFINED_DEFICIT:
+    if log_evidences[top] + prior < form.log_evidence - MAX_REFINED_DEFICIT:
         return []
     refined, value = calculator.refine_locally([laws[top]], base_model)[0]
     products = [Hypothesis(refined, prior, value + prior, catalogue_name(refined))]

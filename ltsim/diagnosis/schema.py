@@ -10,7 +10,7 @@ from ltsim.calibration.combinations import DeterminedEntry
 from ltsim.calibration.schema import COORDINATE_COLUMNS, RESIDUALS_TABLE
 from ltsim.core.results import Column, Table, columns_of, number_columns, text_columns
 from ltsim.core.units import SI_PER_UNIT
-from ltsim.physics.effects.signature import Parameter, ShapeParameter
+from ltsim.physics.effects.linear_effect import Parameter, ShapeParameter
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
 
 DIAGNOSED_TARGETS_TABLE = Table(
@@ -94,18 +94,18 @@ class ParameterEstimate(Entry):
 
 
 class ResponseCurve(Entry):
-    """Response of an effect as a function of one covariate."""
+    """Curve of the quantity that a finding changes, as a function of one covariate."""
 
     covariate: str
     """Name of the covariate."""
     unit: str = ""
-    """Unit of the response and of its standard deviation."""
+    """Unit of the values of the curve and of their standard deviations."""
     at: tuple[Finite, ...]
     """Values of the covariate in SI units, or in the unit of an additional column of the recording."""
     value: tuple[Finite, ...]
-    """Response at these values, in `unit`."""
+    """Values of the curve at these values of the covariate, in `unit`."""
     sigma: tuple[Finite, ...]
-    """Standard deviations of the response, in `unit`."""
+    """Standard deviations of the curve, in `unit`."""
 
 
 class Finding(Entry):
@@ -132,11 +132,11 @@ class Finding(Entry):
     formula: str = ""
     """Formula of an effect outside the catalogue, as text."""
     carrier: str = ""
-    """Response: the reading or constant that an effect outside the catalogue changes."""
+    """Reading or constant that an effect outside the catalogue changes."""
     driver: str = ""
     """Regressor: the quantity or function on which an effect outside the catalogue depends."""
     curve: ResponseCurve | None = None
-    """Curve of the response; null if it does not depend on a single covariate."""
+    """Curve of the changed quantity; null if it does not depend on a single covariate."""
 
 
 class GlobalTest(Entry):
@@ -205,8 +205,10 @@ class DetectableEntry(Entry):
     @classmethod
     def from_minimal_size(cls, minimal_size: MinimalSize) -> Self:
         """Entry of a minimal detectable size at a median place."""
-        size = minimal_size.median_size / SI_PER_UNIT[minimal_size.unit]
-        return cls(effect=minimal_size.effect, parameter=minimal_size.parameter, size=size, unit=minimal_size.unit)
+        displayed_size = minimal_size.median_size / SI_PER_UNIT[minimal_size.unit]
+        return cls(
+            effect=minimal_size.effect, parameter=minimal_size.parameter, size=displayed_size, unit=minimal_size.unit
+        )
 
 
 class InstrumentEntry(Entry):

@@ -2,7 +2,7 @@
 
 from ltsim.diagnosis.schema import FindingScope
 from ltsim.physics.effects.effect import NoiseEffect
-from ltsim.physics.effects.signature import CandidateEffect
+from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressors import covariate_file_names
 from ltsim.physics.laws.variance import VarianceFunction

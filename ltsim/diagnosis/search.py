@@ -21,7 +21,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Floats, Ints
 from ltsim.core.rounding import MAX_SINGLE_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
-from ltsim.diagnosis.catalogue_signatures import ORDINARY_CALIBRATION_TYPES, CatalogueSignatures, catalogue_hypotheses
+from ltsim.diagnosis.catalogue_designs import ORDINARY_CALIBRATION_TYPES, CatalogueDesigns, catalogue_hypotheses
 from ltsim.diagnosis.evidence import (
     MAX_REFINED_DEFICIT,
     N_REFINED,
@@ -38,7 +38,7 @@ from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS, log_prior_share
 from ltsim.diagnosis.schema import ParameterEstimate
 from ltsim.diagnosis.shapes import are_distinct, centre_estimates, interpolate_shape, shape_posterior
 from ltsim.diagnosis.space import law_batches
-from ltsim.physics.effects.signature import CandidateEffect, ShapeParameter
+from ltsim.physics.effects.linear_effect import CandidateEffect, ShapeParameter
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.names import catalogue_name
 from ltsim.physics.laws.sizes import displayed_sizes
@@ -48,7 +48,7 @@ MAX_RIGID_COEFFICIENTS = 10
 second search starts from the best hypothesis with fewer coefficients. A curve in one covariate has this number: a slope
 and `N_MODES_DEFAULT` eigenfunctions."""
 N_REFINED_IN_LARGE_NETWORK = 3
-"""Number of families, and of laws, that a step evaluates without approximation in a large network."""
+"""Number of catalogue effects, and of laws, that a step evaluates without approximation in a large network."""
 N_SHAPE_GRID_POINTS = 11
 """Number of grid points over which a shape constant is integrated, from one coarse step below to one above the best."""
 N_ADDED_GRID_POINTS = 9
@@ -56,9 +56,9 @@ N_ADDED_GRID_POINTS = 9
 N_GRID_REFINEMENTS = 2
 """Number of refinements of the grid around its best point."""
 MAX_LOCAL_OPTIMA = 3
-"""Largest number of local optima of a family (an effect at all places and shapes) that are evaluated."""
+"""Largest number of local optima of a catalogue effect, over its places and shapes, that are evaluated."""
 MAX_COMPARED_MEMBERS = 40
-"""Number of members of a family, the best first, among which local optima are sought."""
+"""Number of places and shapes of a catalogue effect, the best first, among which local optima are sought."""
 MAX_RANKED_LAWS = 400
 """Largest number of screened laws in a ranking."""
 MIN_SIGMA_INCREASE = 1.15
@@ -72,7 +72,7 @@ class ScreeningResult(NamedTuple):
     effect_log_evidence: Floats
     """Log evidence (h,) of each of h effects of the catalogue, without prior."""
     family_log_evidence: Floats
-    """Log evidence (families,) of each family of the catalogue, averaged over its members, with prior."""
+    """Log evidence (families,) of each catalogue effect, averaged over its places and shapes, with prior."""
     laws: list[ScreenedLaw]
     """Best laws of each place."""
     statistic: float
@@ -90,12 +90,12 @@ class Searcher:
         seed: int,
         n_trials: int = 0,
         *,
-        catalogue_signatures: CatalogueSignatures | None = None,
+        catalogue_designs: CatalogueDesigns | None = None,
         with_constants: bool = True,
     ) -> None:
         """Search whose p-value follows from `n_trials` simulated recordings.
 
-        `catalogue_signatures` are those of another search on the same readings, which saves their computation. With
+        `catalogue_designs` are those of another search on the same readings, which saves their computation. With
         `with_constants` the constants of the ordinary calibration are hypotheses.
         """
         self.space = space
@@ -103,16 +103,16 @@ class Searcher:
         self.is_large_network = self.null_ensemble.gram_is_monte_carlo
         self._n_refined = N_REFINED_IN_LARGE_NETWORK if self.is_large_network else N_REFINED
         self._refines_every_kind = True
-        if catalogue_signatures is None:
+        if catalogue_designs is None:
             every = catalogue_hypotheses(space.sightings, space.adjustment.recording.instruments)
-            catalogue_signatures = CatalogueSignatures.from_space(
+            catalogue_designs = CatalogueDesigns.from_space(
                 space, [effect for effect in every if with_constants or type(effect) not in ORDINARY_CALIBRATION_TYPES]
             )
-        self.catalogue_signatures = catalogue_signatures
+        self.catalogue_designs = catalogue_designs
         self.law_batches: list[LawBatch] = law_batches(space, with_constants=with_constants)
         self.empty_model = Model((), (), (), space.residuals)
         self._rankings: dict[frozenset[str], Ranking] = {}
-        self._projected_signatures: OrderedDict[str, tuple[Floats, Floats]] = OrderedDict()
+        self._projected_designs: OrderedDict[str, tuple[Floats, Floats]] = OrderedDict()
         self.evidence_calculator = EvidenceCalculator(space)
         self.empty_model_screening = self._screening(self.empty_model)
 
@@ -124,15 +124,15 @@ class Searcher:
         """
         unit = np.zeros((self.space.n_rows, len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
-        rest = copy(self)
-        rest.space, rest.is_large_network = self.space.with_signatures(unit), True
-        rest._n_refined, rest._refines_every_kind = N_REFINED_IN_LARGE_NETWORK, False
-        rest.null_ensemble = self.null_ensemble.with_model(rest.space.residuals, self.empty_model.basis)
-        rest.empty_model = Model((), (), (), rest.space.residuals)
-        rest._rankings, rest._projected_signatures = {}, OrderedDict()
-        rest.evidence_calculator = EvidenceCalculator(rest.space)
-        rest.empty_model_screening = rest._screening(rest.empty_model)
-        return rest
+        reduced = copy(self)
+        reduced.space, reduced.is_large_network = self.space.with_design_columns(unit), True
+        reduced._n_refined, reduced._refines_every_kind = N_REFINED_IN_LARGE_NETWORK, False
+        reduced.null_ensemble = self.null_ensemble.with_model(reduced.space.residuals, self.empty_model.basis)
+        reduced.empty_model = Model((), (), (), reduced.space.residuals)
+        reduced._rankings, reduced._projected_designs = {}, OrderedDict()
+        reduced.evidence_calculator = EvidenceCalculator(reduced.space)
+        reduced.empty_model_screening = reduced._screening(reduced.empty_model)
+        return reduced
 
     def ranking(self, base_model: Model) -> Ranking:
         """Ranking of all hypotheses given a model: all are screened, and the best are evaluated exactly."""
@@ -148,8 +148,8 @@ class Searcher:
             if base_model.members
             else self.null_ensemble
         )
-        values, chance = self.catalogue_signatures.log_evidence_and_trials(probe)
-        families = self.catalogue_signatures.family_evidence(values) + self._log_family_prior
+        values, chance = self.catalogue_designs.log_evidence_and_trials(probe)
+        families = self.catalogue_designs.family_evidence(values) + self._log_family_prior
         laws: list[ScreenedLaw] = []
         statistic, null = log_sum_exp(families), log_sum_exp(chance + self._log_family_prior)
         for hits_here, law_total, law_chance in score_batches(self.law_batches, probe):
@@ -159,50 +159,51 @@ class Searcher:
 
     @property
     def _log_family_prior(self) -> float:
-        """Log prior of each family of the catalogue."""
-        return log_prior_share("named", len(self.catalogue_signatures.families))
+        """Log prior of each effect of the catalogue, for all its places and shapes together."""
+        return log_prior_share("named", len(self.catalogue_designs.families))
 
     def _compute_ranking(self, base_model: Model) -> Ranking:
         values, families, laws, _, _ = self._screening(base_model) if base_model.members else self.empty_model_screening
-        entries = self._law_hypotheses(laws, base_model)
+        hypotheses = self._law_hypotheses(laws, base_model)
         for i, family in enumerate(ranked_indices(families, MAX_SINGLE_ROUNDING_ERROR)):
-            entries.append(
+            hypotheses.append(
                 self._best_of_family(
                     int(family), values, float(families[family]), base_model, refine=i < self._n_refined
                 )
             )
-        entries = [replace(h, log_evidence=h.log_evidence + log_odds_repeated(h, base_model.members)) for h in entries]
-        entries = [entries[i] for i in ranked_indices(np.array([h.log_evidence for h in entries]))]
-        return Ranking(tuple(entries), float(log_sum_exp(np.array([h.log_evidence for h in entries]))))
+        hypotheses = [
+            replace(h, log_evidence=h.log_evidence + log_odds_repeated(h, base_model.members)) for h in hypotheses
+        ]
+        hypotheses = [hypotheses[i] for i in ranked_indices(np.array([h.log_evidence for h in hypotheses]))]
+        return Ranking(tuple(hypotheses), float(log_sum_exp(np.array([h.log_evidence for h in hypotheses]))))
 
     def _best_of_family(
         self, family: int, effect_log_evidence: Floats, family_log_evidence: float, base_model: Model, *, refine: bool
     ) -> Hypothesis:
-        """Best member of a family, with the log evidence of the whole family; evaluated exactly only if `refine`."""
-        signatures = self.catalogue_signatures
-        members = np.flatnonzero(signatures.family_of_effect == family)
+        """Best place and shape of a catalogue effect, with its log evidence over all; exact only if `refine`."""
+        designs = self.catalogue_designs
+        members = np.flatnonzero(designs.family_of_effect == family)
         members = members[ranked_indices(effect_log_evidence[members], MAX_SINGLE_ROUNDING_ERROR)]
         prior = self._log_family_prior - float(np.log(len(members)))
-        best = Hypothesis(signatures.effects[members[0]], prior, family_log_evidence, signatures.families[family])
+        best = Hypothesis(designs.effects[members[0]], prior, family_log_evidence, designs.families[family])
         if not refine:
             return best
         for i in self._local_optima(members, effect_log_evidence):
-            effect, value = self._integrate_over_shapes(signatures.effects[i], base_model)
+            effect, value = self._integrate_over_shapes(designs.effects[i], base_model)
             others = np.delete(effect_log_evidence[members], np.flatnonzero(members == i))
             whole = float(log_sum_exp(np.append(others, value))) + prior
             if i == members[0] or value + prior > best.log_evidence:
                 best = replace(best, effect=effect, log_evidence=whole)
         return best
 
-    def _local_optima(self, members: Ints, values: Floats) -> list[int]:
-        """Indices of the best member of a family, and of others nearly as good at another place or shape."""
+    def _local_optima(self, members: Ints, log_evidences: Floats) -> list[int]:
+        """Indices of the best place and shape of a catalogue effect, and of others nearly as good."""
         chosen = [int(members[0])]
         for i in members[1:MAX_COMPARED_MEMBERS]:
-            if len(chosen) == MAX_LOCAL_OPTIMA or values[i] < values[chosen[0]] - MAX_REFINED_DEFICIT:
+            if len(chosen) == MAX_LOCAL_OPTIMA or log_evidences[i] < log_evidences[chosen[0]] - MAX_REFINED_DEFICIT:
                 break
             if all(
-                are_distinct(self.catalogue_signatures.effects[int(i)], self.catalogue_signatures.effects[j])
-                for j in chosen
+                are_distinct(self.catalogue_designs.effects[int(i)], self.catalogue_designs.effects[j]) for j in chosen
             ):
                 chosen.append(int(i))
         return chosen
@@ -239,15 +240,17 @@ class Searcher:
             more = np.setdiff1d(np.linspace(near[0], near[-1], N_ADDED_GRID_POINTS), u)
             order = np.argsort(np.concatenate([u, more]))
             u, logs = np.concatenate([u, more])[order], np.concatenate([logs, log_evidence_at(more)])[order]
-        best = effect.with_constants(**{shape.name: interpolate_shape(shape, low, high, float(u[index_of_best(logs)]))})
+        best_effect = effect.with_constants(
+            **{shape.name: interpolate_shape(shape, low, high, float(u[index_of_best(logs)]))}
+        )
         height = np.exp(logs - logs.max())
-        return best, float(logs.max() + np.log(max(np.trapezoid(height, u), 1e-300)))
+        return best_effect, float(logs.max() + np.log(max(np.trapezoid(height, u), 1e-300)))
 
     def _law_hypotheses(self, laws: Sequence[ScreenedLaw], base_model: Model) -> list[Hypothesis]:
         """Hypotheses of the screened `laws`, of which the best are evaluated in all forms.
 
-        In small networks these include the best law of each response and kind of regressor. The screening is coarser
-        for some kinds than for others: a local search for a region can increase the evidence several times.
+        In small networks these include the best law of each changed quantity and kind of regressor. The screening is
+        coarser for some kinds than for others: a local search for a region can increase the evidence several times.
         """
         entries, evaluated = [], set[tuple[object, ...]]()
         kinds = set[tuple[str, str, bool]]()
@@ -282,10 +285,10 @@ class Searcher:
             )
         marginal = shape_posterior(self.evidence_calculator, effect, other_effects, refits)
         wider = any(marginal[e.name].sigma > MIN_SIGMA_INCREASE * e.sigma for e in refits if e.name in marginal)
-        rows = [marginal.get(e.name, e) if wider else e for e in refits]
-        if "time" in marginal and all(e.name != "time" for e in rows):
-            rows.append(marginal["time"])
-        return (*rows, *centre_estimates(self.evidence_calculator, effect, other_effects))
+        estimates = [marginal.get(e.name, e) if wider else e for e in refits]
+        if "time" in marginal and all(e.name != "time" for e in estimates):
+            estimates.append(marginal["time"])
+        return (*estimates, *centre_estimates(self.evidence_calculator, effect, other_effects))
 
     def law_coefficients(self, law: EmpiricalLaw, other_effects: Model) -> tuple[Floats, Floats]:
         """Posterior mean (k,) and covariance (k, k) of the k coefficients of a law, given the other effects."""
@@ -296,23 +299,23 @@ class Searcher:
         """Model with the given hypotheses."""
         if not members:
             return self.empty_model
-        parts = [self._projected_signature(h) for h in members]
-        return Model(tuple(members), tuple(p[0] for p in parts), tuple(p[1] for p in parts), self.space.residuals)
+        designs = [self._projected_design(h) for h in members]
+        return Model(tuple(members), tuple(p[0] for p in designs), tuple(p[1] for p in designs), self.space.residuals)
 
     def model_without(self, model: Model, member_index: int) -> Model:
         """Model without the effect that has the index `member_index`."""
         return self.model_of(model.members[:member_index] + model.members[member_index + 1 :])
 
-    def _projected_signature(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
-        """Projected signature (m, k), and lengths (k,) of its columns before the projection; the last are cached."""
+    def _projected_design(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
+        """Projected design matrix (m, k), and cached lengths (k,) of its columns before the projection."""
         key = hypothesis.key
-        if key not in self._projected_signatures:
-            whole = self.evidence_calculator.whitened_signature(hypothesis.effect)
-            self._projected_signatures[key] = self.space.project(whole), np.linalg.norm(whole, axis=0)
-        self._projected_signatures.move_to_end(key)
-        while sum(rows.size for rows, _ in self._projected_signatures.values()) > MAX_TEMPORARY_ENTRIES:
-            self._projected_signatures.popitem(last=False)
-        return self._projected_signatures[key]
+        if key not in self._projected_designs:
+            whole = self.evidence_calculator.whitened_design(hypothesis.effect)
+            self._projected_designs[key] = self.space.project(whole), np.linalg.norm(whole, axis=0)
+        self._projected_designs.move_to_end(key)
+        while sum(rows.size for rows, _ in self._projected_designs.values()) > MAX_TEMPORARY_ENTRIES:
+            self._projected_designs.popitem(last=False)
+        return self._projected_designs[key]
 
     def select_model(self, threshold: float, *, requires_member: bool) -> Model:
         """Selected model, in which each additional effect increases the log evidence by at least `threshold`.
@@ -321,16 +324,16 @@ class Searcher:
         effects, the search starts again with the best hypothesis of few. The model with the larger evidence is
         selected.
         """
-        best = self._forward_selection(self.empty_model, threshold, requires_member=requires_member)
+        best_model = self._forward_selection(self.empty_model, threshold, requires_member=requires_member)
         stiff = [h for h in self.ranking(self.empty_model).entries if len(h.plausible_sizes) <= MAX_RIGID_COEFFICIENTS]
         if (
             stiff
             and not self.is_large_network
-            and any(len(h.plausible_sizes) > MAX_RIGID_COEFFICIENTS for h in best.members)
+            and any(len(h.plausible_sizes) > MAX_RIGID_COEFFICIENTS for h in best_model.members)
         ):
-            made = (best, self._forward_selection(self.model_of(stiff[:1]), threshold, requires_member=True))
-            best = max(made, key=lambda s: s.score - threshold * len(s.members))
-        return self._relabelled_model(best, threshold)
+            made = (best_model, self._forward_selection(self.model_of(stiff[:1]), threshold, requires_member=True))
+            best_model = max(made, key=lambda s: s.score - threshold * len(s.members))
+        return self._relabelled_model(best_model, threshold)
 
     def lower_bound_model(self, threshold: float, rival: float) -> Model:
         """Model from forward steps alone, whose log evidence is a lower bound of that of a complete search.

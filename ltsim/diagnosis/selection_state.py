@@ -19,7 +19,7 @@ from ltsim.diagnosis.noise import NoiseBank, NoiseHypothesis, most_likely_sizes,
 from ltsim.diagnosis.noise_centring import centring_hypotheses_of_occupations, with_centring
 from ltsim.diagnosis.null_ensemble import n_simulated_recordings
 from ltsim.diagnosis.search import Searcher
-from ltsim.physics.effects.signature import CandidateEffect, Signature
+from ltsim.physics.effects.linear_effect import CandidateEffect, LinearEffect
 from ltsim.physics.laws.centring import CentringVariance
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
@@ -53,7 +53,7 @@ class SelectionState:
     _searcher: Searcher | None = None
     """Search in this residual space, if it was used."""
     _previous_searcher: Searcher | None = None
-    """Search in the residual space before that, whose signatures can be used again."""
+    """Search in the residual space before that, whose projected design matrices can be used again."""
 
     def __post_init__(self) -> None:
         self.reading_sigmas = self.recording.sigma()
@@ -65,10 +65,10 @@ class SelectionState:
         if self._searcher is None:
             before = self._previous_searcher
             is_reusable = before is not None and before.space.n_rows == self.space.n_rows
-            catalogue_signatures = (
+            catalogue_designs = (
                 None
                 if before is None or not is_reusable
-                else before.catalogue_signatures.with_weights_of(before.space, self.space)
+                else before.catalogue_designs.with_weights_of(before.space, self.space)
             )
             trials = n_simulated_recordings(self.space, self.level) if before is None and self.level else 0
             self._previous_searcher = None
@@ -76,7 +76,7 @@ class SelectionState:
                 self.space,
                 self.seed,
                 trials,
-                catalogue_signatures=catalogue_signatures,
+                catalogue_designs=catalogue_designs,
                 with_constants=self.tests_ordinary_constants,
             )
         return self._searcher
@@ -110,7 +110,7 @@ class SelectionState:
             prior=old.problem.prior,
         )
 
-        def with_causes(effects: Sequence[Signature] = (), start_state: NetworkState | None = None) -> Adjustment:
+        def with_causes(effects: Sequence[LinearEffect] = (), start_state: NetworkState | None = None) -> Adjustment:
             """Adjustment with effects in addition to the causes of the baseline."""
             return adjusted(effects=(*effects, *old.effects), start_state=start_state)
 
@@ -145,7 +145,7 @@ class SelectionState:
         self.noise_bank = self._noise_bank(self.space)
 
     def ranked_noise(self, model: Model) -> list[tuple[float, NoiseHypothesis]]:
-        """Pairs of log evidence and a change of the noise, given a model: the best of each family, the best first."""
+        """Pairs of log evidence and a change of the noise, given a model: the best of each kind, the best first."""
         redundancy = self.space.redundancy - np.sum(model.basis**2, axis=1)
         ranked = self.noise_bank.ranked_families(model.residual, redundancy, model.basis)
         for gain, hypothesis in centring_hypotheses_of_occupations(self.space.with_effects(model.effects)):

@@ -15,7 +15,7 @@ from ltsim.diagnosis.evidence import normalised_probabilities, wide_prior_poster
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Model
 from ltsim.diagnosis.schema import ParameterEstimate
-from ltsim.physics.effects.signature import CandidateEffect, ShapeParameter
+from ltsim.physics.effects.linear_effect import CandidateEffect, ShapeParameter
 from ltsim.scene.sightings import Sightings
 
 PLACE_DIFFERENCE_STEP = 0.05
@@ -39,9 +39,11 @@ def _dense_grid(shape: ShapeParameter, estimate: float, sigma: float, n_nodes: i
     if shape.has_reciprocal_grid:
         grid = 1.0 / np.linspace(1.0 / low, 1.0 / high, n_nodes)
     near = np.clip(estimate + sigma * np.linspace(-4.0, 4.0, 13), low, high)
-    values = np.unique(np.concatenate([grid, near, [estimate]]))
-    edges = evenly_spaced(np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]]))
-    return values, np.maximum(np.abs(np.diff(edges)), 1e-300)
+    grid_values = np.unique(np.concatenate([grid, near, [estimate]]))
+    edges = evenly_spaced(
+        np.concatenate([grid_values[:1], 0.5 * (grid_values[1:] + grid_values[:-1]), grid_values[-1:]])
+    )
+    return grid_values, np.maximum(np.abs(np.diff(edges)), 1e-300)
 
 
 def interpolate_shape(shape: ShapeParameter, lower: float, upper: float, position: float) -> float:
@@ -168,14 +170,20 @@ def centre_estimates(
     k = len(centre)
     steps = PLACE_DIFFERENCE_STEP * np.eye(k)
     moves = [np.zeros(k), *steps, *-steps]
-    pairs = list(combinations(range(k), 2))
-    moves += [steps[i] + steps[j] for i, j in pairs] + [steps[i] - steps[j] for i, j in pairs]
-    moves += [steps[j] - steps[i] for i, j in pairs] + [-steps[i] - steps[j] for i, j in pairs]
-    logs = calculator.log_evidence([effect.centred_at(tuple((centre + move).tolist())) for move in moves], base_model)
-    ahead, behind, crossed = logs[1 : k + 1], logs[k + 1 : 2 * k + 1], logs[2 * k + 1 :].reshape(4, -1)
-    hessian = np.diag((2.0 * logs[0] - ahead - behind) / PLACE_DIFFERENCE_STEP**2)
+    axis_pairs = list(combinations(range(k), 2))
+    moves += [steps[i] + steps[j] for i, j in axis_pairs] + [steps[i] - steps[j] for i, j in axis_pairs]
+    moves += [steps[j] - steps[i] for i, j in axis_pairs] + [-steps[i] - steps[j] for i, j in axis_pairs]
+    log_evidences = calculator.log_evidence(
+        [effect.centred_at(tuple((centre + move).tolist())) for move in moves], base_model
+    )
+    ahead, behind, crossed = (
+        log_evidences[1 : k + 1],
+        log_evidences[k + 1 : 2 * k + 1],
+        log_evidences[2 * k + 1 :].reshape(4, -1),
+    )
+    hessian = np.diag((2.0 * log_evidences[0] - ahead - behind) / PLACE_DIFFERENCE_STEP**2)
     mixed = -(crossed[0] - crossed[1] - crossed[2] + crossed[3]) / (4.0 * PLACE_DIFFERENCE_STEP**2)
-    for (i, j), value in zip(pairs, mixed, strict=True):
+    for (i, j), value in zip(axis_pairs, mixed, strict=True):
         hessian[i, j] = hessian[j, i] = value
     eigenvalues, eigenvectors = np.linalg.eigh(hessian)
     variance = eigenvectors**2 @ (
@@ -200,10 +208,10 @@ def shape_posterior(
     if not shapes:
         return {}
     weight = normalised_probabilities(np.array([node.log_weight for node in shapes]))
-    values = np.array([[*node.mean, *node.constants.values()] for node in shapes])
+    node_values = np.array([[*node.mean, *node.constants.values()] for node in shapes])
     within = np.array([[*s.variance, *((name == "time") * s.gap**2 / 12.0 for name in s.constants)] for s in shapes])
-    mean = weight @ values
-    sigma = np.sqrt(np.maximum(weight @ (within + values**2) - mean**2, 0.0))
+    posterior_mean = weight @ node_values
+    sigma = np.sqrt(np.maximum(weight @ (within + node_values**2) - posterior_mean**2, 0.0))
     units = (
         {"time": "s"}
         | {s.name: s.unit for s in type(effect).shape_parameters}
@@ -214,5 +222,5 @@ def shape_posterior(
         name: ParameterEstimate(
             name=name, value=m / SI_PER_UNIT[units[name]], sigma=d / SI_PER_UNIT[units[name]], unit=units[name]
         )
-        for name, m, d in zip(names, mean, sigma, strict=True)
+        for name, m, d in zip(names, posterior_mean, sigma, strict=True)
     }

@@ -1,4 +1,7 @@
-"""Search space of laws (combinations of responses, regressors and places), and their prior probabilities.
+"""Search space of empirical laws, and their prior probabilities; a law is a response, a regressor and a place.
+
+The response is the quantity that the law changes, such as the vertical index. The regressor is a function of
+covariates, such as a curve over time, on which it depends.
 
 The prior odds of a law are the product of the odds of its place, of its response and of its regressor. The odds of a
 kind of place, response or regressor are divided equally among all of this kind in the recording. The sum over all laws
@@ -56,13 +59,13 @@ PER_SETUP_REGRESSOR_KINDS = ("constant", "sign", "curve", "decay", "memory", "la
 REGION_REGRESSOR_KINDS = ("passage", "lever", "passage for a time", "lever for a time", "near")
 """Kinds of regressors that depend on a region of the hall."""
 RESPONSE_KINDS_BY_REGRESSOR = dict.fromkeys(("product", *REGION_REGRESSOR_KINDS), ("reading",)) | {"room": ("target",)}
-"""Kinds of responses with which a kind of regressor is combined; kinds that are not listed are combined with all. Other
+"""Kinds of changed quantities with which a kind of regressor is combined; other regressors are combined with all. Other
 combinations would be many, and hardly physical.
 """
 WAVE_COVARIATES = (*CLOCK_COVARIATES, *ACCUMULATED_ROTATIONS)
-"""Covariates of waves for responses that are not readings: times, and accumulated rotations of the axes."""
+"""Covariates of waves for changed quantities that are not readings: times, and accumulated rotations of the axes."""
 JOINT_REGRESSOR_KINDS = ("constant", "sign", "curve", "decay", "wave", "memory", "lag", "shape", "passage", "lever")
-"""Kinds of regressors for responses of several observables together. Others would have too many coefficients."""
+"""Kinds of regressors for laws that change several observables together. Others would have too many coefficients."""
 RegressorsByKind = Mapping[str, Sequence[Regressor]]
 """Regressors by kind, such as `curve` or `wave`."""
 
@@ -94,7 +97,7 @@ def _kinds_of_places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ..
     is_grouped = len(s.target_names) in GROUPED_TARGET_COUNTS
     lengths = ((d.from_, d.to) for d in space.adjustment.recording.gauge.distance)
     sets = target_clusters(s) | neighbour_groups(s) | connected_groups(s, lengths) if is_grouped else set()
-    groups = tuple(group_places(s, sets))
+    place_groups = tuple(group_places(s, sets))
     median_pointings = float(np.median([len(place.rows) for place in stations] or [0]))
     general_regressors = candidate_regressors(s)
     setup_regressors = (
@@ -124,7 +127,7 @@ def _kinds_of_places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ..
             targets,
             {"constant": general_regressors["constant"], "clock": general_regressors["clock"], "amounts": visits(s, 2)},
         ),
-        ("group", groups, target_group_regressors(s) if groups else {}),
+        ("group", place_groups, target_group_regressors(s) if place_groups else {}),
     ]
 
 
@@ -157,7 +160,7 @@ class _LawBatchBuilder:
         regressors_by_kind: RegressorsByKind,
         excluded_kinds: tuple[str, ...],
     ) -> None:
-        """Addition of the laws at places of one kind, with all admissible responses and regressors.
+        """Addition of the laws at places of one kind, with all admissible changed quantities and regressors.
 
         Responses of the kinds `excluded_kinds` are not combined with the constant regressor.
         """
@@ -203,7 +206,7 @@ class _LawBatchBuilder:
         weight: float,
         n_components: int,
     ) -> None:
-        """Registration of laws with prior `weight` for each response, divided equally among regressors and places.
+        """Registration of laws with prior `weight` per changed quantity, divided equally among regressors and places.
 
         Places with too few pointings for the coefficients of a regressor are left out.
         """
@@ -214,13 +217,16 @@ class _LawBatchBuilder:
             k: tuple(p for p in places if len(p.rows) >= MIN_POINTINGS_PER_COEFFICIENT * k[0] * n_components)
             for k in by_shape
         }
-        count = sum(len(members) * scales * len(fit[k, scales]) for (k, scales), members in by_shape.items())
+        n_laws = sum(len(members) * scales * len(fit[k, scales]) for (k, scales), members in by_shape.items())
         for size, same in by_shape.items():
             if fit[size]:
-                self._registered.setdefault((responses, tuple(same)), []).append((fit[size], weight / count))
+                self._registered.setdefault((responses, tuple(same)), []).append((fit[size], weight / n_laws))
 
     def law_batches(self) -> list[LawBatch]:
-        """Batches of the registered laws. A batch contains the same responses and regressors at all their places."""
+        """Batches of the registered laws.
+
+        A batch contains the same changed quantities and regressors at all their places.
+        """
         weights = {c: w for kind_responses in self._responses.values() for c, w in kind_responses}
         whole = sum(
             prior * len(group) * len(responses) * sum(len(d.coefficient_sigmas) for d in regressors)
@@ -253,16 +259,16 @@ class _LawBatchBuilder:
                     np.log(CAUSE_PRIOR["law"] * share),
                 )
             )
-        entries = sum(
+        n_entries = sum(
             shared.n_entries_per_regressor * len(regressors) for (regressors, _, _), shared in columns.items()
         )
         for shared in columns.values():
-            shared.is_cached = entries <= MAX_CACHED_COLUMN_ENTRIES
+            shared.is_cached = n_entries <= MAX_CACHED_COLUMN_ENTRIES
         return batches
 
 
 def _changes_with_region(regressor_kind: str, response: Response) -> bool:
-    """True if a response is combined with a kind of regressor of a region, and for all other kinds of regressors.
+    """True if a law may change this quantity within a region of the hall; always for regressors without region.
 
     A range changes in proportion to the path in the region, and an angle in proportion to its lever.
     """
@@ -271,12 +277,12 @@ def _changes_with_region(regressor_kind: str, response: Response) -> bool:
 
 
 def _is_wave_candidate(response_kind: str, wave: Regressor) -> bool:
-    """True if a wave is tried with a kind of response: all waves with readings, `WAVE_COVARIATES` with others."""
+    """True if a wave is tried for a kind of quantity: all waves for readings, `WAVE_COVARIATES` for others."""
     return response_kind == "reading" or wave.covariates[0] in WAVE_COVARIATES
 
 
 def scaled_to_noise(response: Response, weights: Floats) -> Response:
-    """Response whose plausible size is raised to the noise level if it is smaller.
+    """Changed quantity (response) whose plausible size is raised to the noise level if it is smaller.
 
     `weights` (n, 3, c) are the whitened changes of the three readings of n pointings per unit of each component.
     """

@@ -43,9 +43,9 @@ class SpanMoments(NamedTuple):
     """Gram matrix and score of a law with separate coefficients in each of S spans."""
 
     gram: Floats
-    """Gram matrix (S, w, S, w) of the projected signature."""
+    """Gram matrix (S, w, S, w) of the projected design columns."""
     score: Floats
-    """Products (S, w) of the projected signature with the residuals."""
+    """Products (S, w) of the projected design columns with the residuals."""
     square: Floats
     """Contribution (S,) of each span to the mean square of the regressor."""
 
@@ -74,17 +74,17 @@ def switched_forms(
         return []
     if law.depends_on_fixed_region and refine:
         law = calculator.refine_locally([law], base_model)[0][0]
-    first = scalar_regressor(edges[0].covariates[0], "step", -np.inf)
-    spans = _span_moments(calculator, law, [first, *edges], base_model)
-    plausible_sizes = law.with_switch([first]).size_scales
+    always_on = scalar_regressor(edges[0].covariates[0], "step", -np.inf)
+    spans = _span_moments(calculator, law, [always_on, *edges], base_model)
+    plausible_sizes = law.with_switch([always_on]).size_scales
     on, value, toggled = _best_span_states(spans, plausible_sizes)
     chosen = [edges[i] for i in np.flatnonzero(np.diff(on.astype(int)))]
     starts_on = bool(on[0]) and law.depends_on_fixed_region  # elsewhere a constant is absorbed: on and off are alike
     if not _acts_temporarily(law, chosen, sightings):
         return []
-    refined, mean = calculator.refine_locally([law.with_switch([first, *chosen] if starts_on else chosen)], base_model)[
-        0
-    ]
+    refined, mean = calculator.refine_locally(
+        [law.with_switch([always_on, *chosen] if starts_on else chosen)], base_model
+    )[0]
     price = float(np.log(len(edges) * (len(edges) + 1) / 2)) * toggled
     form = Hypothesis(refined, log_prior - price, max(value, mean - price) + log_prior, catalogue_name(refined))
     return [form, *_formulas_of_second_factor(calculator, form, base_model)]
@@ -101,8 +101,8 @@ def _formulas_of_second_factor(calculator: EvidenceCalculator, form: Hypothesis,
     )
     if not formulas:
         return []
-    best = formulas[index_of_best(calculator.log_evidence(formulas, base_model))]
-    refined, value = calculator.refine_locally([best], base_model)[0]
+    best_formula = formulas[index_of_best(calculator.log_evidence(formulas, base_model))]
+    refined, value = calculator.refine_locally([best_formula], base_model)[0]
     log_prior = form.log_prior - float(np.log(len(formulas)))
     return [Hypothesis(refined, log_prior, value + log_prior, catalogue_name(refined))]
 
@@ -128,9 +128,9 @@ def _span_moments(
     return SpanMoments(np.moveaxis(gram, 0, 2), _span_differences(score), _span_differences(beyond))
 
 
-def _span_differences(values: Floats) -> Floats:
+def _span_differences(step_values: Floats) -> Floats:
     """Values (S, ...) of the spans from the values (S, ...) of the steps: each step minus the next."""
-    return values - np.concatenate([values[1:], np.zeros_like(values[:1])])
+    return step_values - np.concatenate([step_values[1:], np.zeros_like(step_values[:1])])
 
 
 def _best_span_states(spans: SpanMoments, plausible_sizes: Floats) -> tuple[Bools, float, int]:
@@ -172,9 +172,9 @@ def _best_span_states(spans: SpanMoments, plausible_sizes: Floats) -> tuple[Bool
     return best, value, taken
 
 
-def _cumulative_sums(values: Floats) -> Floats:
+def _cumulative_sums(step_values: Floats) -> Floats:
     """Cumulative sums (S + 1, ...) of values (S, ...), the first of which is zero."""
-    return np.concatenate([np.zeros_like(values[:1]), values.cumsum(axis=0)])
+    return np.concatenate([np.zeros_like(step_values[:1]), step_values.cumsum(axis=0)])
 
 
 def _acts_temporarily(law: EmpiricalLaw, edges: Sequence[Regressor], sightings: Sightings) -> bool:

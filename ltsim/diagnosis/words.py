@@ -50,10 +50,10 @@ def _estimate_text(parameter: ParameterEstimate) -> str:
 def place_text(scope: FindingScope) -> str:
     """Text of the place and the observables of a finding, such as ``at station S3 in distance``."""
     kinds = ("at station", scope.stations), ("of instrument", scope.instruments), ("at target", scope.targets)
-    parts = [f"{kind}{'s' if len(names) > 1 else ''} {listing(names)}" for kind, names in kinds if names]
+    place_texts = [f"{kind}{'s' if len(names) > 1 else ''} {listing(names)}" for kind, names in kinds if names]
     if scope.observables:
-        parts.append(f"in {listing(scope.observables)}")
-    return " ".join(parts) or "in the whole recording"
+        place_texts.append(f"in {listing(scope.observables)}")
+    return " ".join(place_texts) or "in the whole recording"
 
 
 def percent_text(probability: float) -> str:
@@ -74,42 +74,44 @@ def catalogue_sentence(
     `probability` is that of the effect, and `p_located` that of any effect at the same place.
     """
     entry = catalogue_entry(find_effect(effect))
-    at = place_text(scope).removeprefix("at ").removeprefix("in the ")
+    place_name = place_text(scope).removeprefix("at ").removeprefix("in the ")
     lower_title = f"{entry.title[0].lower()}{entry.title[1:]}"
-    sizes = estimates_phrase(parameters)
+    sizes_text = estimates_phrase(parameters)
     if max(probability, p_located or 0.0) < MIN_PROBABLE:
-        size_text = f" ({sizes})" if sizes else ""
+        size_text = f" ({sizes_text})" if sizes_text else ""
         return (
-            f"An unidentified systematic effect is present ({at}). "
+            f"An unidentified systematic effect is present ({place_name}). "
             f"The best candidate is {lower_title}{size_text}, with a probability of {percent_text(probability)}."
         )
-    here = place_text(scope.model_copy(update={"observables": ()}))
+    place_phrase = place_text(scope.model_copy(update={"observables": ()}))
     located = (
-        "" if p_located is None else f"An effect like this {here} has a probability of {percent_text(p_located)}. "
+        ""
+        if p_located is None
+        else f"An effect like this {place_phrase} has a probability of {percent_text(p_located)}. "
     )
     cause = f"This cause ({entry.cause_description}) has a probability of {percent_text(probability)}."
     title = entry.title if probability >= MIN_PROBABLE else f"Perhaps {lower_title}"
-    return f"{title} ({at}){f': {sizes}' if sizes else ''}. {located}{cause}"
+    return f"{title} ({place_name}){f': {sizes_text}' if sizes_text else ''}. {located}{cause}"
 
 
 def law_sentence(scope: FindingScope, parameters: Sequence[ParameterEstimate], p_located: float, law_text: str) -> str:
-    """Sentences on a law outside the catalogue: response, regressor, place, size, probability.
+    """Sentences on a law outside the catalogue: changed quantity, regressor, place, size, probability.
 
     `law_text` is the text of the law, and `p_located` the probability of any such effect at the same place.
     """
-    sizes = estimates_phrase(parameters)
-    size = f" ({sizes})" if sizes else ""
-    at = _place_suffix(scope.model_copy(update={"observables": ()}))
+    sizes_text = estimates_phrase(parameters)
+    size_phrase = f" ({sizes_text})" if sizes_text else ""
+    place_phrase = _place_suffix(scope.model_copy(update={"observables": ()}))
     response, verb, regressor = law_text.partition(" follows " if " follows " in law_text else " differs")
     if p_located < MIN_PROBABLE:
         return (
             f"An effect outside the catalogue is present{_place_suffix(scope)}. "
             "The readings do not determine its form. "
-            f"One of several possible forms is that the {response}{at}{verb}{regressor}{size}, "
+            f"One of several possible forms is that the {response}{place_phrase}{verb}{regressor}{size_phrase}, "
             f"with a probability of {percent_text(p_located)}."
         )
     return (
-        f"The {response}{at}{verb}{regressor}{size}. "
+        f"The {response}{place_phrase}{verb}{regressor}{size_phrase}. "
         f"The catalogue has no such effect. An effect like this has a probability of {percent_text(p_located)}."
     )
 
@@ -199,17 +201,17 @@ def diagnosis_summary(
             f"(chi-square {misfit_before.chi2:.0f} for {misfit_before.dof} degrees of freedom), "
             "but no cause is probable."
         )
-    first = findings[0]
+    first_finding = findings[0]
     suffix = f" Also: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
-    others = [effect_text(e.effect) for e in first.equivalents]
+    others = [effect_text(e.effect) for e in first_finding.equivalents]
     open_ = f" This recording cannot exclude {' or '.join(others)} instead." if others else ""
     further = "1 further effect is" if n_withheld == 1 else f"{n_withheld} further effects are"
-    rest = f" {further} in the model but not reported (small or uncertain)." if n_withheld else ""
+    unreported_text = f" {further} in the model but not reported (small or uncertain)." if n_withheld else ""
     return (
-        first.sentence
+        first_finding.sentence
         + open_
         + suffix
-        + rest
+        + unreported_text
         + _held_out_sentence(misfit_before.held_out_rms, misfit_after.held_out_rms)
         + (CONTRADICTED_MODEL_SENTENCE if is_contradicted else "")
     )

@@ -4,8 +4,8 @@ A chain is a list of motions from the base outwards: a turn about z by the azimu
 offset, and so on. The target sits at the origin of the last frame. An instrument error is added to the nominal amount
 of a motion. The motion's `slot` is the key of this error in the mapping `errors`. The derivative of the point with
 respect to the error of a translation is the direction of its axis in the base frame. For a rotation it is the cross
-product of the axis and the vector from the axis to the target. There are three constructions: `MISALIGNMENT_CHAIN`,
-`STEERING_MIRROR_CHAIN` and the paper's `DH_CHAIN`.
+product of the axis and the vector from the axis to the target. There are three designs of a tracker:
+`MISALIGNMENT_CHAIN`, `STEERING_MIRROR_CHAIN` and the paper's `DH_CHAIN`.
 """
 
 import math
@@ -82,11 +82,11 @@ def _motion_amount(
     elementary_motion: ElementaryMotion, raw_readings: Floats, errors: Mapping[str, Floats]
 ) -> Floats | None:
     """Signed angle [rad] or length [m] of a motion, nominal amount plus error, (n,) or a number; None for no motion."""
-    amount = None if elementary_motion.nominal is None else elementary_motion.nominal(raw_readings)
+    motion_amount = None if elementary_motion.nominal is None else elementary_motion.nominal(raw_readings)
     error = errors.get(elementary_motion.slot)
     if error is not None:
-        amount = error if amount is None else amount + error
-    return None if amount is None else elementary_motion.sign * amount
+        motion_amount = error if motion_amount is None else motion_amount + error
+    return None if motion_amount is None else elementary_motion.sign * motion_amount
 
 
 def _rotate(axis: int, angle: Floats, *vectors: Floats) -> None:
@@ -272,6 +272,6 @@ J2.eX_cos (azimuth index), J1.dX_c with J2.dZ_cos and J2.dX_sin (transit offset)
 place and tilt), which leaves 47; the range scale T.dZ_1 is the scale of the network where no length is known, which
 leaves 46. `tests/physics/model/test_dh_count.py` counts them.
 
-The paper's azimuth is zero on +Y. The chain starts with a fixed quarter turn, so that both constructions use
+The paper's azimuth is zero on +Y. The chain starts with a fixed quarter turn, so that all chains use
 one instrument frame (azimuth zero on +X); the harmonics are functions of the reading and do not change.
 """

@@ -122,8 +122,8 @@ def determines_pose(
     min_relative_width : float
         Distance of targets from a common line, as a fraction of their extent, up to which they count as collinear.
     """
-    count = np.maximum(is_sighted.sum(axis=-1), 1)
-    centre = (is_sighted @ points) / count[..., None]
+    n_sighted = np.maximum(is_sighted.sum(axis=-1), 1)
+    centre = (is_sighted @ points) / n_sighted[..., None]
     centred_points = (points - centre[..., None, :]) * is_sighted[..., None]
     scatter = np.swapaxes(centred_points, -1, -2) @ centred_points
     spread = np.linalg.eigvalsh(scatter)
@@ -226,24 +226,28 @@ def align_robustly(points: Floats, goal_points: Floats) -> tuple[Floats, Floats]
 
     Raises NetworkError under the conditions of `align_with_scale`.
     """
-    best = align_rigidly(points, goal_points)
+    best_alignment = align_rigidly(points, goal_points)
     if len(points) < 4:
-        return best
-    residual_distances = _residual_distances(points, goal_points, best)
+        return best_alignment
+    residual_distances = _residual_distances(points, goal_points, best_alignment)
     if residual_distances.mean() > MAX_SOUND_MISFIT_M:
         triples = _point_triples(len(points))
         rotation, shift, _, is_determined = _weighted_alignment(points[triples], goal_points[triples], np.ones(3))
         log_distance_sums = _sum_of_log_distances(_residual_distances(points, goal_points, (rotation, shift)))
         log_distance_sums[~is_determined] = np.inf
         k = int(np.argmin(log_distance_sums))
-        best = (rotation[k], shift[k]) if log_distance_sums[k] < _sum_of_log_distances(residual_distances) else best
+        best_alignment = (
+            (rotation[k], shift[k])
+            if log_distance_sums[k] < _sum_of_log_distances(residual_distances)
+            else best_alignment
+        )
     for _ in range(MAX_ROBUST_PASSES):
-        residual_distances = _residual_distances(points, goal_points, best)
+        residual_distances = _residual_distances(points, goal_points, best_alignment)
         floor = max(1e-5, 0.5 * median(residual_distances))
-        best = align_rigidly(points, goal_points, 1.0 / np.maximum(residual_distances, floor))
+        best_alignment = align_rigidly(points, goal_points, 1.0 / np.maximum(residual_distances, floor))
         if residual_distances.max() < MAX_NOISE_DISTANCE_RATIO * floor:
             break
-    return best
+    return best_alignment
 
 
 def largest_residual(points: Floats, goal_points: Floats) -> float:

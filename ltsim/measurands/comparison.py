@@ -70,8 +70,8 @@ class Displacement(Entry):
     @property
     def row(self) -> list[Any]:
         """Row of the table `DISPLACEMENTS_TABLE`."""
-        sizes = *self.place_mm, *self.shift_um, *self.sigma_um, *self.semi_axes_um
-        return [self.target, self.moved, *sizes, self.p_value, self.visible_um[1]]
+        numbers = *self.place_mm, *self.shift_um, *self.sigma_um, *self.semi_axes_um
+        return [self.target, self.moved, *numbers, self.p_value, self.visible_um[1]]
 
 
 class Comparison(ResultFile):
@@ -165,9 +165,10 @@ class EpochDifference:
         """Chi-square of the difference of one point alone; None if the frames of the epochs are free."""
         if self.free_motions.shape[1]:
             return None
-        rows = coordinate_rows([point], len(self.compared_axes))
+        point_rows = coordinate_rows([point], len(self.compared_axes))
         return float(
-            self.differences[rows] @ np.linalg.solve(self.covariance[np.ix_(rows, rows)], self.differences[rows])
+            self.differences[point_rows]
+            @ np.linalg.solve(self.covariance[np.ix_(point_rows, point_rows)], self.differences[point_rows])
         )
 
     @cached_property
@@ -192,8 +193,8 @@ class EpochDifference:
     def estimate_displacements(self, moved_points: Sequence[int]) -> tuple[Floats, Floats]:
         """Estimates of free motions and of the displacements of the given points, and covariance of all estimates."""
         design = self._whitened_design(moved_points)
-        size = np.linalg.norm(design, axis=0)
-        inverse = np.linalg.pinv(design / size) / size[:, None]
+        column_norms = np.linalg.norm(design, axis=0)
+        inverse = np.linalg.pinv(design / column_norms) / column_norms[:, None]
         return inverse @ (self._whitening_root @ self.differences), inverse @ inverse.T
 
 
@@ -290,10 +291,10 @@ def _displacement_of_point(
 
 
 def _result_sentence(displacements: Sequence[Displacement]) -> str:
-    size = {d.target: float(np.linalg.norm(d.shift_um)) for d in displacements if d.moved}
-    if not size:
+    size_by_target = {d.target: float(np.linalg.norm(d.shift_um)) for d in displacements if d.moved}
+    if not size_by_target:
         sure = max(d.visible_um[1] for d in displacements)
         return f"no point moved; a motion of {sure:.0f} um would have been found anywhere in 4 of 5 cases"
-    worst = sorted(size, key=lambda name: -size[name])
-    names = listing([f"{name} by {size[name]:.0f} um" for name in worst])
-    return f"{len(worst)} of {len(displacements)} points moved: {names}"
+    names_by_size = sorted(size_by_target, key=lambda name: -size_by_target[name])
+    names = listing([f"{name} by {size_by_target[name]:.0f} um" for name in names_by_size])
+    return f"{len(names_by_size)} of {len(displacements)} points moved: {names}"

@@ -91,8 +91,8 @@ def compare_coordinates(
         _Epoch.from_coordinates(epoch, common_names, motions)
         for epoch, motions in zip((first, second), open_, strict=True)
     )
-    count = 0 if has_free_motions else max(motions.shape[1] for motions in open_)
-    notes = [*renamed, *([undetermined_motions_note(count)] if count else [])]
+    n_open = 0 if has_free_motions else max(motions.shape[1] for motions in open_)
+    notes = [*renamed, *([undetermined_motions_note(n_open)] if n_open else [])]
     sources = SourceEntry.from_coordinates(first), SourceEntry.from_coordinates(second)
     stable_mask = stable_points & (stable_names is not None)
     result = _compare_epochs(
@@ -114,17 +114,17 @@ def _with_names_of(epoch: EpochCoordinates, names: Sequence[str]) -> tuple[Epoch
     The second element of the result is a note on these names.
     """
     spellings = {normalised_name(name): name for name in names if name not in epoch.names}
-    other = [name for name in epoch.names if name not in names]
-    normalised = [normalised_name(name) for name in other]
+    unmatched_names = [name for name in epoch.names if name not in names]
+    normalised = [normalised_name(name) for name in unmatched_names]
     changed = {
         name: spellings[key]
-        for name, key in zip(other, normalised, strict=True)
+        for name, key in zip(unmatched_names, normalised, strict=True)
         if key in spellings and normalised.count(key) == 1
     }
     if not changed:
         return epoch, []
-    pairs = listing([f"'{name}' and '{first}'" for name, first in changed.items()])
-    note = f"names that differ only in case, blanks or leading zeros are the same point: {pairs}"
+    renaming_text = listing([f"'{name}' and '{first}'" for name, first in changed.items()])
+    note = f"names that differ only in case, blanks or leading zeros are the same point: {renaming_text}"
     return replace(epoch, names=tuple(changed.get(name, name) for name in epoch.names)), [note]
 
 
@@ -135,16 +135,16 @@ def _with_rigid_motion(
 
     `compare_with_free_motions` compares the lists with each in its own frame.
     """
-    count = len(fixed_frame_result.displacements)
-    if 2 * len(fixed_frame_result.moved_points) <= count:
+    n_points = len(fixed_frame_result.displacements)
+    if 2 * len(fixed_frame_result.moved_points) <= n_points:
         return fixed_frame_result
     free = compare_with_free_motions()
-    if 2 * len(free.moved_points) > count:
+    if 2 * len(free.moved_points) > n_points:
         return fixed_frame_result
     suffix = f": {listing(list(free.moved_points))}" if free.moved_points else ""
     note = (
         f"the points moved together, like one rigid body: aligned by {option('free=True')}, "
-        f"{len(free.moved_points)} of {count} points moved{suffix}"
+        f"{len(free.moved_points)} of {n_points} points moved{suffix}"
     )
     return fixed_frame_result.model_copy(update={"notes": (*fixed_frame_result.notes, note), "is_rigid_motion": True})
 
@@ -212,8 +212,11 @@ class _Epoch:
     def from_adjustment(cls, adjustment: Adjustment, target_indices: Ints, target_names: Sequence[str]) -> Self:
         columns = adjustment.problem.unknowns.target_columns[target_indices].reshape(1, -1)
         reach = displacement_per_row(adjustment, columns[0])
-        groups = {source.name: source.point_response for source in observed_sources(adjustment, reach)}
-        responses = [np.zeros((reach.shape[1], 0)), *(groups[name] for name in target_names if name in groups)]
+        response_by_source = {source.name: source.point_response for source in observed_sources(adjustment, reach)}
+        responses = [
+            np.zeros((reach.shape[1], 0)),
+            *(response_by_source[name] for name in target_names if name in response_by_source),
+        ]
         names = [adjustment.recording.targets[i] for i in target_indices]
         covariance = reach.T @ reach + air_covariance(adjustment, columns)[0]
         return cls(
@@ -228,24 +231,24 @@ class _Epoch:
     def from_coordinates(cls, coordinates: EpochCoordinates, point_names: Sequence[str], free_motions: Floats) -> Self:
         """Epoch of a list of coordinates with the given free motions."""
         indices = np.array([coordinates.names.index(name) for name in point_names])
-        rows = coordinate_rows(indices, len(coordinates.axes))
+        row_indices = coordinate_rows(indices, len(coordinates.axes))
         return cls(
             point_names,
             coordinates.points[indices],
-            coordinates.covariance[np.ix_(rows, rows)],
-            np.zeros((len(rows), 0)),
+            coordinates.covariance[np.ix_(row_indices, row_indices)],
+            np.zeros((len(row_indices), 0)),
             free_motions,
         )
 
     def with_order(self, point_order: Ints, axes: int) -> Self:
         """Epoch in which the point with index i takes the position of the point with index `point_order[i]`."""
-        rows = coordinate_rows(point_order, axes)
-        covariance = self.covariance[np.ix_(rows, rows)]
+        row_indices = coordinate_rows(point_order, axes)
+        covariance = self.covariance[np.ix_(row_indices, row_indices)]
         return replace(
             self,
             points=self.points[point_order],
             covariance=covariance,
-            common_observation_response=self.common_observation_response[rows],
+            common_observation_response=self.common_observation_response[row_indices],
         )
 
 
@@ -281,26 +284,26 @@ def _certificate_lengths(gauge: Gauge) -> Gauge:
 
 
 def _align_epochs(
-    first: _Epoch, second: _Epoch, with_scale: bool, stable_mask: Bools, axes: Ints = ALL_AXES
+    first_epoch: _Epoch, second_epoch: _Epoch, with_scale: bool, stable_mask: Bools, axes: Ints = ALL_AXES
 ) -> EpochDifference:
     """Differences of the points after alignment of the second epoch to the first, if their frames are free."""
-    before, after, turn = first.points, second.points, np.eye(3)
+    before, after, turn = first_epoch.points, second_epoch.points, np.eye(3)
     centre = before[stable_mask].mean(axis=0)
-    stacked = np.hstack([first.free_motions, second.free_motions])
+    stacked = np.hstack([first_epoch.free_motions, second_epoch.free_motions])
     free = scipy.linalg.orth(stacked) if stacked.shape[1] else stacked
     if free.shape[1] and len(axes) > 1:
         weights = stable_mask.astype(np.float64)
         for _ in range(MAX_ITERATIONS):
-            turn, shift = align_rigidly(second.points, before, weights)
-            after = second.points @ turn.T + shift
+            turn, shift = align_rigidly(second_epoch.points, before, weights)
+            after = second_epoch.points @ turn.T + shift
             off = np.linalg.norm(after - before, axis=1)
             # A point that moved must not turn the rest.
             previous, weights = weights, stable_mask / (off + np.median(off[stable_mask]) + 1e-12)
             if np.abs(weights - previous).max() < MAX_ROUNDING_ERROR * weights.max():
                 break
     big = np.kron(np.eye(len(before)), turn[np.ix_(axes, axes)])
-    shared = first.common_observation_response @ second.common_observation_response.T @ big.T
-    covariance = first.covariance + big @ second.covariance @ big.T - shared - shared.T
+    shared = first_epoch.common_observation_response @ second_epoch.common_observation_response.T @ big.T
+    covariance = first_epoch.covariance + big @ second_epoch.covariance @ big.T - shared - shared.T
     motions = rigid_motion_design(before, centre)
     motions = motions @ _motions_about(free, centre) if free.shape[1] else motions[:, :0]
     motions = motions.reshape(len(before), 3, -1)[:, axes].reshape(len(covariance), -1)
@@ -311,7 +314,7 @@ def _align_epochs(
     if with_scale:
         motions = np.hstack([motions, (before - centre)[:, axes].reshape(-1, 1)])
     return EpochDifference(
-        first.point_names, (after - before)[:, axes].ravel(), covariance, motions, axes, before, with_scale
+        first_epoch.point_names, (after - before)[:, axes].ravel(), covariance, motions, axes, before, with_scale
     )
 
 
@@ -336,8 +339,8 @@ def free_motions_of_epoch(epoch: EpochCoordinates) -> Floats:
     the same defect in other directions; the usual motions are then used.
     """
     scale = np.sqrt(np.diag(epoch.covariance))
-    values = np.linalg.eigvalsh(epoch.covariance / np.outer(scale, scale))
-    defect = int((values < MAX_ROUNDING_ERROR * values[-1]).sum())
+    eigenvalues = np.linalg.eigvalsh(epoch.covariance / np.outer(scale, scale))
+    defect = int((eigenvalues < MAX_ROUNDING_ERROR * eigenvalues[-1]).sum())
     if not defect:
         return np.zeros((6, 0))
     centre = epoch.points.mean(axis=0)

@@ -136,15 +136,15 @@ class TaskEvaluation:
 
     def _hidden_errors(self, result_index: int, unit: float, sigma: float) -> tuple[HiddenPart, ...]:
         """Errors without effect on the readings that change a result noticeably, compared with its uncertainty."""
-        changes = {
+        change_by_target = {
             name: abs(float(self.linear.point_derivatives[result_index] @ moved)) / unit
             for name, moved in self.inputs.hidden_displacements.items()
         }
-        ranked = sorted(changes, key=lambda name: -changes[name])
+        ranked = sorted(change_by_target, key=lambda name: -change_by_target[name])
         return tuple(
-            HiddenPart(source=name, change=changes[name])
+            HiddenPart(source=name, change=change_by_target[name])
             for name in ranked
-            if changes[name] > MIN_RELATIVE_HIDDEN_DISPLACEMENT * sigma
+            if change_by_target[name] > MIN_RELATIVE_HIDDEN_DISPLACEMENT * sigma
         )
 
     def _budget_parts(self, result_index: int, sigma: float) -> tuple[BudgetPart, ...]:
@@ -153,9 +153,10 @@ class TaskEvaluation:
             {name: float(share[result_index]) for name, share in self.linear.variance_by_source.items()},
             self.linear.evaluation_types,
         )
-        total = sum(shares.values())
+        total_variance = sum(shares.values())
         ranked = [
-            (name, shares[name] / total if total > 0 else 0.0) for name in sorted(shares, key=lambda n: -shares[n])
+            (name, shares[name] / total_variance if total_variance > 0 else 0.0)
+            for name in sorted(shares, key=lambda n: -shares[n])
         ]
         return tuple(
             BudgetPart(source=name, type=kinds[name], share=share, standard_uncertainty=float(np.sqrt(share)) * sigma)

@@ -83,8 +83,8 @@ def _fit_line(centred_points: Floats, _start_feature: FittedFeature | None) -> F
     _require_determined("line", s[..., 0] - s[..., 1] > 1e-9 * s[..., 0], "do not define a direction")
     direction = v[..., 0, :]
     along = np.einsum("...ni,...i->...n", centred_points, direction)
-    side = centred_points - along[..., None] * direction[..., None, :]
-    return _feature_without_radius(direction, np.linalg.norm(side, axis=-1))
+    perpendicular_parts = centred_points - along[..., None] * direction[..., None, :]
+    return _feature_without_radius(direction, np.linalg.norm(perpendicular_parts, axis=-1))
 
 
 def _fit_plane(centred_points: Floats, _start_feature: FittedFeature | None) -> FittedFeature:
@@ -156,8 +156,8 @@ def _fit_cylinder(centred_points: Floats, initial_feature: FittedFeature | None)
         features.append(
             FittedFeature(tried.reference_point[k], tried.direction[k], tried.radius[k], tried.deviations[k])
         )
-    parts = (np.stack(part) for part in zip(*map(astuple, features), strict=True))
-    return FittedFeature(*(part.reshape((*centred_points.shape[:-2], *part.shape[1:])) for part in parts))
+    stacked_fields = (np.stack(part) for part in zip(*map(astuple, features), strict=True))
+    return FittedFeature(*(part.reshape((*centred_points.shape[:-2], *part.shape[1:])) for part in stacked_fields))
 
 
 def _refine_cylinder(
@@ -214,10 +214,10 @@ def _projected_circle(
 def _algebraic_fit(centred_points: Floats, *, raises_if_undetermined: bool = True) -> tuple[Floats, Floats]:
     """Centre (..., d) and radius (...) that minimise |p|^2 - 2 c p - k over points p, without start values."""
     design = np.concatenate([2.0 * centred_points, np.ones((*centred_points.shape[:-1], 1))], axis=-1)
-    right = np.sum(centred_points**2, axis=-1)
+    squared_norms = np.sum(centred_points**2, axis=-1)
     solution = -_least_squares_step(
         design,
-        right,
+        squared_norms,
         "sphere" if centred_points.shape[-1] == 3 else "circle",
         raises_if_undetermined=raises_if_undetermined,
     )
@@ -239,8 +239,8 @@ def _least_squares_step(
     if raises_if_undetermined:
         _require_determined(feature_kind, is_determined, "do not determine it")
     r = np.where(is_determined[..., None, None], r, np.eye(r.shape[-1]))
-    right = -np.einsum("...mk,...m->...k", q, misclosure)
-    step = np.linalg.solve(r, right[..., None])[..., 0]
+    normal_right_side = -np.einsum("...mk,...m->...k", q, misclosure)
+    step = np.linalg.solve(r, normal_right_side[..., None])[..., 0]
     return np.where(is_determined[..., None], step, np.nan)
 
 
@@ -263,8 +263,8 @@ def _perpendicular_vectors(unit_normal: Floats) -> tuple[Floats, Floats]:
     helper = np.eye(3)[least]
     parallel = np.abs(unit_normal @ helper)[..., None] > 0.95
     helper = np.where(parallel, np.eye(3)[(least + 1) % 3], helper)
-    first = _unit_vectors(np.cross(helper, unit_normal))
-    return first, np.cross(unit_normal, first)
+    first_vector = _unit_vectors(np.cross(helper, unit_normal))
+    return first_vector, np.cross(unit_normal, first_vector)
 
 
 def _half_sphere_directions(n_directions: int) -> Floats:

@@ -139,8 +139,8 @@ class TaskInputs(ValueEquality):
             if name not in coordinates.names:
                 raise unknown_name("target", name, coordinates.names)
         indices = np.array([coordinates.names.index(name) for name in names])
-        rows = (3 * indices[:, None] + np.arange(3)).ravel()
-        values, vectors = np.linalg.eigh(coordinates.covariance[np.ix_(rows, rows)])
+        row_indices = (3 * indices[:, None] + np.arange(3)).ravel()
+        values, vectors = np.linalg.eigh(coordinates.covariance[np.ix_(row_indices, row_indices)])
         reach = (vectors * np.sqrt(np.maximum(values, 0.0))).T
         source = UncertaintySource(f"coordinates of {coordinates.title}", "A", reach.T)
         return cls(coordinates, names, coordinates.points[indices], reach, (source,))

@@ -107,21 +107,21 @@ class Measurand(ValueEquality):
 
     def point_derivatives(self, points: Floats, scale_change: float = 1.0) -> Floats:
         """Derivative of the results with respect to all T points, by central differences, shape (results, 3 T)."""
-        count = 3 * len(self.target_indices)
+        n_coordinates = 3 * len(self.target_indices)
         columns = (3 * self.target_indices[:, None] + np.arange(3)).ravel()
-        steps = np.zeros((2 * count, points.size))
-        steps[np.arange(count), columns] = DIFFERENCE_STEP
-        steps[count + np.arange(count), columns] = -DIFFERENCE_STEP
-        values = self.values(points + steps.reshape(2 * count, *points.shape), scale_change)
-        change = np.zeros((values.shape[1], points.size))
-        change[:, columns] = (values[:count] - values[count:]).T / (2 * DIFFERENCE_STEP)
+        steps = np.zeros((2 * n_coordinates, points.size))
+        steps[np.arange(n_coordinates), columns] = DIFFERENCE_STEP
+        steps[n_coordinates + np.arange(n_coordinates), columns] = -DIFFERENCE_STEP
+        stepped_values = self.values(points + steps.reshape(2 * n_coordinates, *points.shape), scale_change)
+        change = np.zeros((stepped_values.shape[1], points.size))
+        change[:, columns] = (stepped_values[:n_coordinates] - stepped_values[n_coordinates:]).T / (2 * DIFFERENCE_STEP)
         return change
 
     def stretch_derivatives(self, points: Floats, scale_change: float = 1.0) -> Floats:
         """Derivative of the results with respect to the scale of the points, shape (results,)."""
         scales = np.array([scale_change + DIFFERENCE_STEP, scale_change - DIFFERENCE_STEP])
-        values = self.values(np.broadcast_to(points, (2, *points.shape)), scales)
-        return (values[0] - values[1]) / (2 * DIFFERENCE_STEP)
+        stepped_values = self.values(np.broadcast_to(points, (2, *points.shape)), scales)
+        return (stepped_values[0] - stepped_values[1]) / (2 * DIFFERENCE_STEP)
 
     def _feature_values(self, feature_points: Floats) -> Floats:
         task, near = self.task, self.reference_feature
@@ -132,14 +132,14 @@ class Measurand(ValueEquality):
         # The zone that holds all deviations: a diameter for a line, peak to valley for the others.
         form = 2.0 * feature.deviations.max(axis=-1) if task.kind == "line" else np.ptp(feature.deviations, axis=-1)
         diameter = 2.0 * (feature.radius + task.radius_offset_mm * MILLIMETRE)
-        parts = {
+        values_by_quantity = {
             "centre": feature.reference_point,
             "normal": normal,
             "diameter": diameter[..., None],
             "form": form[..., None],
             "offset": np.einsum("...i,...i->...", normal, feature.reference_point)[..., None],
         }
-        return np.concatenate([parts[name] for name in _FEATURE_OUTPUTS[task.kind]], axis=-1)
+        return np.concatenate([values_by_quantity[name] for name in _FEATURE_OUTPUTS[task.kind]], axis=-1)
 
     def _fit(self, feature_points: Floats) -> Floats:
         task = self.task
@@ -168,8 +168,10 @@ def _angle_of_points(three_points: Floats) -> Floats:
 
 
 def _distances(difference_vectors: Floats) -> Floats:
-    rows = np.concatenate([difference_vectors, np.linalg.norm(difference_vectors, axis=-1, keepdims=True)], axis=-1)
-    return rows.reshape(*difference_vectors.shape[:-2], -1)
+    differences = np.concatenate(
+        [difference_vectors, np.linalg.norm(difference_vectors, axis=-1, keepdims=True)], axis=-1
+    )
+    return differences.reshape(*difference_vectors.shape[:-2], -1)
 
 
 _FEATURE_OUTPUTS = {

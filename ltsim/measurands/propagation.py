@@ -97,10 +97,10 @@ def propagate(
 ) -> LinearUncertainty:
     """Results of all tasks with their uncertainty, to first order through adjustment and tasks."""
     points = task_inputs.points
-    values = np.concatenate([m.values(points, thermal_expansion.length_ratio) for m in measurands])
+    result_values = np.concatenate([m.values(points, thermal_expansion.length_ratio) for m in measurands])
     by_points = np.concatenate([m.point_derivatives(points, thermal_expansion.length_ratio) for m in measurands])
     by_stretch = np.concatenate([m.stretch_derivatives(points, thermal_expansion.length_ratio) for m in measurands])
-    covariance = np.zeros((len(values), len(values)))
+    covariance = np.zeros((len(result_values), len(result_values)))
     shares: dict[str, Floats] = {}
     kinds: dict[str, Literal["A", "B"]] = {}
     for source in task_inputs.sources:
@@ -113,7 +113,7 @@ def propagate(
         covariance += np.outer(reached, reached)
         shares[name] = reached**2
         kinds[name] = "B"
-    return LinearUncertainty(values, covariance, shares, kinds, by_points, by_stretch)
+    return LinearUncertainty(result_values, covariance, shares, kinds, by_points, by_stretch)
 
 
 def curvature_differences(task_inputs: TaskInputs, measurands: Sequence[Measurand], seed: int) -> Floats:
@@ -128,7 +128,7 @@ def curvature_differences(task_inputs: TaskInputs, measurands: Sequence[Measuran
     recording, problem = origin.recording, origin.problem
     indices = [recording.targets.index(name) for name in task_inputs.target_names]
     used, count = problem.used_readings, int(problem.used_readings.sum())
-    worst = np.zeros(sum(len(m.outputs) for m in measurands))
+    largest_differences = np.zeros(sum(len(m.outputs) for m in measurands))
     for i in range(N_CURVATURE_CHECKS):
         noise = stream(seed, "curvature", i).standard_normal(count)
         readings = recording.readings.copy()
@@ -144,8 +144,8 @@ def curvature_differences(task_inputs: TaskInputs, measurands: Sequence[Measuran
         shift = (noise @ task_inputs.point_response[:count]).reshape(-1, 3)
         linear = np.concatenate([m.values(task_inputs.points + shift) for m in measurands])
         exact = np.concatenate([m.values(again.state.target_points[indices]) for m in measurands])
-        worst = np.maximum(worst, np.abs(exact - linear))
-    return worst
+        largest_differences = np.maximum(largest_differences, np.abs(exact - linear))
+    return largest_differences
 
 
 TRIALS_PER_BATCH = 10_000
@@ -267,8 +267,8 @@ def _draw_errors(
 def _evaluate_results(measurands: Sequence[Measurand], points: Floats, factor: Floats) -> Floats:
     """Results (trials, results) for points (trials, T, 3) [m] of a part that is scaled by `factor` (trials,)."""
     pieces = list(batches(len(points), points[0].size))
-    rows = [np.concatenate([m.values(points[p], factor[p]) for m in measurands], axis=1) for p in pieces]
-    return np.concatenate(rows)
+    result_rows = [np.concatenate([m.values(points[p], factor[p]) for m in measurands], axis=1) for p in pieces]
+    return np.concatenate(result_rows)
 
 
 def _linear_statistics(
@@ -347,8 +347,8 @@ def _batch_statistics(trial_results: Floats, coverage_probability: float) -> Flo
 def shortest_intervals(trial_results: Floats, coverage_probability: float) -> Floats:
     """Shortest coverage interval of each result, shape (results, 2), from trials (trials, results) (JCGM 101, 7.7)."""
     ordered = np.sort(trial_results, axis=0)
-    count = len(ordered)
-    inside = int(np.clip(round(coverage_probability * count), 1, count - 1))
-    best_index = np.argmin(ordered[inside:] - ordered[: count - inside], axis=0)
+    n_samples = len(ordered)
+    n_inside = int(np.clip(round(coverage_probability * n_samples), 1, n_samples - 1))
+    best_index = np.argmin(ordered[n_inside:] - ordered[: n_samples - n_inside], axis=0)
     columns = np.arange(trial_results.shape[1])
-    return np.stack([ordered[best_index, columns], ordered[best_index + inside, columns]], axis=1)
+    return np.stack([ordered[best_index, columns], ordered[best_index + n_inside, columns]], axis=1)

@@ -82,9 +82,9 @@ class Task(TomlSection):
 
     @model_validator(mode="after")
     def _check_targets(self) -> Self:
-        wanted = N_TARGETS_BY_KIND.get(self.kind)
-        if wanted is not None and len(self.targets) != wanted:
-            raise ValueError(f"it should name {wanted} targets for a {self.kind}")
+        n_required = N_TARGETS_BY_KIND.get(self.kind)
+        if n_required is not None and len(self.targets) != n_required:
+            raise ValueError(f"it should name {n_required} targets for a {self.kind}")
         if len(set(self.targets)) < len(self.targets):
             raise ValueError("it should name each target once")
         if (self.kind == "rod") != (self.beyond_mm != 0):

@@ -169,14 +169,14 @@ class TaskResult(Entry):
     def table_row(self) -> list[Any]:
         """Row of the table `RESULTS_TABLE`."""
         largest, drawn = self.budget[0], self.monte_carlo
-        sizes = self.value, self.standard_uncertainty, self.expanded_uncertainty
+        numbers = self.value, self.standard_uncertainty, self.expanded_uncertainty
         judgement = self.conformity.judgement if self.conformity else ""
         monte_carlo = drawn.standard_uncertainty, *drawn.symmetric, drawn.agrees, judgement
         return [
             self.task,
             self.name,
             self.unit,
-            *sizes,
+            *numbers,
             *monte_carlo,
             f"{largest.source} ({100 * largest.share:.0f} %)",
         ]
@@ -215,15 +215,15 @@ class Uncertainty(ResultFile):
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         budget_rows = [(r, p) for r in self.results for p in r.budget]
-        rows: list[tuple[Any, ...]] = [
+        task_rows: list[tuple[Any, ...]] = [
             (r.task, r.name, p.source, p.type, r.unit, p.share, p.standard_uncertainty) for r, p in budget_rows
         ]
-        rows += [
+        task_rows += [
             (r.task, r.name, p.source, NOT_INCLUDED, r.unit, None, p.change) for r in self.results for p in r.hidden
         ]
         return {
             "results": lambda: RESULTS_TABLE.with_rows(r.table_row for r in self.results),
-            "budget": lambda: BUDGET_TABLE.with_rows(rows),
+            "budget": lambda: BUDGET_TABLE.with_rows(task_rows),
             "conformity": self._conformity_table,
             "hidden": lambda: HIDDEN_ERRORS_TABLE.with_rows(
                 [r.task, r.name, part.source, part.change, r.unit] for r in self.results for part in r.hidden
@@ -285,10 +285,10 @@ def normalised_errors_of_files(first_result: Uncertainty, second_result: Uncerta
     E_n applies to independent results, for example from two recordings or two instruments.
     """
     others = {(r.task, r.name, r.unit): r for r in second_result.results}
-    pairs = [(r, others[key]) for r in first_result.results if (key := (r.task, r.name, r.unit)) in others]
+    result_pairs = [(r, others[key]) for r in first_result.results if (key := (r.task, r.name, r.unit)) in others]
     return [
         (f"{r.task}, {r.name}", normalised_error(r.value, r.expanded_uncertainty, o.value, o.expanded_uncertainty))
-        for r, o in pairs
+        for r, o in result_pairs
     ]
 
 

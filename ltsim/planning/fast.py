@@ -4,9 +4,9 @@ Two steps are used, so that a search computes geometry only once. `NormalBlocks`
 number of candidate set-ups. `LayoutScorer.evaluate_layouts` joins set-ups into layouts and eliminates targets (3 x 3
 blocks) and poses (the leading rows of a Cholesky factor), which leaves the information on instrument and effects.
 
-The Jacobian is that of the construction, and the other observations are those of the adjustment. `information.py`
-computes the same quantities without blocks; a test compares the two. Letters in shapes: N set-ups, B layouts of S
-stations, T targets, of which E are not in the gauge, P parameters, K unknowns left after elimination of targets.
+The Jacobian is that of the geometric error model, and the other observations are those of the adjustment.
+`information.py` computes the same quantities without blocks; a test compares the two. Letters in shapes: N set-ups, B
+layouts of S stations, T targets, E of them not in the gauge, P parameters, K unknowns after elimination of targets.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.rigid import cross_matrix, determines_pose, rigid_motion_design, rotation_about_z
 from ltsim.physics.effects.air import turbulence_variance
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import Construction, misalignment_construction
+from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
 from ltsim.physics.model.incidence import IncidenceErrors
 from ltsim.physics.model.measurement import MeasurementModel
 from ltsim.planning.survey import PlannedSurvey
@@ -71,9 +71,9 @@ class NormalBlocks:
 
 def target_weights(errors: IncidenceErrors, target: Ints, n_targets: int) -> Floats:
     """Weights (T,): 1 for targets among those of the n pointings, `target` (n,), with a reflector's errors; else 0."""
-    acts = np.zeros(n_targets)
-    np.maximum.at(acts, target, errors.reflector_weights)
-    return acts
+    weights = np.zeros(n_targets)
+    np.maximum.at(weights, target, errors.reflector_weights)
+    return weights
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class LayoutScorer:
     """
 
     def __init__(
-        self, survey: PlannedSurvey, construction: Construction | None = None, effects: Sequence[Effect] = ()
+        self, survey: PlannedSurvey, construction: GeometricErrorModel | None = None, effects: Sequence[Effect] = ()
     ) -> None:
         self.survey, self.effects = survey, tuple(effects)
         self.construction = construction or misalignment_construction()
@@ -122,32 +122,32 @@ class LayoutScorer:
             (e, target_weights(e, pointings.target, len(survey.target_points))) for e in problem.model.incidence_errors
         ]
         self._n_nuisances = sum(len(errors.parameters) for errors in problem.model.incidence_errors)
-        sizes = [p.prior_sigma for effect in self.effects for p in effect.parameters]
+        effect_sigmas = [p.prior_sigma for effect in self.effects for p in effect.parameters]
         self.parameter_scales = np.concatenate(
-            [np.ones(self._n_nuisances), self.prior_sigma, np.array(sizes, dtype=np.float64)]
+            [np.ones(self._n_nuisances), self.prior_sigma, np.array(effect_sigmas, dtype=np.float64)]
         )
         self._gauge_targets = np.flatnonzero(problem.unknowns.target_columns[:, 0] < problem.unknowns.n_reduced)
         self.mesh_targets = np.flatnonzero(problem.unknowns.target_columns[:, 0] >= problem.unknowns.n_reduced)
-        rows = problem.linearise(state).design[int(problem.used_readings.sum()) :]
-        other = to_dense(rows[: rows.shape[0] - self._n_free_motions])
+        other_rows = problem.linearise(state).design[int(problem.used_readings.sum()) :]
+        other = to_dense(other_rows[: other_rows.shape[0] - self._n_free_motions])
         unknowns = problem.unknowns
-        values = np.concatenate([unknowns.extra_columns[: self._n_nuisances], unknowns.instrument_columns[0]])
-        self._fixed_blocks(other, unknowns.target_columns, unknowns.pose_columns, values)
+        value_columns = np.concatenate([unknowns.extra_columns[: self._n_nuisances], unknowns.instrument_columns[0]])
+        self._fixed_blocks(other, unknowns.target_columns, unknowns.pose_columns, value_columns)
         self._target_weights, self._used_observables = survey.normalised_target_weights, survey.used_observables
         self._fixes_datum_rotations = problem.structure.fixes_datum_rotations
         self._target_motions = rigid_motion_design(survey.target_points) @ self._free_motions
 
-    def _fixed_blocks(self, rows: Floats, target: Ints, pose: Ints, values: Ints) -> None:
+    def _fixed_blocks(self, rows: Floats, target: Ints, pose: Ints, value_columns: Ints) -> None:
         """Normal equations of gauge, control points, levels and priors, in the order and units of this class.
 
         `rows` is the whitened design; the columns of targets (T, 3), poses (S, 6) and parameters are given.
         """
-        extra = np.zeros((len(rows), len(self.parameter_scales) - len(values)))
+        extra = np.zeros((len(rows), len(self.parameter_scales) - len(value_columns)))
         front = [
             rows[:, pose.ravel()] * INTERNAL_LENGTH_UNIT,
             rows[:, target[self._gauge_targets].ravel()] * INTERNAL_LENGTH_UNIT,
         ]
-        reduced_rows = np.hstack([*front, rows[:, values] * self.parameter_scales[: len(values)], extra])
+        reduced_rows = np.hstack([*front, rows[:, value_columns] * self.parameter_scales[: len(value_columns)], extra])
         mesh = rows[:, target[self.mesh_targets].ravel()].reshape(len(rows), -1, 3) * INTERNAL_LENGTH_UNIT
         self._fixed_reduced_block = reduced_rows.T @ reduced_rows
         self._fixed_target_blocks = np.einsum("mti,mtj->tij", mesh, mesh)
@@ -235,14 +235,14 @@ class LayoutScorer:
         `station_indices` (N,) is the station that each set-up replaces, because some effects depend on the time or name
         of the station. `is_visible` (N, T) marks the measured targets, default all.
         """
-        at = np.zeros(len(position), dtype=np.int64) if station_indices is None else station_indices
+        station_of_position = np.zeros(len(position), dtype=np.int64) if station_indices is None else station_indices
         is_visible = (
             np.ones((len(position), len(self.survey.target_points)), dtype=bool) if is_visible is None else is_visible
         )
-        t, x = self.whitened_rows(position, yaw, at, is_visible)
+        t, x = self.whitened_rows(position, yaw, station_of_position, is_visible)
         flattened = x.reshape(len(position), -1, x.shape[3])
         across = np.swapaxes(t, 2, 3)
-        has_pose = determines_pose(self.survey.target_points, is_visible, self._plumb_directions[at])
+        has_pose = determines_pose(self.survey.target_points, is_visible, self._plumb_directions[station_of_position])
         return NormalBlocks(
             position, yaw, is_visible, has_pose, across @ t, across @ x, np.swapaxes(flattened, 1, 2) @ flattened
         )
@@ -255,8 +255,8 @@ class LayoutScorer:
         Each row of `setup_indices` (B, S) has the indices in `blocks` of the set-ups of one layout.
         """
         schur, squared_norms, inverses, coefficients = self.eliminate_targets(blocks, setup_indices)
-        size = len(self.parameter_scales) - self._n_nuisances
-        information, rms = np.full((len(schur), size, size), np.nan), np.full(len(schur), np.nan)
+        n_parameters = len(self.parameter_scales) - self._n_nuisances
+        information, rms = np.full((len(schur), n_parameters, n_parameters), np.nan), np.full(len(schur), np.nan)
         has_poses = blocks.has_determined_pose[setup_indices].all(axis=1) & np.isfinite(schur[:, 0, 0])
         information[has_poses] = self.marginal_information(schur[has_poses], squared_norms[has_poses])
         if with_target_errors:
@@ -292,8 +292,8 @@ class LayoutScorer:
             reduced[open_.any(axis=1)] = np.nan
         inverses = np.asarray(np.linalg.inv(tt), dtype=np.float64)
         coefficients = inverses @ tk
-        size = reduced.shape[1]
-        flat, flat_weights = tk.reshape(len(reduced), -1, size), coefficients.reshape(len(reduced), -1, size)
+        width = reduced.shape[1]
+        flat, flat_weights = tk.reshape(len(reduced), -1, width), coefficients.reshape(len(reduced), -1, width)
         schur = reduced - np.swapaxes(flat, 1, 2) @ flat_weights
         return 0.5 * (schur + np.swapaxes(schur, 1, 2)), np.einsum("bkk->bk", reduced), inverses, coefficients
 
@@ -301,11 +301,11 @@ class LayoutScorer:
         """Blocks of the normal matrices: other unknowns (B, K, K), E targets (B, E, 3, 3), coupling (B, E, 3, K)."""
         layouts, stations = setup_indices.shape
         params, gauge = len(self.parameter_scales), len(self._gauge_targets)
-        size = 6 * stations + 3 * gauge + params
-        reduced = np.broadcast_to(self._fixed_reduced_block, (layouts, size, size)).copy()
-        tk = np.zeros((layouts, len(self.survey.target_points), 3, size))
+        n_unknowns = 6 * stations + 3 * gauge + params
+        reduced = np.broadcast_to(self._fixed_reduced_block, (layouts, n_unknowns, n_unknowns)).copy()
+        tk = np.zeros((layouts, len(self.survey.target_points), 3, n_unknowns))
         tt = np.zeros((layouts, len(self.survey.target_points), 3, 3))
-        parameter_slice = slice(size - params, size)
+        parameter_slice = slice(n_unknowns - params, n_unknowns)
         for s in range(stations):
             which = setup_indices[:, s]
             at = slice(6 * s, 6 * s + 6)
@@ -341,10 +341,10 @@ class LayoutScorer:
         """
         motion = self._free_motions / np.linalg.norm(self._free_motions, axis=0)
         anchors = position[:, :1] if self._fixes_datum_rotations else position
-        rows = np.broadcast_to(motion.T[:, None], (len(anchors), motion.shape[1], anchors.shape[1], 6)).copy()
-        rows[..., :3] += np.cross(rows[..., 3:], anchors[:, None])
-        rows[..., 3:] *= self._fixes_datum_rotations
-        return (rows / DATUM_SIGMA * INTERNAL_LENGTH_UNIT).reshape(len(rows), motion.shape[1], -1)
+        datum_rows = np.broadcast_to(motion.T[:, None], (len(anchors), motion.shape[1], anchors.shape[1], 6)).copy()
+        datum_rows[..., :3] += np.cross(datum_rows[..., 3:], anchors[:, None])
+        datum_rows[..., 3:] *= self._fixes_datum_rotations
+        return (datum_rows / DATUM_SIGMA * INTERNAL_LENGTH_UNIT).reshape(len(datum_rows), motion.shape[1], -1)
 
     def weighted_target_rms(self, schur: Floats, inverses: Floats, coefficients: Floats, mesh: Ints) -> Floats:
         """Root mean square point error (B,) [m] with the weights of the survey; arguments as of `target_variance`."""
@@ -372,9 +372,9 @@ class LayoutScorer:
         count, gauge = inverses.shape[1], len(self._gauge_targets)
         carry = np.zeros((layouts, count + gauge, 3, size))
         carry[:, :count] = -coefficients[..., :size]
-        first = size - estimated - 3 * gauge
+        first_target_column = size - estimated - 3 * gauge
         for g in range(gauge):
-            carry[:, count + g, :, first + 3 * g : first + 3 * g + 3] = np.eye(3)
+            carry[:, count + g, :, first_target_column + 3 * g : first_target_column + 3 * g + 3] = np.eye(3)
         motion = np.broadcast_to(
             self._target_motions.reshape(-1, 3, self._n_free_motions)[self.requested_targets(mesh)],
             (layouts, count + gauge, 3, self._n_free_motions),

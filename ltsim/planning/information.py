@@ -31,7 +31,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, unknown_name
 from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import Construction, misalignment_construction
+from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
 from ltsim.planning.survey import PlannedSurvey
 
 
@@ -45,7 +45,7 @@ class LayoutInformation:
     """Adjustment at the nominal state; its precision is that of the planned survey."""
 
     @classmethod
-    def from_survey(cls, survey: PlannedSurvey, construction: Construction | None = None) -> LayoutInformation:
+    def from_survey(cls, survey: PlannedSurvey, construction: GeometricErrorModel | None = None) -> LayoutInformation:
         """Expected precision of a survey, by default with the 16 misalignment parameters.
 
         Raises NetworkError for undetermined poses or targets.
@@ -62,8 +62,8 @@ class LayoutInformation:
         return cls(survey, adjustment)
 
     @property
-    def construction(self) -> Construction:
-        """Construction whose parameters are estimated."""
+    def construction(self) -> GeometricErrorModel:
+        """Geometric error model of the instrument, whose parameters are estimated."""
         return self.adjustment.construction
 
     @property
@@ -246,22 +246,22 @@ def _mean_length(square: Floats, spread: Floats) -> Floats:
     return np.concatenate(means)
 
 
-def expected_length(variances: Floats, nodes: int = 48) -> Floats:
+def expected_length(variances: Floats, n_nodes: int = 48) -> Floats:
     """Expected length (...) of a normal vector with variances (..., 3) along its axes, accurate to about 1e-6.
 
     E sqrt(q) = 1 / (2 sqrt(pi)) integral of (1 - E exp(-t q)) t^(-3/2) dt, with E exp(-t q) the product of
     (1 + 2 t variance)^(-1/2); substituted t = (x / (1 - x))^2 over the total variance, Gauss-Legendre in x.
     """
-    total = np.maximum(variances.sum(axis=-1, keepdims=True), np.finfo(np.float64).tiny)
-    share = np.maximum(variances, 0.0) / total
-    at, weight = np.polynomial.legendre.leggauss(nodes)
+    total_variance = np.maximum(variances.sum(axis=-1, keepdims=True), np.finfo(np.float64).tiny)
+    share = np.maximum(variances, 0.0) / total_variance
+    at, weight = np.polynomial.legendre.leggauss(n_nodes)
     x, weight = 0.5 * (at + 1.0), 0.5 * weight
     root = x / (1.0 - x)
-    product = np.ones((*share.shape[:-1], nodes))
+    product = np.ones((*share.shape[:-1], n_nodes))
     for axis in range(3):
         product /= np.sqrt(1.0 + 2.0 * share[..., axis, None] * root**2)
-    length: Floats = ((1.0 - product) / root**2 * (weight / (1.0 - x) ** 2)).sum(axis=-1) / np.sqrt(np.pi)
-    return length * np.sqrt(total[..., 0])
+    mean_length: Floats = ((1.0 - product) / root**2 * (weight / (1.0 - x) ** 2)).sum(axis=-1) / np.sqrt(np.pi)
+    return mean_length * np.sqrt(total_variance[..., 0])
 
 
 def _displacements_by_error(
@@ -276,22 +276,25 @@ def _displacements_by_error(
     problem, sightings = adjustment.problem, adjustment.sightings
     design = adjustment.solution.system.design
     count, lengths, params = int(problem.used_readings.sum()), len(problem.gauge_rows), len(information.prior_sigma)
-    extra = problem.model.n_extra_parameters
-    priors = design.shape[0] - problem.free_motions.shape[1] - params - extra
-    mean = _averaging_matrix(information)
+    n_extra = problem.model.n_extra_parameters
+    priors = design.shape[0] - problem.free_motions.shape[1] - params - n_extra
+    averaging_matrix = _averaging_matrix(information)
     _, by_reading, by_value = construction.linearise(sightings.raw_readings, np.zeros(construction.n_parameters))
-    noise = np.einsum("rn,nij->rinj", mean, by_reading).reshape(3 * len(mean), -1) * problem.sigma.ravel()
-    parameters = -np.einsum("rn,nij->rij", mean, by_value).reshape(3 * len(mean), -1)
+    noise = (
+        np.einsum("rn,nij->rinj", averaging_matrix, by_reading).reshape(3 * len(averaging_matrix), -1)
+        * problem.sigma.ravel()
+    )
+    parameters = -np.einsum("rn,nij->rij", averaging_matrix, by_value).reshape(3 * len(averaging_matrix), -1)
     places = np.concatenate([problem.unknowns.instrument_columns[0], problem.unknowns.extra_columns])
     columns = np.eye(problem.unknowns.n_columns)[:, places]
     answer = adjustment.factorised_normals.covariance_columns(columns).T @ design.T
-    by_extra = (noise / problem.sigma.ravel()) @ problem.model.extra_design(sightings).reshape(noise.shape[1], extra)
+    by_extra = (noise / problem.sigma.ravel()) @ problem.model.extra_design(sightings).reshape(noise.shape[1], n_extra)
     errors = np.zeros((design.shape[0], 0))
     if unmodelled:
         space = ResidualSpace.from_adjustment(adjustment)
-        errors = np.hstack([space.whitened_signature(e) * [p.prior_sigma for p in e.parameters] for e in unmodelled])
+        errors = np.hstack([space.whitened_design(e) * [p.prior_sigma for p in e.parameters] for e in unmodelled])
     is_used = np.flatnonzero(problem.used_readings.ravel())
-    columns_used = np.r_[0 : count + lengths, priors : priors + params + extra]
+    columns_used = np.r_[0 : count + lengths, priors : priors + params + n_extra]
     first_response = np.zeros((len(noise), len(columns_used) + errors.shape[1]))
     first_response[:, :count] = noise[:, is_used]
     by_parameter = np.hstack([parameters, by_extra])
@@ -304,7 +307,7 @@ def _displacements_by_error(
     second_response -= by_parameter @ np.hstack([answer[:, columns_used], answer @ errors])
     labels = np.where(is_used % 3 == 0, RANGE_NOISE_GROUP, ANGLE_NOISE_GROUP).tolist() + [GAUGE_LENGTHS_GROUP] * lengths
     labels += [PARAMETER_GROUPS[p.prior_kind] for p in construction.parameters]
-    labels += [REFLECTORS_GROUP] * extra
+    labels += [REFLECTORS_GROUP] * n_extra
     return (first_response, second_response), labels + [e.name for e in unmodelled for _ in e.parameters]
 
 
@@ -312,9 +315,9 @@ def _averaging_matrix(information: LayoutInformation) -> Floats:
     """Matrix (S T, n) of the means over faces and repeats of each station's pointings to each target."""
     recording = information.adjustment.recording
     place = recording.station * len(recording.targets) + recording.target
-    mean = np.zeros((len(recording.stations) * len(recording.targets), len(recording)))
-    mean[place, np.arange(len(recording))] = 1.0
-    return mean / mean.sum(axis=1, keepdims=True)
+    averaging_matrix = np.zeros((len(recording.stations) * len(recording.targets), len(recording)))
+    averaging_matrix[place, np.arange(len(recording))] = 1.0
+    return averaging_matrix / averaging_matrix.sum(axis=1, keepdims=True)
 
 
 def _distance_deviation_matrix(information: LayoutInformation) -> Floats:
@@ -324,12 +327,12 @@ def _distance_deviation_matrix(information: LayoutInformation) -> Floats:
     first, second = np.triu_indices(targets, k=1)
     gap = state.target_points[first] - state.target_points[second]
     unit = gap / np.linalg.norm(gap, axis=1, keepdims=True)
-    local = np.einsum("sji,pj->spi", state.station_rotations, unit)
+    local_directions = np.einsum("sji,pj->spi", state.station_rotations, unit)
     displacement = np.zeros((stations, len(first), stations, targets, 3))
     pair = np.arange(len(first))
     for s in range(stations):
-        displacement[s, pair, s, first] = local[s]
-        displacement[s, pair, s, second] = -local[s]
+        displacement[s, pair, s, first] = local_directions[s]
+        displacement[s, pair, s, second] = -local_directions[s]
     deviation = displacement - displacement.mean(axis=0)
     return deviation.reshape(stations * len(first), -1)
 
@@ -342,12 +345,12 @@ def _coordinate_difference_matrix(information: LayoutInformation) -> Floats:
     state = information.adjustment.state
     stations, targets = len(state.station_positions), len(state.target_points)
     motion = rigid_motion_design(state.target_points, state.target_points.mean(axis=0))
-    off = np.eye(3 * targets) - motion @ np.linalg.pinv(motion)
-    turned = np.einsum("ctl,sli->scti", off.reshape(3 * targets, targets, 3), state.station_rotations)
+    non_rigid_projector = np.eye(3 * targets) - motion @ np.linalg.pinv(motion)
+    turned = np.einsum("ctl,sli->scti", non_rigid_projector.reshape(3 * targets, targets, 3), state.station_rotations)
     turned = turned.reshape(stations, targets, 3, 3 * targets)
-    rows = []
+    matrix_rows = []
     for m, n in combinations(range(stations), 2):
         gap = np.zeros((targets, 3, stations, 3 * targets))
         gap[:, :, m], gap[:, :, n] = turned[m], -turned[n]
-        rows.append(gap.reshape(targets, 3, -1))
-    return np.concatenate(rows)
+        matrix_rows.append(gap.reshape(targets, 3, -1))
+    return np.concatenate(matrix_rows)

@@ -86,33 +86,33 @@ def _similar_names(name: str, candidates: Sequence[str]) -> str:
 def _with_defaults(plan_file: PlanFile, path: Path) -> dict[str, Any]:
     """Content of a plan file with the points of its list, and with defaults that depend on other keys."""
     points = read_points(path.parent / plan_file.points) if isinstance(plan_file.points, str) else plan_file.points
-    changes: dict[str, Any] = {"points": points}
+    new_fields: dict[str, Any] = {"points": points}
     if plan_file.workshop is not None and plan_file.floor.height_mm is None:
-        changes["floor"] = plan_file.floor.model_copy(update={"height_mm": USUAL_HEAD_HEIGHTS_MM})
+        new_fields["floor"] = plan_file.floor.model_copy(update={"height_mm": USUAL_HEAD_HEIGHTS_MM})
     if points and not {"instrument", "targets", "diagnosis"} & plan_file.goal.model_fields_set:
-        changes["goal"] = plan_file.goal.model_copy(update={"instrument": 0.0, "targets": 1.0})
-    return changes
+        new_fields["goal"] = plan_file.goal.model_copy(update={"instrument": 0.0, "targets": 1.0})
+    return new_fields
 
 
-def _scenario_of_plan(plan_file: PlanFile, data: dict[str, Any], path: Path) -> Scenario:
+def _scenario_of_plan(plan_file: PlanFile, plan_tables: dict[str, Any], path: Path) -> Scenario:
     """Scenario that a plan file names, or that its tables describe."""
     points = plan_file.listed_points
-    tables = [name for name in SCENARIO_TABLES if name in data]
+    tables = [name for name in SCENARIO_TABLES if name in plan_tables]
     if plan_file.workshop is None and tables:
         raise SetupError(
             f"{path}: [{tables[0]}] needs a [workshop] in the same plan; remove it, or set it in the scenario"
         )
     if plan_file.workshop is not None:
-        if "scenario" in data:
+        if "scenario" in plan_tables:
             raise SetupError(f"{path}: it should have either scenario or [workshop], not both")
-        return _hall_scenario(plan_file, data, points, path)
-    local = path.parent / plan_file.scenario
-    return _with_points(load_scenario(local if local.is_file() else plan_file.scenario), points, path)
+        return _hall_scenario(plan_file, plan_tables, points, path)
+    scenario_path = path.parent / plan_file.scenario
+    return _with_points(load_scenario(scenario_path if scenario_path.is_file() else plan_file.scenario), points, path)
 
 
 def _check_names(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
     """Check that names refer to existing objects and that new names are unused; raises SetupError."""
-    groups = sorted({point.group for point in plan_file.listed_points if point.group})
+    group_names = sorted({point.group for point in plan_file.listed_points if point.group})
     obstacles = [obstacle.name for obstacle in scenario.workshop.obstacles if obstacle.name]
     for key, wanted, names in (
         ("stations.fixed", plan_file.stations.fixed, list(scenario.stations)),
@@ -122,9 +122,9 @@ def _check_names(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
         (
             "reflectors.movable",
             plan_file.reflectors.movable,
-            [*groups, *(point.name for point in plan_file.listed_points)],
+            [*group_names, *(point.name for point in plan_file.listed_points)],
         ),
-        ("goal.tolerances", [t.group for t in plan_file.goal.tolerances if t.group], groups),
+        ("goal.tolerances", [t.group for t in plan_file.goal.tolerances if t.group], group_names),
     ):
         for name in wanted:
             if name not in names:
@@ -142,10 +142,10 @@ def _check_counts(plan_file: PlanFile, scenario: Scenario, file: object) -> None
     """Check that keys that belong together are given together; raises SetupError."""
     if plan_file.goal.tolerances and not plan_file.listed_points:
         raise SetupError(f"{file}: goal.tolerances needs points; give them as a list or a file")
-    given = [f"budget.{key}" for key in ("faces", "repeats") if getattr(plan_file.budget, key) is not None]
-    if given and not plan_file.chooses_procedure:
+    fixed_keys = [f"budget.{key}" for key in ("faces", "repeats") if getattr(plan_file.budget, key) is not None]
+    if fixed_keys and not plan_file.chooses_procedure:
         raise SetupError(
-            f"{file}: {' and '.join(given)} without budget.hours has no effect; give the hours for the work, "
+            f"{file}: {' and '.join(fixed_keys)} without budget.hours has no effect; give the hours for the work, "
             "or fix faces and repeats in the table [work] of the scenario"
         )
     if plan_file.goal.diagnosis and not plan_file.goal.effects:
@@ -199,18 +199,20 @@ def _point_from_table(table: PointList, row: int, path: Path) -> PointEntry:
         ) from None
 
 
-def _hall_scenario(plan_file: PlanFile, data: Mapping[str, Any], points: Sequence[PointEntry], file: Path) -> Scenario:
+def _hall_scenario(
+    plan_file: PlanFile, tables: Mapping[str, Any], points: Sequence[PointEntry], file: Path
+) -> Scenario:
     """Scenario of a hall that a plan file describes by tables and points; raises SetupError."""
     table: dict[str, Any] = {"format": SCENARIO_FORMAT, "title": plan_file.title}
-    table |= {name: data[name] for name in SCENARIO_TABLES if name in data}
-    table["work"] = {"order": "as-listed", **data.get("work", {})}
+    table |= {name: tables[name] for name in SCENARIO_TABLES if name in tables}
+    table["work"] = {"order": "as-listed", **tables.get("work", {})}
     wide, deep, _ = plan_file.workshop.size_mm if plan_file.workshop else (0.0, 0.0, 0.0)
     table["stations"] = {"S1": {"position_mm": [wide / 2, deep / 2, USUAL_HEAD_HEIGHTS_MM[0]], "yaw_deg": 0.0}}
     table["targets"] = {p.name: {"position_mm": [p.x_mm, p.y_mm, p.z_mm]} for p in points}
     scenario = validate_scenario(table, file)
     _require_plausible_extent(points, scenario, file)
-    count = plan_file.stations.count or N_INITIAL_STATIONS
-    places = _initial_places(plan_file, scenario, count)
+    n_stations = plan_file.stations.count or N_INITIAL_STATIONS
+    places = _initial_places(plan_file, scenario, n_stations)
     stations = {
         f"S{i}": PlannedStation(position_mm=tuple(np.round(place / MILLIMETRE, 1).tolist()), yaw_deg=0.0)
         for i, place in enumerate(places, 1)

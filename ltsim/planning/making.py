@@ -173,10 +173,10 @@ class _PlanSearch:
             self.problem = replace(self.problem, file=self.file.with_min_stations(least))
         file, faces = self.file, self.procedures[0]
         min_stations = file.stations.min_stations_per_target
-        first = max(
+        min_count = max(
             MIN_STATIONS if alone else 3, len(file.stations.fixed), 1 if min_stations == "all" else min_stations
         )
-        counts = range(first, max(first, file.stations.max_count) + 1)
+        counts = range(min_count, max(min_count, file.stations.max_count) + 1)
         placement = require_visible_points(
             make_search_space(file, scenario, stations=counts[-1], faces=faces[-1]), file
         )
@@ -254,22 +254,23 @@ class _PlanSearch:
 
     def tradeoff_points(self, layouts: LayoutsByCount) -> tuple[TradeoffPoint, ...]:
         """Best layout for each number of stations, faces and rounds, in the order of cost."""
-        items = []
+        points = []
         for starts in layouts.values():
             survey = min(starts, key=lambda layout: layout[:2])[2]
             for repeats in self.procedures[1]:
                 repeated = survey.replace(repeats=repeats)
                 objective = layout_objective(self.file, repeated)
-                items.append(
+                points.append(
                     TradeoffPoint(repeated, *objective_and_qualities(repeated, objective, self.problem.construction))
                 )
-        if not items:
+        if not points:
             return ()
-        items.sort(key=lambda option: (option.hours, option.objective_value))
-        best_values = np.minimum.accumulate([option.objective_value for option in items])
-        earlier = np.r_[np.inf, best_values[:-1]]
+        points.sort(key=lambda option: (option.hours, option.objective_value))
+        best_values = np.minimum.accumulate([option.objective_value for option in points])
+        previous_best = np.r_[np.inf, best_values[:-1]]
         return tuple(
-            replace(o, is_efficient=bool(o.objective_value < before)) for o, before in zip(items, earlier, strict=True)
+            replace(o, is_efficient=bool(o.objective_value < before))
+            for o, before in zip(points, previous_best, strict=True)
         )
 
 
@@ -290,27 +291,28 @@ def _require_grid_fits_memory(file: PlanFile, scenario: Scenario) -> None:
         return
     wide, deep, _ = scenario.workshop.size_mm
     outlines = [area.corners_mm for area in file.floor.areas] or [file.floor.corners_mm or ((0.0, 0.0), (wide, deep))]
-    sizes = np.array([np.ptp(np.array(outline), axis=0) for outline in outlines])
-    count = float(np.prod(1.0 + sizes / step, axis=1).sum()) * file.search.yaws * file.search.heights
-    if count > MAX_SETUPS:
+    area_sizes = np.array([np.ptp(np.array(outline), axis=0) for outline in outlines])
+    n_places = float(np.prod(1.0 + area_sizes / step, axis=1).sum()) * file.search.yaws * file.search.heights
+    if n_places > MAX_SETUPS:
         raise SetupError(
-            f"search: a grid of {step:g} mm over {sizes[:, 0].max():g} x {sizes[:, 1].max():g} mm has {count:.2g} "
+            f"search: a grid of {step:g} mm over {area_sizes[:, 0].max():g} x {area_sizes[:, 1].max():g} mm "
+            f"has {n_places:.2g} "
             f"set-ups, the limit is {MAX_SETUPS}; give a larger grid_mm or a smaller floor"
         )
 
 
-def max_sights(site: SearchSpace, step: float, heights: int) -> tuple[int, str]:
+def max_sights(site: SearchSpace, step: float, n_heights: int) -> tuple[int, str]:
     """Largest number of stations that see every reflector in some layout, and the name of the limiting reflector.
 
     The number is a lower bound from greedy placement, and exact if one place on the floor sees everything.
     """
-    placement, names = site.greedy_placement(step, heights), site.survey.target_names
+    placement, names = site.greedy_placement(step, n_heights), site.survey.target_names
     limiting = names[int(np.argmin(placement.is_visible.mean(axis=0)))]
-    count = len(site.survey.station_positions) - len(site.fixed_stations)
+    n_free_stations = len(site.survey.station_positions) - len(site.fixed_stations)
     enough = (
         k
         for k in range(site.min_sights, 0, -1)
-        if not placement.missing_sights(placement.place_stations(count, k), k).any()
+        if not placement.missing_sights(placement.place_stations(n_free_stations, k), k).any()
     )
     return next(enough, 0), limiting
 

@@ -81,25 +81,27 @@ class LayoutObjective:
         """True if the objective needs point errors of targets."""
         return self.quality_weights.get(TARGETS_QUALITY, 0.0) > 0.0
 
-    def qualities(self, precision: LayoutPrecision, parameters: int) -> dict[str, Floats]:
+    def qualities(self, precision: LayoutPrecision, n_parameters: int) -> dict[str, Floats]:
         """Qualities (B,) of B layouts, by name, for those with a weight; infinite for an undetermined layout."""
         qualities: dict[str, Floats] = {}
         if self.quality_weights.get(INSTRUMENT_QUALITY, 0.0) > 0.0:
-            qualities[INSTRUMENT_QUALITY] = self._instrument_quality(precision.information[:, :parameters, :parameters])
+            qualities[INSTRUMENT_QUALITY] = self._instrument_quality(
+                precision.information[:, :n_parameters, :n_parameters]
+            )
         if self.needs_target_errors:
             qualities[TARGETS_QUALITY] = precision.weighted_target_rms
         if self.quality_weights.get(DIAGNOSIS_QUALITY, 0.0) > 0.0:
             qualities[DIAGNOSIS_QUALITY] = mean_detectable_size(
-                precision.information, parameters, self.effects, self.n_places_by_effect
+                precision.information, n_parameters, self.effects, self.n_places_by_effect
             )
         return {name: np.where(np.isfinite(value), value, np.inf) for name, value in qualities.items()}
 
-    def objective_values(self, precision: LayoutPrecision, parameters: int) -> Floats:
+    def objective_values(self, precision: LayoutPrecision, n_parameters: int) -> Floats:
         """Weighted geometric mean of the qualities of B layouts, (B,)."""
-        qualities = self.qualities(precision, parameters)
-        total = sum(self.quality_weights[name] for name in qualities)
-        logs = [self.quality_weights[name] / total * np.log(value) for name, value in qualities.items()]
-        return np.exp(np.sum(logs, axis=0))
+        qualities = self.qualities(precision, n_parameters)
+        weight_sum = sum(self.quality_weights[name] for name in qualities)
+        weighted_logs = [self.quality_weights[name] / weight_sum * np.log(value) for name, value in qualities.items()]
+        return np.exp(np.sum(weighted_logs, axis=0))
 
     def _instrument_quality(self, information: Floats) -> Floats:
         """Criterion (B,) of the instrument parameters for information matrices (B, p, p)."""
@@ -111,25 +113,28 @@ class LayoutObjective:
 
 
 def mean_detectable_size(
-    information: Floats, parameters: int, effects: Sequence[Effect], n_places_by_effect: Mapping[str, int] | None = None
+    information: Floats,
+    n_parameters: int,
+    effects: Sequence[Effect],
+    n_places_by_effect: Mapping[str, int] | None = None,
 ) -> Floats:
     """Geometric mean (B,), over the parameters of effects, of minimal detectable size divided by plausible size.
 
-    `information` (B, P, P) has the instrument parameters (`parameters` of them) first.
+    `information` (B, P, P) has the instrument parameters (`n_parameters` of them) first.
     """
     sought = {**Counter(effect.name for effect in effects), **(n_places_by_effect or {})}
-    parameter_block = information[:, :parameters, :parameters]
+    parameter_block = information[:, :n_parameters, :n_parameters]
     value = np.full(len(information), np.inf)
     is_valid = np.isfinite(information).all(axis=(1, 2))
     if not is_valid.any():
         return value
-    carry = information[is_valid, :parameters, parameters:]
-    effect_block = information[is_valid, parameters:, parameters:] - np.swapaxes(carry, 1, 2) @ np.linalg.solve(
+    carry = information[is_valid, :n_parameters, n_parameters:]
+    effect_block = information[is_valid, n_parameters:, n_parameters:] - np.swapaxes(carry, 1, 2) @ np.linalg.solve(
         parameter_block[is_valid], carry
     )
-    needed = np.concatenate(
+    noncentralities = np.concatenate(
         [[search_noncentrality(len(e.parameters), sought[e.name])] * len(e.parameters) for e in effects]
     )
     strength = np.maximum(np.einsum("bii->bi", effect_block), 1e-12)
-    value[is_valid] = np.exp(0.5 * np.mean(np.log(needed / strength), axis=1))
+    value[is_valid] = np.exp(0.5 * np.mean(np.log(noncentralities / strength), axis=1))
     return value

@@ -43,9 +43,10 @@ class StationEntry(Entry):
     @classmethod
     def without_precision(cls, survey: PlannedSurvey) -> tuple[Self, ...]:
         """Entries of the stations of a survey, without their standard deviations."""
-        rows = zip(survey.station_names, survey.station_positions, survey.station_yaws, strict=True)
+        station_fields = zip(survey.station_names, survey.station_positions, survey.station_yaws, strict=True)
         return tuple(
-            cls(name=name, position_mm=to_millimetres(place), yaw_deg=to_degrees(yaw)) for name, place, yaw in rows
+            cls(name=name, position_mm=to_millimetres(place), yaw_deg=to_degrees(yaw))
+            for name, place, yaw in station_fields
         )
 
     @classmethod
@@ -136,7 +137,7 @@ class PlannedParameterEntry(Entry):
     @classmethod
     def from_information(cls, information: LayoutInformation) -> tuple[Self, ...]:
         """Entries of the instrument's parameters in units of display."""
-        rows = zip(
+        parameter_fields = zip(
             information.construction.parameters, information.instrument_sigmas, information.prior_sigma, strict=True
         )
         return tuple(
@@ -147,7 +148,7 @@ class PlannedParameterEntry(Entry):
                 prior_sigma=float(prior / p.si_per_display_unit),
                 gain=float(1.0 - (sigma / prior) ** 2),
             )
-            for p, sigma, prior in rows
+            for p, sigma, prior in parameter_fields
         )
 
 
@@ -336,7 +337,7 @@ class DetectableSize(Entry):
     plausible: Finite = 0.0
     """Large but plausible size of the effect."""
     visible: OptionalFloat = None
-    """Median, over places, of the fraction of the effect's signature that remains in the residuals."""
+    """Median, over places, of the fraction of the effect's change of the readings that remains in the residuals."""
 
     @classmethod
     def from_minimal_size(cls, row: MinimalSize) -> Self:
@@ -358,15 +359,15 @@ class DetectableSize(Entry):
 class ConfusablePair(Entry):
     """Pair of effects that a layout can hardly distinguish.
 
-    `share` is the fraction of the first effect's signature in the residuals that the second effect explains.
+    `share` is the fraction of the first effect's change of the residuals that the second effect explains.
     """
 
     effect: str
     """Identifier of the effect in the catalogue."""
     taken_for: str
-    """Identifier of the second effect, which explains the signature too."""
+    """Identifier of the second effect, which explains the change of the residuals too."""
     share: Finite
-    """Fraction of the signature that the second effect explains; 1 for all of it."""
+    """Fraction of the first effect's change of the residuals that the second effect explains; 1 for all of it."""
 
     @classmethod
     def from_pair(cls, pair: tuple[str, str, float]) -> Self:

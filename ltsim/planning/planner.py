@@ -7,7 +7,7 @@ import numpy as np
 from ltsim.core.arrays import Bools
 from ltsim.core.errors import NetworkError
 from ltsim.core.values import ValueEquality
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.fast import LayoutScorer
 from ltsim.planning.information import CriteriaPredictor, ExpectedCriteria, LayoutInformation
 from ltsim.planning.objective import LayoutObjective
@@ -144,7 +144,7 @@ def evaluate_plan(plan_file: PlanFile, scenario: Scenario, survey: PlannedSurvey
 
 
 def objective_and_qualities(
-    survey: PlannedSurvey, objective: LayoutObjective, construction: Construction
+    survey: PlannedSurvey, objective: LayoutObjective, construction: GeometricErrorModel
 ) -> tuple[float, dict[str, float]]:
     """Objective and qualities of a survey."""
     reducer = LayoutScorer(survey, construction, objective.effects)
@@ -167,7 +167,7 @@ def objective_and_qualities(
 
 
 def evaluate_layout(
-    search_space: SearchSpace, survey: PlannedSurvey, objective: LayoutObjective, construction: Construction
+    search_space: SearchSpace, survey: PlannedSurvey, objective: LayoutObjective, construction: GeometricErrorModel
 ) -> LayoutEvaluation:
     """Evaluation of a layout before measurement; raises NetworkError for undetermined poses or targets."""
     table = layout_visibility(search_space, survey)
@@ -211,7 +211,11 @@ def with_aimed_nests(search_space: SearchSpace, survey: PlannedSurvey) -> Planne
 
 
 def _reference_evaluation(
-    file: PlanFile, scenario: Scenario, search_space: SearchSpace, construction: Construction, procedure: PlannedSurvey
+    file: PlanFile,
+    scenario: Scenario,
+    search_space: SearchSpace,
+    construction: GeometricErrorModel,
+    procedure: PlannedSurvey,
 ) -> LayoutEvaluation | None:
     """Evaluation of the layout in the scenario, measured by the procedure of the plan.
 
@@ -221,9 +225,11 @@ def _reference_evaluation(
         return None
     work = ("faces", "repeats", "seconds_per_pointing", "seconds_per_move", "air")
     reference = planned_survey(scenario).replace(**{name: getattr(procedure, name) for name in work})
-    count = len(reference.station_positions)
+    n_stations = len(reference.station_positions)
     least = (
-        count if file.stations.min_stations_per_target == "all" else min(file.stations.min_stations_per_target, count)
+        n_stations
+        if file.stations.min_stations_per_target == "all"
+        else min(file.stations.min_stations_per_target, n_stations)
     )
     try:
         return evaluate_layout(

@@ -79,11 +79,11 @@ PROPOSALS_TABLE = Table(
 
 def _best_by_place(proposals: Sequence[ProposalEntry]) -> tuple[ProposalEntry, ...]:
     """Proposals in their order, without further yaws of a new station at the same place."""
-    best: dict[object, ProposalEntry] = {}
+    best_by_place: dict[object, ProposalEntry] = {}
     for number, proposal in enumerate(proposals):
         place = proposal.position_mm if proposal.kind == "station" else None
-        best.setdefault(place or number, proposal)
-    return tuple(best.values())
+        best_by_place.setdefault(place or number, proposal)
+    return tuple(best_by_place.values())
 
 
 class NextMeasurement(ResultFile):
@@ -140,10 +140,10 @@ class NextMeasurement(ResultFile):
             *against,
             *text_columns(decides="yes if it separates all of them"),
         )
-        rows = [["current recording", *(self.evidence_now.get(name, 0.0) for name in rivals), ""]]
-        rows += [
+        table_rows = [["current recording", *(self.evidence_now.get(name, 0.0) for name in rivals), ""]]
+        table_rows += [
             [p.do, *(p.evidence.get(name, 0.0) for name in rivals), "yes" if p.decides else "no"]
             for p in self.proposals
             if p.evidence
         ]
-        return Table("separation.csv", "separation of the explanations", columns).with_rows(rows)
+        return Table("separation.csv", "separation of the explanations", columns).with_rows(table_rows)

@@ -76,15 +76,15 @@ def _result_sentence(plan: PlannedNetwork) -> list[str]:
     if plan.verdict is not None:
         return [f"{plan.verdict.sentences}.", f"{work}."]
     sigma = plan.layout.information.target_sigmas
-    worst = int(np.argmax(sigma))
-    name = plan.layout.survey.target_names[worst]
+    worst_index = int(np.argmax(sigma))
+    name = plan.layout.survey.target_names[worst_index]
     broken = (
         f"The layout breaks a rule of the plan: {broken_rules_text(plan.layout.broken_rules)}. "
         if plan.layout.broken_rules
         else ""
     )
-    size = f"{sigma[worst] / MICROMETRE:.1f} um"
-    return [f"{broken}{work}. The plan has no tolerance; the worst point is {name} (sigma {size})."]
+    sigma_text = f"{sigma[worst_index] / MICROMETRE:.1f} um"
+    return [f"{broken}{work}. The plan has no tolerance; the worst point is {name} (sigma {sigma_text})."]
 
 
 def _tolerance_sentences(plan: PlannedNetwork) -> list[str]:
@@ -98,7 +98,7 @@ def _station_count_sentences(plan: PlannedNetwork) -> list[str]:
     *fewer, last = plan.station_count_results
     outcomes = _count_result_clauses(fewer, plan.search_space.min_sights)
     meets_tolerance = last.max_error_ratio is not None and is_met(last.max_error_ratio)
-    count = len(plan.layout.survey.station_positions)
+    n_stations = len(plan.layout.survey.station_positions)
     sentences = (
         [f"{last.n_stations} stations are the fewest for which the search found a layout that meets the tolerances."]
         if meets_tolerance
@@ -108,7 +108,7 @@ def _station_count_sentences(plan: PlannedNetwork) -> list[str]:
         sentences = [
             f"The search found no layout with {plan.station_count_results[0].n_stations} to "
             f"{last.n_stations} stations that meets the "
-            f"tolerances (closest: {count} stations)."
+            f"tolerances (closest: {n_stations} stations)."
         ]
         if not plan.is_stopped:
             if last.n_stations < plan.plan_file.stations.max_count:
@@ -197,15 +197,15 @@ def _quality_value_text(name: str, value: float) -> str:
 
 
 def _parameter_sentence(reference: LayoutEvaluation, evaluation: LayoutEvaluation) -> list[str]:
-    pairs = list(
+    entry_pairs = list(
         zip(
             PlannedParameterEntry.from_information(reference.information),
             PlannedParameterEntry.from_information(evaluation.information),
             strict=True,
         )
     )
-    pairs.sort(key=lambda pair: pair[0].sigma / pair[1].sigma, reverse=True)
-    words = [(b.sigma / a.sigma, f"{a.name} {b.sigma:.3g} to {a.sigma:.3g} {a.unit}") for b, a in pairs]
+    entry_pairs.sort(key=lambda pair: pair[0].sigma / pair[1].sigma, reverse=True)
+    words = [(b.sigma / a.sigma, f"{a.name} {b.sigma:.3g} to {a.sigma:.3g} {a.unit}") for b, a in entry_pairs]
     gained = [text for ratio, text in words[:4] if ratio > 1.05]
     worse_texts = [text for ratio, text in words[::-1][:3] if ratio < 0.95]
     sentences = [f"Parameters whose sigma falls most: {'; '.join(gained)}."] if gained else []
@@ -290,8 +290,8 @@ def cheapest_equal_option(plan: PlannedNetwork) -> TradeoffPoint | None:
     if plan.reference is None or not plan.reference.qualities:
         return None
     goal = _reference_objective(plan)
-    good = [o for o in plan.tradeoff_points if _has_same_procedure(plan, o) and o.objective_value <= goal]
-    return min(good, key=lambda o: (len(o.survey.station_positions), o.objective_value), default=None)
+    equal_options = [o for o in plan.tradeoff_points if _has_same_procedure(plan, o) and o.objective_value <= goal]
+    return min(equal_options, key=lambda o: (len(o.survey.station_positions), o.objective_value), default=None)
 
 
 def _tradeoff_sentences(plan: PlannedNetwork) -> list[str]:
@@ -310,9 +310,13 @@ def _tradeoff_sentences(plan: PlannedNetwork) -> list[str]:
             f"{_quality_value_text(goal, _reference_objective(plan))}) in "
             f"{few.hours:.1f} h."
         )
-    count = len(plan.layout.survey.station_positions)
+    n_stations = len(plan.layout.survey.station_positions)
     now = next(
-        (o for o in plan.tradeoff_points if len(o.survey.station_positions) == count and _has_same_procedure(plan, o)),
+        (
+            o
+            for o in plan.tradeoff_points
+            if len(o.survey.station_positions) == n_stations and _has_same_procedure(plan, o)
+        ),
         None,
     )
     dearer = [

@@ -9,7 +9,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.objective import TARGETS_QUALITY, LayoutObjective
 from ltsim.planning.reflectors import MovableReflectors
 from ltsim.planning.site import SearchSpace
@@ -109,7 +109,7 @@ def evaluate_reflector_changes(
     survey: PlannedSurvey,
     is_fixed: Bools,
     objective: LayoutObjective,
-    construction: Construction,
+    construction: GeometricErrorModel,
 ) -> ReflectorChanges:
     """Results of every move, addition and removal of one reflector.
 
@@ -161,10 +161,10 @@ class _ChangeEvaluator:
             / self.present_objective
         )
 
-    def _parameter_sigmas(self, total: Floats) -> Floats:
+    def _parameter_sigmas(self, normal_matrix: Floats) -> Floats:
         """Standard deviations (p,) of the instrument's parameters in prior sigmas, from a normal matrix (K, K)."""
-        size = self.normal_matrix_table.scorer.construction.n_parameters
-        information = self.normal_matrix_table.information(total[None])[0, :size, :size]
+        n_parameters = self.normal_matrix_table.scorer.construction.n_parameters
+        information = self.normal_matrix_table.information(normal_matrix[None])[0, :n_parameters, :n_parameters]
         return np.sqrt(np.diag(np.linalg.inv(information)))
 
     def _free_places(self, used_places: Ints) -> Ints:
@@ -181,22 +181,22 @@ class _ChangeEvaluator:
 
         def note(kind: ChangeKind, removed: int | None, places: Ints) -> None:
             """Record a change of the reflectors: one removed, or moved to a place; only its best move is stored."""
-            others = chosen if removed is None else np.delete(chosen, removed)
+            other_places = chosen if removed is None else np.delete(chosen, removed)
             start_matrix = (
                 self.present_normal_matrix if removed is None else self.present_normal_matrix - terms[chosen[removed]]
             )
-            occupied_places = np.column_stack([np.tile(others, (len(places), 1)), places])
+            occupied_places = np.column_stack([np.tile(other_places, (len(places), 1)), places])
             normal_matrices = start_matrix + terms[places]
             if kind == "remove":
-                occupied_places, normal_matrices = others[None], start_matrix[None]
+                occupied_places, normal_matrices = other_places[None], start_matrix[None]
             if not len(occupied_places):
                 return
-            values = self._objective_factors(normal_matrices, occupied_places, others)
-            tried[kind] += len(values)
-            helped[kind] += int(np.sum(values < 1 - MIN_REPORTED_IMPROVEMENT))
-            for k in np.argsort(values)[: 1 if kind == "move" else None].tolist():
+            objective_factors = self._objective_factors(normal_matrices, occupied_places, other_places)
+            tried[kind] += len(objective_factors)
+            helped[kind] += int(np.sum(objective_factors < 1 - MIN_REPORTED_IMPROVEMENT))
+            for k in np.argsort(objective_factors)[: 1 if kind == "move" else None].tolist():
                 place = None if kind == "remove" else int(places[k])
-                candidates[kind].append((float(values[k]), removed, place, normal_matrices[k]))
+                candidates[kind].append((float(objective_factors[k]), removed, place, normal_matrices[k]))
 
         for i in range(len(chosen)):
             note("move", i, self._free_places(np.delete(chosen, i)))
@@ -213,16 +213,19 @@ class _ChangeEvaluator:
         return ReflectorChanges(tuple(reported), tried, helped)
 
     def _make_change(
-        self, kind: ChangeKind, value: float, removed: int | None, place: int | None, total: Floats
+        self, kind: ChangeKind, value: float, removed: int | None, place: int | None, normal_matrix: Floats
     ) -> PlanChange:
-        common = self.present_places if removed is None else np.delete(self.present_places, removed)
-        matrices = np.stack([self.present_normal_matrix, total])
-        before, after = self.normal_matrix_table.weighted_target_rms(matrices, common)
+        remaining_places = self.present_places if removed is None else np.delete(self.present_places, removed)
+        matrices = np.stack([self.present_normal_matrix, normal_matrix])
+        before, after = self.normal_matrix_table.weighted_target_rms(matrices, remaining_places)
         if self._is_target_goal:
-            now = self.normal_matrix_table.target_sigma(self.present_normal_matrix, common)
-            ratios = {name: s / now[name] for name, s in self.normal_matrix_table.target_sigma(total, common).items()}
+            now = self.normal_matrix_table.target_sigma(self.present_normal_matrix, remaining_places)
+            ratios = {
+                name: s / now[name]
+                for name, s in self.normal_matrix_table.target_sigma(normal_matrix, remaining_places).items()
+            }
         else:
-            ratio = self._parameter_sigmas(total) / self.present_sigmas
+            ratio = self._parameter_sigmas(normal_matrix) / self.present_sigmas
             ratios = dict(
                 zip(self.normal_matrix_table.scorer.construction.parameter_names, ratio.tolist(), strict=True)
             )
@@ -252,10 +255,10 @@ def _change_sentence(change: PlanChange) -> str:
     return f"{change.action_text}: quality {better}, {other}, {phrase} {change.serves} (sigma {sigma:+.1f} %)"
 
 
-def _best_per_place(changes: list[ChangeResult]) -> list[ChangeResult]:
+def _best_per_place(change_results: list[ChangeResult]) -> list[ChangeResult]:
     """Best change for each place, and every change that needs no place (a removal)."""
     distinct, places = [], set()
-    for change in changes:
+    for change in change_results:
         if change[2] is None or change[2] not in places:
             distinct.append(change)
         places.add(change[2])

@@ -13,7 +13,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.fast import LayoutPrecision, LayoutScorer
 from ltsim.planning.objective import MIN_SWEEP_IMPROVEMENT, LayoutObjective
 from ltsim.planning.site import SearchSpace
@@ -58,7 +58,7 @@ class NormalMatrixTable:
         only = is_visible.copy()
         only[:, staying:] = False
         alone = scorer.normal_blocks(survey.station_positions, survey.station_yaws, slots, only)
-        base, length = (block[0] for block in scorer.eliminate_targets(alone, slots[None])[:2])
+        base, squared_norms = (block[0] for block in scorer.eliminate_targets(alone, slots[None])[:2])
         t, x = (
             part[:, staying:]
             for part in scorer.whitened_rows(survey.station_positions, survey.station_yaws, slots, is_visible)
@@ -72,8 +72,8 @@ class NormalMatrixTable:
         projected = rows - basis @ (np.swapaxes(basis, 1, 2) @ rows)
         all_blocks = scorer.normal_blocks(survey.station_positions, survey.station_yaws, slots, is_visible)
         _, _, inverse, weights = scorer.eliminate_targets(all_blocks, slots[None])
-        length = length + np.sum(rows**2, axis=(0, 1))
-        return cls(scorer, base, np.swapaxes(projected, 1, 2) @ projected, length, inverse[0], weights[0])
+        squared_norms = squared_norms + np.sum(rows**2, axis=(0, 1))
+        return cls(scorer, base, np.swapaxes(projected, 1, 2) @ projected, squared_norms, inverse[0], weights[0])
 
     def normal_matrix(self, places: Ints) -> Floats:
         """Normal matrix (K, K) with reflectors at the places with the given indices."""
@@ -107,11 +107,11 @@ class NormalMatrixTable:
         names = [scorer.survey.target_names[t] for t in scorer.requested_targets(scorer.mesh_targets[at])[0]]
         return dict(zip(names, np.sqrt(variance).tolist(), strict=True))
 
-    def _block_rows(self, layouts: int, place_indices: Ints) -> Ints:
+    def _block_rows(self, n_layouts: int, place_indices: Ints) -> Ints:
         """Indices in `target_block_inverses` of the fixed targets and of places, (B, fixed + n)."""
         stay = len(self.target_block_inverses) - len(self.place_normal_matrices)
-        place_indices = np.broadcast_to(place_indices, (layouts, np.shape(place_indices)[-1]))
-        return np.concatenate([np.broadcast_to(np.arange(stay), (layouts, stay)), stay + place_indices], axis=1)
+        place_indices = np.broadcast_to(place_indices, (n_layouts, np.shape(place_indices)[-1]))
+        return np.concatenate([np.broadcast_to(np.arange(stay), (n_layouts, stay)), stay + place_indices], axis=1)
 
     def objective_values(self, normal_matrices: Floats, place_indices: Ints, objective: LayoutObjective) -> Floats:
         """Objective (B,) for normal matrices (B, K, K) with reflectors at the places `place_indices` (B, n)."""
@@ -127,8 +127,8 @@ def with_targets(
 ) -> PlannedSurvey:
     """Survey with the fixed targets, and with reflectors at `places` (P, 3) [m]; `is_visible` is (S, targets)."""
     keep = np.flatnonzero(is_fixed)
-    count = len(keep) + len(places)
-    rank = None if survey.target_ranks is None else np.tile(np.arange(count), (len(survey.station_positions), 1))
+    n_targets = len(keep) + len(places)
+    rank = None if survey.target_ranks is None else np.tile(np.arange(n_targets), (len(survey.station_positions), 1))
     return survey.replace(
         target_names=(*(survey.target_names[k] for k in keep), *names),
         target_points=np.concatenate([survey.target_points[keep], places]),
@@ -157,34 +157,34 @@ class MovableReflectors:
         survey: PlannedSurvey,
         is_fixed: Bools,
         objective: LayoutObjective,
-        construction: Construction,
+        construction: GeometricErrorModel,
     ) -> MovableReflectors:
         """Visible places for movable reflectors; `is_fixed` (T,) marks the fixed targets."""
         offered = np.zeros((0, 3)) if site.candidate_nests is None else site.candidate_nests
         places = np.concatenate([survey.target_points[~is_fixed], offered])
         present = [name for name, stay in zip(survey.target_names, is_fixed, strict=True) if not stay]
-        good = _is_usable_place(site, survey, places)
-        good &= ~np.r_[
+        is_usable = _is_usable_place(site, survey, places)
+        is_usable &= ~np.r_[
             np.zeros(len(present), bool),
             _is_near_point(survey.target_points[~is_fixed], offered, MAX_SAME_PLACE_DISTANCE),
         ]
-        good &= ~np.r_[
+        is_usable &= ~np.r_[
             np.zeros(len(present), bool),
             _is_near_point(survey.target_points[is_fixed], offered, site.min_reflector_spacing),
         ]
-        names = tuple(n for n, g in zip((*present, *site.nest_names), good, strict=True) if g)
-        places = places[good]
+        names = tuple(n for n, g in zip((*present, *site.nest_names), is_usable, strict=True) if g)
+        places = places[is_usable]
         visible = site.is_visible(survey.station_positions, np.concatenate([survey.target_points[is_fixed], places]))
         # What stands already is seen as it is, only new places must be seen with some play.
         now = np.concatenate(
-            [survey.is_visible[:, is_fixed], survey.is_visible[:, ~is_fixed][:, good[: len(present)]]], axis=1
+            [survey.is_visible[:, is_fixed], survey.is_visible[:, ~is_fixed][:, is_usable[: len(present)]]], axis=1
         )
         visible[:, : now.shape[1]] = now
         full_survey = with_targets(survey, is_fixed, places, names, np.ones_like(visible))
         table = NormalMatrixTable.from_places(
             survey, is_fixed, places, visible, LayoutScorer(full_survey, construction, objective.effects)
         )
-        return cls(places, names, int(good[: len(present)].sum()), visible, table)
+        return cls(places, names, int(is_usable[: len(present)].sum()), visible, table)
 
 
 def choose_reflectors(
@@ -192,7 +192,7 @@ def choose_reflectors(
     survey: PlannedSurvey,
     is_fixed: Bools,
     objective: LayoutObjective,
-    construction: Construction,
+    construction: GeometricErrorModel,
 ) -> PlannedSurvey:
     """Survey whose movable reflectors are at the best places, chosen from the present and the candidate ones.
 

@@ -250,8 +250,8 @@ def with_layout(scenario: Scenario, survey: PlannedSurvey, title: str = "") -> S
         "minutes_per_move": survey.seconds_per_move / 60.0,
     }
     work = scenario.work.model_copy(update=way | {"stations": None})
-    changes = {"stations": stations, "targets": targets, "work": work, "air": scenario.air or AirUncertainty()}
-    return scenario.model_copy(update=changes | {"title": title or scenario.title})
+    new_fields = {"stations": stations, "targets": targets, "work": work, "air": scenario.air or AirUncertainty()}
+    return scenario.model_copy(update=new_fields | {"title": title or scenario.title})
 
 
 def copy_cad_files(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]]:

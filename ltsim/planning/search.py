@@ -15,7 +15,7 @@ from ltsim.adjustment.remedies.next_measurement import no_progress
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
 from ltsim.core.randomness import stream
-from ltsim.physics.model.construction import Construction, misalignment_construction
+from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
 from ltsim.planning.fast import LayoutScorer, NormalBlocks
 from ltsim.planning.objective import MIN_SWEEP_IMPROVEMENT, LayoutObjective
 from ltsim.planning.site import SearchSpace, StationPlacement
@@ -51,7 +51,7 @@ class LayoutSearcher:
 
     search_space: SearchSpace
     objective: LayoutObjective = field(default_factory=LayoutObjective)
-    construction: Construction = field(default_factory=misalignment_construction)
+    construction: GeometricErrorModel = field(default_factory=misalignment_construction)
     grid_step: float = 0.5
     """Step of the grid [m]."""
     n_yaws: int = 6
@@ -115,9 +115,10 @@ class LayoutSearcher:
         share = self.placement.is_visible.mean(axis=0)
         if not share.all():
             return self.search_space.invisible_targets_sentence(np.flatnonzero(share == 0))
-        worst = self.search_space.survey.target_names[int(np.argmin(share))]
+        worst_target = self.search_space.survey.target_names[int(np.argmin(share))]
         return (
-            f"no place on the floor sees every reflector: {worst} is visible from {100 * share.min():.0f} % of the "
+            f"no place on the floor sees every reflector: {worst_target} is visible "
+            f"from {100 * share.min():.0f} % of the "
             "places; move it, enlarge the floor, or set a smaller stations.min_stations_per_target"
         )
 
@@ -142,7 +143,7 @@ class LayoutSearcher:
 
     def _objectives_of(self, blocks: NormalBlocks, setup_indices: Ints) -> Floats:
         """Objectives (B,) of layouts; each row of `setup_indices` (B, S) has the indices of its set-ups in `blocks`."""
-        values = [
+        objective_batches = [
             self.objective.objective_values(
                 self.scorer.evaluate_layouts(
                     blocks,
@@ -153,7 +154,7 @@ class LayoutSearcher:
             )
             for a in range(0, len(setup_indices), SETUPS_PER_BATCH)
         ]
-        return np.concatenate(values) if values else np.zeros(0)
+        return np.concatenate(objective_batches) if objective_batches else np.zeros(0)
 
     def _report_step(self) -> None:
         """Report of progress to the callback."""
@@ -167,11 +168,11 @@ class LayoutSearcher:
             _with_each_candidate(layout, station_index, candidates),
         )
         permitted_candidates = np.flatnonzero(self.search_space.is_feasible(position, visible))
-        values = np.full(count, np.inf)
+        objectives = np.full(count, np.inf)
         chosen = np.tile(np.arange(self.n_stations), (len(permitted_candidates), 1))
         chosen[:, station_index] = self.n_stations + permitted_candidates
-        values[permitted_candidates] = self._objectives_of(NormalBlocks.concatenate([layout, candidates]), chosen)
-        return values
+        objectives[permitted_candidates] = self._objectives_of(NormalBlocks.concatenate([layout, candidates]), chosen)
+        return objectives
 
     def best_replacement(self, layout: NormalBlocks, station_index: int, candidates: NormalBlocks) -> tuple[int, float]:
         """Index of the best candidate in place of one station, and the objective with this candidate.
@@ -179,9 +180,9 @@ class LayoutSearcher:
         The objective is infinite if every candidate breaks a rule.
         """
         self._report_step()
-        values = self.replacement_objectives(layout, station_index, candidates)
-        best_index = int(np.argmin(values))
-        return best_index, float(values[best_index])
+        objectives = self.replacement_objectives(layout, station_index, candidates)
+        best_index = int(np.argmin(objectives))
+        return best_index, float(objectives[best_index])
 
     def _exchange_sweep(
         self, layout: NormalBlocks, value: float, candidates: Callable[[NormalBlocks, int], NormalBlocks | None]
@@ -316,8 +317,8 @@ class LayoutSearcher:
 
 def _with_each_candidate(layout: NormalBlocks, station_index: int, candidates: NormalBlocks) -> tuple[Floats, Bools]:
     """Positions (N, S, 3) and visibility (N, S, T) of the layout with each candidate in place of one station."""
-    count = len(candidates.setup_positions)
-    position: Floats = np.repeat(layout.setup_positions[None], count, axis=0)
-    visible: Bools = np.repeat(layout.is_visible[None], count, axis=0)
+    n_candidates = len(candidates.setup_positions)
+    position: Floats = np.repeat(layout.setup_positions[None], n_candidates, axis=0)
+    visible: Bools = np.repeat(layout.is_visible[None], n_candidates, axis=0)
     position[:, station_index], visible[:, station_index] = candidates.setup_positions, candidates.is_visible
     return position, visible

@@ -249,17 +249,17 @@ class SearchSpace(ValueEquality):
             else ""
         )
 
-    def grid_places(self, step: float, heights: int) -> Floats:
+    def grid_places(self, step: float, n_heights: int) -> Floats:
         """Places (N, 3) [m] of a grid with the given step [m] at which a tripod may stand."""
-        grid = np.concatenate([grid_over_area(area, step, heights) for area in self.allowed_areas])
+        grid = np.concatenate([grid_over_area(area, step, n_heights) for area in self.allowed_areas])
         return np.unique(grid[self.is_allowed(grid)], axis=0)
 
-    def greedy_placement(self, step: float, heights: int) -> StationPlacement:
+    def greedy_placement(self, step: float, n_heights: int) -> StationPlacement:
         """Greedy placement on a grid of places from which three targets are visible; fixed stations are included.
 
         Raises SetupError if there is no such place.
         """
-        places, fixed = self.grid_places(step, heights), self.survey.station_positions[list(self.fixed_stations)]
+        places, fixed = self.grid_places(step, n_heights), self.survey.station_positions[list(self.fixed_stations)]
         visible = self.is_visible(places)
         is_sufficient = visible.sum(axis=1) >= MIN_VISIBLE_TARGETS
         if not is_sufficient.any():
@@ -314,27 +314,27 @@ class StationPlacement:
 
         Sights beyond the wanted number have a small weight.
         """
-        count = len(self.candidate_positions)
-        rows = (
-            np.arange(count)
+        n_candidates = len(self.candidate_positions)
+        candidate_order = (
+            np.arange(n_candidates)
             if random_generator is None
-            else random_generator.integers(count, size=min(N_PLACEMENT_DRAWS, count))
+            else random_generator.integers(n_candidates, size=min(N_PLACEMENT_DRAWS, n_candidates))
         )
         present_sights = self.n_fixed_sights + self.is_visible[used_places].sum(axis=0)
         added_sights = (
             (
-                np.minimum(present_sights + self.is_visible[rows], wanted_sights)
+                np.minimum(present_sights + self.is_visible[candidate_order], wanted_sights)
                 - np.minimum(present_sights, wanted_sights)
             )
             .sum(axis=1)
             .astype(np.float64)
         )
-        added_sights += 1e-3 * (self.is_visible[rows] / (1.0 + present_sights) ** 2).sum(axis=1)
+        added_sights += 1e-3 * (self.is_visible[candidate_order] / (1.0 + present_sights) ** 2).sum(axis=1)
         for place in (*self.fixed_positions, *self.candidate_positions[used_places]):
             added_sights[
-                np.linalg.norm(self.candidate_positions[rows, :2] - place[:2], axis=1) < self.min_spacing
+                np.linalg.norm(self.candidate_positions[candidate_order, :2] - place[:2], axis=1) < self.min_spacing
             ] = -1.0
-        return int(rows[np.argmax(added_sights)]) if added_sights.max(initial=-1.0) >= 0.0 else -1
+        return int(candidate_order[np.argmax(added_sights)]) if added_sights.max(initial=-1.0) >= 0.0 else -1
 
     def _optimal_places(
         self, n_stations: int, wanted_sights: int, random_generator: np.random.Generator | None
@@ -343,13 +343,15 @@ class StationPlacement:
         places, targets = self.is_visible.shape
         gap = np.linalg.norm(self.candidate_positions[:, None, :2] - self.fixed_positions[None, :, :2], axis=2)
         free = (gap >= self.min_spacing).all(axis=1)
-        near = (
+        is_too_near = (
             np.linalg.norm(self.candidate_positions[:, None, :2] - self.candidate_positions[None, :, :2], axis=2)
             < self.min_spacing
         )
-        first, second = np.nonzero(np.triu(near, 1))
+        first, second = np.nonzero(np.triu(is_too_near, 1))
         rows = np.arange(len(first))
-        pairs = sp.csr_array((np.ones(2 * len(first)), (np.r_[rows, rows], np.r_[first, second])), (len(first), places))
+        pair_matrix = sp.csr_array(
+            (np.ones(2 * len(first)), (np.r_[rows, rows], np.r_[first, second])), (len(first), places)
+        )
         sights = sp.hstack([sp.csr_array(self.is_visible.T.astype(np.float64)), sp.eye_array(targets)])
         need = np.maximum(wanted_sights - self.n_fixed_sights, 0)
         limits = [
@@ -357,7 +359,7 @@ class StationPlacement:
             LinearConstraint(np.r_[np.ones(places), np.zeros(targets)][None], n_stations, n_stations),
         ]
         if len(first):
-            limits.append(LinearConstraint(sp.hstack([pairs, sp.csr_array((len(first), targets))]), -np.inf, 1.0))
+            limits.append(LinearConstraint(sp.hstack([pair_matrix, sp.csr_array((len(first), targets))]), -np.inf, 1.0))
         cost = np.zeros(places) if random_generator is None else RANDOM_PLACE_COST * random_generator.random(places)
         solution = milp(
             np.r_[cost, np.ones(targets)],

@@ -70,16 +70,16 @@ def _plan_from_points(
     names = [name for name in recording.targets if name in point_by_name and name not in undetermined]
     if len(names) < MIN_RIGID_POINTS:
         return None
-    here = state.target_points[[recording.targets.index(name) for name in names]]
+    target_points = state.target_points[[recording.targets.index(name) for name in names]]
     there = np.array([point_by_name[name] for name in names])
     try:
-        rotation, _ = align_robustly(here, there)
+        rotation, _ = align_robustly(target_points, there)
     except NetworkError:  # points on a line
         return None
     turn = rotation_about_z(float(np.arctan2(rotation[1, 0], rotation[0, 0])))
-    shift = np.median(there - here @ turn.T, axis=0)
+    shift = np.median(there - target_points @ turn.T, axis=0)
     plan = FloorPlan(turn, shift, has_plan=True)
-    misfit = np.linalg.norm(plan.positions_on_plan(here) - there, axis=1)
+    misfit = np.linalg.norm(plan.positions_on_plan(target_points) - there, axis=1)
     if np.median(misfit) > MAX_MEDIAN_MISFIT:
         worst = int(np.argmax(misfit))
         raise SetupError(

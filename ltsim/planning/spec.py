@@ -253,8 +253,10 @@ class PlanFile(TomlSection):
     @property
     def searches_station_count(self) -> bool:
         """True if the smallest number of stations that meets the tolerances is searched."""
-        wanted = bool(self.goal.tolerances) or any(point.tolerance_mm is not None for point in self.listed_points)
-        return wanted and self.stations.count is None
+        has_tolerances = bool(self.goal.tolerances) or any(
+            point.tolerance_mm is not None for point in self.listed_points
+        )
+        return has_tolerances and self.stations.count is None
 
     @property
     def listed_points(self) -> tuple[PointEntry, ...]:

@@ -11,7 +11,7 @@ from ltsim.adjustment.remedies.next_measurement import no_progress
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, SetupError
 from ltsim.core.parallel import run_parallel
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.reflectors import choose_reflectors
 from ltsim.planning.search import LayoutSearcher, StationLayout
 from ltsim.planning.site import SearchSpace
@@ -52,8 +52,8 @@ class PlanningProblem:
     scenario: Scenario
 
     @property
-    def construction(self) -> Construction:
-        """Construction whose parameters are estimated."""
+    def construction(self) -> GeometricErrorModel:
+        """Geometric error model of the instrument, whose parameters are estimated."""
         return planned_construction(self.scenario)
 
     def search_space(self, task: SearchTask) -> SearchSpace:

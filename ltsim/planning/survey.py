@@ -12,7 +12,7 @@ from ltsim.core.arrays import Bools, Floats, Ints, as_floats
 from ltsim.core.errors import SetupError
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import rotation_about_z
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.air import AirUncertainty
 from ltsim.recordings.recording import OBSERVABLES, Recording, noise_sigma
@@ -118,14 +118,14 @@ class PlannedSurvey:
         """Rotation from the instrument frame of each station to the network frame, (S, 3, 3)."""
         return np.stack([rotation_about_z(float(yaw)) for yaw in self.station_yaws])
 
-    def nominal_state(self, construction: Construction) -> NetworkState:
+    def nominal_state(self, construction: GeometricErrorModel) -> NetworkState:
         """Nominal state: a perfect instrument at the planned positions."""
         empty = self._empty_recording()
-        values = np.zeros((len(empty.instruments), construction.n_parameters))
+        zero_errors = np.zeros((len(empty.instruments), construction.n_parameters))
         errors = np.zeros(MeasurementModel(empty, construction).n_extra_parameters)
-        return NetworkState(self.station_positions, self.station_rotations, self.target_points, values, errors)
+        return NetworkState(self.station_positions, self.station_rotations, self.target_points, zero_errors, errors)
 
-    def noise_free_recording(self, construction: Construction) -> Recording:
+    def noise_free_recording(self, construction: GeometricErrorModel) -> Recording:
         """Recording of a perfect instrument without noise.
 
         Rows are in the order of measurement, station by station; a further round is another complete measurement at the
@@ -139,10 +139,10 @@ class PlannedSurvey:
     def pointing_ranks(self, station: Ints, target: Ints, face: Ints) -> Ints:
         """Rank (n,) of pointings, from 0, in the first round of their station."""
         rank = target if self.target_ranks is None else self.target_ranks[station, target]
-        number = np.searchsorted(np.sort(self.faces), face)
+        face_ranks = np.searchsorted(np.sort(self.faces), face)
         if self.measures_face_by_face:
-            return np.asarray(number * len(self.target_points) + rank)
-        return np.asarray(rank * len(self.faces) + number)
+            return np.asarray(face_ranks * len(self.target_points) + rank)
+        return np.asarray(rank * len(self.faces) + face_ranks)
 
     @property
     def _placed_setup(self) -> Setup:

@@ -12,7 +12,7 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing
 from ltsim.core.units import MILLIMETRE
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.site import BrokenRule, broken_rules_text
 from ltsim.planning.spec import PlanFile
@@ -99,10 +99,10 @@ def error_radius(covariance: Floats, confidence_level: float) -> Floats:
     Biometrics Bulletin 2 (1946) 110-114), which is exact for errors along one axis and for isotropic errors in a plane
     or in space.
     """
-    mean = np.einsum("tii->t", covariance)
+    variance_sums = np.einsum("tii->t", covariance)
     square = np.einsum("tij,tji->t", covariance, covariance)
-    freedom = np.where(square > 0, mean**2 / np.where(square > 0, square, 1.0), 1.0)
-    return np.sqrt(mean / freedom * 2.0 * gammaincinv(0.5 * freedom, confidence_level))
+    freedom = np.where(square > 0, variance_sums**2 / np.where(square > 0, square, 1.0), 1.0)
+    return np.sqrt(variance_sums / freedom * 2.0 * gammaincinv(0.5 * freedom, confidence_level))
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ class ToleranceCheck:
 
 
 def check_tolerances(
-    survey: PlannedSurvey, tolerances: PointTolerances, construction: Construction, lost_text: str = ""
+    survey: PlannedSurvey, tolerances: PointTolerances, construction: GeometricErrorModel, lost_text: str = ""
 ) -> ToleranceCheck:
     """Check of a survey. Points that no station sees are removed from the network and reported."""
     visible: Bools = np.asarray(survey.is_visible.any(axis=0))
@@ -208,19 +208,19 @@ def check_tolerances(
     )
     radii = {name: radius_by_name[name] for name in tolerances.tolerance_by_point if name in radius_by_name}
     ratios = {name: value / tolerances.tolerance_by_point[name] for name, value in radii.items()}
-    worst = unseen[0] if unseen else max(ratios, key=lambda name: ratios[name], default="")
+    worst_point = unseen[0] if unseen else max(ratios, key=lambda name: ratios[name], default="")
     return ToleranceCheck(
         lost_text,
         tolerances.tolerance_by_point,
         radii,
-        np.inf if unseen or not ratios else ratios[worst],
-        worst,
+        np.inf if unseen or not ratios else ratios[worst_point],
+        worst_point,
         unseen,
     )
 
 
 def checks_after_losses(
-    survey: PlannedSurvey, tolerances: PointTolerances, construction: Construction, loss_kind: str
+    survey: PlannedSurvey, tolerances: PointTolerances, construction: GeometricErrorModel, loss_kind: str
 ) -> Iterator[ToleranceCheck]:
     """Checks of a survey after each single loss of one kind.
 
@@ -240,7 +240,7 @@ def checks_after_losses(
 
 
 def checks_after_every_loss(
-    survey: PlannedSurvey, tolerances: PointTolerances, construction: Construction
+    survey: PlannedSurvey, tolerances: PointTolerances, construction: GeometricErrorModel
 ) -> tuple[ToleranceCheck, ...]:
     """Checks of a survey without each station, then without each sight of a point with a tolerance."""
     kinds = ("station", "sight") if tolerances else ()
@@ -248,7 +248,7 @@ def checks_after_every_loss(
 
 
 def checks_after_required_losses(
-    survey: PlannedSurvey, tolerances: PointTolerances, construction: Construction
+    survey: PlannedSurvey, tolerances: PointTolerances, construction: GeometricErrorModel
 ) -> list[ToleranceCheck]:
     """Checks for a verdict: without each station, and without each sight if the tolerances must withstand that loss."""
     kinds = ("station", "sight") if tolerances.withstood_loss == "sight" else ("station",)
@@ -256,7 +256,7 @@ def checks_after_required_losses(
 
 
 def feasibility_and_ratio(
-    survey: PlannedSurvey, tolerances: PointTolerances, construction: Construction
+    survey: PlannedSurvey, tolerances: PointTolerances, construction: GeometricErrorModel
 ) -> tuple[bool, float]:
     """Flag that a survey meets its tolerances, and the largest ratio of error to tolerance.
 
@@ -265,10 +265,10 @@ def feasibility_and_ratio(
     verdict = check_tolerances(survey, tolerances, construction)
     if not verdict.meets_all or tolerances.withstood_loss == "no":
         return verdict.meets_all, verdict.max_ratio
-    worst = max(
+    largest_ratio = max(
         loss.max_ratio for loss in checks_after_losses(survey, tolerances, construction, tolerances.withstood_loss)
     )
-    return is_met(worst), worst
+    return is_met(largest_ratio), largest_ratio
 
 
 @dataclass(frozen=True)
@@ -292,22 +292,26 @@ def plan_verdict(
         loss for loss in loss_checks if tolerances.withstood_loss == ("sight" if loss.is_sight_loss else "station")
     ]
     reached = not broken_rules and tolerance_check.meets_all and all(loss.meets_all for loss in asked)
-    count = len(tolerances.tolerance_by_point)
-    number = (
-        f"all {count}"
+    n_points = len(tolerances.tolerance_by_point)
+    count_text = (
+        f"all {n_points}"
         if tolerance_check.meets_all
-        else f"{len(tolerance_check.error_by_point) - len(tolerance_check.exceeding_points)} of {count}"
+        else f"{len(tolerance_check.error_by_point) - len(tolerance_check.exceeding_points)} of {n_points}"
     )
     words = (
-        f"{number} tolerances are met at {100 * tolerances.confidence_level:g} % confidence; "
+        f"{count_text} tolerances are met at {100 * tolerances.confidence_level:g} % confidence; "
         f"{tolerance_check.worst_point_text}"
     )
-    worst = max((loss for loss in loss_checks if not loss.is_sight_loss), key=lambda loss: loss.max_ratio, default=None)
-    if worst is not None:
+    worst_loss = max(
+        (loss for loss in loss_checks if not loss.is_sight_loss), key=lambda loss: loss.max_ratio, default=None
+    )
+    if worst_loss is not None:
         lost = (
-            "without any one station all are met" if worst.meets_all else f"without {worst.lost_text} they are not met"
+            "without any one station all are met"
+            if worst_loss.meets_all
+            else f"without {worst_loss.lost_text} they are not met"
         )
-        words += f". {lost[0].upper()}{lost[1:]}; {worst.worst_point_text}"
+        words += f". {lost[0].upper()}{lost[1:]}; {worst_loss.worst_point_text}"
     rules = f"the layout breaks a rule ({broken_rules_text(broken_rules)}). " if broken_rules else ""
     words = words[0].upper() + words[1:] if broken_rules else words
     return PlanVerdict(reached, f"{'Reached' if reached else 'Not reached'}: {rules}{words}")

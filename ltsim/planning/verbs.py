@@ -12,7 +12,7 @@ from ltsim.core.arguments import MAX_MAPPING_NUMBER, MOVE_SYNTAX, check_bounds, 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import SetupError, option, unknown_name
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
-from ltsim.physics.effects.signature import Signature
+from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.planning.making import SearchCallbacks, make_plan
 from ltsim.planning.planner import PlannedNetwork, evaluate_plan
 from ltsim.planning.proposals import NextMeasurement
@@ -81,8 +81,8 @@ def plan(
     file, scenario = load_plan_and_scenario(source)
     if move is not None:
         return Plan.from_network(_plan_with_moved_stations(file, scenario, move))
-    changes = {key: value for key, value in (("seed", seed), ("starts", starts)) if value is not None}
-    file = file.model_copy(update={"search": file.search.model_copy(update=changes)})
+    search_changes = {key: value for key, value in (("seed", seed), ("starts", starts)) if value is not None}
+    file = file.model_copy(update={"search": file.search.model_copy(update=search_changes)})
     return Plan.from_network(make_plan(file, scenario, jobs=jobs, callbacks=callbacks or SearchCallbacks(progress)))
 
 
@@ -90,7 +90,7 @@ def next_measurement(
     recording: RecordingSource,
     *,
     between: Sequence[str] = (),
-    with_effects: str | Signature | Sequence[str | Signature] = (),
+    with_effects: str | LinearEffect | Sequence[str | LinearEffect] = (),
     site: str | Path | None = None,
     minutes_per_move: float = 20.0,
     progress: ProgressCallback = no_progress,
@@ -198,29 +198,29 @@ def station_alternatives(source: str | Path, station: str) -> tuple[StationAlter
     file, site = unsearched_plan(named, scenario)
     problem, survey = PlanningProblem(file, scenario), site.survey
     station_index = _station_index(survey, station)
-    others = [s for s in range(len(survey.station_positions)) if s != station_index]
-    work = problem.make_searcher(site.replace(survey=survey, fixed_stations=tuple(others), min_sights=0))
+    other_stations = [s for s in range(len(survey.station_positions)) if s != station_index]
+    work = problem.make_searcher(site.replace(survey=survey, fixed_stations=tuple(other_stations), min_sights=0))
     table = work.grid_setups(station_index)
-    values = work.replacement_objectives(
+    objectives = work.replacement_objectives(
         work.layout_blocks(survey.station_positions, survey.station_yaws), station_index, table
     )
-    values[_distances(table.setup_positions, survey.station_positions[station_index]) < MIN_ALTERNATIVE_DISTANCE] = (
-        np.inf
-    )
+    objectives[
+        _distances(table.setup_positions, survey.station_positions[station_index]) < MIN_ALTERNATIVE_DISTANCE
+    ] = np.inf
     # Sights of points with a tolerance that would be missing decide first.
     demanded = PointTolerances.from_plan_file(file).tolerance_by_point or survey.target_names
     asked = np.array([name in demanded for name in survey.target_names])
-    lacking = np.maximum(site.min_sights - survey.is_visible[others].sum(axis=0) - table.is_visible, 0)[:, asked].sum(
-        axis=1
-    )
+    lacking = np.maximum(site.min_sights - survey.is_visible[other_stations].sum(axis=0) - table.is_visible, 0)[
+        :, asked
+    ].sum(axis=1)
     alternatives: list[StationAlternative] = []
-    for best in np.lexsort((values, lacking)).tolist():
+    for best in np.lexsort((objectives, lacking)).tolist():
         near = [
             _distances(table.setup_positions[[best]], option_.survey.station_positions[station_index])[0]
             < MIN_ALTERNATIVE_DISTANCE
             for option_ in alternatives
         ]
-        if len(alternatives) == MAX_ALTERNATIVES or not np.isfinite(values[best]) or any(near):
+        if len(alternatives) == MAX_ALTERNATIVES or not np.isfinite(objectives[best]) or any(near):
             continue
         position, yaw = survey.station_positions.copy(), survey.station_yaws.copy()
         position[station_index], yaw[station_index] = table.setup_positions[best], table.setup_yaws[best]
@@ -303,7 +303,7 @@ def _evaluate_alternative(
     rules = f"it breaks a rule ({broken_rules_text(broken)}); " if broken else ""
     if not check.error_by_point or check.unseen_points:
         return StationAlternative(description, survey, rules + check.open_points_clause, np.inf, False, move)
-    worst = max(check.error_by_point, key=lambda name: check.error_by_point[name])
-    size = check.error_by_point[worst]
-    text = f"{rules}worst {worst}, within {size / MICROMETRE:.1f} um at 95 %"
-    return StationAlternative(description, survey, text, size, not broken, move)
+    worst_point = max(check.error_by_point, key=lambda name: check.error_by_point[name])
+    worst_error = check.error_by_point[worst_point]
+    text = f"{rules}worst {worst_point}, within {worst_error / MICROMETRE:.1f} um at 95 %"
+    return StationAlternative(description, survey, text, worst_error, not broken, move)

@@ -194,9 +194,9 @@ def tape_deficiency_sentence(tapes: Sequence[TapeDistance], place: Floats) -> st
     end_points = np.array([mark.end_point[:2] for mark in tapes])
     rise = np.array([mark.length for mark in tapes]) ** 2 - np.sum((place[:2] - end_points) ** 2, axis=1)
     first, second = max(combinations(end_points, 2), key=lambda ends: float(np.linalg.norm(ends[1] - ends[0])))
-    along = (second - first) / np.linalg.norm(second - first)
+    direction = (second - first) / np.linalg.norm(second - first)
     gap = place[:2] - first
-    mirror = place[:2] - 2.0 * (gap - along * (gap @ along))
+    mirror = place[:2] - 2.0 * (gap - direction * (gap @ direction))
     misses = np.sqrt(np.sum((mirror - end_points) ** 2, axis=1) + rise) - [mark.length for mark in tapes]
     if np.linalg.norm(mirror - place[:2]) < MAX_POSITION_AMBIGUITY or np.abs(misses).max() > MIN_TAPE_MISCLOSURE:
         return ""
@@ -207,11 +207,11 @@ def _zero_direction_text(plan: PlannedNetwork, place: Floats, yaw: float, is_vis
     """Text of the direction of azimuth zero: the nearest visible target, and the angle to it."""
     survey = plan.layout.survey
     way = survey.target_points[is_visible] - place
-    off = np.angle(np.exp(1j * (np.arctan2(way[:, 1], way[:, 0]) - yaw)))
-    best_index = int(np.argmin(np.abs(off)))
+    direction_errors = np.angle(np.exp(1j * (np.arctan2(way[:, 1], way[:, 0]) - yaw)))
+    best_index = int(np.argmin(np.abs(direction_errors)))
     name = survey.target_names[np.flatnonzero(is_visible)[best_index]]
-    degrees = round(abs(float(off[best_index])) / DEGREE)
-    return name if degrees == 0 else f"{degrees}° {'right' if off[best_index] > 0 else 'left'} of {name}"
+    degrees = round(abs(float(direction_errors[best_index])) / DEGREE)
+    return name if degrees == 0 else f"{degrees}° {'right' if direction_errors[best_index] > 0 else 'left'} of {name}"
 
 
 def check_sentences(plan: PlannedNetwork) -> list[str]:

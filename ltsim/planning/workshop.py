@@ -79,12 +79,12 @@ def planned_survey(scenario: Scenario) -> PlannedSurvey:
 
 def _target_ranks(recording: Recording, layout: WorkshopLayout) -> Ints:
     """Rank (S, T) of each target in the first round of each station; targets that are not visible come last."""
-    count = len(layout.target_names)
-    first = np.full((len(layout.station_names), count), np.inf)
+    n_targets = len(layout.target_names)
+    first_ranks = np.full((len(layout.station_names), n_targets), np.inf)
     target = np.array([layout.target_names.index(name) for name in recording.targets])[recording.target]
     station = np.array([layout.station_names.index(name) for name in recording.stations])[recording.station]
-    np.minimum.at(first, (station, target), recording.time)
-    return np.asarray(np.argsort(np.argsort(first, axis=1, kind="stable"), axis=1, kind="stable"), dtype=np.int64)
+    np.minimum.at(first_ranks, (station, target), recording.time)
+    return np.asarray(np.argsort(np.argsort(first_ranks, axis=1, kind="stable"), axis=1, kind="stable"), dtype=np.int64)
 
 
 def make_search_space(
@@ -103,8 +103,8 @@ def make_search_space(
     )
     longest = max(np.linalg.norm(area.outline[:, None] - survey.target_points[:, :2], axis=2).max() for area in areas)
     places, names = candidate_places(plan, scenario)
-    wanted = plan.stations.min_stations_per_target
-    least = stations if wanted == "all" else min(wanted, stations)
+    min_stations = plan.stations.min_stations_per_target
+    least = stations if min_stations == "all" else min(min_stations, stations)
     if not survey.records_angles and least < MIN_RANGE_STATIONS:
         if stations < MIN_RANGE_STATIONS or plan.requires_sights:
             raise SetupError(

@@ -214,8 +214,8 @@ def length_meaning(distance: Floats, hints: Hints) -> tuple[LengthUnit, list[str
     if hints.length is not None:
         return hints.length, []
     longest = float(np.nanmax(distance, initial=0))
-    length: LengthUnit = "m" if longest < MIN_DISTANCE_MM else "mm"
-    return length, [f"distances are interpreted as {length} (the longest is {longest:.6g})"]
+    length_unit: LengthUnit = "m" if longest < MIN_DISTANCE_MM else "mm"
+    return length_unit, [f"distances are interpreted as {length_unit} (the longest is {longest:.6g})"]
 
 
 SENSE_UNKNOWN_NOTE = (
@@ -339,10 +339,10 @@ def clock_question(recording: Recording) -> tuple[str, ...]:
 
 def vertical_pointings_note(recording: Recording) -> tuple[str, ...]:
     """Note on pointings along the vertical axis, of which an adjustment uses only the distances; empty without them."""
-    rows = np.flatnonzero(recording.vertical & recording.is_measured[:, 1:].any(axis=1))
-    if not len(rows):
+    vertical_rows = np.flatnonzero(recording.vertical & recording.is_measured[:, 1:].any(axis=1))
+    if not len(vertical_rows):
         return ()
-    listed_rows = listing([recording.where(int(row) + 1) for row in rows], MAX_LISTED_NOTES)
+    listed_rows = listing([recording.where(int(row) + 1) for row in vertical_rows], MAX_LISTED_NOTES)
     return (
         f"{listed_rows}: along the vertical axis of the tracker the azimuth is undefined, so the angles are not used; "
         "to locate this target from there, tilt or move the tracker",

@@ -116,9 +116,9 @@ def read_points(path: str | Path, *, requires_all: bool = True) -> PointList:
 
 def recognises(beginning: str) -> bool:
     """True if a file that begins with the text `beginning` is a list of points, with or without a header."""
-    rows = head_rows(beginning)
-    header = _header_columns(rows)
-    data_rows = [row for row in rows[0 if header is None else header[0] :] if not row.is_comment]
+    first_rows = head_rows(beginning)
+    header = _header_columns(first_rows)
+    data_rows = [row for row in first_rows[0 if header is None else header[0] :] if not row.is_comment]
     if header is not None:
         return not data_rows or data_rows[0].n_values > 1
     sample = [_drop_trailing_field(row) for row in data_rows[: max(1, min(6, len(data_rows)) - 1)]]
@@ -132,21 +132,21 @@ def _drop_trailing_field(row: SheetRow) -> Sequence[str]:
 
 def _headerless_columns(sheet: TableSheet) -> tuple[int, list[TableColumn]] | None:
     """Number of rows before the first point (0), and columns of a list without header; None for other content."""
-    first = next((row for row in sheet.rows if not row.is_comment), None)
-    if first is None or not all(map(cells.is_value, _drop_trailing_field(first)[1:])):
+    first_row = next((row for row in sheet.rows if not row.is_comment), None)
+    if first_row is None or not all(map(cells.is_value, _drop_trailing_field(first_row)[1:])):
         return None
-    width = len(_drop_trailing_field(first))
+    width = len(_drop_trailing_field(first_row))
     if width not in FIELD_COUNTS:
-        raise SourceLocation(sheet.file, first.line).error(f"{width} fields, {EXPECTED_CONTENT}")
+        raise SourceLocation(sheet.file, first_row.line).error(f"{width} fields, {EXPECTED_CONTENT}")
     names = ["target", *COORDINATE_ROLES, *(SIGMA_ROLES[axis] for axis in COORDINATE_ROLES if width > 6)]
     covariance = [f"covariance {i}" for i in range(9 * (width > 15))]
     names += [""] * (width - len(names) - len(covariance)) + covariance
     return 0, [TableColumn(place, name, name) for place, name in enumerate(names)]
 
 
-def _header_columns(rows: Sequence[SheetRow]) -> tuple[int, list[TableColumn]] | None:
+def _header_columns(sheet_rows: Sequence[SheetRow]) -> tuple[int, list[TableColumn]] | None:
     """Number of rows before the first point, and columns that the header names; None without the header of a list."""
-    for place, row in enumerate(rows):
+    for place, row in enumerate(sheet_rows):
         if not count_role_titles(row.fields) or row.n_values:
             continue
         columns = header_columns(row.fields)
@@ -193,13 +193,13 @@ class _PointRowReader:
             raise RecordError("holds no points", file=self.sheet.file)
         table = np.array([values for _, values in named_rows.values()])
         scale, decisions = self._scales(table)
-        numbers = dict(zip(self.numbers, (table * scale).T, strict=True))
+        numbers_by_column = dict(zip(self.numbers, (table * scale).T, strict=True))
         missing = np.full(len(named_rows), np.nan)
-        points = np.stack([numbers.get(axis, missing) for axis in COORDINATE_ROLES], axis=1)
+        points = np.stack([numbers_by_column.get(axis, missing) for axis in COORDINATE_ROLES], axis=1)
         additional = [c for c in self.columns if c.is_additional and c.role not in self.numbers]
         texts = {c.title: tuple(row.cell(c.position) for row, _ in named_rows.values()) for c in additional}
         lines = tuple(row.line for row, _ in named_rows.values())
-        covariance = _covariance(numbers, len(named_rows))
+        covariance = _covariance(numbers_by_column, len(named_rows))
         axes = [role in COORDINATE_ROLES for role in self.numbers]
         gaps_m = np.array([np.subtract(*pair) for pair in ignored]).reshape(-1, len(axes)) * scale
         largest_gap_m = float(np.nanmax(np.linalg.norm(gaps_m[:, axes], axis=1), initial=0.0))
@@ -211,14 +211,14 @@ class _PointRowReader:
         where = SourceLocation(self.sheet.file, row.line)
         if len(_drop_trailing_field(row)) != self.width:
             row.check_width(self.width, self.sheet.file)
-        values = []
+        coordinates = []
         for role, column in self.numbers.items():
             text = row.cell(column.position)
             number = cells.parse_value(text, self.sheet.thousands_separator)
             if text and (number is None or abs(number) >= 10**11):
                 raise where.error(f"found '{quoted_text(text)}', expected a number", quoted_text(column.title or role))
-            values.append(np.nan if number is None else float(number))
-        return where.name(unguard_formula(row.cell(self.name.position)), "point"), values
+            coordinates.append(np.nan if number is None else float(number))
+        return where.name(unguard_formula(row.cell(self.name.position)), "point"), coordinates
 
     def _scales(self, table: Floats) -> tuple[Floats, list[str]]:
         """Factor of each column of numbers to metres (square metres for covariances), and notes on the unit."""
@@ -234,13 +234,13 @@ class _PointRowReader:
         return np.array(scales) ** [1 + role.startswith("covariance") for role in self.numbers], notes
 
 
-def _covariance(numbers: Mapping[str, Floats], n_points: int) -> Floats:
+def _covariance(numbers_by_column: Mapping[str, Floats], n_points: int) -> Floats:
     """Covariance (n, 3, 3) [m^2] of n points from columns with a full matrix, or with standard deviations."""
-    if "covariance 0" in numbers:
-        full = np.stack([numbers[f"covariance {i}"] for i in range(9)], axis=1).reshape(n_points, 3, 3)
+    if "covariance 0" in numbers_by_column:
+        full = np.stack([numbers_by_column[f"covariance {i}"] for i in range(9)], axis=1).reshape(n_points, 3, 3)
         return np.asarray((full + full.transpose(0, 2, 1)) / 2)
     sigma = [
-        numbers.get(SIGMA_ROLES[axis], numbers.get(COMMON_SIGMA_ROLE, np.full(n_points, np.nan)))
+        numbers_by_column.get(SIGMA_ROLES[axis], numbers_by_column.get(COMMON_SIGMA_ROLE, np.full(n_points, np.nan)))
         for axis in COORDINATE_ROLES
     ]
     covariance = np.zeros((n_points, 3, 3))
@@ -311,24 +311,26 @@ def _coordinates_from_gama(path: Path) -> EpochCoordinates:
     elements = {node.tag: node for node in parse_xml(path).descendants("adjusted", "cov-mat", "description")}
     if not {"adjusted", "cov-mat"} <= elements.keys():
         raise RecordError("contains no <adjusted> points with their <cov-mat>", file=path)
-    rows = [{cell.tag.lower(): cell for cell in point} for point in elements["adjusted"]]
-    axis_sets = {"".join(axis for axis in AXIS_NAMES if axis in row) for row in rows}
+    point_cells = [{cell.tag.lower(): cell for cell in point} for point in elements["adjusted"]]
+    axis_sets = {"".join(axis for axis in AXIS_NAMES if axis in row) for row in point_cells}
     if len(axis_sets) != 1 or not (axes := axis_sets.pop()):
         raise RecordError("contains points with different coordinate axes; give points of one kind", file=path)
-    points = np.zeros((len(rows), 3))
-    points[:, [AXIS_NAMES.index(axis) for axis in axes]] = [[_parse_number(row[axis]) for axis in axes] for row in rows]
+    points = np.zeros((len(point_cells), 3))
+    points[:, [AXIS_NAMES.index(axis) for axis in axes]] = [
+        [_parse_number(row[axis]) for axis in axes] for row in point_cells
+    ]
     band = {cell.tag: cell for cell in elements["cov-mat"]}
     size, width = (_parse_number(band[key]) if key in band else -1 for key in ("dim", "band"))
     row, column, values = band_matrix_entries(
         elements["cov-mat"], size, width, [_parse_number(c) for c in elements["cov-mat"] if c.tag == "flt"]
     )
-    n_used = len(rows) * len(axes)
+    n_used = len(point_cells) * len(axes)
     if size < n_used:
         raise RecordError(f"has a <cov-mat> whose size does not match its {n_used} coordinates", file=path)
     matrix = np.zeros((int(size), int(size)))
     matrix[row, column] = matrix[column, row] = values
     title = elements["description"].text if "description" in elements else ""
-    names = tuple(SourceLocation(path).name(row["id"].text if "id" in row else "", "target") for row in rows)
+    names = tuple(SourceLocation(path).name(row["id"].text if "id" in row else "", "target") for row in point_cells)
     return EpochCoordinates(title or path.name, names, axes, points, matrix[:n_used, :n_used] * MILLIMETRE**2)
 
 

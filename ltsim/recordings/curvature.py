@@ -30,7 +30,7 @@ def with_earth_curvature(recording: Recording) -> Recording:
     angle_in_sigmas = float(np.nanmax(horizontal_length / (2.0 * EARTH_RADIUS) / recording.sigma()[:, 2], initial=0.0))
     if not angle_in_sigmas > MIN_CURVATURE_SIGMAS:
         return recording
-    changes: dict[str, object] = {"curved": True}
+    setup_changes: dict[str, object] = {"curved": True}
     longest = float(np.nanmax(horizontal_length))
     drop = longest**2 / (2.0 * EARTH_RADIUS) / MILLIMETRE
     note = (
@@ -38,7 +38,7 @@ def with_earth_curvature(recording: Recording) -> Recording:
         f"the plane by {drop:.2g} mm; coordinates refer to one plumb line (curved = false in setup.toml: parallel ones)"
     )
     if setup.refraction is None and sum(DEFAULT_REFRACTION) * angle_in_sigmas > MIN_CURVATURE_SIGMAS:
-        changes["refraction"] = DEFAULT_REFRACTION
+        setup_changes["refraction"] = DEFAULT_REFRACTION
         note += (
             f"; the coefficient of refraction is estimated from {DEFAULT_REFRACTION[0]:g} +- "
             f"{DEFAULT_REFRACTION[1]:g}, which "
@@ -46,4 +46,4 @@ def with_earth_curvature(recording: Recording) -> Recording:
             "mm (refraction = [...] in "
             "setup.toml)"
         )
-    return recording.replace(setup=setup.model_copy(update=changes), notes=(*recording.notes, note))
+    return recording.replace(setup=setup.model_copy(update=setup_changes), notes=(*recording.notes, note))

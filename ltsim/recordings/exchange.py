@@ -214,7 +214,7 @@ def write(recording: Recording, path: Path | str, format: str = "native") -> Non
 
 
 def _format_by_name(name: str, formats: tuple[FileFormat, ...]) -> FileFormat:
-    by_name = {f.name: f for f in formats}
-    if name not in by_name:
-        raise RecordError(str(unknown_name("format", name, by_name)))
-    return by_name[name]
+    format_by_name = {f.name: f for f in formats}
+    if name not in format_by_name:
+        raise RecordError(str(unknown_name("format", name, format_by_name)))
+    return format_by_name[name]

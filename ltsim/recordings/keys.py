@@ -38,22 +38,22 @@ def _require_calendar_date(text: str) -> str:
         raise ValueError("it should be a date such as 2026-05-31") from None
 
 
-def _require_positive_definite(entries: tuple[float, ...]) -> tuple[float, ...]:
+def _require_positive_definite(upper_triangle: tuple[float, ...]) -> tuple[float, ...]:
     import numpy as np  # help of a verb need not wait for it
 
-    matrix = symmetric_matrix(entries)
+    matrix = symmetric_matrix(upper_triangle)
     sigma = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     if sigma.min() < MIN_SIGMA or np.linalg.eigvalsh(matrix / np.outer(sigma, sigma))[0] < MIN_CORRELATION_EIGENVALUE:
         raise ValueError("it should be the xx, xy, xz, yy, yz, zz of a covariance matrix, positive in every direction")
-    return entries
+    return upper_triangle
 
 
-def symmetric_matrix(entries: tuple[float, ...]) -> Floats:
+def symmetric_matrix(upper_triangle: tuple[float, ...]) -> Floats:
     """Symmetric matrix (3, 3) from its upper triangle xx, xy, xz, yy, yz, zz."""
     import numpy as np
 
     matrix = np.zeros((3, 3))
-    matrix[np.triu_indices(3)] = entries
+    matrix[np.triu_indices(3)] = upper_triangle
     return matrix + np.triu(matrix, 1).T
 
 

@@ -85,8 +85,8 @@ def read_recording(path: Path, hints: Hints = NO_HINTS) -> Recording:
     if not folder.is_dir():
         message = f"there is no such folder; a recording is a folder with {OBSERVATIONS_FILE} and {SETUP_FILE}"
         raise RecordError(message, file=path)
-    rows = _read_table(folder / OBSERVATIONS_FILE, incomplete_tail=hints.incomplete_tail)
-    recording = parse(rows, read_setup(folder / SETUP_FILE), folder, incomplete_tail=hints.incomplete_tail)
+    table_rows = _read_table(folder / OBSERVATIONS_FILE, incomplete_tail=hints.incomplete_tail)
+    recording = parse(table_rows, read_setup(folder / SETUP_FILE), folder, incomplete_tail=hints.incomplete_tail)
     sense = [1.0, -1.0 if hints.azimuth == "clockwise" else 1.0, 1.0]
     return recording.with_readings(recording.readings * sense)
 
@@ -128,18 +128,18 @@ def _release_lines(lines: list[str]) -> Iterator[str]:
         yield lines.pop()
 
 
-def parse(rows: list[list[str]], setup: Setup, folder: Path, *, incomplete_tail: bool = False) -> Recording:
+def parse(table_rows: list[list[str]], setup: Setup, folder: Path, *, incomplete_tail: bool = False) -> Recording:
     """Recording from the header and rows of `observations.csv` and its set-up; `folder` is named in errors."""
     file = folder / OBSERVATIONS_FILE
-    header = list(map(unguard_formula, rows[0]))
+    header = list(map(unguard_formula, table_rows[0]))
     _check_header(header, file)
     columns = {
         name: list(map(unguard_formula, column))
-        for name, column in zip(header, zip(*rows[1:], strict=True), strict=True)
+        for name, column in zip(header, zip(*table_rows[1:], strict=True), strict=True)
     }
     stations, station = index_names(columns["station"], "station", file)
     targets, target = index_names(columns["target"], "target", file)
-    n_rows = len(rows) - 1
+    n_rows = len(table_rows) - 1
     face = _integer_column(columns["face"], SourceLocation(file, column="face"), (1, 2))
     repeat = columns.get("repeat", ["1"] * n_rows)
     time = columns.get("time_s", list(map(str, range(n_rows))))
@@ -202,34 +202,34 @@ def _check_header(header: Sequence[str], file: Path) -> None:
 
 def _integer_column(column: list[str], location: SourceLocation, bounds: tuple[int, int]) -> Ints:
     low, high = bounds
-    numbers: dict[str, int] = {}
+    number_by_text: dict[str, int] = {}
     for text in dict.fromkeys(column):
         if not (text.isascii() and text.isdigit() and len(text) < 8 and low <= int(text) <= high):
             expected = f"{low} or {high}" if high == low + 1 else f"a whole number from {low}"
             raise replace(location, row=column.index(text) + 1).error(
                 f"found '{quoted_text(text)}', expected {expected}"
             )
-        numbers[text] = int(text)
-    return np.array([numbers[text] for text in column], dtype=np.int64)
+        number_by_text[text] = int(text)
+    return np.array([number_by_text[text] for text in column], dtype=np.int64)
 
 
 def _float_column(column: list[str], location: SourceLocation, *, optional: bool = True) -> Floats:
     """Column of numbers within the bounds of its name; empty cells are NaN if `optional`."""
     low, high = COLUMN_BOUNDS.get(location.column or "", (-1e15, 1e15))
-    values = np.full(len(column), np.nan)
+    numbers = np.full(len(column), np.nan)
     filled_rows = [i for i, text in enumerate(column) if text or not optional]
     texts = [column[i] for i in filled_rows]
     if max(map(len, texts), default=0) <= MAX_NUMBER_LENGTH and all(map(NUMBER_PATTERN.fullmatch, texts)):
-        values[filled_rows] = list(map(float, texts))
-        if np.all((values[filled_rows] >= low) & (values[filled_rows] <= high)):
-            return values
+        numbers[filled_rows] = list(map(float, texts))
+        if np.all((numbers[filled_rows] >= low) & (numbers[filled_rows] <= high)):
+            return numbers
     for i in filled_rows:  # to name the first that is wrong
         cell = replace(location, row=i + 1)
-        values[i] = cell.number(column[i], limit=1e15)
-        if not low <= values[i] <= high:
-            hint = " (it looks like gon)" if location.column == "elevation_deg" and 270 < values[i] < 400 else ""
+        numbers[i] = cell.number(column[i], limit=1e15)
+        if not low <= numbers[i] <= high:
+            hint = " (it looks like gon)" if location.column == "elevation_deg" and 270 < numbers[i] < 400 else ""
             raise cell.error(f"found {quoted_text(column[i])}, expected a value from {low:g} to {high:g}{hint}")
-    return values
+    return numbers
 
 
 def _additional_columns(
@@ -372,14 +372,14 @@ def _integer_texts(values: Ints) -> list[str]:
     return [texts[i] for i in index]
 
 
-def _number_texts(values: Floats, unit: float = 1.0, digits: int | None = None) -> list[str]:
+def _number_texts(si_values: Floats, unit: float = 1.0, digits: int | None = None) -> list[str]:
     """Texts of SI values in `unit`: with `digits` decimals if that is exact, otherwise with all digits; '' for NaN."""
-    is_finite = np.isfinite(values)
-    numbers = (values[is_finite] / unit).tolist()
-    texts = list(map(repr, numbers))
+    is_finite = np.isfinite(si_values)
+    finite_values = (si_values[is_finite] / unit).tolist()
+    texts = list(map(repr, finite_values))
     if digits is not None:
-        short = [f"{number:.{digits}f}" for number in numbers]
-        exact = np.array(list(map(float, short))) * unit == values[is_finite]
+        short = [f"{number:.{digits}f}" for number in finite_values]
+        exact = np.array(list(map(float, short))) * unit == si_values[is_finite]
         texts = [
             short_text if is_exact else full_text
             for short_text, full_text, is_exact in zip(short, texts, exact.tolist(), strict=True)

@@ -177,7 +177,7 @@ def merge_observations(observations: Iterable[SingleObservation], file: str) -> 
     The k-th azimuth, elevation and distance with equal heights form one pointing. Standard deviations and heights
     become additional columns.
     """
-    rows: list[dict[str, SingleObservation]] = []
+    pointing_rows: list[dict[str, SingleObservation]] = []
     open_rows: dict[tuple[str, str], list[dict[str, SingleObservation]]] = {}
     for observation in observations:
         candidates = open_rows.setdefault((observation.station, observation.target), [])
@@ -188,11 +188,11 @@ def merge_observations(observations: Iterable[SingleObservation], file: str) -> 
         if row is None:
             row = {}
             candidates.append(row)
-            rows.append(row)
+            pointing_rows.append(row)
         row[observation.kind] = observation
         if len(row) == len(OBSERVABLES):
             candidates.remove(row)
-    return [_pointing(row, file) for row in rows]
+    return [_pointing(row, file) for row in pointing_rows]
 
 
 def _have_equal_heights(observations: Sequence[SingleObservation]) -> bool:
@@ -212,10 +212,10 @@ def _pointing(row: dict[str, SingleObservation], file: str) -> Pointing:
     height_columns = {name: next((h / MILLIMETRE for h in of if h == h), NOT_MEASURED) for name, of in heights}
     is_horizontal = "distance" in row and row["distance"].is_horizontal
     lines = sorted({observation.line for observation in row.values() if observation.line})
-    first = next(iter(row.values()))
+    first_observation = next(iter(row.values()))
     return Pointing(
-        first.station,
-        first.target,
+        first_observation.station,
+        first_observation.target,
         1,
         **{kind: observation.value for kind, observation in row.items()},
         covariates={
@@ -248,5 +248,5 @@ def separate_constant_heights(
 
 def _without_constant_height(covariates: dict[str, float], column: str, *, is_constant: bool) -> dict[str, float]:
     """Covariates without a constant height; a height that varies is kept, 0 if it is missing."""
-    others = {name: value for name, value in covariates.items() if name != column}
-    return others if is_constant else {**others, column: covariates.get(column, 0.0)}
+    other_covariates = {name: value for name, value in covariates.items() if name != column}
+    return other_covariates if is_constant else {**other_covariates, column: covariates.get(column, 0.0)}

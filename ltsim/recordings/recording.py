@@ -257,9 +257,9 @@ class Recording(Result):
         kinds = self.labels.get(KIND_COLUMN, ("",) * len(self))
         return np.array([kind == "horizontal" for kind in kinds], dtype=bool)
 
-    def select(self, rows: Bools | Ints) -> Recording:
+    def select(self, selection: Bools | Ints) -> Recording:
         """Recording with the rows of a mask or of indices; stations and targets without rows are dropped."""
-        row_indices = np.arange(len(self))[rows]
+        row_indices = np.arange(len(self))[selection]
         station_ids, station = np.unique(self.station[row_indices], return_inverse=True)
         target_ids, target = np.unique(self.target[row_indices], return_inverse=True)
         names = tuple(self.targets[k] for k in target_ids)

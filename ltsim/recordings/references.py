@@ -63,10 +63,10 @@ class ReferenceLengths:
         scale_change = (
             {SCALE_ERROR_NAME: recording.gauge.sigma_scale_ppm * PPM} if recording.gauge.sigma_scale_ppm else {}
         )
-        changes = [change | scale_change for _, change in ratios_and_changes]
+        changes_by_error = [change | scale_change for _, change in ratios_and_changes]
         shared = {
-            name: certified * np.array([change.get(name, 0.0) for change in changes])
-            for name in dict.fromkeys(name for change in changes for name in change)
+            name: certified * np.array([change.get(name, 0.0) for change in changes_by_error])
+            for name in dict.fromkeys(name for change in changes_by_error for name in change)
         }
         return cls(
             np.array([index[d.from_] for _, d in indexed_lengths], dtype=np.int64),
@@ -118,11 +118,11 @@ def _growth_and_changes(
     expansion = ThermalExpansion.from_temperature(
         material.expansion_per_k, temperature_c - gauge.calibrated_at_c, material.sigma_expansion_per_k, sigma
     )
-    changes = {
+    change_by_error = {
         f"{EXPANSION_ERROR_PREFIX}{gauge_distance.material or 'the gauge'}": expansion.change_by_coefficient,
         thermometer: expansion.change_by_temperature,
     }
-    return expansion.length_ratio, {name: change for name, change in changes.items() if change}
+    return expansion.length_ratio, {name: change for name, change in change_by_error.items() if change}
 
 
 def _mean_of_column(recording: Recording, name: str, gauge: GaugeDistance, location: dict[str, Any]) -> float:
@@ -132,11 +132,11 @@ def _mean_of_column(recording: Recording, name: str, gauge: GaugeDistance, locat
         message = f"measured_at_c names '{quoted_text(name)}', which is not a column of numbers; there are {columns}"
         raise RecordError(message, **location)
     end_targets = [recording.targets.index(target) for target in (gauge.from_, gauge.to)]
-    values = recording.covariates[name][np.isin(recording.target, end_targets)]
-    if not np.isfinite(values).any():
+    column_values = recording.covariates[name][np.isin(recording.target, end_targets)]
+    if not np.isfinite(column_values).any():
         message = f"the column {name} is empty where {gauge.from_} and {gauge.to} were measured, expected temperatures"
         raise RecordError(message, **location)
-    return float(np.nanmean(values))
+    return float(np.nanmean(column_values))
 
 
 MAX_EXACT_SIGMA_RATIO = 0.1

@@ -34,12 +34,12 @@ MIN_VALUES_FOR_STEP = 10
 """Smallest number of different values that show a step: fewer may all be multiples by chance."""
 
 
-def reading_step(values: Floats, steps: Sequence[float]) -> float:
+def reading_step(readings: Floats, steps: Sequence[float]) -> float:
     """Largest of some descending `steps` of which all finite values (n,) are multiples; 0 if there is none."""
-    values = values[np.isfinite(values)]
-    if len(np.unique(values)) < MIN_VALUES_FOR_STEP:
+    readings = readings[np.isfinite(readings)]
+    if len(np.unique(readings)) < MIN_VALUES_FOR_STEP:
         return 0.0
-    ratios = (values / step for step in steps)
+    ratios = (readings / step for step in steps)
     matches = (bool(np.all(np.abs(ratio - np.round(ratio)) < MAX_STEP_DEVIATION)) for ratio in ratios)
     return next((step for step, is_match in zip(steps, matches, strict=True) if is_match), 0.0)
 

@@ -151,9 +151,9 @@ class ResultFile(Entry, Result):
 
     def content(self) -> dict[str, Any]:
         """Content of the file as JSON values: its format and the fields that are set."""
-        values = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
-        trailing_values = {name: value for name in ("recording", "files") if (value := values.pop(name, None))}
-        return {"format": self.format} | values | trailing_values
+        field_values = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
+        trailing_values = {name: value for name in ("recording", "files") if (value := field_values.pop(name, None))}
+        return {"format": self.format} | field_values | trailing_values
 
     def text(self) -> str:
         """Text of the JSON file."""

@@ -76,23 +76,23 @@ def check_toml_limits(text: str, file: object) -> None:
             raise RecordError(f"holds more than {most}, the limit for reading", file=file)
 
 
-def validate_setup(data: Mapping[str, Any], file: object) -> Setup:
+def validate_setup(setup_tables: Mapping[str, Any], file: object) -> Setup:
     """Set-up from the tables of a file; `file` is named in errors. Raises RecordError."""
-    tables = with_completed_instruments(data, lambda table, place: _with_data_sheet(table, place, file))
+    tables = with_completed_instruments(setup_tables, lambda table, place: _with_data_sheet(table, place, file))
     setup = validate_settings(tables, Setup, "set-up", file)
     _check_names(setup, file)
     return setup
 
 
-def with_completed_instruments(data: Mapping[str, Any], complete: Callable[[Any, str], Any]) -> dict[str, Any]:
+def with_completed_instruments(tables: Mapping[str, Any], complete: Callable[[Any, str], Any]) -> dict[str, Any]:
     """Tables of a file in which `complete(table, key)` replaces each instrument's table, with the key of the table."""
-    completed, named_instruments = dict(data), data.get("instruments")
+    completed, named_instruments = dict(tables), tables.get("instruments")
     if isinstance(named_instruments, dict):
         completed["instruments"] = {
             name: complete(table, f"instruments.{name}") for name, table in named_instruments.items()
         }
-    if "instrument" in data:
-        completed["instrument"] = complete(data["instrument"], "instrument")
+    if "instrument" in tables:
+        completed["instrument"] = complete(tables["instrument"], "instrument")
     return completed
 
 
@@ -119,7 +119,7 @@ def merge_defaults(table: Mapping[str, Any], defaults: Mapping[str, Any]) -> dic
     return {**defaults, **table, **{key: merge_defaults(table[key], defaults[key]) for key in common_keys}}
 
 
-def validate_settings(data: Mapping[str, Any], model: type[SettingsType], kind: str, file: object) -> SettingsType:
+def validate_settings(tables: Mapping[str, Any], model: type[SettingsType], kind: str, file: object) -> SettingsType:
     """Tables of a file validated against their model; `kind` is the expected content, `file` is named in errors.
 
     Raises
@@ -128,10 +128,10 @@ def validate_settings(data: Mapping[str, Any], model: type[SettingsType], kind: 
         The key, its value and the permitted values. A misspelt key is reported first.
     """
     expected_format = model.model_fields["format"].default
-    if "format" not in data:
+    if "format" not in tables:
         raise RecordError(f'the key format is missing, expected format = "{expected_format}"', file=file)
     try:
-        return model.model_validate_json(json.dumps(data, default=str), strict=True)
+        return model.model_validate_json(json.dumps(tables, default=str), strict=True)
     except ValidationError as problem:
         errors = problem.errors()
         misspelt = [error for error in errors if error["type"] == "extra_forbidden"]
@@ -272,8 +272,8 @@ def setup_to_toml(setup: Setup) -> str:
     table |= setup.model_dump(by_alias=True, exclude_defaults=True, exclude=tables)
     if not setup.instruments or setup.instrument != Instrument():
         table["instrument"] = setup.instrument.model_dump(by_alias=True, exclude_none=True)
-    by_name = {n: i.model_dump(by_alias=True, exclude_none=True) for n, i in setup.instruments.items()}
-    table["instruments"] = by_name
+    instrument_tables = {n: i.model_dump(by_alias=True, exclude_none=True) for n, i in setup.instruments.items()}
+    table["instruments"] = instrument_tables
     if setup.gauge is not None:
         lengths = [d.model_dump(by_alias=True, exclude_defaults=True) for d in setup.gauge.distance]
         table["gauge"] = setup.gauge.model_dump(exclude_none=True) | {"distance": lengths}

@@ -89,7 +89,7 @@ class Limits(TomlSection):
 
 
 class Instrument(TomlSection):
-    """Instrument of a recording: construction, noise, prior of its parameters, range of elevations."""
+    """Instrument of a recording: design, noise, prior of its parameters, range of elevations."""
 
     construction: Literal["source-in-head", "steering-mirror"] = "source-in-head"
     """Origin of the beam: a source in the turning head, or a mirror that steers it."""

@@ -76,16 +76,16 @@ class Specification(TomlSection):
         """Limit [m] of the error of a point along the beam, at ranges [m], without the range zero error."""
         return (self.range_um + self.range_um_per_m * range_) * MICROMETRE
 
-    def length_limits(self, first: Floats, second: Floats) -> Floats:
+    def length_limits(self, first_points: Floats, second_points: Floats) -> Floats:
         """Limit (k,) [m] of the errors of lengths between points (k, 3) [m] in the instrument's frame.
 
         It is the root sum of squares of the limits at both ends, in the direction of the length. The range zero error
         is the same at both ends and cancels if both are on one line of sight.
         """
-        difference = second - first
+        difference = second_points - first_points
         direction = difference / np.linalg.norm(difference, axis=1, keepdims=True)
         squares, offset = np.zeros(len(difference)), np.zeros(len(difference))
-        for points, sign in ((first, -1.0), (second, 1.0)):
+        for points, sign in ((first_points, -1.0), (second_points, 1.0)):
             range_ = to_polar(points)[:, 0]
             cosine = np.einsum("ki,ki->k", direction, points) / range_
             squares += (cosine * self.range_limit(range_)) ** 2 + (1 - cosine**2) * self.transverse_limit(range_) ** 2
@@ -241,5 +241,7 @@ def _data_sheets() -> dict[str, dict[str, Any]]:
 
 
 def _figures_from_row(row: dict[str, str]) -> dict[str, Any]:
-    numbers = {key: float(text) for key, text in row.items() if text and key not in ("name", "instrument", "source")}
-    return {"name": row["instrument"], "source": row["source"], **numbers}
+    number_by_key = {
+        key: float(text) for key, text in row.items() if text and key not in ("name", "instrument", "source")
+    }
+    return {"name": row["instrument"], "source": row["source"], **number_by_key}

@@ -42,8 +42,8 @@ def _setups_text(recording: Recording) -> str:
 def _pointings_text(recording: Recording) -> str:
     per_station = np.bincount(recording.station, minlength=len(recording.stations))
     per_station_text = _range_text(per_station.astype(np.float64), "d")
-    rounds = int(recording.repeat.max(initial=1))
-    repeats_text = f", up to {rounds} of a target in one face" if rounds > 1 else ""
+    n_rounds = int(recording.repeat.max(initial=1))
+    repeats_text = f", up to {n_rounds} of a target in one face" if n_rounds > 1 else ""
     return f"{len(recording)} to {len(recording.targets)} targets, {per_station_text} per set-up{repeats_text}"
 
 
@@ -58,8 +58,8 @@ def _faces_text(recording: Recording) -> str:
 
 
 def _sights_on_face(recording: Recording, face: int) -> list[tuple[int, int]]:
-    rows = recording.face == face
-    return list(zip(recording.station[rows].tolist(), recording.target[rows].tolist(), strict=True))
+    is_on_face = recording.face == face
+    return list(zip(recording.station[is_on_face].tolist(), recording.target[is_on_face].tolist(), strict=True))
 
 
 def _readings_text(recording: Recording) -> str:
@@ -97,10 +97,12 @@ def _time_text(recording: Recording) -> str:
 
 
 def _noise_text(recording: Recording) -> str:
-    by_name = {recording.instrument_of(name).noise: name for name in reversed(recording.stations)}
-    words = [noise_text(noise) for noise in by_name]
+    instrument_by_noise = {recording.instrument_of(name).noise: name for name in reversed(recording.stations)}
+    words = [noise_text(noise) for noise in instrument_by_noise]
     if len(words) > 1:
-        words = [f"{text} ({by_name[noise]})" for noise, text in zip(by_name, words, strict=True)]
+        words = [
+            f"{text} ({instrument_by_noise[noise]})" for noise, text in zip(instrument_by_noise, words, strict=True)
+        ]
     row_fractions = [
         np.isfinite(recording.covariates[name]).mean() for name in SIGMA_COLUMNS if name in recording.covariates
     ]

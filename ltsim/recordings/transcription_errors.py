@@ -41,10 +41,10 @@ class TranscriptionError:
 
     def with_error(self, readings: Floats) -> Floats:
         """Readings (n, 3) [m, rad, rad] with the error, from readings without it."""
-        changed = readings.copy()
+        changed_readings = readings.copy()
         for column, factor, offset in self.changes:
-            changed[:, column] = factor * readings[:, column] + offset
-        return changed
+            changed_readings[:, column] = factor * readings[:, column] + offset
+        return changed_readings
 
     def without_error(self, readings: Floats) -> Floats:
         """Readings (n, 3) [m, rad, rad] without the error, from readings with it."""
@@ -108,14 +108,14 @@ def station_clouds(points: Floats, station: Ints, target: Ints) -> dict[int, dic
     `points` (n, 3) are the positions of single pointings; rows with NaN are ignored.
     """
     is_valid = np.all(np.isfinite(points), axis=1)
-    count = int(target.max(initial=0)) + 1
-    keys, place = np.unique(station[is_valid] * count + target[is_valid], return_inverse=True)
-    mean = np.zeros((len(keys), 3))
-    np.add.at(mean, place, points[is_valid])
-    mean /= np.bincount(place, minlength=len(keys))[:, None]
+    n_targets = int(target.max(initial=0)) + 1
+    keys, place = np.unique(station[is_valid] * n_targets + target[is_valid], return_inverse=True)
+    mean_points = np.zeros((len(keys), 3))
+    np.add.at(mean_points, place, points[is_valid])
+    mean_points /= np.bincount(place, minlength=len(keys))[:, None]
     clouds: dict[int, dict[int, Floats]] = {}
-    for key, point in zip(keys.tolist(), mean, strict=True):
-        clouds.setdefault(key // count, {})[key % count] = point
+    for key, point in zip(keys.tolist(), mean_points, strict=True):
+        clouds.setdefault(key // n_targets, {})[key % n_targets] = point
     return clouds
 
 
@@ -133,8 +133,8 @@ def neighbour_pairs(station: Ints, target: Ints, n_stations: int) -> list[tuple[
     Four may lie in a plane, which is its own mirror image.
     """
     n_shared = np.triu(shared_target_counts(station, target, n_stations), 1)
-    earlier = n_shared.argmax(axis=0).tolist()
-    return [(first, s) for s, first in enumerate(earlier) if n_shared[first, s] >= MIN_MIRRORED_TARGETS]
+    best_neighbours = n_shared.argmax(axis=0).tolist()
+    return [(first, s) for s, first in enumerate(best_neighbours) if n_shared[first, s] >= MIN_MIRRORED_TARGETS]
 
 
 def length_disagreement(points: Floats, station: Ints, target: Ints) -> float:
@@ -166,8 +166,8 @@ def _two_face_sums(angle: Floats, station: Ints, target: Ints, face: Ints) -> Fl
         count = np.bincount(place[rows], minlength=len(keys))
         total = np.bincount(place[rows], weights=angle[rows], minlength=len(keys))
         means.append(total / np.where(count > 0, count, np.nan))
-    sums = means[0] + means[1]
-    return np.asarray(sums[np.isfinite(sums)])
+    face_sums = means[0] + means[1]
+    return np.asarray(face_sums[np.isfinite(face_sums)])
 
 
 def require_degrees_and_millimetres(
@@ -182,8 +182,8 @@ def require_degrees_and_millimetres(
     if -np.inf < longest < MIN_DISTANCE_MM:
         message = f"no distance exceeds {longest:.4g}, which looks like metres; expected millimetres"
         raise SourceLocation(file, column="distance_mm").error(message)
-    sums = _two_face_sums(elevation, station, target, face)
-    median = float(np.median(sums)) if len(sums) else float("nan")
+    face_sums = _two_face_sums(elevation, station, target, face)
+    median = float(np.median(face_sums)) if len(face_sums) else float("nan")
     for unit_error in UNIT_ERRORS:
         expected = _face_sum_with_error(unit_error)
         if expected is not None and abs(median - expected) < 0.005 * expected:

@@ -169,15 +169,17 @@ class XmlNode:
         return self.location.name(self.required_attribute(name), kind)
 
 
-def band_matrix_entries(node: XmlNode, size: float, band: float, values: Sequence[float]) -> tuple[Ints, Ints, Floats]:
+def band_matrix_entries(
+    node: XmlNode, n_rows: float, band: float, band_values: Sequence[float]
+) -> tuple[Ints, Ints, Floats]:
     """Row index (k,), column index (k,) and value (k,) of the upper triangle of a matrix in Gama's band form.
 
     Raises RecordError, which names `node`, if the number of values does not match the size and the band width.
     """
-    rows = np.arange(min(int(size), len(values)))
-    last_columns = np.minimum(rows + max(int(band), 0), int(size) - 1)
-    counts = last_columns - rows + 1
-    if not 0 <= band < size or len(rows) < size or len(values) != counts.sum():
+    row_indices = np.arange(min(int(n_rows), len(band_values)))
+    last_columns = np.minimum(row_indices + max(int(band), 0), int(n_rows) - 1)
+    counts = last_columns - row_indices + 1
+    if not 0 <= band < n_rows or len(row_indices) < n_rows or len(band_values) != counts.sum():
         raise node.location.error("a <cov-mat> whose numbers do not match dim and band")
-    column = np.concatenate([np.arange(i, j + 1) for i, j in zip(rows, last_columns, strict=True)])
-    return np.repeat(rows, counts), column, np.array(values)
+    column = np.concatenate([np.arange(i, j + 1) for i, j in zip(row_indices, last_columns, strict=True)])
+    return np.repeat(row_indices, counts), column, np.array(band_values)

@@ -249,11 +249,11 @@ def _table_text(table: TableBlock) -> str:
     if max(map(len, text.split("\n"))) <= MAX_TERMINAL_WIDTH:
         return text
     headings = ["" if i < table.text_columns else f"{heading}: " for i, heading in enumerate(table.header)]
-    rows = (
+    text_rows = (
         [heading + cell for heading, cell in zip(headings, row, strict=True) if cell not in ("", MISSING_TEXT)]
         for row in table.rows
     )
-    return "\n".join(f"- {'; '.join(row)}" for row in rows)
+    return "\n".join(f"- {'; '.join(row)}" for row in text_rows)
 
 
 def entries_table(
@@ -268,21 +268,21 @@ def entries_table(
 
     Each of `fields` is the name of a field, `name=title`, or `name+-sigma` with the field of the standard deviation.
     """
-    rows = list(entries)
+    entry_list = list(entries)
     columns: list[results.Column] = []
-    for field in fields if rows else ():
+    for field in fields if entry_list else ():
         (name, _, sigma), heading = field.partition("=")[0].partition("+-"), field.partition("=")[2]
-        first_value = getattr(rows[0], name)
+        first_value = getattr(entry_list[0], name)
         column_kind: results.ColumnKind = (
             "chance" if name == "p_value" else "text" if isinstance(first_value, str | tuple) else "number"
         )
-        meaning = descriptions(type(rows[0])).get(name, "")
+        meaning = descriptions(type(entry_list[0])).get(name, "")
         columns.append(
             results.Column(name, meaning, column_kind, sigma=sigma, title=heading or {"p_value": "p"}.get(name, ""))
         )
         columns += [results.Column(sigma)] if sigma else []
-    cells = [[_cell_text(getattr(row, column.name)) for column in columns] for row in rows]
-    marked_rows = frozenset(i for i, row in enumerate(rows) if is_marked is not None and is_marked(row))
+    cells = [[_cell_text(getattr(row, column.name)) for column in columns] for row in entry_list]
+    marked_rows = frozenset(i for i, row in enumerate(entry_list) if is_marked is not None and is_marked(row))
     return table_block(
         title,
         results.Table("", "", tuple(columns)).with_rows(cells),

@@ -127,28 +127,28 @@ def document_of_folder(
     """
     if not folder.is_dir():
         raise RecordError("this folder does not exist; give a folder that a command wrote", file=folder)
-    parts = _page_parts(folder, recording)
-    sections = [replace(made, folder=part.folder.name) for part, made in _part_sections(parts, folder)]
+    page_parts = _page_parts(folder, recording)
+    sections = [replace(made, folder=part.folder.name) for part, made in _part_sections(page_parts, folder)]
     sections.sort(key=lambda made: made.kind == UNREADABLE_KIND)
-    first = sections[0]
+    first_section = sections[0]
     return Document(
-        title=title or first.title,
-        summary=first.summary,
-        assessment=first.assessment,
+        title=title or first_section.title,
+        summary=first_section.summary,
+        assessment=first_section.assessment,
         sections=sections,
         versions=package_versions(),
-        header_lines=_header_lines(parts, sections, header or About()),
-        headline=HEADLINES.get((first.kind, first.assessment), ""),
+        header_lines=_header_lines(page_parts, sections, header or About()),
+        headline=HEADLINES.get((first_section.kind, first_section.assessment), ""),
         next_actions=_page_actions(sections),
-        simulation_notice=first.simulation_notice,
+        simulation_notice=first_section.simulation_notice,
     )
 
 
 def _page_actions(sections: list[Section]) -> list[str]:
     """Next actions of the first section; if there are none, of the first section with the same assessment."""
-    first = sections[0]
-    chosen = next((s for s in sections if s.next_actions and s.assessment == first.assessment), first)
-    return list(dict.fromkeys(first.next_actions or chosen.next_actions))[:MAX_PAGE_ACTIONS]
+    first_section = sections[0]
+    chosen = next((s for s in sections if s.next_actions and s.assessment == first_section.assessment), first_section)
+    return list(dict.fromkeys(first_section.next_actions or chosen.next_actions))[:MAX_PAGE_ACTIONS]
 
 
 def _header_lines(page_parts: list[PagePart], sections: list[Section], header: About) -> list[tuple[str, str]]:
@@ -176,24 +176,24 @@ def _header_lines(page_parts: list[PagePart], sections: list[Section], header: A
 
 def _page_parts(folder: Path, recording: Path | None) -> list[PagePart]:
     subfolders = sorted((p for p in folder.iterdir() if p.is_dir()), key=lambda p: natural_sort_key(p.name))
-    parts = [
+    page_parts = [
         PagePart(result_folder, kind, recording or _recording_folder(result_folder, folder))
         for kind in RESULT_FILES
         for result_folder in (folder, *subfolders)
         if (result_folder / kind).is_file()
     ]
-    if not parts:
+    if not page_parts:
         raise RecordError(f"the folder contains no results; expected one of {', '.join(RESULT_FILES)}", file=folder)
-    digests = [_recording_digest(part) for part in parts]
+    digests = [_recording_digest(part) for part in page_parts]
     recording_by_digest = {
-        digest: part.recording for digest, part in zip(digests, parts, strict=True) if digest and part.recording
+        digest: part.recording for digest, part in zip(digests, page_parts, strict=True) if digest and part.recording
     }
-    parts = [
+    page_parts = [
         replace(part, recording=recording_by_digest.get(d, part.recording))
-        for d, part in zip(digests, parts, strict=True)
+        for d, part in zip(digests, page_parts, strict=True)
     ]
-    n_parts_by_recording = Counter(part.recording for part in parts)
-    diagnosed = {part.recording for part in parts if part.result_file == "diagnosis.json"} - {None}
+    n_parts_by_recording = Counter(part.recording for part in page_parts)
+    diagnosed = {part.recording for part in page_parts if part.result_file == "diagnosis.json"} - {None}
     return [
         replace(
             part,
@@ -201,7 +201,7 @@ def _page_parts(folder: Path, recording: Path | None) -> list[PagePart]:
             if part.result_file == OBSERVATIONS_FILE
             else part.recording in diagnosed,
         )
-        for part in parts
+        for part in page_parts
     ]
 
 
@@ -254,13 +254,13 @@ def page_html(document: Document) -> str:
 
 def package_versions() -> list[tuple[str, str]]:
     """Name and version of each package that contributes to the page."""
-    entries = [("Python", platform.python_version())]
+    name_and_version = [("Python", platform.python_version())]
     for name in ("ltsim", "numpy", "scipy", "matplotlib", "pyvista"):
         try:
-            entries.append((name, importlib.metadata.version(name)))
+            name_and_version.append((name, importlib.metadata.version(name)))
         except importlib.metadata.PackageNotFoundError:
-            entries.append((name, "(not installed as a package)"))
-    return entries
+            name_and_version.append((name, "(not installed as a package)"))
+    return name_and_version
 
 
 def _recording_folder(result_folder: Path, page_folder: Path) -> Path | None:
@@ -335,10 +335,11 @@ def _work_order_blocks(plan: Plan) -> list[Block]:
 
 def _reflector_proposals_block(plan: Plan) -> list[Block]:
     """List with a block of proposals to move or add a reflector before the work; empty without proposals."""
-    changes = [change for change in plan.reflector_changes if change.do != "remove"]
-    if not changes:
+    moves_and_additions = [change for change in plan.reflector_changes if change.do != "remove"]
+    if not moves_and_additions:
         return []
     lines = [
-        f"{c.action_text}: the other points improve by {c.gain_um:.2f} µm, most of all {c.serves}" for c in changes
+        f"{c.action_text}: the other points improve by {c.gain_um:.2f} µm, most of all {c.serves}"
+        for c in moves_and_additions
     ]
     return [BulletListBlock("Possible improvements: one of these (z from the floor), then plan again", lines)]

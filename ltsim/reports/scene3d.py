@@ -225,18 +225,18 @@ def _polygon_mesh(corners: Floats) -> pv.PolyData:
 
 def _cylinder_mesh(begin: Floats, end: Floats, radius: float) -> pv.PolyData:
     """Cylinder between two points (3,)."""
-    along = end - begin
-    height = float(np.linalg.norm(along))
-    return pv.Cylinder(center=0.5 * (begin + end), direction=along, radius=radius, height=height, resolution=12)
+    axis = end - begin
+    height = float(np.linalg.norm(axis))
+    return pv.Cylinder(center=0.5 * (begin + end), direction=axis, radius=radius, height=height, resolution=12)
 
 
 def ellipsoid_mesh(centres: Floats, axes: Floats) -> pv.PolyData:
     """Mesh of k ellipsoids around centres (k, 3); the columns of each matrix in `axes` (k, 3, 3) are the semi-axes."""
-    count = len(centres)
-    facets = (18, 12) if count <= MAX_FINE_SPHERES else (8, 6) if count <= MAX_MEDIUM_SPHERES else (6, 4)
+    n_ellipsoids = len(centres)
+    facets = (18, 12) if n_ellipsoids <= MAX_FINE_SPHERES else (8, 6) if n_ellipsoids <= MAX_MEDIUM_SPHERES else (6, 4)
     unit = pv.Sphere(radius=1.0, theta_resolution=facets[0], phi_resolution=facets[1])
     points = np.einsum("kij,nj->kni", axes, unit.points) + centres[:, None, :]
-    first_corner = len(unit.points) * np.arange(count, dtype=np.int64)[:, None, None]
+    first_corner = len(unit.points) * np.arange(n_ellipsoids, dtype=np.int64)[:, None, None]
     corners: Ints = (np.asarray(unit.regular_faces, dtype=np.int64)[None] + first_corner).reshape(-1, 3)
     return pv.PolyData.from_regular_faces(points.reshape(-1, 3).astype(np.float32), corners)  # type: ignore[arg-type]
 
@@ -364,9 +364,9 @@ def _draw_names(plotter: pv.Plotter, workshop: PlacedWorkshop, legend_lines: lis
 def _facing_axes(direction: Floats) -> Floats:
     """Unit vectors (3, 3) of a plane perpendicular to a direction (3,): right, up, and the direction itself."""
     outwards = direction / np.linalg.norm(direction)
-    right = np.cross([0.0, 0.0, 1.0] if abs(outwards[2]) < 1 - 1e-9 else [-1.0, 0.0, 0.0], outwards)
-    right /= np.linalg.norm(right)
-    return np.stack([right, np.cross(outwards, right), outwards])
+    right_axis = np.cross([0.0, 0.0, 1.0] if abs(outwards[2]) < 1 - 1e-9 else [-1.0, 0.0, 0.0], outwards)
+    right_axis /= np.linalg.norm(right_axis)
+    return np.stack([right_axis, np.cross(outwards, right_axis), outwards])
 
 
 def _letter_mesh(name: str, place: Floats, axes: Floats, height: float) -> pv.PolyData:

@@ -86,16 +86,16 @@ def _page_html(plotter: pv.Plotter, workshop: PlacedWorkshop, legend: scene3d.Sc
 
 def _legend_html(title: str, legend: scene3d.SceneLegend) -> str:
     lines = "".join(f"<p>{escape(line)}</p>" for line in legend.lines)
-    parts = [f'<div id="legend"><h1>{title}</h1>{lines}</div>']
+    html_parts = [f'<div id="legend"><h1>{title}</h1>{lines}</div>']
     if legend.colour_bar is not None:
         label, low, high = legend.colour_bar
         stops = ", ".join(to_hex(scene3d.SIGHT_COLOUR_MAP(x)) for x in np.linspace(0, 1, 9))
-        parts.append(
+        html_parts.append(
             f'<div id="bar">{escape(label)}<i style="background: linear-gradient(90deg, {stops})"></i>'
             f"{typographic_text(number_text(low))}<span>{typographic_text(number_text(high))}</span></div>"
         )
-    parts.append('<div id="hint">drag: turn · wheel or pinch: zoom · shift-drag: move</div>')
-    return "".join(parts)
+    html_parts.append('<div id="hint">drag: turn · wheel or pinch: zoom · shift-drag: move</div>')
+    return "".join(html_parts)
 
 
 FAVICON_PATTERN = re.compile(r"https://kitware\.github\.io/vtk-js/icon/favicon-\$\{\w+\}x\$\{\w+\}\.png")

@@ -105,8 +105,8 @@ def companion_tables() -> dict[str, list[dict[str, Any]]]:
 
 def write_schemas(folder: Path) -> None:
     """Write the schema of every file, and the columns of the tables, into a folder."""
-    by_name = {f"{name}.schema.json": content for name, content in json_schemas().items()}
-    write_texts(folder, {name: json.dumps(content, indent=1) + "\n" for name, content in by_name.items()})
+    schema_by_file = {f"{name}.schema.json": content for name, content in json_schemas().items()}
+    write_texts(folder, {name: json.dumps(content, indent=1) + "\n" for name, content in schema_by_file.items()})
     write_texts(folder, {"tables.json": json.dumps(companion_tables(), indent=1) + "\n"})
 
 

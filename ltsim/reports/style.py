@@ -178,10 +178,10 @@ def set_category_rows(ax: Axes, names: Sequence[str], *, font_size: float = 8.0)
 
 def write_at_right(ax: Axes, positions: Floats, texts: Sequence[str]) -> None:
     """Write a text at the right end of each row, at `positions` (n,) on the y axis."""
-    right = ax.secondary_yaxis("right")
-    right.set_yticks(positions, [typographic_text(text) for text in texts], fontsize=8)
-    right.tick_params(length=0)
-    right.spines["right"].set_visible(False)
+    right_axis = ax.secondary_yaxis("right")
+    right_axis.set_yticks(positions, [typographic_text(text) for text in texts], fontsize=8)
+    right_axis.tick_params(length=0)
+    right_axis.spines["right"].set_visible(False)
 
 
 LEGEND_LINE_HEIGHT = 0.2

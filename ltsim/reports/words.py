@@ -96,7 +96,7 @@ def distinct_labels(labels: Sequence[str]) -> tuple[str, ...]:
     if len(set(labels)) < 2:
         return tuple(labels)
     common_letters = takewhile(lambda letters: len(set(letters)) == 1, zip(*labels, strict=False))
-    common = "".join(letters[0] for letters in common_letters)
-    begin = 1 + max(common.rfind(separator) for separator in "_- .")
+    common_prefix = "".join(letters[0] for letters in common_letters)
+    begin = 1 + max(common_prefix.rfind(separator) for separator in "_- .")
     short = tuple(label[begin:] for label in labels)
     return short if all(short) else tuple(labels)

@@ -161,10 +161,13 @@ def workshop_from_adjustment(adjustment: Adjustment, *, without_parameters: Adju
 
 def workshop_from_recording(recording: Recording) -> PlacedWorkshop:
     """Workshop of a recording adjusted with the instrument's parameters; arrows show how these move the targets."""
-    plain = adjust(recording)
-    plain.solution.require_success()
-    full = adjust(recording, declared_construction(recording))
-    return workshop_from_adjustment(full if full.solution.has_converged else plain, without_parameters=plain)
+    ideal_adjustment = adjust(recording)
+    ideal_adjustment.solution.require_success()
+    adjustment_with_errors = adjust(recording, declared_construction(recording))
+    return workshop_from_adjustment(
+        adjustment_with_errors if adjustment_with_errors.solution.has_converged else ideal_adjustment,
+        without_parameters=ideal_adjustment,
+    )
 
 
 def workshop_with_surroundings(network: PlacedWorkshop, setup: Setup) -> PlacedWorkshop:
@@ -208,8 +211,8 @@ def workshop_with_surroundings(network: PlacedWorkshop, setup: Setup) -> PlacedW
 
 def _normals_of_nests(setup: Setup, targets: tuple[str, ...]) -> Floats:
     """Unit normals (T, 3) of the nests of T targets; NaN for a target without a declared normal."""
-    rows = [setup.targets[t].nest_normal if t in setup.targets else None for t in targets]
-    normal = np.array([row or (np.nan, np.nan, np.nan) for row in rows], dtype=np.float64).reshape(-1, 3)
+    nest_normals = [setup.targets[t].nest_normal if t in setup.targets else None for t in targets]
+    normal = np.array([row or (np.nan, np.nan, np.nan) for row in nest_normals], dtype=np.float64).reshape(-1, 3)
     return normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
@@ -237,9 +240,14 @@ def _find_wall_planes(points: Floats, nest_normals: Floats) -> list[tuple[int, f
 def _floor_rectangle(positions: Floats, wall_planes: list[tuple[int, float, float]]) -> Floats:
     """Corners (4, 2) [m] of the axis-parallel rectangle around positions (n, 2), with a margin where no wall is."""
     (x0, y0), (x1, y1) = positions.min(axis=0) - FLOOR_MARGIN, positions.max(axis=0) + FLOOR_MARGIN
-    sides = {(0, 1.0): x0, (0, -1.0): x1, (1, 1.0): y0, (1, -1.0): y1}
-    sides |= {(axis, side): place for axis, side, place in wall_planes}
-    x0, x1, y0, y1 = sides[0, 1.0], sides[0, -1.0], sides[1, 1.0], sides[1, -1.0]
+    wall_by_direction = {(0, 1.0): x0, (0, -1.0): x1, (1, 1.0): y0, (1, -1.0): y1}
+    wall_by_direction |= {(axis, side): place for axis, side, place in wall_planes}
+    x0, x1, y0, y1 = (
+        wall_by_direction[0, 1.0],
+        wall_by_direction[0, -1.0],
+        wall_by_direction[1, 1.0],
+        wall_by_direction[1, -1.0],
+    )
     return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
 
 

@@ -102,11 +102,11 @@ def read_mesh(path: Path, unit: str | None = None, vertical_axis: str | None = N
 def _read_triangles(path: Path, _modification_time: int, metres_per_unit: float, vertical_axis: str) -> Floats:
     """Triangles (m, 3, 3) [m], z up, of a file of any format with length unit `metres_per_unit` [m]."""
     triangles = _triangles_in_file_units(path, metres_per_unit)
-    parts = range(0, len(triangles), TRIANGLES_PER_BATCH)
+    batch_starts = range(0, len(triangles), TRIANGLES_PER_BATCH)
     corners = np.concatenate(
         [
             _rounded_to_grid(metres_per_unit * triangles[start : start + TRIANGLES_PER_BATCH], vertical_axis)
-            for start in parts
+            for start in batch_starts
         ]
     )
     del triangles  # each array of a large file takes a tenth of the memory
@@ -129,8 +129,8 @@ def _rounded_to_grid(triangles: Floats, vertical_axis: str) -> Ints:
     corners = np.round(
         GRID_POINTS_PER_METRE * (triangles @ Y_UP_TO_Z_UP.T if vertical_axis == "y" else triangles)
     ).astype(np.int64)
-    first = np.lexsort(np.moveaxis(corners, 2, 0)[::-1], axis=1)[:, :1]
-    corners = np.take_along_axis(corners, ((first + np.arange(3)) % 3)[..., None], axis=1)
+    first_corner = np.lexsort(np.moveaxis(corners, 2, 0)[::-1], axis=1)[:, :1]
+    corners = np.take_along_axis(corners, ((first_corner + np.arange(3)) % 3)[..., None], axis=1)
     is_complete = (corners != np.roll(corners, 1, axis=1)).any(axis=2).all(axis=1)
     return corners[is_complete].reshape(-1, 9)
 
@@ -162,10 +162,10 @@ def _require_precision(path: Path, triangles: Floats, metres_per_unit: float) ->
 
     Raises SetupError otherwise.
     """
-    single = triangles.astype(np.float32)
-    if path.suffix.lower() not in SINGLE_PRECISION_SUFFIXES or not np.array_equal(single, triangles):
+    single_precision = triangles.astype(np.float32)
+    if path.suffix.lower() not in SINGLE_PRECISION_SUFFIXES or not np.array_equal(single_precision, triangles):
         return
-    step = float(np.spacing(np.abs(single).max())) * metres_per_unit / SI_PER_UNIT["mm"]
+    step = float(np.spacing(np.abs(single_precision).max())) * metres_per_unit / SI_PER_UNIT["mm"]
     if step > MAX_SPACING_MM:
         raise SetupError(
             f"{path}: its coordinates are in single precision and reach {np.abs(triangles).max():.4g}, where they have "
@@ -176,8 +176,10 @@ def _require_precision(path: Path, triangles: Floats, metres_per_unit: float) ->
 def extent_text(triangles: Floats) -> str:
     """Size and limits of the coordinates of triangles (m, 3, 3) [m], as text for users."""
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
-    size = " x ".join(f"{v:.3g}" for v in high - low)
-    return f"{size} m, " + ", ".join(f"{k} {a:.2f} to {b:.2f}" for k, a, b in zip("xyz", low, high, strict=True)) + " m"
+    extents = " x ".join(f"{v:.3g}" for v in high - low)
+    return (
+        f"{extents} m, " + ", ".join(f"{k} {a:.2f} to {b:.2f}" for k, a, b in zip("xyz", low, high, strict=True)) + " m"
+    )
 
 
 def implausible_size_question(cad_file: CadFile, room_size: Floats) -> str:
@@ -192,12 +194,12 @@ def implausible_size_question(cad_file: CadFile, room_size: Floats) -> str:
     )
     if cad_file.has_declared_unit or least <= length.max() <= most:
         return ""
-    others = {
+    size_by_unit = {
         unit: length.max() * SI_PER_UNIT[unit] / SI_PER_UNIT[cad_file.unit]
         for unit in UNIT_WORDS
         if unit != cad_file.unit
     }
-    fitting = [unit for unit, size in others.items() if least <= size <= most] or list(others)
+    fitting = [unit for unit, size in size_by_unit.items() if least <= size <= most] or list(size_by_unit)
     size, other = " x ".join(f"{v:.3g}" for v in length), " or ".join(f'"{unit}"' for unit in fitting)
     return (
         f"{cad_file.file}: is {size} m large if its numbers are {UNIT_WORDS[cad_file.unit]}, which it does not "

@@ -64,9 +64,9 @@ def read_triangles(path: Path) -> Floats:
 
 def max_stl_facets(file_content: bytes) -> int:
     """Upper bound of the number of triangles of an STL file: from its length (binary) or from its keywords (text)."""
-    count = (len(file_content) - 84) // 50
-    if len(file_content) >= 84 and int.from_bytes(file_content[80:84], "little") == count:
-        return count
+    n_facets = (len(file_content) - 84) // 50
+    if len(file_content) >= 84 and int.from_bytes(file_content[80:84], "little") == n_facets:
+        return n_facets
     return file_content.lower().count(b"vertex") // 3
 
 
@@ -88,16 +88,18 @@ def _read_in_process(path: Path, file_size: int) -> Floats:
     limits = [str(int(limit_factor * MAX_CAD_MEMORY)), str(int(limit_factor * MAX_CAD_SECONDS))]
     process_arguments = [sys.executable, "-P", "-c", _START_CODE, str(path.resolve()), *limits]
     thread_limits = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    done = subprocess.run(process_arguments, capture_output=True, check=False, env={**os.environ, **thread_limits})
-    if done.returncode == _REFUSED_STATUS:
-        reason = done.stderr.decode(errors="replace").strip()
+    completed_process = subprocess.run(
+        process_arguments, capture_output=True, check=False, env={**os.environ, **thread_limits}
+    )
+    if completed_process.returncode == _REFUSED_STATUS:
+        reason = completed_process.stderr.decode(errors="replace").strip()
         if reason != MemoryError.__name__:
             raise _incomplete_file_error(path, reason)
-    if done.returncode:
+    if completed_process.returncode:
         most = f"{limit_factor * MAX_CAD_MEMORY / MIB:.0f} MiB and {limit_factor * MAX_CAD_SECONDS:.0f} s"
         what = f"is damaged, or needs more than {most} of memory and time"
         raise SetupError(f"{path}: {what}; export it as STL with a coarser mesh")
-    return np.frombuffer(done.stdout, dtype=np.float64).reshape(-1, 3, 3)
+    return np.frombuffer(completed_process.stdout, dtype=np.float64).reshape(-1, 3, 3)
 
 
 def run_process() -> None:

@@ -108,11 +108,11 @@ def areas_and_keep_outs(
     default_heights = (
         heights if floor_spec.height_mm is None else (floor_spec.height_mm[0] * mm, floor_spec.height_mm[1] * mm)
     )
-    parts = floor_spec.areas or (
+    floor_areas = floor_spec.areas or (
         FloorArea(corners_mm=floor_spec.corners_mm or _room_outline(floor_spec, room_size_mm)),
     )
     areas = []
-    for i, part in enumerate(parts, 1):
+    for i, part in enumerate(floor_areas, 1):
         key = f"floor.areas.{i}.corners_mm" if floor_spec.areas else "floor.corners_mm"
         low, high = default_heights if part.height_mm is None else (part.height_mm[0] * mm, part.height_mm[1] * mm)
         if part.ceiling_mm is not None:
@@ -208,8 +208,8 @@ class KeepOutArea:
 
     def contains_places(self, places: Floats) -> Bools:
         """Flags (N,) of the positions (N, 2) [m] on the floor that lie in this keep-out area."""
-        near = distance_to_outline(self.outline, places) < self.clearance + EDGE_TOLERANCE
-        return near | is_inside_outline(self.outline, places) if len(self.outline) > 2 else near
+        is_near = distance_to_outline(self.outline, places) < self.clearance + EDGE_TOLERANCE
+        return is_near | is_inside_outline(self.outline, places) if len(self.outline) > 2 else is_near
 
     def is_crossed(self, path: Floats) -> bool:
         """True if the straight path between two positions (2, 2) [m] crosses the outline or the segment.
@@ -240,8 +240,8 @@ def outline_error(outline: Floats) -> str:
     same_rows = np.flatnonzero(np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1) < EDGE_TOLERANCE)
     if len(same_rows):
         return f"its corner {same_rows[0] + 1} coincides with the corner before it"
-    sides = shapely.linestrings(np.stack([outline, then], axis=1))
-    first, second = np.nonzero(np.triu(shapely.dwithin(sides[:, None], sides, EDGE_TOLERANCE), 2))
+    edges = shapely.linestrings(np.stack([outline, then], axis=1))
+    first, second = np.nonzero(np.triu(shapely.dwithin(edges[:, None], edges, EDGE_TOLERANCE), 2))
     for i, j in zip(first.tolist(), second.tolist(), strict=True):
         if (i, j) != (0, count - 1):  # first and last side have a corner in common
             return (
@@ -257,8 +257,8 @@ def grid_step(standing_areas: Sequence[StandingArea], requested_step_mm: float |
     """
     if requested_step_mm is not None:
         return requested_step_mm * MILLIMETRE
-    size = sum(float(np.prod(np.ptp(area.outline, axis=0))) for area in standing_areas)
-    return max(round(float(np.sqrt(size / N_DEFAULT_PLACES)), 1), 0.5)
+    total_area = sum(float(np.prod(np.ptp(area.outline, axis=0))) for area in standing_areas)
+    return max(round(float(np.sqrt(total_area / N_DEFAULT_PLACES)), 1), 0.5)
 
 
 def is_allowed_position(
@@ -305,14 +305,14 @@ def refusal_reason(
     return "inside an obstacle (workshop.obstacles)"
 
 
-def grid_over_area(standing_area: StandingArea, grid_spacing: float, heights: int) -> Floats:
+def grid_over_area(standing_area: StandingArea, grid_spacing: float, n_heights: int) -> Floats:
     """Grid (N, 3) [m] of instrument positions over the bounding rectangle of an area.
 
-    `heights` is the number of heights between the lowest and the highest of the area; the lowest alone if both agree.
+    `n_heights` is the number of heights between the lowest and the highest of the area; the lowest alone if both agree.
     """
     low, high = standing_area.outline.min(axis=0), standing_area.outline.max(axis=0)
-    count = np.maximum(np.ceil((high - low) / grid_spacing).astype(int), 1)
-    axes = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, count, strict=True)]
+    n_grid_points = np.maximum(np.ceil((high - low) / grid_spacing).astype(int), 1)
+    axes = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, n_grid_points, strict=True)]
     bottom, top = standing_area.heights
-    levels = np.linspace(bottom, top, heights if top - bottom > EDGE_TOLERANCE else 1)
+    levels = np.linspace(bottom, top, n_heights if top - bottom > EDGE_TOLERANCE else 1)
     return np.stack([g.ravel() for g in np.meshgrid(*axes, levels, indexing="ij")], axis=1)

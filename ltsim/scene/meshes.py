@@ -86,12 +86,14 @@ class Obstacles:
         hit = self._is_met(origins, end_points)
         if self._ray_caster is None or not hit.size:
             return hit
-        length = np.linalg.norm(end_points - origins, axis=1)
-        beam = (end_points - origins) / length[:, None]
+        sight_lengths = np.linalg.norm(end_points - origins, axis=1)
+        beam = (end_points - origins) / sight_lengths[:, None]
         side, other = (RAY_BUNDLE_RADIUS * way for way in perpendicular_vectors(beam))
         votes = [self._is_met(origins + shift, end_points + shift) for shift in (side, -side, other, -other)]
         doubtful = np.flatnonzero(np.any(np.stack(votes) != hit, axis=0))
-        hit[doubtful] = count_native_hits(self.triangles, origins[doubtful], beam[doubtful], length[doubtful]) > 0
+        hit[doubtful] = (
+            count_native_hits(self.triangles, origins[doubtful], beam[doubtful], sight_lengths[doubtful]) > 0
+        )
         return hit
 
     def is_blocked_near(self, origins: Floats, end_points: Floats, position_tolerance: float) -> Bools:
@@ -117,14 +119,14 @@ class Obstacles:
         """
         if not len(origins):
             return np.zeros(len(origins), dtype=bool)
-        length = np.linalg.norm(end_points - origins, axis=1)
-        beam = (end_points - origins) / length[:, None]
+        sight_lengths = np.linalg.norm(end_points - origins, axis=1)
+        beam = (end_points - origins) / sight_lengths[:, None]
         if self._ray_caster is None:
-            return np.asarray(count_native_hits(self.triangles, origins, beam, length) > 0)
+            return np.asarray(count_native_hits(self.triangles, origins, beam, sight_lengths) > 0)
         point, ray, _ = self._ray_caster.intersects_location(origins, beam, multiple_hits=False)
         hit = np.zeros(len(origins), dtype=bool)
         way = np.linalg.norm(point - origins[ray], axis=1)
-        hit[ray] = way < length[ray] - RAY_BUNDLE_RADIUS
+        hit[ray] = way < sight_lengths[ray] - RAY_BUNDLE_RADIUS
         return hit
 
     def is_inside_body(self, points: Floats) -> Bools:
@@ -156,14 +158,14 @@ class Obstacles:
         """
         points, place = np.unique(np.round(self.triangles.reshape(-1, 3), MERGE_DECIMALS), axis=0, return_inverse=True)
         faces = place.reshape(-1, 3)
-        sides = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
-        _, kind, often = np.unique(sides, axis=0, return_inverse=True, return_counts=True)
+        edges = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+        _, kind, often = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
         order = np.argsort(kind.ravel(), kind="stable")
         shared = order[often[kind.ravel()[order]] == 2].reshape(-1, 2)
         normal, area = _normals_and_areas(points[faces])
         angle = np.arccos(np.clip(_row_dot_products(*normal[shared // 3].transpose(1, 0, 2)), -1.0, 1.0))
         shared, angle = shared[angle < MAX_SMOOTH_ANGLE], angle[angle < MAX_SMOOTH_ANGLE]
-        edge = np.linalg.norm(np.diff(points[sides[shared[:, 0]]], axis=1)[:, 0], axis=1)
+        edge = np.linalg.norm(np.diff(points[edges[shared[:, 0]]], axis=1)[:, 0], axis=1)
         depth = np.zeros(len(faces))
         for side in (shared // 3).T:
             np.maximum.at(depth, side, 2.0 * area[side] * (angle / edge) / 3.0)
@@ -206,23 +208,23 @@ def count_native_hits(triangles: Floats, origins: Floats, beam: Floats, ray_leng
     Rays have origins (n, 3) and unit vectors `beam` (n, 3). Edges belong to a triangle. A ray in the plane of a
     triangle does not meet it. Source: Moeller and Trumbore, Journal of Graphics Tools 2 (1997) 21-28.
     """
-    count = np.zeros(len(origins), dtype=np.int64)
+    n_hits = np.zeros(len(origins), dtype=np.int64)
     step = max(1, MAX_RAY_TRIANGLE_PAIRS // max(len(triangles), 1))
     for start in range(0, len(origins), step):
         rows = slice(start, start + step)
         met = _ray_hits_triangle(triangles, origins[rows, None], beam[rows, None], ray_lengths[rows, None])
-        count[rows] = met.sum(axis=1)
-    return count
+        n_hits[rows] = met.sum(axis=1)
+    return n_hits
 
 
 def _ray_hits_triangle(triangles: Floats, origins: Floats, beam: Floats, length: Floats | float) -> Bools:
     """Flags (...) of rays that meet their triangle (..., 3, 3) within `length` (...) [m]."""
     first, second, third = np.moveaxis(triangles, -2, 0)
     along, across = second - first, third - first
-    size = np.linalg.norm(along, axis=-1) * np.linalg.norm(across, axis=-1)
+    edge_product = np.linalg.norm(along, axis=-1) * np.linalg.norm(across, axis=-1)
     cross = np.cross(beam, across)
     determinant = _row_dot_products(cross, along)
-    flat = np.abs(determinant) < 1e-12 * np.maximum(size, 1e-300)
+    flat = np.abs(determinant) < 1e-12 * np.maximum(edge_product, 1e-300)
     inverse = 1.0 / np.where(flat, 1.0, determinant)
     gap = origins - first
     turned = np.cross(gap, along)
@@ -231,27 +233,27 @@ def _ray_hits_triangle(triangles: Floats, origins: Floats, beam: Floats, length:
         _row_dot_products(beam, turned) * inverse,
         _row_dot_products(turned, across) * inverse,
     )
-    inside = (u >= -1e-12) & (v >= -1e-12) & (u + v <= 1.0 + 1e-12)
-    return np.asarray(~flat & inside & (way > RAY_END_MARGIN) & (way < length - RAY_END_MARGIN))
+    is_inside = (u >= -1e-12) & (v >= -1e-12) & (u + v <= 1.0 + 1e-12)
+    return np.asarray(~flat & is_inside & (way > RAY_END_MARGIN) & (way < length - RAY_END_MARGIN))
 
 
 def _normals_and_areas(triangles: Floats) -> tuple[Floats, Floats]:
     """Unit normals (m, 3) and areas (m,) [m2] of triangles (m, 3, 3) [m]; the normal is zero if the area is zero."""
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    size = np.linalg.norm(cross, axis=1)
-    return cross / np.where(size > 0.0, size, 1.0)[:, None], 0.5 * size
+    cross_lengths = np.linalg.norm(cross, axis=1)
+    return cross / np.where(cross_lengths > 0.0, cross_lengths, 1.0)[:, None], 0.5 * cross_lengths
 
 
 def nearest_points(triangles: Floats, point: Floats) -> Floats:
     """Point (m, 3) [m] of each triangle (m, 3, 3) that is nearest to a given point (3,): inside it or on an edge."""
     edge, gap = np.roll(triangles, -1, axis=1) - triangles, point - triangles
-    along = np.clip(_row_dot_products(gap, edge) / np.maximum(_row_dot_products(edge, edge), 1e-300), 0.0, 1.0)
-    on_edge = triangles + along[..., None] * edge
-    best = np.linalg.norm(on_edge - point, axis=2).argmin(axis=1)
+    edge_fractions = np.clip(_row_dot_products(gap, edge) / np.maximum(_row_dot_products(edge, edge), 1e-300), 0.0, 1.0)
+    on_edge = triangles + edge_fractions[..., None] * edge
+    nearest_edge = np.linalg.norm(on_edge - point, axis=2).argmin(axis=1)
     normal, area = _normals_and_areas(triangles)
     marked_indices = (_row_dot_products(np.cross(edge, gap), normal[:, None]) >= 0.0).all(axis=1) & (area > 0.0)
     under = point - _row_dot_products(gap[:, 0], normal)[:, None] * normal
-    return np.where(marked_indices[:, None], under, on_edge[np.arange(len(best)), best])
+    return np.where(marked_indices[:, None], under, on_edge[np.arange(len(nearest_edge)), nearest_edge])
 
 
 def _projected_along_upwards(points: Floats) -> Floats:
@@ -286,8 +288,21 @@ def cylinder_triangles(diameter: float, height: float) -> Floats:
     low = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros(N_CYLINDER_SIDES)])
     up, foot = np.array([0.0, 0.0, height]), np.zeros_like(low)
     then = np.roll(low, -1, axis=0)
-    sides = [low, foot, then, low, then, low + up, low + up, then, then + up, low + up, then + up, foot + up]
-    return np.stack(sides, axis=1).reshape(-1, 3, 3)
+    lateral_triangles = [
+        low,
+        foot,
+        then,
+        low,
+        then,
+        low + up,
+        low + up,
+        then,
+        then + up,
+        low + up,
+        then + up,
+        foot + up,
+    ]
+    return np.stack(lateral_triangles, axis=1).reshape(-1, 3, 3)
 
 
 def wall_triangles(room_size: Floats) -> Floats:
@@ -350,9 +365,9 @@ def _random_points(body_triangles: Floats, mean_spacing: float) -> tuple[Floats,
     """
     normal, area = _normals_and_areas(body_triangles)
     rng = stream(0, "nests")
-    count = int(np.clip(N_DRAWS_PER_PLACE * area.sum() / mean_spacing**2, 200, MAX_DRAWN_PLACES))
-    face = rng.choice(len(body_triangles), size=count, p=area / area.sum())
-    root, share = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
+    n_points = int(np.clip(N_DRAWS_PER_PLACE * area.sum() / mean_spacing**2, 200, MAX_DRAWN_PLACES))
+    face = rng.choice(len(body_triangles), size=n_points, p=area / area.sum())
+    root, share = np.sqrt(rng.random(n_points))[:, None], rng.random(n_points)[:, None]
     a, b, c = np.moveaxis(body_triangles[face], 1, 0)
     return (1 - root) * a + root * (1 - share) * b + root * share * c, normal[face]
 

@@ -102,8 +102,8 @@ class HallRegion:
 
     def n_effective_targets(self, sightings: Sightings) -> float:
         """Effective number of targets in the region, (sum of w)^2 over the sum of w^2."""
-        near = self.target_weights(sightings)[np.unique(sightings.target, return_index=True)[1]]
-        return float(near.sum() ** 2 / max(np.sum(near**2), 1e-300))
+        target_weights = self.target_weights(sightings)[np.unique(sightings.target, return_index=True)[1]]
+        return float(target_weights.sum() ** 2 / max(np.sum(target_weights**2), 1e-300))
 
     def target_weights(self, sightings: Sightings) -> Floats:
         """Weight w (n,) of the region at the target of each pointing."""
@@ -267,8 +267,8 @@ def is_distinctive(is_crossed: Bools, sightings: Sightings) -> Bools:
 
     `is_crossed` (r, n) flags the lines of sight that pass each region.
     """
-    count = is_crossed.sum(axis=1)
-    is_sufficient = (count >= MIN_PASSING_LINES) & (count <= MAX_PASSING_FRACTION * len(sightings))
+    n_crossed = is_crossed.sum(axis=1)
+    is_sufficient = (n_crossed >= MIN_PASSING_LINES) & (n_crossed <= MAX_PASSING_FRACTION * len(sightings))
     of_target = (sightings.target[:, None] == np.arange(len(sightings.target_points))).astype(np.float32)
     by_target = is_crossed[is_sufficient].astype(np.float32) @ of_target
     is_sufficient[is_sufficient] = (by_target > 0.0).sum(axis=1) >= MIN_TARGETS_BEHIND

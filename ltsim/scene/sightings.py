@@ -163,9 +163,9 @@ class Sightings:
     @cached_property
     def station_time(self) -> Floats:
         """Time since the first pointing of the same station, (n,) [s]."""
-        first = np.full(len(self.station_names), np.inf)
-        np.minimum.at(first, self.station, self.time)
-        return self.time - first[self.station]
+        first_times = np.full(len(self.station_names), np.inf)
+        np.minimum.at(first_times, self.station, self.time)
+        return self.time - first_times[self.station]
 
     @cached_property
     def elapsed_visit_fraction(self) -> Floats:
@@ -187,19 +187,19 @@ class Sightings:
     @cached_property
     def previous_rows(self) -> Ints:
         """Row (n,) of the previous pointing of the same station, -1 for its first pointing."""
-        rows = self.order_by_setup
+        row_order = self.order_by_setup
         before = np.full(len(self), -1)
-        same = np.diff(self.station[rows]) == 0
-        before[rows[1:][same]] = rows[:-1][same]
+        same = np.diff(self.station[row_order]) == 0
+        before[row_order[1:][same]] = row_order[:-1][same]
         return before
 
     def _cumulative_sum(self, row_increments: Floats | Bools) -> Floats:
         """Cumulative sum (n,) of increments (n,) since the first pointing of the set-up, whose own is excluded."""
-        rows = self.order_by_setup
-        first = np.maximum.accumulate(np.where(self.previous_rows[rows] < 0, np.arange(len(rows)), 0))
-        sums = np.cumsum(row_increments[rows], dtype=np.float64)
-        sums_by_row = np.empty_like(sums)
-        sums_by_row[rows] = sums - sums[first]
+        row_order = self.order_by_setup
+        first_indices = np.maximum.accumulate(np.where(self.previous_rows[row_order] < 0, np.arange(len(row_order)), 0))
+        cumulative_sums = np.cumsum(row_increments[row_order], dtype=np.float64)
+        sums_by_row = np.empty_like(cumulative_sums)
+        sums_by_row[row_order] = cumulative_sums - cumulative_sums[first_indices]
         return sums_by_row
 
     @cached_property
@@ -248,7 +248,7 @@ class Sightings:
         """
         place = self.target_points[self.target]
         has_previous = self.previous_rows >= 0
-        last = np.where(has_previous[:, None], self.front_face_polar[self.previous_rows], 0.0)
+        previous_polar = np.where(has_previous[:, None], self.front_face_polar[self.previous_rows], 0.0)
         quantities = {
             "azimuth": self.azimuth,
             "elevation": self.elevation,
@@ -276,7 +276,11 @@ class Sightings:
             "lapse": np.where(has_previous, self.time - self.time[self.previous_rows], 0.0),
         }
         changing = dict(
-            zip(("distance", "azimuth", "elevation"), zip(last.T, self.reading_changes.T, strict=True), strict=True)
+            zip(
+                ("distance", "azimuth", "elevation"),
+                zip(previous_polar.T, self.reading_changes.T, strict=True),
+                strict=True,
+            )
         )
         for name, column in self.covariates.items():
             x = np.nan_to_num(column)
@@ -299,12 +303,12 @@ class Sightings:
         level = np.hypot(x, y)
         across_x = np.divide(-y, level, out=np.ones_like(y), where=~(level < 1e-6))
         across_y = np.divide(x, level, out=np.zeros_like(x), where=~(level < 1e-6))
-        side = across_x, across_y, 0.0 * z  # level, across the normal
+        lateral = across_x, across_y, 0.0 * z  # level, across the normal
         above = -z * across_y, z * across_x, x * across_y - y * across_x
-        axes = np.stack([(x, y, z), side, above])[:, :, self.target]
+        axes = np.stack([(x, y, z), lateral, above])[:, :, self.target]
         along, horizontal_part, upward_part = -np.einsum("ijn,nj->in", axes, self.sight_vectors)
-        length = np.sqrt(np.einsum("nj,nj->n", self.sight_vectors, self.sight_vectors))
-        return np.arccos(np.clip(along / length, -1.0, 1.0)), np.arctan2(upward_part, horizontal_part)
+        sight_lengths = np.sqrt(np.einsum("nj,nj->n", self.sight_vectors, self.sight_vectors))
+        return np.arccos(np.clip(along / sight_lengths, -1.0, 1.0)), np.arctan2(upward_part, horizontal_part)
 
     @property
     def incidence(self) -> Floats:

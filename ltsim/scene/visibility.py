@@ -208,8 +208,8 @@ def _incidence_on_reflectors(beam: Floats, nest_normals: Floats | None, is_reaim
     """
     if nest_normals is None or is_reaimed is None:
         return np.zeros(beam.shape[:2])
-    length = np.linalg.norm(nest_normals, axis=1, keepdims=True)
-    cosine = -np.einsum("stk,tk->st", beam, nest_normals / length)
+    normal_lengths = np.linalg.norm(nest_normals, axis=1, keepdims=True)
+    cosine = -np.einsum("stk,tk->st", beam, nest_normals / normal_lengths)
     return np.where(is_reaimed, 0.0, np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
@@ -218,11 +218,13 @@ def _add_obstacles(reason_table: NDArray[np.int8], position: Floats, points: Flo
 
     Rays are cast only for pairs that no other reason excludes.
     """
-    inside = obstacles.is_enclosed(position)
-    pairs = np.argwhere((reason_table == InvisibilityReason.VISIBLE) & ~inside[:, None])
-    hidden = pairs[obstacles.is_blocked(position[pairs[:, 0]], obstacles.moved_to_surface(points)[pairs[:, 1]])]
-    reason_table[hidden[:, 0], hidden[:, 1]] = InvisibilityReason.OBSTACLE
-    reason_table[inside] = InvisibilityReason.STATION_INSIDE
+    is_inside = obstacles.is_enclosed(position)
+    sight_pairs = np.argwhere((reason_table == InvisibilityReason.VISIBLE) & ~is_inside[:, None])
+    hidden_pairs = sight_pairs[
+        obstacles.is_blocked(position[sight_pairs[:, 0]], obstacles.moved_to_surface(points)[sight_pairs[:, 1]])
+    ]
+    reason_table[hidden_pairs[:, 0], hidden_pairs[:, 1]] = InvisibilityReason.OBSTACLE
+    reason_table[is_inside] = InvisibilityReason.STATION_INSIDE
 
 
 def aim_nest_normals(position: Floats, points: Floats) -> tuple[Floats, Floats]:

@@ -18,7 +18,7 @@ from ltsim.core.errors import SetupError
 from ltsim.core.randomness import standard_normal_trials
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects.effect import Effect, NoiseEffect
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.scene.sightings import Sightings
@@ -125,7 +125,7 @@ class TrialDistributions:
 
     sightings: Sightings
     """Pointings at the true positions."""
-    construction: Construction
+    construction: GeometricErrorModel
     """Instrument model that generates the readings."""
     instruments: tuple[str, ...]
     """Names of the trackers; '' for a tracker without a name."""
@@ -152,31 +152,35 @@ class TrialDistributions:
         `instrument_values` has the shape (instruments, parameters, trials) [SI]. `stream_key` separates the noise of
         the same trials at another place. SetupError is raised if an effect makes a variance negative.
         """
-        amounts = tuple(self._draw_effect_values(law, normal_source) for law in self.effects)
+        effect_values = tuple(self._draw_effect_values(law, normal_source) for law in self.effects)
         noise_key = (stream_key, "noise") if stream_key else ("noise",)
-        sigma, count = self.noise_sigmas_with_effects(amounts), len(self.sightings)
+        sigma, count = self.noise_sigmas_with_effects(effect_values), len(self.sightings)
         white = np.empty((count, len(OBSERVABLES), len(normal_source.trials)))
         for column, name in enumerate(OBSERVABLES):
             np.multiply(sigma[:, column], normal_source(count, *noise_key, name), out=white[:, column])
         errors = self._draw_instrument_values(normal_source) if instrument_values is None else instrument_values
         return TrialDraw(
-            normal_source.trials, errors, amounts, white, self._draw_certified_lengths(amounts, normal_source)
+            normal_source.trials,
+            errors,
+            effect_values,
+            white,
+            self._draw_certified_lengths(effect_values, normal_source),
         )
 
     def _draw_instrument_values(self, normal_source: StandardNormalSource) -> Floats:
         """True instrument parameters, shape (instruments, parameters, trials) [SI]."""
-        values = np.repeat(self.instrument_means[:, :, None], len(normal_source.trials), axis=2)
+        instrument_values = np.repeat(self.instrument_means[:, :, None], len(normal_source.trials), axis=2)
         for i, name in enumerate(self.instruments):
             key = ("instrument", name) if name else ("instrument",)
             for k in np.flatnonzero(self.instrument_sigmas[i]):
-                values[i, k] += (
+                instrument_values[i, k] += (
                     self.instrument_sigmas[i, k] * normal_source(1, *key, self.construction.parameter_names[k])[0]
                 )
-        return values
+        return instrument_values
 
     def _draw_effect_values(self, distribution: EffectDistribution, normal_source: StandardNormalSource) -> Floats:
         """True parameters of an effect, shape (parameters, trials) [SI]."""
-        amounts = np.repeat(distribution.mean_values[:, None], len(normal_source.trials), axis=1)
+        effect_values = np.repeat(distribution.mean_values[:, None], len(normal_source.trials), axis=1)
         for k in np.flatnonzero(distribution.value_sigmas):
             key = (
                 distribution.effect.name,
@@ -185,8 +189,10 @@ class TrialDistributions:
                 distribution.effect.parameters[k].name,
             )
             drawn = normal_source(1, "effect", *key)[0]
-            amounts[k] += distribution.value_sigmas[k] * (np.abs(drawn) if distribution.is_nonnegative[k] else drawn)
-        return amounts
+            effect_values[k] += distribution.value_sigmas[k] * (
+                np.abs(drawn) if distribution.is_nonnegative[k] else drawn
+            )
+        return effect_values
 
     def noise_sigmas_with_effects(self, effect_values: tuple[Floats, ...]) -> Floats:
         """True standard deviations of the readings, shape (pointings, 3, trials).

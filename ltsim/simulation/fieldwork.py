@@ -13,7 +13,7 @@ from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE
 from ltsim.geometry.polar import to_polar
 from ltsim.geometry.rigid import from_rotation_vector, rotation_about_z
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.reflectors import excess_radii_of_names
 from ltsim.scene.sightings import Sightings
 from ltsim.scene.visibility import Visibility
@@ -47,7 +47,7 @@ class MeasurementGeometry:
     reason."""
 
     @cached_property
-    def construction(self) -> Construction:
+    def construction(self) -> GeometricErrorModel:
         """Instrument model of the scenario."""
         return make_scenario_construction(self.scenario)
 
@@ -183,15 +183,15 @@ def _target_order(
     *stream_key: str | int,
 ) -> Ints:
     """Indices of the targets in the order in which a station measures them in one round."""
-    count = len(workshop_layout.target_names)
+    n_targets = len(workshop_layout.target_names)
     if scenario.work.order == "as-listed":
-        return np.arange(count)
+        return np.arange(n_targets)
     if scenario.work.order == "level-by-level":
         azimuth = to_polar(workshop_layout.target_points - workshop_layout.station_positions[station])[:, 1]
         levels = _height_levels(workshop_layout.target_points[:, 2])
         return np.lexsort((azimuth, levels))
     draw = stream(seed, *stream_key, "order", workshop_layout.station_names[station], repeat_number)
-    return draw.permutation(count)
+    return draw.permutation(n_targets)
 
 
 def _height_levels(heights: Floats) -> Floats:
@@ -240,9 +240,13 @@ def true_smr_offsets(scenario: Scenario, sightings: Sightings, seed: int, *strea
         )
     aimed = np.isfinite(sightings.nest_normals[:, 0])
     targets = [sightings.target_names[t] for t in sightings.target]
-    bare = [name for name, has_normal in zip(sightings.target_names, aimed, strict=True) if not has_normal]
+    targets_without_normal = [
+        name for name, has_normal in zip(sightings.target_names, aimed, strict=True) if not has_normal
+    ]
     with as_setup_error():
-        lengths = excess_radii_of_names(names, targets, bare, reflectors, scenario.reference_radius_mm)
+        lengths = excess_radii_of_names(
+            names, targets, targets_without_normal, reflectors, scenario.reference_radius_mm
+        )
     for name in dict.fromkeys(names):
         error = (reflectors[name].sigma_radius_mm or 0.0) * stream(
             seed, *stream_key, "reflector", name

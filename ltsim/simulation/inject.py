@@ -18,7 +18,7 @@ from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.core.units import MICROMETRE, MICRORADIAN
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
-from ltsim.physics.effects.signature import CandidateEffect
+from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.effects.verbs import display_constants
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
@@ -53,11 +53,11 @@ class InjectedEffect(Result):
     standard deviation."""
 
     def _lines(self) -> list[str]:
-        sizes = ", ".join(
+        sizes_text = ", ".join(
             f"{p.name} {value / p.si_per_display_unit:.4g} {p.unit}".rstrip() for p, value in self._parameter_entries()
         )
         place = f" at {self.effect.place_text}" if self.effect.place_text else ""
-        return [f"Injected: {self.request_text}{place}: {sizes}; noncentrality {self.noncentrality:.3g}"]
+        return [f"Injected: {self.request_text}{place}: {sizes_text}; noncentrality {self.noncentrality:.3g}"]
 
     def _parameter_entries(self) -> list[tuple[Any, float]]:
         return list(zip(self.effect.parameters, self.parameter_values.tolist(), strict=True))
@@ -66,11 +66,11 @@ class InjectedEffect(Result):
         return {"parameters": self._size_table}
 
     def _size_table(self) -> ColumnValues:
-        rows = self._parameter_entries()
+        size_entries = self._parameter_entries()
         return {
-            "parameter": [p.name for p, _ in rows],
-            "value": [value / p.si_per_display_unit for p, value in rows],
-            "unit": [p.unit for p, _ in rows],
+            "parameter": [p.name for p, _ in size_entries],
+            "value": [value / p.si_per_display_unit for p, value in size_entries],
+            "unit": [p.unit for p, _ in size_entries],
         }
 
     def to_json(self) -> dict[str, Any]:
@@ -209,10 +209,10 @@ class Injector:
             factor = 1.0 + (self.added_noise_sigma(effect, effect_sizes) / space.sigma).reshape(-1)[used] ** 2
             return float((space.redundancy[: len(used)] * (factor - 1.0 - np.log(factor))).sum())
         change = np.nan_to_num(self.reading_change(effect, effect_sizes))
-        whole = space.whiten(change[:, :, None], self.length_change(effect, effect_sizes)[:, None])[:, 0]
-        projected_signature = space.project(whole)
-        square = float(projected_signature @ projected_signature)
-        return square if square > MAX_SOLUTION_ROUNDING_ERROR * float(whole @ whole) else 0.0
+        whitened_change = space.whiten(change[:, :, None], self.length_change(effect, effect_sizes)[:, None])[:, 0]
+        projected_design = space.project(whitened_change)
+        square = float(projected_design @ projected_design)
+        return square if square > MAX_SOLUTION_ROUNDING_ERROR * float(whitened_change @ whitened_change) else 0.0
 
     def scale_to_noncentrality(
         self, effect: CandidateEffect, effect_sizes: Floats, noncentrality_goal: float
@@ -241,12 +241,12 @@ class Injector:
 
     def _largest_relative_change(self, effect: CandidateEffect, effect_sizes: Floats) -> float:
         """Largest change of a reading, or added standard deviation, divided by the reading's standard deviation."""
-        moved = (
+        reading_changes = (
             self.added_noise_sigma(effect, effect_sizes)
             if isinstance(effect, NoiseEffect)
             else self.reading_change(effect, effect_sizes)
         )
-        return float(np.nanmax(np.abs(moved) / self.residual_space.sigma, initial=0.0))
+        return float(np.nanmax(np.abs(reading_changes) / self.residual_space.sigma, initial=0.0))
 
     def inject(
         self, effect: CandidateEffect, effect_sizes: Floats, request_text: str, random_generator: np.random.Generator
@@ -258,7 +258,7 @@ class Injector:
             )
         else:
             change = self.reading_change(effect, effect_sizes)
-        made = self.recording.with_readings(self.recording.readings + change)
+        injected_recording = self.recording.with_readings(self.recording.readings + change)
         lengths = self.length_change(effect, effect_sizes)
         if effect_sizes.any() and not (np.nan_to_num(change).any() or lengths.any()):
             raise ModelError(
@@ -266,16 +266,16 @@ class Injector:
             )
         if lengths.any():
             gauge = self.residual_space.adjustment.problem.gauge_rows
-            if made.setup.gauge is None or len(made.gauge.distance) != len(lengths):
+            if injected_recording.setup.gauge is None or len(injected_recording.gauge.distance) != len(lengths):
                 raise ModelError(f"{effect.name}: only the lengths of a gauge can be changed, not those of scale bars")
-            certified = np.array([line.length_mm for line in made.gauge.distance]) * 1e-3
-            made = with_certificates(made, certified + lengths * certified / gauge.lengths)
+            certified = np.array([line.length_mm for line in injected_recording.gauge.distance]) * 1e-3
+            injected_recording = with_certificates(injected_recording, certified + lengths * certified / gauge.lengths)
         units = (MICROMETRE, MICRORADIAN, MICRORADIAN)
         largest = np.abs(np.nan_to_num(change)).max(axis=0) / units
         largest_by_observable = dict(
             zip(("distance_um", "azimuth_urad", "elevation_urad"), largest.tolist(), strict=True)
         )
-        return made, InjectedEffect(
+        return injected_recording, InjectedEffect(
             effect, request_text, effect_sizes, self.noncentrality(effect, effect_sizes), largest_by_observable
         )
 

@@ -58,21 +58,21 @@ def convert_value(scenario: Scenario, dotted_key: str, value: Any, error_locatio
     if not isinstance(value, str) or not value or value[0] not in "+-.0123456789":
         return value
     unit = unit_of(scenario, dotted_key)
-    number = parse_in_unit(value, unit) if unit else None
-    if unit and number is None:
+    converted_number = parse_in_unit(value, unit) if unit else None
+    if unit and converted_number is None:
         raise SetupError(
             f"{error_location}: {dotted_key} is '{quoted_text(value)}', but it is in {unit}: "
             f"write a number, or one of {unit}"
         )
-    return value if number is None else number
+    return value if converted_number is None else converted_number
 
 
 def value_at_key(table: dict[str, Any], dotted_key: str) -> Any:
     """Value of a dotted key in the tables of a scenario; None for a missing key."""
-    inner: Any = table
+    subtable: Any = table
     for part in dotted_key.split("."):
-        if isinstance(inner, list) and part.isdecimal() and 1 <= int(part) <= len(inner):
-            inner = inner[int(part) - 1]
+        if isinstance(subtable, list) and part.isdecimal() and 1 <= int(part) <= len(subtable):
+            subtable = subtable[int(part) - 1]
         else:
-            inner = inner.get(part) if isinstance(inner, dict) else None
-    return inner
+            subtable = subtable.get(part) if isinstance(subtable, dict) else None
+    return subtable

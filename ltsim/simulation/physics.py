@@ -8,20 +8,20 @@ from ltsim.core.units import ARCSECOND, DEGREE, MICROMETRE
 from ltsim.physics.effects import BASELINE_EFFECTS
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
-from ltsim.physics.model.construction import Construction, construction_with_orders, misalignment_construction
+from ltsim.physics.model.construction import GeometricErrorModel, construction_with_orders, misalignment_construction
 from ltsim.recordings.recording import noise_sigma
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.scenario import Scenario, tracker_table_name
 from ltsim.simulation.sections import EffectEntry, ScenarioInstrument
 
 
-def make_scenario_construction(scenario: Scenario) -> Construction:
+def make_scenario_construction(scenario: Scenario) -> GeometricErrorModel:
     """Instrument model of all trackers of a scenario."""
     instrument = next(iter(scenario.trackers_in_use.values()))
     return construction_with_orders(instrument.construction, instrument.harmonics, instrument.degree)
 
 
-def planned_construction(scenario: Scenario) -> Construction:
+def planned_construction(scenario: Scenario) -> GeometricErrorModel:
     """Instrument model whose parameters a plan for the scenario is to determine.
 
     Of the 78 parameters of a Denavit-Hartenberg chain only the misalignments are planned for; they represent all. A
@@ -30,11 +30,11 @@ def planned_construction(scenario: Scenario) -> Construction:
     built = make_scenario_construction(scenario)
     if built.name == "steering-mirror":
         return built
-    read = {name for tracker in scenario.trackers_in_use.values() for name in tracker.observables}
-    return misalignment_construction(effect for effect in BASELINE_EFFECTS if read & {*effect.observables})
+    observables = {name for tracker in scenario.trackers_in_use.values() for name in tracker.observables}
+    return misalignment_construction(effect for effect in BASELINE_EFFECTS if observables & {*effect.observables})
 
 
-def instrument_error_distribution(scenario: Scenario, construction: Construction) -> tuple[Floats, Floats]:
+def instrument_error_distribution(scenario: Scenario, construction: GeometricErrorModel) -> tuple[Floats, Floats]:
     """Means and standard deviations of the errors of each tracker, both of shape (instruments, parameters) [SI].
 
     The standard deviation of a declared error is 0. SetupError is raised for a declared error that the model does not
@@ -45,7 +45,7 @@ def instrument_error_distribution(scenario: Scenario, construction: Construction
 
 
 def _error_distribution(
-    instrument: ScenarioInstrument, construction: Construction, parameter_name: str
+    instrument: ScenarioInstrument, construction: GeometricErrorModel, parameter_name: str
 ) -> tuple[Floats, Floats]:
     """Means and standard deviations of the errors of one tracker, both of shape (parameters,) [SI]."""
     errors = {error: float(value) for error, value in instrument.errors.items() if error != "draw"}
@@ -53,10 +53,10 @@ def _error_distribution(
         with as_setup_error(f"{tracker_table_name(parameter_name)}.errors.{error}"):
             construction.index(error)
     parameters = construction.parameters
-    mean = np.array([errors.get(p.name, 0.0) * p.si_per_display_unit for p in parameters])
+    error_means = np.array([errors.get(p.name, 0.0) * p.si_per_display_unit for p in parameters])
     free = [instrument.draws and p.name not in errors for p in parameters]
     prior = np.array([p.sigma_from(instrument.prior) for p in parameters])
-    return mean, np.where(free, instrument.error_factor * prior, 0.0)
+    return error_means, np.where(free, instrument.error_factor * prior, 0.0)
 
 
 def nominal_noise(scenario: Scenario, sightings: Sightings) -> Floats:

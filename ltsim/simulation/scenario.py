@@ -68,7 +68,7 @@ class Scenario(TomlSection, Result):
     instrument: ScenarioInstrument = ScenarioInstrument()
     """Tracker of all stations that name no other tracker."""
     instruments: dict[str, ScenarioInstrument] = Field(default_factory=dict)
-    """Several trackers by name, tables `[instruments.NAME]`, all of one construction."""
+    """Several trackers by name, tables `[instruments.NAME]`, all of one design."""
     smr: Smr = Smr()
     """Properties of the reflectors."""
     reflectors: dict[str, Reflector] = Field(default_factory=dict)
@@ -177,22 +177,22 @@ def _set_key(table: dict[str, Any], key: str, value: Any, error_location: str) -
     Entries of lists are numbered from 1. The value `REMOVAL_VALUE` removes the key.
     """
     *parents, last = key.split(".")
-    inner: Any = table
+    subtable: Any = table
     for name in parents:
-        if isinstance(inner, list) and name.isdecimal() and 1 <= int(name) <= len(inner):
-            inner = inner[int(name) - 1]
+        if isinstance(subtable, list) and name.isdecimal() and 1 <= int(name) <= len(subtable):
+            subtable = subtable[int(name) - 1]
         else:
-            inner = inner.setdefault(name, {}) if isinstance(inner, dict) else None
-        if not isinstance(inner, (dict, list)):
+            subtable = subtable.setdefault(name, {}) if isinstance(subtable, dict) else None
+        if not isinstance(subtable, (dict, list)):
             through = f"{quoted_text(key)} goes through {quoted_text(name)}"
             raise SetupError(f"{error_location}: {through}, which is not a table of the scenario")
-    if not isinstance(inner, dict):
+    if not isinstance(subtable, dict):
         text = quoted_text(key)
         raise SetupError(f"{error_location}: {text} is not a key of a table; entries of a list are numbered from 1")
     if value == REMOVAL_VALUE:
-        inner.pop(last, None)
+        subtable.pop(last, None)
     else:
-        inner[last] = value
+        subtable[last] = value
 
 
 def _with_base(tables: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -200,8 +200,8 @@ def _with_base(tables: Mapping[str, Any]) -> Mapping[str, Any]:
     if tables.get("base") is None:
         return tables
     below = _with_base(read_toml(builtin_path(str(tables["base"])), "scenario"))
-    merged = merge_defaults(tables, below)
-    return {key: value for key, value in merged.items() if key != "base" and value != REMOVAL_VALUE}
+    merged_tables = merge_defaults(tables, below)
+    return {key: value for key, value in merged_tables.items() if key != "base" and value != REMOVAL_VALUE}
 
 
 def _with_preset(instrument: Any, file: Path) -> Any:
@@ -237,20 +237,20 @@ def _with_exclusions(scenario: Scenario, file: Path) -> Scenario:
         raise SetupError(f"{file}: work.targets is {work.targets}, expected at least {least} of the reflectors")
     if len(stations) == len(scenario.stations) and len(targets) == len(scenario.targets):
         return scenario
-    used = {station.instrument for station in stations.values()}
+    used_instruments = {station.instrument for station in stations.values()}
     return scenario.model_copy(
         update={
             "stations": stations,
             "targets": targets,
-            "instruments": {name: i for name, i in scenario.instruments.items() if name in used},
+            "instruments": {name: i for name, i in scenario.instruments.items() if name in used_instruments},
             "lengths": tuple(bar for bar in scenario.lengths if {bar.from_, bar.to} <= {*targets}),
             "effects": tuple(_check_effects(scenario.effects, {*stations}, {*targets, *gauge})),
         }
     )
 
 
-def _check_effects(entries: Sequence[EffectEntry], stations: set[str], targets: set[str]) -> Iterator[EffectEntry]:
-    for entry in entries:
+def _check_effects(effects: Sequence[EffectEntry], stations: set[str], targets: set[str]) -> Iterator[EffectEntry]:
+    for entry in effects:
         here = {
             "stations": tuple(name for name in entry.stations if name in stations),
             "targets": tuple(name for name in entry.targets if name in targets),
@@ -262,8 +262,8 @@ def _check_effects(entries: Sequence[EffectEntry], stations: set[str], targets: 
 def _select_spread_targets(targets: Mapping[str, PlannedTarget], n_targets: int) -> dict[str, PlannedTarget]:
     """Targets that are distributed as widely as possible, in file order (Gonzalez 1985: farthest-point selection)."""
     places = np.array([t.position_mm for t in targets.values()], dtype=np.float64).reshape(-1, 3)
-    taken = set(even_filling_order(places)[:n_targets])
-    return {name: target for i, (name, target) in enumerate(targets.items()) if i in taken}
+    selected_targets = set(even_filling_order(places)[:n_targets])
+    return {name: target for i, (name, target) in enumerate(targets.items()) if i in selected_targets}
 
 
 def even_filling_order(points: Floats) -> list[int]:
@@ -348,13 +348,13 @@ def _instrument_errors(scenario: Scenario) -> Iterator[str]:
 
 
 def _place_errors(scenario: Scenario) -> Iterator[str]:
-    size = scenario.workshop.size_mm
+    room_size_mm = scenario.workshop.size_mm
     placed = {f"stations.{name}": station.position_mm for name, station in scenario.stations.items()}
     placed |= {f"targets.{name}": target.position_mm for name, target in scenario.targets.items()}
     placed |= {"gauge": scenario.gauge.position_mm} if scenario.gauge else {}
     for key, place in placed.items():
-        if any(not -1.0 <= x <= high + 1.0 for x, high in zip(place, size, strict=True)):
-            room = " x ".join(f"{x:g}" for x in size)
+        if any(not -1.0 <= x <= high + 1.0 for x, high in zip(place, room_size_mm, strict=True)):
+            room = " x ".join(f"{x:g}" for x in room_size_mm)
             where = f"outside the workshop of {room} mm whose corner is the origin"
             yield f"{key}.position_mm is {list(place)}, {where}"
     for name, target in scenario.targets.items():
@@ -392,8 +392,8 @@ def tracker_table_name(tracker_name: str) -> str:
 
 def scenario_to_toml(scenario: Scenario) -> str:
     """Text of the file of a scenario with all settings; `load_scenario` reads the same scenario from it."""
-    whole = scenario.model_dump(by_alias=True, exclude_none=True)
+    scenario_tables = scenario.model_dump(by_alias=True, exclude_none=True)
     brief = scenario.model_dump(by_alias=True, exclude_defaults=True)
-    table: dict[str, Any] = {name: whole[name] for name in ALWAYS_WRITTEN_KEYS if name in whole}
+    table: dict[str, Any] = {name: scenario_tables[name] for name in ALWAYS_WRITTEN_KEYS if name in scenario_tables}
     table |= {kind: brief.get(kind, {}) for kind in ("reflectors", "materials", "stations", "targets")}
     return to_toml(table | {kind: brief[kind] for kind in ("lengths", "effects") if kind in brief})

@@ -159,7 +159,7 @@ class PointingLimits(Limits):
 
 
 class ScenarioInstrument(TomlSection):
-    """Tracker: construction, specification and true errors."""
+    """Tracker: design, specification and true errors."""
 
     preset: Annotated[str, AfterValidator(_existing_preset)] = "paper"
     """Source of all values that are not given: `paper`, `modern`, `after-transport`, or the name of a built-in data

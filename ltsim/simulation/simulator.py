@@ -87,7 +87,7 @@ def error_free_recording(geometry: MeasurementGeometry) -> Recording:
     """Recording of an ideal tracker with exact certificates, and with all declarations of the set-up."""
     s, scenario = geometry.sightings, geometry.scenario
     has_reflectors = scenario.reflectors or any(station.reflector for station in scenario.stations.values())
-    bare = Recording(
+    bare_recording = Recording(
         setup=_declared_setup(geometry),
         stations=s.station_names,
         targets=s.target_names,
@@ -100,7 +100,7 @@ def error_free_recording(geometry: MeasurementGeometry) -> Recording:
         covariates=s.covariates,
         labels={REFLECTOR_COLUMN: smr_names_of_pointings(scenario, s)} if has_reflectors else {},
     )
-    blank = with_exact_lengths(bare, geometry)
+    blank = with_exact_lengths(bare_recording, geometry)
     return blank.replace(
         notes=(*geometry.hidden_pair_notes, *_ineffective_reason(geometry, ReferenceLengths.from_recording(blank)))
     )
@@ -214,8 +214,8 @@ def _data_sheet(tracker: ScenarioInstrument) -> Instrument:
 
 def _nominal_prior(tracker: ScenarioInstrument) -> Prior:
     kinds = tracker.prior.model_dump()
-    single = {name: tracker.prior_factor * value for name, value in kinds.pop("parameters").items()}
-    return Prior(**{name: tracker.prior_factor * value for name, value in kinds.items()}, parameters=single)
+    sigma_by_parameter = {name: tracker.prior_factor * value for name, value in kinds.pop("parameters").items()}
+    return Prior(**{name: tracker.prior_factor * value for name, value in kinds.items()}, parameters=sigma_by_parameter)
 
 
 def _rounded_position(position: Vector, rounding_step: float) -> Vector:
@@ -310,12 +310,14 @@ def _declared_reference_lengths(scenario: Scenario) -> Iterator[tuple[GaugeDista
         yield GaugeDistance.model_validate(ends | use | blank), length.sigma_um
 
 
-def with_certificates(recording: Recording, length: Floats, sigma: Sequence[float] | None = None) -> Recording:
+def with_certificates(
+    recording: Recording, reference_lengths: Floats, sigma: Sequence[float] | None = None
+) -> Recording:
     """Recording with other reference lengths [m] at calibration, and other standard deviations [m] if given."""
     if recording.setup.gauge is None:
         return recording
     lines = []
-    for i, (line, value) in enumerate(zip(recording.gauge.distance, length.tolist(), strict=True)):
+    for i, (line, value) in enumerate(zip(recording.gauge.distance, reference_lengths.tolist(), strict=True)):
         certificate = {"length_mm": round(value / MILLIMETRE, 12)}
         if sigma is not None:
             certificate["sigma_mm"] = max(round(sigma[i] / MILLIMETRE, 6), 1e-6)

@@ -150,9 +150,9 @@ class TrueEffect(Entry):
     def to_applied(self) -> AppliedEffect:
         """Applied effect of the entry with its values [SI]; raises LtsimError."""
         effect = make_effect(self.name, {"stations": self.stations, "targets": self.targets}, self.shape)
-        values = {p.name: p.value for p in self.parameters}
+        value_by_parameter = {p.name: p.value for p in self.parameters}
         return AppliedEffect(
-            effect, np.array([values.get(p.name, 0.0) * p.si_per_display_unit for p in effect.parameters])
+            effect, np.array([value_by_parameter.get(p.name, 0.0) * p.si_per_display_unit for p in effect.parameters])
         )
 
 

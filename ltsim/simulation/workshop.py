@@ -57,20 +57,20 @@ def make_gauge_frame(gauge: ScenarioGauge) -> GaugeFrame:
     SetupError is raised if a length is missing or repeated, or if the lengths contradict each other.
     """
     names = gauge.targets
-    pairs = list(combinations(range(len(names)), 2))
-    lengths = np.array(_declared_lengths(gauge, pairs)) * MILLIMETRE
-    first, second = np.array(pairs, dtype=np.int64).T
+    target_pairs = list(combinations(range(len(names)), 2))
+    lengths = np.array(_declared_lengths(gauge, target_pairs)) * MILLIMETRE
+    first, second = np.array(target_pairs, dtype=np.int64).T
     frame = GaugeFrame(names, points_from_distances(len(names), first, second, lengths), first, second)
-    worst = int(np.argmax(np.abs(frame.lengths - lengths)))
-    if abs(frame.lengths[worst] - lengths[worst]) > MAX_RELATIVE_LENGTH_ERROR:
-        a, b = names[first[worst]], names[second[worst]]
-        has, wanted = frame.lengths[worst] / MILLIMETRE, lengths[worst] / MILLIMETRE
+    worst_length = int(np.argmax(np.abs(frame.lengths - lengths)))
+    if abs(frame.lengths[worst_length] - lengths[worst_length]) > MAX_RELATIVE_LENGTH_ERROR:
+        a, b = names[first[worst_length]], names[second[worst_length]]
+        has, wanted = frame.lengths[worst_length] / MILLIMETRE, lengths[worst_length] / MILLIMETRE
         message = f"the nearest frame in space has {has:.4f} mm between {a} and {b}, not {wanted:.4f} mm"
         raise SetupError(f"gauge: the lengths contradict each other; {message}")
     return frame
 
 
-def _declared_lengths(gauge: ScenarioGauge, pairs: list[tuple[int, int]]) -> list[float]:
+def _declared_lengths(gauge: ScenarioGauge, target_pairs: list[tuple[int, int]]) -> list[float]:
     """Declared length [mm] of each pair of targets; raises SetupError for missing or repeated lengths."""
     names = gauge.targets
     if not gauge.distance:
@@ -85,10 +85,12 @@ def _declared_lengths(gauge: ScenarioGauge, pairs: list[tuple[int, int]]) -> lis
             problem = "has two entries" if key in certificates else "is not a pair of different gauge.targets"
             raise SetupError(f"gauge.distance.{i + 1}: {line.from_}-{line.to} {problem}")
         certificates[key] = line.length_mm
-    for a, b in pairs:
+    for a, b in target_pairs:
         if frozenset((names[a], names[b])) not in certificates:
-            raise SetupError(f"gauge.distance: the length {names[a]}-{names[b]} is missing, expected all {len(pairs)}")
-    return [certificates[frozenset((names[a], names[b]))] for a, b in pairs]
+            raise SetupError(
+                f"gauge.distance: the length {names[a]}-{names[b]} is missing, expected all {len(target_pairs)}"
+            )
+    return [certificates[frozenset((names[a], names[b]))] for a, b in target_pairs]
 
 
 def points_from_distances(n_points: int, first_points: Ints, second_points: Ints, lengths: Floats) -> Floats:
@@ -143,9 +145,9 @@ def measure_nominal_points(
     random = measuring_machine.constant_um * MICROMETRE / measuring_machine.coverage / np.sqrt(2.0)
     scale = MICROMETRE / MILLIMETRE / measuring_machine.length_divisor_mm / measuring_machine.coverage
     axes = scale * stream(seed, *stream_key, "cmm", "axes").standard_normal(3)
-    each = np.array([stream(seed, *stream_key, "cmm", "point", name).standard_normal(3) for name in names])
+    draws = np.array([stream(seed, *stream_key, "cmm", "point", name).standard_normal(3) for name in names])
     centre = points.mean(axis=0)
-    error: Floats = measuring_machine.noise_factor * ((points - centre) * axes + random * each.reshape(-1, 3))
+    error: Floats = measuring_machine.noise_factor * ((points - centre) * axes + random * draws.reshape(-1, 3))
     return points + error
 
 
@@ -240,14 +242,14 @@ class PlacedObstacle:
     @property
     def description(self) -> str:
         """Text on the obstacle: name, interpretation of its CAD file, size and position."""
-        read = f" ({self.cad_file.file.name}, {self.cad_file.interpretation_text})" if self.cad_file else ""
-        return f"{self.name or 'obstacle'}{read}: {extent_text(self.triangles)}"
+        file_text = f" ({self.cad_file.file.name}, {self.cad_file.interpretation_text})" if self.cad_file else ""
+        return f"{self.name or 'obstacle'}{file_text}: {extent_text(self.triangles)}"
 
 
 def make_obstacles(scenario: Scenario) -> Obstacles | None:
     """Obstacles that can block lines of sight; None in a workshop without obstacles; raises SetupError."""
-    parts = placed_obstacles(scenario)
-    return join_obstacles(body.triangles for body in parts) if parts else None
+    obstacle_parts = placed_obstacles(scenario)
+    return join_obstacles(body.triangles for body in obstacle_parts) if obstacle_parts else None
 
 
 def placed_obstacles(scenario: Scenario) -> list[PlacedObstacle]:
@@ -256,7 +258,7 @@ def placed_obstacles(scenario: Scenario) -> list[PlacedObstacle]:
     SetupError is raised for a CAD file that cannot be read, or whose size or position is implausible.
     """
     room = np.array(scenario.workshop.size_mm) * MILLIMETRE
-    parts = []
+    obstacle_parts = []
     for i, entry in enumerate(scenario.workshop.obstacles, 1):
         cad = None
         if entry.file is not None:
@@ -274,8 +276,8 @@ def placed_obstacles(scenario: Scenario) -> list[PlacedObstacle]:
             asked := implausible_size_question(cad, room) or _implausible_place_question(entry, body, cad, room)
         ):
             raise SetupError(asked)
-        parts.append(body)
-    return parts
+        obstacle_parts.append(body)
+    return obstacle_parts
 
 
 def _placed_triangles(obstacle_entry: Obstacle, triangles: Floats) -> Floats:
@@ -291,15 +293,18 @@ def _implausible_place_question(
     """Question to the user about an obstacle that extends beyond the room; empty if it does not."""
     if obstacle_entry.beyond_room or is_inside_room(placed_body.triangles, room_size):
         return ""
-    other = "z" if cad_file.vertical_axis == "y" else "y"
+    other_axis = "z" if cad_file.vertical_axis == "y" else "y"
     turned = _placed_triangles(obstacle_entry, cad_file.with_other_vertical)
-    size = " x ".join(f"{v:g}" for v in room_size)
-    what = "reaches below the floor" if placed_body.triangles[..., 2].min() < 0 else "reaches beyond the room"
+    size_text = " x ".join(f"{v:g}" for v in room_size)
+    problem = "reaches below the floor" if placed_body.triangles[..., 2].min() < 0 else "reaches beyond the room"
     fits = (
-        f'with up = "{other}" it is inside the room' if is_inside_room(turned, room_size) else "move it by position_mm"
+        f'with up = "{other_axis}" it is inside the room'
+        if is_inside_room(turned, room_size)
+        else "move it by position_mm"
     )
     return (
-        f"{cad_file.file}: {what} of {size} m ({cad_file.interpretation_text}: {extent_text(placed_body.triangles)}); "
+        f"{cad_file.file}: {problem} of {size_text} m "
+        f"({cad_file.interpretation_text}: {extent_text(placed_body.triangles)}); "
         f"{fits}; if this is correct, set beyond_room = true"
     )
 

@@ -32,23 +32,23 @@ def arrange_as_chain(matrix: sp.csr_array) -> tuple[Ints, Ints]:
 
     Block i has the positions from limit i to limit i + 1. The border is last.
     """
-    size = matrix.shape[0]
-    whole = np.arange(size), np.array([0, size, size])
-    if size <= MAX_SINGLE_BLOCK:
-        return whole
-    shared = np.diff(matrix.indptr) > MIN_BORDER_COUPLING * size
-    inner = np.flatnonzero(~shared)
-    if len(inner) <= MAX_SINGLE_BLOCK:
-        return whole
-    part = sp.csr_array(matrix[inner][:, inner])
+    n_unknowns = matrix.shape[0]
+    single_block = np.arange(n_unknowns), np.array([0, n_unknowns, n_unknowns])
+    if n_unknowns <= MAX_SINGLE_BLOCK:
+        return single_block
+    shared = np.diff(matrix.indptr) > MIN_BORDER_COUPLING * n_unknowns
+    inner_indices = np.flatnonzero(~shared)
+    if len(inner_indices) <= MAX_SINGLE_BLOCK:
+        return single_block
+    part = sp.csr_array(matrix[inner_indices][:, inner_indices])
     order = reverse_cuthill_mckee(part, symmetric_mode=True)
     place = np.argsort(order)
-    rows = np.repeat(place, np.diff(part.indptr))
-    width = max(int(np.max(np.abs(rows - place[part.indices]), initial=0)), MIN_BLOCK_SIZE)
-    if 3 * width >= len(inner):
-        return whole
-    edges = np.append(np.arange(0, len(inner) - width + 1, width), [len(inner), size])
-    return np.concatenate([inner[order], np.flatnonzero(shared)]), edges
+    row_indices = np.repeat(place, np.diff(part.indptr))
+    width = max(int(np.max(np.abs(row_indices - place[part.indices]), initial=0)), MIN_BLOCK_SIZE)
+    if 3 * width >= len(inner_indices):
+        return single_block
+    edges = np.append(np.arange(0, len(inner_indices) - width + 1, width), [len(inner_indices), n_unknowns])
+    return np.concatenate([inner_indices[order], np.flatnonzero(shared)]), edges
 
 
 @dataclass(frozen=True)
@@ -145,12 +145,12 @@ class BlockChain:
         """Complete inverse (K, K)."""
         if self.n_blocks == 1:
             return self.inverse_windows[0].inverse
-        size = len(self._column_order)
-        parts = [slice(i, i + N_INVERSE_COLUMNS) for i in range(0, size, N_INVERSE_COLUMNS)]
-        inverse = np.empty((size, size))
-        for part in parts:
-            inverse[:, part] = self.solve(np.eye(size, len(range(size)[part]), -part.start))
-        for part in parts:
+        n_unknowns = len(self._column_order)
+        column_slices = [slice(i, i + N_INVERSE_COLUMNS) for i in range(0, n_unknowns, N_INVERSE_COLUMNS)]
+        inverse = np.empty((n_unknowns, n_unknowns))
+        for part in column_slices:
+            inverse[:, part] = self.solve(np.eye(n_unknowns, len(range(n_unknowns)[part]), -part.start))
+        for part in column_slices:
             symmetric = 0.5 * (inverse[part] + inverse[:, part].T)
             inverse[part], inverse[:, part] = symmetric, symmetric.T
         return inverse
@@ -164,34 +164,34 @@ class BlockChain:
         Takahashi, Fagan, Chin, Formation of a sparse bus impedance matrix (PICA 1973), in blocks.
         """
         border, size = self._block_limits[-2], len(self._column_order)
-        later = inverse_from_cholesky(self._border_factor)
+        later_inverse = inverse_from_cholesky(self._border_factor)
         windows = []
         for i in reversed(range(len(self._diagonal_factors))):
             low, high, far = self._block_span(i)
             width = high - low
-            whole = np.zeros((width + len(later), width + len(later)))
+            whole = np.zeros((width + len(later_inverse), width + len(later_inverse)))
             whole[:width, :width] = inverse_from_cholesky(self._diagonal_factors[i])
-            if len(later):
+            if len(later_inverse):
                 reach = scipy.linalg.solve_triangular(
                     self._diagonal_factors[i], self._off_diagonal_factors[i].T, lower=True, trans=1, check_finite=False
                 ).T
-                across = later @ reach
-                whole[width:, width:], whole[width:, :width], whole[:width, width:] = later, -across, -across.T
+                across = later_inverse @ reach
+                whole[width:, width:], whole[width:, :width], whole[:width, width:] = later_inverse, -across, -across.T
                 whole[:width, :width] += reach.T @ across
             place = np.full(size, -1)
             place[np.concatenate([self._column_order[low:far], self._column_order[border:]])] = np.arange(len(whole))
             windows.append(BlockWindow(place, whole))
             stay = np.concatenate([np.arange(width), np.arange(width + far - high, len(whole))])
-            later = whole[np.ix_(stay, stay)]
+            later_inverse = whole[np.ix_(stay, stay)]
         return windows[::-1]
 
     def _block_span(self, block_index: int) -> tuple[int, int, int]:
         """First position of a block, end of the block, and end of the next block, in the order of the columns."""
-        last = len(self._block_limits) - 2
+        last_block = len(self._block_limits) - 2
         return (
             int(self._block_limits[block_index]),
             int(self._block_limits[block_index + 1]),
-            int(self._block_limits[min(block_index + 2, last)]),
+            int(self._block_limits[min(block_index + 2, last_block)]),
         )
 
 

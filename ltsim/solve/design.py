@@ -82,9 +82,12 @@ def column_scale(design: DesignMatrix) -> Floats:
     return 1.0 / np.sqrt(np.where(squares > 0, squares, 1.0))
 
 
-def scale_columns(rows: sp.csr_array, column_factors: Floats) -> sp.csr_array:
+def scale_columns(matrix_rows: sp.csr_array, column_factors: Floats) -> sp.csr_array:
     """Rows (m, u) with each column multiplied by its factor (u,)."""
-    return sp.csr_array((rows.data * column_factors[rows.indices], rows.indices, rows.indptr), rows.shape)
+    return sp.csr_array(
+        (matrix_rows.data * column_factors[matrix_rows.indices], matrix_rows.indices, matrix_rows.indptr),
+        matrix_rows.shape,
+    )
 
 
 def iterate_row_pieces(design: sp.csr_array, column_factors: Floats) -> Iterator[sp.csr_array]:
@@ -95,19 +98,19 @@ def iterate_row_pieces(design: sp.csr_array, column_factors: Floats) -> Iterator
 
 def gram_matrix(row_batches: Iterable[sp.csr_array], n_columns: int) -> sp.csr_array:
     """Normal matrix A' A (n_columns, n_columns) of a sparse design A, given in batches of rows."""
-    total = sp.csr_array((n_columns, n_columns))
+    gram = sp.csr_array((n_columns, n_columns))
     for part in row_batches:
-        total = total + sp.csr_array(part.T @ part)
-    return sp.csr_array(total)
+        gram = gram + sp.csr_array(part.T @ part)
+    return sp.csr_array(gram)
 
 
 def weight_rows(design: DesignMatrix, weight: Floats) -> DesignMatrix:
     """Design matrix with each row multiplied by its weight (m,)."""
     if isinstance(design, np.ndarray):
         return np.asarray(design * weight[:, None])
-    data = np.repeat(weight, np.diff(design.indptr))
-    data *= design.data
-    return sp.csr_array((data, design.indices, design.indptr), design.shape)
+    entry_weights = np.repeat(weight, np.diff(design.indptr))
+    entry_weights *= design.data
+    return sp.csr_array((entry_weights, design.indices, design.indptr), design.shape)
 
 
 MIN_RELIABLE_PIVOT = 1e-8
@@ -163,6 +166,6 @@ MEDIAN_ABSOLUTE_NORMAL = 0.6744897501960817
 """Median of |x| for a standard normal variable x."""
 
 
-def robust_sigma(values: Floats) -> float:
+def robust_sigma(residuals: Floats) -> float:
     """Standard deviation estimated from the median of absolute values; 0 for an empty array."""
-    return median(np.abs(values)) / MEDIAN_ABSOLUTE_NORMAL if len(values) else 0.0
+    return median(np.abs(residuals)) / MEDIAN_ABSOLUTE_NORMAL if len(residuals) else 0.0

@@ -75,18 +75,18 @@ class DenseElimination:
     @cached_property
     def blocks_and_leverage(self) -> tuple[Floats, Floats]:
         """Inverse (E, 3, 3) for every block, and leverage (m,) of every row."""
-        at = np.arange(self._n_reduced, len(self._cholesky_factor)).reshape(-1, 3)
-        rows = (self._design * self.column_scales).T
-        whitened = scipy.linalg.solve_triangular(self._cholesky_factor, rows, lower=True, check_finite=False)
-        return self.inverse_of_sets(at), np.einsum("um,um->m", whitened, whitened)
+        block_indices = np.arange(self._n_reduced, len(self._cholesky_factor)).reshape(-1, 3)
+        scaled_rows = (self._design * self.column_scales).T
+        whitened = scipy.linalg.solve_triangular(self._cholesky_factor, scaled_rows, lower=True, check_finite=False)
+        return self.inverse_of_sets(block_indices), np.einsum("um,um->m", whitened, whitened)
 
-    def covariances_of_functions(self, rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
+    def covariances_of_functions(self, function_rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
         """Matrices R N^-1 R', with R a group of neighbouring rows and N the normal matrix.
 
         Group i has the rows from boundary i to boundary i + 1.
         """
         for low, high in pairwise(group_boundaries.tolist()):
-            group = rows[low:high].toarray() * self.column_scales
+            group = function_rows[low:high].toarray() * self.column_scales
             yield group @ self.solve(group.T)
 
 
@@ -97,8 +97,8 @@ class SparseElimination:
         self.column_scales = column_scale(design)
         self._design, self._n_reduced = design, n_reduced
         normal = gram_matrix(iterate_row_pieces(design, self.column_scales), design.shape[1])
-        count = (normal.shape[0] - n_reduced) // 3
-        blocks = _diagonal_blocks(normal[n_reduced:, n_reduced:], count) + damping * np.eye(3)
+        n_blocks = (normal.shape[0] - n_reduced) // 3
+        blocks = _diagonal_blocks(normal[n_reduced:, n_reduced:], n_blocks) + damping * np.eye(3)
         self._block_inverses, self._smallest_block_pivot = block_inverse(blocks)
         across = normal[:n_reduced, n_reduced:]
         self._elimination_coefficients = sp.csc_array(across @ _block_diagonal(self._block_inverses))
@@ -176,11 +176,11 @@ class SparseElimination:
                 blocks[g] += carry @ inverse @ carry.T
         return blocks, leverage
 
-    def covariances_of_functions(self, rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
+    def covariances_of_functions(self, function_rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
         """Matrices R N^-1 R' for groups R of neighbouring rows, as `DenseElimination.covariances_of_functions`."""
-        rows = scale_columns(rows, self.column_scales)
-        back = sp.csr_array(rows[:, self._n_reduced :])
-        reduced = sp.csr_array(rows[:, : self._n_reduced] - back @ self._elimination_coefficients.T)
+        function_rows = scale_columns(function_rows, self.column_scales)
+        back = sp.csr_array(function_rows[:, self._n_reduced :])
+        reduced = sp.csr_array(function_rows[:, : self._n_reduced] - back @ self._elimination_coefficients.T)
         reduced_rows = sp.csr_array(back @ _block_diagonal(self._block_inverses))
         if not len(group_boundaries) > 1:
             return
@@ -244,19 +244,23 @@ def block_inverse(blocks: Floats) -> tuple[Floats, float]:
 
 def _diagonal_blocks(matrix: sp.csr_array, n_blocks: int) -> Floats:
     """Dense diagonal blocks (E, 3, 3) of a sparse matrix without other entries."""
-    entries = matrix.tocoo()
+    nonzero_entries = matrix.tocoo()
     blocks = np.zeros((n_blocks, 3, 3))
-    np.add.at(blocks, (entries.row // 3, entries.row % 3, entries.col % 3), entries.data)
+    np.add.at(
+        blocks, (nonzero_entries.row // 3, nonzero_entries.row % 3, nonzero_entries.col % 3), nonzero_entries.data
+    )
     return blocks
 
 
 def _block_diagonal(blocks: Floats) -> sp.csr_array:
     """Sparse matrix (3 E, 3 E) with the blocks (E, 3, 3) on its diagonal."""
-    count = len(blocks)
-    if not count:
+    n_blocks = len(blocks)
+    if not n_blocks:
         return sp.csr_array((0, 0))
-    at = np.arange(count)
-    return sp.csr_array(sp.bsr_array((blocks, at, np.arange(count + 1)), shape=(3 * count, 3 * count)))
+    block_indices = np.arange(n_blocks)
+    return sp.csr_array(
+        sp.bsr_array((blocks, block_indices, np.arange(n_blocks + 1)), shape=(3 * n_blocks, 3 * n_blocks))
+    )
 
 
 UNDETERMINED_MESSAGE = (
@@ -333,8 +337,8 @@ class BlockFactor:
 
     def step(self, residual: Floats | None = None) -> Floats:
         """Damped Gauss-Newton step (K + 3 E,) for whitened residuals (m,), by default those of the system."""
-        right = self._system.design.T @ (self._system.whitened_residuals if residual is None else residual)
-        return self.covariance_columns(right[:, None])[:, 0]
+        right_side = self._system.design.T @ (self._system.whitened_residuals if residual is None else residual)
+        return self.covariance_columns(right_side[:, None])[:, 0]
 
     @single_threaded
     def reduced_covariance(self) -> Floats:
@@ -369,12 +373,12 @@ class BlockFactor:
         """Smallest pivot of the normal matrix scaled to unit diagonal."""
         return self._elimination.smallest_pivot
 
-    def covariances_of_functions(self, rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
+    def covariances_of_functions(self, function_rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
         """Covariances R N^-1 R' of groups R of linear functions, rows (q, K + 3 E) of their coefficients.
 
         Group i has the rows from boundary i to boundary i + 1.
         """
-        return self._elimination.covariances_of_functions(rows, group_boundaries)
+        return self._elimination.covariances_of_functions(function_rows, group_boundaries)
 
     @single_threaded
     def leverage(self) -> Floats:

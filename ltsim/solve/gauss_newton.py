@@ -156,8 +156,8 @@ def solve(problem: LeastSquaresProblem[Point], start_point: Point, *, max_iterat
 
 def _squared_step_length(block_system: BlockSystem, step: Floats) -> float:
     """Squared length of a step in standard deviations."""
-    moved = block_system.design @ step
-    return float(moved @ moved)
+    prediction_change = block_system.design @ step
+    return float(prediction_change @ prediction_change)
 
 
 def _step_with_previous_design(

@@ -50,11 +50,11 @@ class BasisProjection:
         """Projector onto the residual space of a design."""
         return cls(np.linalg.qr(to_dense(design) * column_scale(design))[0])
 
-    def project(self, rows: Floats) -> Floats:
+    def project(self, vectors: Floats) -> Floats:
         """Component (m, q) of q vectors (m, q) in the residual space, which the design does not explain."""
-        return rows - self.basis @ (self.basis.T @ rows)
+        return vectors - self.basis @ (self.basis.T @ vectors)
 
-    def gram_matrices(self, columns: Floats, group_boundaries: Ints, rows: Ints | slice) -> list[Floats]:
+    def gram_matrices(self, columns: Floats, group_boundaries: Ints, row_selection: Ints | slice) -> list[Floats]:
         """Gram matrices (k, k) of groups of k projected vectors: their inner products in the residual space.
 
         The q vectors have the entries `columns` (r, q) on r rows, and zeros on all other rows. Group i has the columns
@@ -62,7 +62,7 @@ class BasisProjection:
         """
         full_grams, explained_grams = (
             _group_gram_matrices(columns, group_boundaries),
-            _group_gram_matrices(self.basis[rows].T @ columns, group_boundaries),
+            _group_gram_matrices(self.basis[row_selection].T @ columns, group_boundaries),
         )
         return [whole - lost for whole, lost in zip(full_grams, explained_grams, strict=True)]
 
@@ -105,30 +105,30 @@ class FactorProjection:
         design = sp.csr_array(design)
         return cls(design, factor, np.zeros((design.shape[0], 0)), sp.csr_array(design.T), column_scale(design))
 
-    def project(self, rows: Floats) -> Floats:
+    def project(self, vectors: Floats) -> Floats:
         """Component (m, q) of q vectors (m, q) in the residual space, as `BasisProjection.project`."""
-        return self._residual_part(rows, slice(None))
+        return self._residual_part(vectors, slice(None))
 
-    def gram_matrices(self, columns: Floats, group_boundaries: Ints, rows: Ints | slice) -> list[Floats]:
+    def gram_matrices(self, columns: Floats, group_boundaries: Ints, row_selection: Ints | slice) -> list[Floats]:
         """Gram matrices (k, k) of projected vectors, as `BasisProjection.gram_matrices`.
 
         On at most `MAX_LOCAL_ROWS` rows they are computed from the block of the projector on these rows.
         """
-        block = self._local_block(rows)
+        block = self._local_block(row_selection)
         if block is None:
-            return _group_gram_matrices(self._residual_part(columns, rows), group_boundaries)
+            return _group_gram_matrices(self._residual_part(columns, row_selection), group_boundaries)
         projected = block @ columns
         limits = pairwise(group_boundaries.tolist())
         return [columns[:, low:high].T @ projected[:, low:high] for low, high in limits]
 
-    def _local_block(self, rows: Ints | slice) -> Floats | None:
+    def _local_block(self, row_selection: Ints | slice) -> Floats | None:
         """Block (r, r) of the projector on r rows, computed once; None on more than `MAX_LOCAL_ROWS` rows."""
-        if isinstance(rows, slice) or not 0 < len(rows) <= MAX_LOCAL_ROWS:
+        if isinstance(row_selection, slice) or not 0 < len(row_selection) <= MAX_LOCAL_ROWS:
             return None
-        key = rows.tobytes()
+        key = row_selection.tobytes()
         block = self._local_blocks.get(key)
         if block is None:
-            block = self._residual_part(np.eye(len(rows)), rows)[rows]
+            block = self._residual_part(np.eye(len(row_selection)), row_selection)[row_selection]
             block = 0.5 * (block + block.T)
             if sum(other.size for other in self._local_blocks.values()) + block.size <= MAX_LOCAL_ENTRIES:
                 self._local_blocks[key] = block
@@ -166,18 +166,18 @@ class FactorProjection:
         for rows, hat in zip(row_groups, hats, strict=True):
             yield np.linalg.eigh(hat + self.added_columns[rows] @ self.added_columns[rows].T)
 
-    def _spectrum_from_covariance(self, rows: Ints) -> tuple[Floats, Floats]:
+    def _spectrum_from_covariance(self, row_indices: Ints) -> tuple[Floats, Floats]:
         """Eigenvalues and eigenvectors of the hat matrix on many rows, from the covariance of the unknowns in them."""
-        part = self.design[rows]
+        part = self.design[row_indices]
         touched = np.unique(part.indices)
-        whole = np.array([0, len(touched)])
+        group_edges = np.array([0, len(touched)])
         ends = np.arange(len(touched) + 1)
         units = sp.csr_array((1.0 / self._scale[touched], touched, ends), (len(touched), part.shape[1]))
-        covariance = next(self.factor.covariances_of_functions(units, whole))
+        covariance = next(self.factor.covariances_of_functions(units, group_edges))
         values, vectors = np.linalg.eigh(covariance)
         root = part[:, touched].toarray() * self._scale[touched] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-        root = np.hstack([root, self.added_columns[rows]])
-        return _spectrum_of_thin_root(root) if len(rows) > root.shape[1] else np.linalg.eigh(root @ root.T)
+        root = np.hstack([root, self.added_columns[row_indices]])
+        return _spectrum_of_thin_root(root) if len(row_indices) > root.shape[1] else np.linalg.eigh(root @ root.T)
 
     def with_removed_columns(self, columns: Floats) -> FactorProjection:
         """Projector that also removes orthonormal vectors (m, e), as `BasisProjection.with_removed_columns`."""
@@ -200,8 +200,8 @@ def make_projection(block_system: BlockSystem, factor: BlockFactor | None) -> Pr
 
 def _group_gram_matrices(columns: Floats, group_boundaries: Ints) -> list[Floats]:
     """Gram matrices (k, k) of groups of k columns; group i has the columns from boundary i to boundary i + 1."""
-    parts = (columns[:, low:high] for low, high in pairwise(group_boundaries.tolist()))
-    return [part.T @ part for part in parts]
+    column_groups = (columns[:, low:high] for low, high in pairwise(group_boundaries.tolist()))
+    return [part.T @ part for part in column_groups]
 
 
 def _spectrum_of_thin_root(matrix_root: Floats) -> tuple[Floats, Floats]:

@@ -87,7 +87,7 @@ def test_limits(plan: AcceptancePlan) -> None:
 def test_chance_to_pass_is_that_of_simulated_instruments(plan: AcceptancePlan) -> None:
     stated = SHEET.to_instrument()
     prior = np.array([p.sigma_from(stated.prior) for p in plan.construction.parameters])
-    told = plan.predict(np.zeros(len(prior)), np.diag(prior**2), trials=20_000, seed=3)
+    told = plan.predict(np.zeros(len(prior)), np.diag(prior**2), n_trials=20_000, seed=3)
     rng = np.random.default_rng(11)
     passed = [
         plan.is_within_limits(

@@ -86,7 +86,7 @@ def test_tau_exceeds_its_limit_as_often_as_its_level_says():
 
 def test_an_error_of_the_detectable_size_is_found_with_its_power():
     clean = adjust(noisy(3), TRACKER)
-    needed = noncentrality(alpha=FAMILY_LEVEL, hypotheses=int(clean.problem.used_readings.sum()))
+    needed = noncentrality(alpha=FAMILY_LEVEL, n_tests=int(clean.problem.used_readings.sum()))
     bias = np.sqrt(needed / clean.redundancy)
     rows = stream(5, "rows").permutation(len(clean.recording))[:120]
     limit = critical_w(int(clean.problem.used_readings.sum()))

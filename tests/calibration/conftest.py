@@ -9,7 +9,7 @@ import pytest
 
 from ltsim.core.randomness import stream
 from ltsim.geometry.rigid import rotation_about_z
-from ltsim.physics.model.construction import Construction, misalignment_construction
+from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Gauge, GaugeDistance, Setup
 
@@ -26,7 +26,7 @@ GAUGE_SIGMA = 2e-6
 Make = Callable[..., Recording]
 
 
-def draw(construction: Construction, seed: int, trial: int, share: float = 1.0) -> np.ndarray:
+def draw(construction: GeometricErrorModel, seed: int, trial: int, share: float = 1.0) -> np.ndarray:
     """Parameters from the prior."""
     sigma = np.array([p.prior_sigma for p in construction.parameters])
     return share * sigma * stream(seed, "parameters", trial).standard_normal(construction.n_parameters)
@@ -53,7 +53,7 @@ def make() -> Make:
         *,
         faces: tuple[int, ...] = (1,),
         trial: int = 0,
-        construction: Construction | None = None,
+        construction: GeometricErrorModel | None = None,
         noise: float = 1.0,
     ) -> Recording:
         built = construction or misalignment_construction()

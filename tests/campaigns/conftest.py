@@ -11,7 +11,7 @@ import pytest
 from ltsim.campaigns.engine import BatchCalibrator
 from ltsim.campaigns.truth import CellTruth
 from ltsim.core.units import ARCSECOND
-from ltsim.physics.model.construction import Construction, misalignment_construction
+from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
 from ltsim.physics.model.measurement import sightings_of
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.simulation.draws import EffectDistribution, TrialDistributions
@@ -31,7 +31,7 @@ workshop = _load("workshop").workshop
 
 
 def truth_of(
-    construction: Construction | None = None,
+    construction: GeometricErrorModel | None = None,
     *,
     faces: int = 1,
     effects: tuple[EffectDistribution, ...] = (),

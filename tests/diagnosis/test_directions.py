@@ -28,12 +28,12 @@ def recording() -> Recording:
 def planted(n_components: int, coefficients: int, size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Gram matrix, score, and the true ratio of a signature with one set of coefficients and unit noise."""
     rng = stream(7, "ratio", n_components)
-    signature = rng.standard_normal((200, n_components * coefficients))
+    design_columns = rng.standard_normal((200, n_components * coefficients))
     ratio = rng.standard_normal(n_components)
     ratio *= np.sign(ratio[np.argmax(np.abs(ratio))]) / np.linalg.norm(ratio)
     true = size * np.kron(ratio, rng.standard_normal(coefficients))
-    residual = signature @ true + rng.standard_normal(200)
-    return signature.T @ signature, signature.T @ residual, ratio
+    residual = design_columns @ true + rng.standard_normal(200)
+    return design_columns.T @ design_columns, design_columns.T @ residual, ratio
 
 
 @pytest.mark.parametrize("n_components", [2, 3, 6])

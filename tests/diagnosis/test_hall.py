@@ -33,9 +33,9 @@ def changed(clean: tuple[Recording, Adjustment], change: Floats, strength: float
     """First finding with a change (n, 3) of the readings at a noncentrality, and the factor on the change."""
     recording, adjustment = clean
     space = ResidualSpace.from_adjustment(adjustment)
-    signature = np.zeros((space.n_rows, 1))
-    signature[: int(space.used_readings.sum()), 0] = (change / recording.sigma())[space.used_readings]
-    factor = np.sqrt(strength) / np.linalg.norm(space.project(signature))
+    design_columns = np.zeros((space.n_rows, 1))
+    design_columns[: int(space.used_readings.sum()), 0] = (change / recording.sigma())[space.used_readings]
+    factor = np.sqrt(strength) / np.linalg.norm(space.project(design_columns))
     diagnosis = diagnose(recording.with_readings(recording.readings + factor * change))
     assert diagnosis.verdict == "mismatch"
     return diagnosis.findings[0], float(factor)

@@ -194,7 +194,7 @@ def test_quiet_residuals_are_no_law(repeated):
 def test_residuals_that_a_flexible_law_has_fitted_are_not_quiet(repeated):
     """Many columns take their share of the noise: what they leave of redundancy is what quietness is judged by."""
     space, _, bank = repeated
-    beside = space.with_signatures(stream(3, "columns").standard_normal((space.n_rows, space.n_rows // 4)))
+    beside = space.with_design_columns(stream(3, "columns").standard_normal((space.n_rows, space.n_rows // 4)))
     assert evidence_of(bank, beside.residuals, space.redundancy)["noise-level"] > 5.0
     assert evidence_of(bank, beside.residuals, beside.redundancy)["noise-level"] < 0.0
 

@@ -8,7 +8,7 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.catalogue_signatures import FamilyMeans
+from ltsim.diagnosis.catalogue_designs import FamilyMeans
 from ltsim.diagnosis.detect import Detection
 from ltsim.diagnosis.evidence import log_means_by_group
 from ltsim.diagnosis.search import Searcher
@@ -23,7 +23,7 @@ def clean(searcher: Searcher, seed: int) -> np.ndarray:
     """The statistic (DRAWS,) of clean recordings that have no part in how the search judges."""
     white = stream(seed, "clean").standard_normal((searcher.space.n_rows, DRAWS))
     others = searcher.space.project(white)
-    rest = Searcher(searcher.space, seed, 1, catalogue_signatures=searcher.catalogue_signatures)
+    rest = Searcher(searcher.space, seed, 1, catalogue_designs=searcher.catalogue_designs)
     rest.null_ensemble = with_trials(searcher.null_ensemble, others)
     return rest._screening(rest.empty_model).null_statistics
 

@@ -30,8 +30,8 @@ def law(carrier: str, driver: Regressor) -> EmpiricalLaw:
 
 def test_the_drop_of_chi2_is_that_of_a_refit(space):
     wave = law("distance", Regressor("wave", ("azimuth",), constant=3.0))
-    signature = space.whitened_signature(wave)
-    columns = orthonormal_columns(space.project(signature), np.linalg.norm(signature, axis=0))
+    design_columns = space.whitened_design(wave)
+    columns = orthonormal_columns(space.project(design_columns), np.linalg.norm(design_columns, axis=0))
     again = adjust(space.adjustment.recording, misalignment_construction(), effects=[wave])
     assert columns.shape[1] == 2
     drop = float(((columns.T @ space.residuals) ** 2).sum())
@@ -43,9 +43,9 @@ def test_beside_what_was_found_the_drop_is_that_of_a_joint_refit(space):
         law("elevation", scalar_regressor("time", "power")),
         law("elevation", scalar_regressor("distance", "power", 2.0)),
     )
-    extended = space.with_signatures(space.whitened_signature(first))
-    signature = space.whitened_signature(second)
-    columns = orthonormal_columns(extended.project(signature), np.linalg.norm(signature, axis=0))
+    extended = space.with_design_columns(space.whitened_design(first))
+    design_columns = space.whitened_design(second)
+    columns = orthonormal_columns(extended.project(design_columns), np.linalg.norm(design_columns, axis=0))
     one = adjust(space.adjustment.recording, misalignment_construction(), effects=[first])
     both = adjust(space.adjustment.recording, misalignment_construction(), effects=[first, second])
     drop = float(((columns.T @ extended.residuals) ** 2).sum())
@@ -116,7 +116,7 @@ def test_a_spurious_finding_does_not_predict_what_its_search_has_not_seen():
 
 @pytest.mark.long
 def test_a_real_finding_predicts_what_its_search_has_not_seen(space):
-    wave = space.whitened_signature(law("distance", Regressor("wave", ("azimuth",), constant=3.0)))[:, 0]
+    wave = space.whitened_design(law("distance", Regressor("wave", ("azimuth",), constant=3.0)))[:, 0]
     hidden = replace(space, residuals=space.residuals + 8e-6 * space.project(wave))
     error = cross_validated_errors(hidden, 0, Searcher(hidden, 0), 2.0)
     assert error.after < 0.97 * error.before

@@ -9,7 +9,7 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import EVIDENCE_SIZES, LOG_SIZE_PRIOR, log_evidence, log_sum_exp
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures, catalogue_hypotheses
+from ltsim.diagnosis.catalogue_designs import CatalogueDesigns, catalogue_hypotheses
 from ltsim.diagnosis.evidence import coefficient_posterior, log_evidence_of_coefficients, log_sign_weight
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import RELATIVE_MODEL_ERROR, Hypothesis, Model, Ranking
@@ -25,7 +25,7 @@ from ltsim.diagnosis.prior import (
 )
 from ltsim.diagnosis.space import law_batches
 from ltsim.physics.effects import find_effect
-from ltsim.physics.effects.signature import CandidateEffect
+from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressors import CONSTANT_REGRESSOR, scalar_regressor
 from ltsim.physics.laws.responses import RESPONSES_BY_NAME
@@ -49,7 +49,7 @@ def made(space):
 
 def alone(space: ResidualSpace, law: CandidateEffect, residual: np.ndarray, extension: np.ndarray) -> float:
     """Log evidence of a law by its own signature."""
-    left = space.project(space.whitened_signature(law))
+    left = space.project(space.whitened_design(law))
     left -= extension @ (extension.T @ left)
     sizes = np.array([p.prior_sigma for p in law.parameters])
     return coefficient_posterior(left.T @ left, left.T @ residual, sizes)[2]
@@ -71,7 +71,7 @@ def test_priors_sum_to_one_over_everything(space, made):
         np.exp(p.log_prior).sum() * len(p.responses) * sum(len(d.coefficient_sigmas) for d in p.regressors)
         for p in found
     )
-    cards = CatalogueSignatures.from_space(space, catalogue_hypotheses(space.sightings))
+    cards = CatalogueDesigns.from_space(space, catalogue_hypotheses(space.sightings))
     families = cards.family_evidence(np.zeros(len(cards.effects))) + log_prior_share("named", len(cards.families))
     noise = NoiseBank.from_space(space, noise_hypotheses(space.sightings))
     nothing = np.append(
@@ -93,10 +93,10 @@ def test_a_set_is_scored_with_its_sizes_averaged(space):
     """Against the plain sum over all sizes of all members, each solved on its own."""
     effects = [find_effect("station-weather")(("S2",)), find_effect("backlash")()]
     members = [Hypothesis(e, -3.0, 0.0, e.name) for e in effects]
-    signatures = [space.whitened_signature(e) for e in effects]
-    left = [space.project(g) for g in signatures]
+    designs = [space.whitened_design(e) for e in effects]
+    left = [space.project(g) for g in designs]
     whole = space.residuals + 9e-6 * left[0][:, 0]
-    found = Model(tuple(members), tuple(left), tuple(np.linalg.norm(g, axis=0) for g in signatures), whole)
+    found = Model(tuple(members), tuple(left), tuple(np.linalg.norm(g, axis=0) for g in designs), whole)
     sizes = [np.array([p.prior_sigma for p in e.parameters]) for e in effects]
     logs = []
     for one, weight in zip(EVIDENCE_SIZES, LOG_SIZE_PRIOR, strict=True):
@@ -107,7 +107,7 @@ def test_a_set_is_scored_with_its_sizes_averaged(space):
             fit = score @ np.linalg.solve(inner, score)
             logs.append(weight + more + 0.5 * (fit - np.linalg.slogdet(inner)[1]))
     assert found.score == pytest.approx(float(log_sum_exp(np.array(logs))) - 6.0, abs=0.02)
-    single = Model(tuple(members[:1]), tuple(left[:1]), found.signature_norms[:1], whole)
+    single = Model(tuple(members[:1]), tuple(left[:1]), found.design_norms[:1], whole)
     alone_ = log_evidence_of_coefficients(left[0].T @ left[0], left[0].T @ whole, sizes[0])
     assert single.score == pytest.approx(float(alone_) - 3.0, abs=1e-6)
 
@@ -130,7 +130,7 @@ def test_scores_by_sums_over_places_are_those_of_single_laws(space, made):
 def test_beside_what_was_found_nothing_of_it_is_left_to_score(space, made):
     probe, found, _ = made
     law = EmpiricalLaw((), (), RESPONSES_BY_NAME["elevation"][0], scalar_regressor("move-elevation", "abs"))
-    left = space.project(space.whitened_signature(law))
+    left = space.project(space.whitened_design(law))
     left /= np.linalg.norm(left)
     residual = space.residuals + 20.0 * left[:, 0]
     gains = []
@@ -156,15 +156,15 @@ def test_many_effects_at_once_are_each_what_it_is_alone(space):
     ]
     effects = [law, find_effect("index-drift")(), *local, find_effect("station-weather")(("S1",)), law]
     found = find_effect("range-drift")()
-    signature = space.whitened_signature(found)
-    left = space.project(signature)
+    design_columns = space.whitened_design(found)
+    left = space.project(design_columns)
     member = Hypothesis(found, 0.0, 0.0, found.name)
-    base = Model((member,), (left,), (np.linalg.norm(signature, axis=0),), space.residuals)
+    base = Model((member,), (left,), (np.linalg.norm(design_columns, axis=0),), space.residuals)
     exact = EvidenceCalculator(space)
     for _ in range(2):
         values = [alone(space, effect, base.residual, base.basis) for effect in effects]
         np.testing.assert_allclose(exact.log_evidence(effects, base), values, rtol=1e-8)
-    np.testing.assert_allclose(exact.whitened_signature(local[0]), space.whitened_signature(local[0]))
+    np.testing.assert_allclose(exact.whitened_design(local[0]), space.whitened_design(local[0]))
 
 
 def test_what_chance_makes_of_a_search_has_no_expectation_of_its_own(made):
@@ -178,10 +178,10 @@ def test_simulated_residuals_stand_for_the_basis_in_large_networks(space, monkey
     probe = NullEnsemble.from_space(space, 0, 0)
     assert probe.gram_is_monte_carlo
     effects = [find_effect("station-weather")(("S2",)), find_effect("index-drift")()]
-    sampled = CatalogueSignatures.from_space(space, effects)
+    sampled = CatalogueDesigns.from_space(space, effects)
     sampled.log_evidence_and_trials(probe)
     monkeypatch.undo()
-    exact = CatalogueSignatures.from_space(space, effects)
+    exact = CatalogueDesigns.from_space(space, effects)
     exact.log_evidence_and_trials(NullEnsemble.from_space(space, 0, 0))
     for one, other in zip(sampled.groups, exact.groups, strict=True):
         np.testing.assert_allclose(one.gram, other.gram, rtol=0.4)
@@ -191,13 +191,13 @@ def test_what_is_like_a_finding_is_not_overrated_in_a_large_network(space, monke
     """What is left of it beside the finding is a small difference of large numbers, one of them sampled."""
     steps = [step for step in find_effect("range-step").candidates(space.sightings) if step.stations == ("S2",)]
     member = Hypothesis(steps[len(steps) // 2], 0.0, 0.0, "range-step")
-    signature = space.whitened_signature(member.effect)
-    left = space.project(signature)
-    base = Model((member,), (left,), (np.linalg.norm(signature, axis=0),), 3.0 * space.residuals)
+    design_columns = space.whitened_design(member.effect)
+    left = space.project(design_columns)
+    base = Model((member,), (left,), (np.linalg.norm(design_columns, axis=0),), 3.0 * space.residuals)
     values = []
     for most in (0, 500):
         monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MAX_DENSE_UNKNOWNS", most)
-        probe, cards = NullEnsemble.from_space(space, 0, 0), CatalogueSignatures.from_space(space, steps)
+        probe, cards = NullEnsemble.from_space(space, 0, 0), CatalogueDesigns.from_space(space, steps)
         cards.log_evidence_and_trials(probe)
         values.append(cards.log_evidence_and_trials(probe.with_model(base.residual, base.basis))[0])
     sampled, exact = values
@@ -207,17 +207,17 @@ def test_what_is_like_a_finding_is_not_overrated_in_a_large_network(space, monke
 def test_evidence_is_that_of_the_dense_covariance():
     """log N(r; 0, 1 + t^2 G G') - log N(r; 0, 1), averaged over sizes, by determinants."""
     rng = stream(4, "dense")
-    signature, residual = rng.standard_normal((12, 2)), rng.standard_normal(12)
+    design_columns, residual = rng.standard_normal((12, 2)), rng.standard_normal(12)
     logs = []
     for t in EVIDENCE_SIZES:
-        covariance = np.eye(12) + t**2 * signature @ signature.T
+        covariance = np.eye(12) + t**2 * design_columns @ design_columns.T
         quadratic = residual @ (residual - np.linalg.solve(covariance, residual))
         logs.append(0.5 * (quadratic - np.linalg.slogdet(covariance)[1]))
-    gram = signature.T @ signature
-    found = coefficient_posterior(gram, signature.T @ residual, np.ones(2))
+    gram = design_columns.T @ design_columns
+    found = coefficient_posterior(gram, design_columns.T @ residual, np.ones(2))
     assert found[2] == pytest.approx(float(log_sum_exp(np.array(logs) + LOG_SIZE_PRIOR)))
     strength, turn = np.linalg.eigh(gram)
-    assert found[2] == pytest.approx(float(log_evidence((turn.T @ signature.T @ residual) ** 2, strength)))
+    assert found[2] == pytest.approx(float(log_evidence((turn.T @ design_columns.T @ residual) ** 2, strength)))
 
 
 def test_a_negative_thickness_is_no_explanation():
@@ -236,7 +236,7 @@ def test_unknown_is_told_where_it_is_likelier_than_all_names_together():
 
 def test_what_an_unknown_law_leaves_is_no_further_cause(space):
     law = EmpiricalLaw((), (), RESPONSES_BY_NAME["distance"][0], scalar_regressor("time", "power"))
-    left = space.project(space.whitened_signature(law))
+    left = space.project(space.whitened_design(law))
     unknown = Hypothesis(law, 0.0, 0.0, "unknown")
     known = Hypothesis(find_effect("index-drift")(), 0.0, 0.0, "index-drift")
     whole = 1e7 * left[:, 0]

@@ -35,8 +35,8 @@ def space() -> ResidualSpace:
 
 def with_law(space: ResidualSpace, law: EmpiricalLaw, chi2: float) -> Model:
     """Model without members, whose residuals hold a law of a given chi-square."""
-    signature = space.project(space.whitened_signature(law))[:, 0]
-    return Model((), (), (), space.residuals + signature * np.sqrt(chi2) / np.linalg.norm(signature))
+    design_columns = space.project(space.whitened_design(law))[:, 0]
+    return Model((), (), (), space.residuals + design_columns * np.sqrt(chi2) / np.linalg.norm(design_columns))
 
 
 def at(space: ResidualSpace, *shares: float) -> list[Regressor]:

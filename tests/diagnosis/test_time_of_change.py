@@ -12,8 +12,8 @@ from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Model
 from ltsim.diagnosis.schema import ParameterEstimate
 from ltsim.diagnosis.shapes import shape_posterior
+from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.effects.range_step import RangeStep
-from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.effects.target_moved import TargetMoved
 from ltsim.physics.model.construction import misalignment_construction
@@ -35,7 +35,7 @@ def posterior_of_time(
     space, draw = calculator.space, stream(seed, "time of change")
     values = size * effect.size_scales * draw.standard_normal(len(effect.size_scales))
     noise = draw.standard_normal(len(space.residuals))
-    residuals = space.project((noise + space.whitened_signature(effect) @ values)[:, None])[:, 0]
+    residuals = space.project((noise + space.whitened_design(effect) @ values)[:, None])[:, 0]
     base = Model((), (), (), residuals)
     every = effect.neighbours(space.sightings)
     best = every[int(np.argmax(calculator.log_evidence(every, base)))]

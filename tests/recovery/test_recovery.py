@@ -16,7 +16,7 @@ from ltsim.campaigns.recovery_checks import FALSE_ALARM_RATE, mean_check, parame
 from ltsim.campaigns.recovery_trials import RecoverySettings, RecoveryTrials, run_trials, with_errors_from_prior
 from ltsim.campaigns.scoring import NetworkScore, TrialScore
 from ltsim.physics.effects.smr_incidence import SmrIncidence
-from ltsim.physics.model.construction import Construction, misalignment_construction
+from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
 from ltsim.simulation.builtin import builtin_names
 from ltsim.simulation.fieldwork import make_geometry
 from ltsim.simulation.scenario import Scenario, change_scenario, load_scenario
@@ -36,7 +36,7 @@ def run_recovery(name: str, trials: int, **settings) -> Recovery:
     return recovery(*run_trials(load_scenario(name), trials, how, seed=11, **settings))
 
 
-def flipped(slot: str) -> Construction:
+def flipped(slot: str) -> GeometricErrorModel:
     """The misalignment construction with the sign of one motion's error turned round."""
     construction = misalignment_construction()
     chain = tuple(dataclasses.replace(m, sign=-m.sign) if m.slot == slot else m for m in construction.kinematic_chain)

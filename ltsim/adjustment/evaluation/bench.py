@@ -102,11 +102,12 @@ class BenchFile(ResultFile):
     """Rms range error that no offset of the vertex explains; its cause is in the optics."""
 
     def _lines(self) -> list[str]:
-        worst = max(self.angles, key=lambda row: abs(row.error_um))
-        size = with_sigma(worst.error_um, worst.sigma_um, "um")
+        worst_angle = max(self.angles, key=lambda row: abs(row.error_um))
+        worst_error_text = with_sigma(worst_angle.error_um, worst_angle.sigma_um, "um")
         phrase = f"{self.eccentricity_forward} forward, {self.eccentricity_side} to the side"
         lines = [
-            f"Bench: {len(self.angles)} angles, range error at most {size} at {worst.angle_deg:+.1f} deg",
+            f"Bench: {len(self.angles)} angles, range error at most {worst_error_text} "
+            f"at {worst_angle.angle_deg:+.1f} deg",
             f"sphere off the table's axis: {phrase}; run-out {self.run_out_um:.1f} um",
             f"as a vertex off the centre (smr-centring): {self.vertex_axial} axial, {self.vertex_side} to the side",
             f"part that no offset explains (smr-incidence): {self.remainder_um:.2f} um rms",

@@ -14,12 +14,12 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rigid import align_rigidly
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 
 
 def measured_points(
-    recording: Recording, construction: Construction | None = None, values: Floats | None = None
+    recording: Recording, construction: GeometricErrorModel | None = None, values: Floats | None = None
 ) -> Floats:
     """Measured points in instrument frames, shape (pointings, 3) [m]; NaN for incomplete pointings.
 
@@ -41,14 +41,14 @@ def station_point_clouds(recording: Recording, points: Floats, row_mask: Bools |
 
     `points` (pointings, 3) are averaged over faces and repeats; `row_mask` selects pointings.
     """
-    size = (len(recording.stations), len(recording.targets))
+    cloud_shape = (len(recording.stations), len(recording.targets))
     is_complete = np.isfinite(points).all(axis=1)
     if row_mask is not None:
         is_complete &= row_mask
-    at = (recording.station[is_complete], recording.target[is_complete])
-    total, count = np.zeros((*size, 3)), np.zeros(size)
-    np.add.at(total, at, points[is_complete])
-    np.add.at(count, at, 1.0)
+    station_and_target = (recording.station[is_complete], recording.target[is_complete])
+    total, count = np.zeros((*cloud_shape, 3)), np.zeros(cloud_shape)
+    np.add.at(total, station_and_target, points[is_complete])
+    np.add.at(count, station_and_target, 1.0)
     return np.where(count[:, :, None] > 0, total / np.maximum(count, 1.0)[:, :, None], np.nan)
 
 

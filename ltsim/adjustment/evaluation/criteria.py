@@ -29,7 +29,7 @@ from ltsim.core.notation import MISSING_TEXT
 from ltsim.core.results import Column, Table, number_columns, text_columns
 from ltsim.core.units import MICROMETRE
 from ltsim.core.values import ValueEquality
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.reflectors import require_equal_radii
@@ -127,14 +127,17 @@ class CriteriaEntry(Entry):
 
     def criteria_table(self) -> Table:
         """Table of the criteria."""
-        by_name = {"distance": self.distance, "distance, to the first station (eq. 11)": self.distance_to_first}
-        rows = []
-        for name, criterion in {**by_name, "coordinate": self.coordinate}.items():
+        criterion_by_name = {
+            "distance": self.distance,
+            "distance, to the first station (eq. 11)": self.distance_to_first,
+        }
+        table_rows = []
+        for name, criterion in {**criterion_by_name, "coordinate": self.coordinate}.items():
             if criterion is not None and criterion.before.mean_um is not None:
                 before, after = criterion.before, criterion.after or DisagreementEntry()
                 sizes = before.mean_um, before.max_um, after.mean_um, after.max_um
-                rows.append([name, *sizes, criterion.improvement_percent])
-        return CRITERIA_TABLE.with_rows(rows)
+                table_rows.append([name, *sizes, criterion.improvement_percent])
+        return CRITERIA_TABLE.with_rows(table_rows)
 
 
 class Criteria(ResultFile, CriteriaEntry):
@@ -147,8 +150,8 @@ class Criteria(ResultFile, CriteriaEntry):
     @classmethod
     def from_criteria(cls, recording: Recording, criteria: CriteriaEntry) -> Self:
         """Result for a recording with the given criteria."""
-        entries = {name: getattr(criteria, name) for name in criteria.model_fields_set}
-        return cls(**entries, recording=SourceEntry.from_recording(recording))
+        value_by_field = {name: getattr(criteria, name) for name in criteria.model_fields_set}
+        return cls(**value_by_field, recording=SourceEntry.from_recording(recording))
 
     def _lines(self) -> list[str]:
         return [f"Criteria: distance {self.distance.text}; coordinate {self.coordinate.text}"]
@@ -204,7 +207,7 @@ def coordinate_differences(aligned_clouds: Floats) -> StationDisagreement:
 
 def evaluate_criteria(
     recording: Recording,
-    construction: Construction | None = None,
+    construction: GeometricErrorModel | None = None,
     parameter_values: Floats | None = None,
     *,
     reading_changes: Floats | None = None,
@@ -239,11 +242,11 @@ def evaluate_criteria(
         def disagreement_of(clouds: Floats) -> StationDisagreement:
             return measure(align_to_first_station(clouds, recording.stations) if aligned else clouds)
 
-        raw = disagreement_of(raw_clouds)
-        if not len(raw.values):
+        raw_disagreement = disagreement_of(raw_clouds)
+        if not len(raw_disagreement.values):
             raise NetworkError("the criteria need targets and pairs of targets that two stations measured")
         return CriterionEntry.from_differences(
-            raw, None if corrected_clouds is None else disagreement_of(corrected_clouds)
+            raw_disagreement, None if corrected_clouds is None else disagreement_of(corrected_clouds)
         )
 
     return CriteriaEntry(
@@ -300,8 +303,8 @@ def coordinate_errors(clouds: Floats, nominal_points: Floats) -> StationDisagree
 def verify_against_nominal(
     recording: Recording,
     nominal_points: dict[str, Floats],
-    construction: Construction | None = None,
-    values: Floats | None = None,
+    construction: GeometricErrorModel | None = None,
+    parameter_values: Floats | None = None,
     *,
     reading_changes: Floats | None = None,
 ) -> CriteriaEntry:
@@ -326,11 +329,13 @@ def verify_against_nominal(
             raise NetworkError(f"a station cannot be fitted to the nominal points: {problem}") from None
 
     distance, coordinate = disagreements_at(measured_points(recording))
-    if construction is None or values is None:
+    if construction is None or parameter_values is None:
         return CriteriaEntry(
             distance=CriterionEntry.from_differences(distance), coordinate=CriterionEntry.from_differences(coordinate)
         )
-    after = disagreements_at(measured_points(_subtract_change(recording, reading_changes), construction, values))
+    after = disagreements_at(
+        measured_points(_subtract_change(recording, reading_changes), construction, parameter_values)
+    )
     return CriteriaEntry(
         distance=CriterionEntry.from_differences(distance, after[0]),
         coordinate=CriterionEntry.from_differences(coordinate, after[1]),

@@ -47,7 +47,7 @@ from ltsim.physics.effects.index_drift import IndexDrift
 from ltsim.physics.effects.motions import StationMotion
 from ltsim.physics.effects.range_drift import RangeDrift
 from ltsim.physics.effects.station_bump import StationBump
-from ltsim.physics.model.construction import Construction, declared_construction
+from ltsim.physics.model.construction import GeometricErrorModel, declared_construction
 from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import write_result
@@ -216,34 +216,37 @@ class SetupTests:
 
 
 def _gross_and_motion_tests(
-    occupation: StationOccupation, construction: Construction, family: HypothesisFamily, row_numbers: Ints
+    occupation: StationOccupation, construction: GeometricErrorModel, family: HypothesisFamily, row_numbers: Ints
 ) -> SetupTests:
     """Tests of one set-up for gross errors, a bump, and drifts of the station and of the instrument's zeros.
 
     `row_numbers` (n,) are the rows of the pointings in the whole recording, from 1.
     """
     gross, bump, occupation = _gross_pointings_and_bump(occupation, construction, family)
-    items = [_gross_item(occupation, gross, row_numbers, family), _bump_item(occupation, bump, row_numbers, family)]
+    check_items = [
+        _gross_item(occupation, gross, row_numbers, family),
+        _bump_item(occupation, bump, row_numbers, family),
+    ]
     recording, uniform_motion = occupation.recording, UniformMotion((occupation.recording.stations[0],))
     motions: list[StationMotion] = [] if bump is None else [bump]
     designs = [motion.design(occupation.sightings) for motion in motions]
     remaining = reduce(StationOccupation.with_fitted_columns, designs, occupation)
     drift_design, zeros = uniform_motion.design(occupation.sightings), _zero_drift_design(occupation)
-    items.append(_drift_item(remaining, family, "drift", drift_design, drift_sentence))
-    if not items[-1].passed:
+    check_items.append(_drift_item(remaining, family, "drift", drift_design, drift_sentence))
+    if not check_items[-1].passed:
         motions.append(uniform_motion)
         designs, remaining = [*designs, drift_design], remaining.with_fitted_columns(drift_design)
-    items.append(_drift_item(remaining, family, "instrument-drift", zeros, instrument_sentence))
-    if not items[-1].passed:
+    check_items.append(_drift_item(remaining, family, "instrument-drift", zeros, instrument_sentence))
+    if not check_items[-1].passed:
         designs, remaining = [*designs, zeros], remaining.with_fitted_columns(zeros)
     if designs:
         together = np.concatenate(designs, axis=2)
         recording = recording.with_readings(recording.readings - together @ occupation.fit_columns(together).estimates)
-    return SetupTests(tuple(items), remaining, tuple(motions), recording)
+    return SetupTests(tuple(check_items), remaining, tuple(motions), recording)
 
 
 def _gross_pointings_and_bump(
-    occupation: StationOccupation, construction: Construction, family: HypothesisFamily
+    occupation: StationOccupation, construction: GeometricErrorModel, family: HypothesisFamily
 ) -> tuple[dict[int, float], StationBump | None, StationOccupation]:
     """p-values of gross pointings by index, the bump or None, and the occupation without the gross pointings.
 
@@ -283,8 +286,8 @@ def best_bump(occupation: StationOccupation) -> tuple[StationBump | None, Column
     for bump in max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump])).neighbours(occupation.sightings):
         if _n_targets_across_bump(occupation, bump) >= MIN_RIGID_POINTS:
             explained_by[bump] = occupation.fit_columns(bump.design(occupation.sightings))
-    best = max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump]))
-    return best, explained_by[best], len(np.unique(occupation.sightings.time)) - 1
+    best_candidate = max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump]))
+    return best_candidate, explained_by[best_candidate], len(np.unique(occupation.sightings.time)) - 1
 
 
 def _n_targets_across_bump(occupation: StationOccupation, bump: StationBump) -> int:

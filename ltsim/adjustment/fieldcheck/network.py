@@ -126,8 +126,8 @@ def network_items(
         fitted = adjust(recording, construction, effects=motions, robust=True, tested_kinds=EXCLUDABLE_REFERENCE_KINDS)
     except (NetworkError, ConvergenceError) as problem:
         return (CheckItem.from_test("", "network", False, f"the set-ups do not form a network: {problem}"),)
-    items = [CheckItem.from_test("", "network", False, doubt) for doubt in network_warnings(adjustment_or_error)]
-    items += [
+    check_items = [CheckItem.from_test("", "network", False, doubt) for doubt in network_warnings(adjustment_or_error)]
+    check_items += [
         CheckItem.from_test(
             ", ".join(motion.stations), "bump" if isinstance(motion, SuddenMotion) else "drift", False, sentence
         )
@@ -137,7 +137,7 @@ def network_items(
     is_explained = np.zeros(len(recording), dtype=bool)
     for motion, *_ in detect_blunders(adjustment_or_error):
         stations = ", ".join(motion.stations)
-        items.append(
+        check_items.append(
             CheckItem.from_test(
                 stations, "mistake", False, motion.sentence, targets=motion.targets, rows=tuple(motion.rows + 1)
             )
@@ -146,8 +146,8 @@ def network_items(
     centring_errors = estimate_centring_errors(adjustment_or_error)
     if centring_errors is not None:
         marks = tuple(dict.fromkeys(motion.mark for motion in centring_errors.occupations))
-        items.append(CheckItem.from_test("", "mistake", False, centring_errors.sentence, targets=marks))
-    items += [
+        check_items.append(CheckItem.from_test("", "mistake", False, centring_errors.sentence, targets=marks))
+    check_items += [
         CheckItem.from_test("", "network", False, test.sentence, targets=() if test.kind == "scale" else (test.name,))
         for test in fitted.rejected_references
     ]
@@ -171,9 +171,12 @@ def network_items(
                 np.arange(len(is_explained)),
                 [motion.row for motion in adjustment_or_error.flagged_readings(uses_estimated_noise=True)],
             )
-        items += [*_target_agreement_items(adjustment, is_explained, family, noise_text), *_level_items(fitted, family)]
-        items += _length_items(fitted, family)
-    return tuple(items)
+        check_items += [
+            *_target_agreement_items(adjustment, is_explained, family, noise_text),
+            *_level_items(fitted, family),
+        ]
+        check_items += _length_items(fitted, family)
+    return tuple(check_items)
 
 
 def _has_instrument_errors(without_instrument_errors: Adjustment, with_instrument_errors: Adjustment) -> bool:
@@ -212,15 +215,17 @@ def _target_agreement_items(
         return [
             CheckItem.from_test("", "network", passed, f"the stations {verb} on their common targets: {scatter}", p)
         ]
-    size = np.nan_to_num(np.abs(fitted.residuals / fitted.problem.sigma)).max(axis=1)
-    rows = np.flatnonzero(out)
-    rows = rows[np.argsort(-size[rows], kind="stable")]
-    station, target = recording.station[rows[0]], recording.target[rows[0]]
-    first = f"{recording.stations[station]} to {recording.targets[target]}, row {rows[0] + 1}"
-    phrase = f"{len(rows)} pointings contradict" if len(rows) > 1 else "a pointing contradicts"
-    sentence = f"{phrase} the other stations ({'the worst is ' if len(rows) > 1 else ''}{first})"
-    targets = tuple(dict.fromkeys(recording.targets[t] for t in recording.target[rows]))
-    return [CheckItem.from_test("", "network", False, sentence, targets=targets, rows=tuple((rows + 1).tolist()))]
+    largest_residuals = np.nan_to_num(np.abs(fitted.residuals / fitted.problem.sigma)).max(axis=1)
+    outlier_rows = np.flatnonzero(out)
+    outlier_rows = outlier_rows[np.argsort(-largest_residuals[outlier_rows], kind="stable")]
+    station, target = recording.station[outlier_rows[0]], recording.target[outlier_rows[0]]
+    first_reading_text = f"{recording.stations[station]} to {recording.targets[target]}, row {outlier_rows[0] + 1}"
+    phrase = f"{len(outlier_rows)} pointings contradict" if len(outlier_rows) > 1 else "a pointing contradicts"
+    sentence = f"{phrase} the other stations ({'the worst is ' if len(outlier_rows) > 1 else ''}{first_reading_text})"
+    targets = tuple(dict.fromkeys(recording.targets[t] for t in recording.target[outlier_rows]))
+    return [
+        CheckItem.from_test("", "network", False, sentence, targets=targets, rows=tuple((outlier_rows + 1).tolist()))
+    ]
 
 
 def _level_items(fitted: Adjustment, family: HypothesisFamily) -> list[CheckItem]:
@@ -248,10 +253,10 @@ def _length_items(fitted: Adjustment, family: HypothesisFamily) -> list[CheckIte
     ]
     lengths = [test for test in tests if test.kind == "length" and test.rank]
     scales = [test for test in tests if test.kind == "scale" and test.rank] or lengths[:1]
-    items = []
+    check_items = []
     for test in scales:
         p = family.corrected_p_value(float(special.chdtrc(test.rank, test.chi2_drop)))
         passed = p >= family.false_alarm_rate
         agreement = f"{test.name}: agreement with the distances within noise and specification ({test.error_text})"
-        items.append(CheckItem.from_test("", "network", passed, agreement if passed else test.sentence, p))
-    return items
+        check_items.append(CheckItem.from_test("", "network", passed, agreement if passed else test.sentence, p))
+    return check_items

@@ -25,7 +25,7 @@ from ltsim.core.errors import NetworkError
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.core.units import MICROMETRE
 from ltsim.geometry.polar import from_polar, to_polar, wrap_angle
-from ltsim.physics.model.construction import Construction, ideal_construction
+from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
 from ltsim.physics.model.measurement import NetworkState, sightings_of
 from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
@@ -56,11 +56,11 @@ class ColumnsFit:
     def length_and_sigma(self, columns: slice) -> tuple[float, float]:
         """Length of the vector of the estimates that `columns` selects, and the standard deviation of the length."""
         vector, covariance = self.estimates[columns], self.covariance[columns, columns]
-        length = float(np.sqrt(vector @ vector))
+        vector_length = float(np.sqrt(vector @ vector))
         if not np.isfinite(np.diag(covariance)).all():
-            return length, float("inf")
-        direction = vector / length if length else np.full(len(vector), 1.0 / np.sqrt(len(vector)))
-        return length, float(np.sqrt(max(float(direction @ covariance @ direction), 0.0)))
+            return vector_length, float("inf")
+        direction = vector / vector_length if vector_length else np.full(len(vector), 1.0 / np.sqrt(len(vector)))
+        return vector_length, float(np.sqrt(max(float(direction @ covariance @ direction), 0.0)))
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class StationOccupation:
     def from_recording(
         cls,
         recording: Recording,
-        construction: Construction,
+        construction: GeometricErrorModel,
         row_mask: Bools | None = None,
         sigma: Floats | None = None,
     ) -> StationOccupation:
@@ -150,9 +150,9 @@ class StationOccupation:
         """
         whitened = design * self.inverse_sigmas[:, :, None]
         columns = self.project_columns(whitened).reshape(-1, design.shape[2])
-        length = np.linalg.norm(columns, axis=0)
-        length[length < np.sqrt(MAX_SOLUTION_ROUNDING_ERROR) * np.linalg.norm(whitened, axis=(0, 1))] = 0.0
-        return np.where(length > 0, columns / np.where(length > 0, length, 1.0), 0.0), length
+        column_norms = np.linalg.norm(columns, axis=0)
+        column_norms[column_norms < np.sqrt(MAX_SOLUTION_ROUNDING_ERROR) * np.linalg.norm(whitened, axis=(0, 1))] = 0.0
+        return np.where(column_norms > 0, columns / np.where(column_norms > 0, column_norms, 1.0), 0.0), column_norms
 
     def fit_columns(self, design: Floats) -> ColumnsFit:
         """Fit of a suspected cause; `design` (n, 3, c) is the change of the readings per unit of its c parameters."""
@@ -276,7 +276,7 @@ class TwoFaceDifferences:
         cls,
         recording: Recording,
         motion_corrected: Recording,
-        construction: Construction,
+        construction: GeometricErrorModel,
         alpha: float,
         mpe: tuple[float, float] | None,
     ) -> TwoFaceDifferences | None:
@@ -333,47 +333,47 @@ class TwoFacePairs:
         """Median (3,) [m, rad, rad] of the absolute half differences, insensitive to a few gross errors."""
         return np.median(np.abs(self.half_differences), axis=0)
 
-    def select(self, pairs: Bools) -> Self:
+    def select(self, is_selected: Bools) -> Self:
         """Selection of the pairs by flags (m,)."""
         return replace(
             self,
-            rows=self.rows[pairs],
-            front_face_readings=self.front_face_readings[pairs],
-            half_differences=self.half_differences[pairs],
+            rows=self.rows[is_selected],
+            front_face_readings=self.front_face_readings[is_selected],
+            half_differences=self.half_differences[is_selected],
         )
 
 
 def face_pair_rows(recording: Recording) -> Ints:
     """Rows (m, 2) of complete pointings on face 1 and face 2 of the same station, target and repeat."""
-    whole = np.all(recording.usable, axis=1)
+    is_complete = np.all(recording.usable, axis=1)
     rows_by_key: dict[tuple[int, int, int], dict[int, int]] = {}
     keys = zip(recording.station.tolist(), recording.target.tolist(), recording.repeat.tolist(), strict=True)
     for row, key in enumerate(keys):
-        if whole[row]:
+        if is_complete[row]:
             rows_by_key.setdefault(key, {})[int(recording.face[row])] = row
-    pairs = [(faces[1], faces[2]) for faces in rows_by_key.values() if len(faces) == 2]
-    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    row_pairs = [(faces[1], faces[2]) for faces in rows_by_key.values() if len(faces) == 2]
+    return np.array(row_pairs, dtype=np.int64).reshape(-1, 2)
 
 
 def two_face_pairs(
-    recording: Recording, construction: Construction | None = None, values: Floats | None = None
+    recording: Recording, construction: GeometricErrorModel | None = None, values: Floats | None = None
 ) -> TwoFacePairs:
     """Two-face half differences of a recording, after the correction of its readings by the instrument's parameters.
 
-    `values` are the p parameters of the construction [SI], (p,) or for each of n pointings (n, p). By default the
-    readings are not corrected. Raises NetworkError if no target was measured on both faces.
+    `values` are the p parameters of the geometric error model [SI], (p,) or for each of n pointings (n, p). By default
+    the readings are not corrected. Raises NetworkError if no target was measured on both faces.
     """
-    pairs = face_pair_rows(recording)
-    if not len(pairs):
+    row_pairs = face_pair_rows(recording)
+    if not len(row_pairs):
         raise NetworkError("no station measured a target in range and both angles on both faces")
     model = construction or ideal_construction()
     applied_values = np.zeros(model.n_parameters) if values is None else values
     readings = np.where(recording.is_measured, recording.readings, 1.0)
     polar = to_polar(model.point(readings, applied_values))
-    first, second = polar[pairs[:, 0]], polar[pairs[:, 1]]
+    first, second = polar[row_pairs[:, 0]], polar[row_pairs[:, 1]]
     difference = first - second
     difference[:, 1:] = wrap_angle(difference[:, 1:])
     mean_reading = first - 0.5 * difference
     half_difference = 0.5 * difference
     half_difference[:, 1] *= np.cos(mean_reading[:, 2])
-    return TwoFacePairs(pairs, mean_reading, half_difference)
+    return TwoFacePairs(row_pairs, mean_reading, half_difference)

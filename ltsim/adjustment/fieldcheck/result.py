@@ -150,8 +150,8 @@ class Check(ResultFile):
         """Result with the items in this order: identified causes, blunders, set-ups, network."""
         causes = tuple(map(item_from_cause, tests))
         mistakes = (item for item in network if item.kind == "mistake")
-        rest = (item for item in network if item.kind != "mistake")
-        items = (*causes, *mistakes, *(item for setup in arrays.setups for item in setup.items), *rest)
+        other_network_items = (item for item in network if item.kind != "mistake")
+        items = (*causes, *mistakes, *(item for setup in arrays.setups for item in setup.items), *other_network_items)
         result = cls(
             recording=SourceEntry.from_recording(arrays.recording),
             passed=all(item.passed for item in items),
@@ -193,10 +193,10 @@ class Check(ResultFile):
         return TWO_FACE_TABLE.with_rows(rows)
 
 
-def _go_or_no_go_sentence(items: Sequence[CheckItem], causes: Sequence[CheckItem], n_setups: int) -> str:
+def _go_or_no_go_sentence(check_items: Sequence[CheckItem], cause_items: Sequence[CheckItem], n_setups: int) -> str:
     """Sentence with go or no-go and its reason: first the causes that produce other failures, then noisy targets."""
-    failed_items = [item for item in items if not item.passed]
-    n_failed_causes = sum(not item.passed for item in causes)
+    failed_items = [item for item in check_items if not item.passed]
+    n_failed_causes = sum(not item.passed for item in cause_items)
     rest = sorted(
         failed_items[n_failed_causes:],
         key=lambda i: not (i.kind in FIRST_REPORTED_KINDS or (i.kind == "closure" and i.targets)),
@@ -211,10 +211,10 @@ def _go_or_no_go_sentence(items: Sequence[CheckItem], causes: Sequence[CheckItem
 
 @dataclass(frozen=True)
 class HypothesisFamily:
-    """Family of tests that share one false-alarm rate (Bonferroni)."""
+    """Set of tests that share one probability of a false alarm (Bonferroni)."""
 
     false_alarm_rate: float
-    """Probability of any false alarm among all tests of the family."""
+    """Probability of any false alarm among all tests of the set."""
     n_tests: int
     """Number of tests, each of which gets an equal part of the false-alarm rate."""
 

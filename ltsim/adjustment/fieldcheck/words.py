@@ -82,21 +82,27 @@ def gross_sentence(occupation: StationOccupation, outliers: Sequence[int], row_n
     recording, name = occupation.recording, occupation.recording.stations[0]
     if not outliers:
         return f"{name}: no outlier"
-    first = recording.targets[recording.target[outliers[0]]]
+    first_target = recording.targets[recording.target[outliers[0]]]
     rows_of_target = np.flatnonzero(recording.target == recording.target[outliers[0]])
-    others = listing([str(row_numbers[i]) for i in outliers[1:]])
-    more = f", and so is row {others}" if len(outliers) == 2 else f", and so are rows {others}" if others else ""
+    other_rows = listing([str(row_numbers[i]) for i in outliers[1:]])
+    others_text = (
+        f", and so is row {other_rows}"
+        if len(outliers) == 2
+        else f", and so are rows {other_rows}"
+        if other_rows
+        else ""
+    )
     distance = occupation.distance_from_mean(outliers[0])
-    row_text = f"{name} to {first}: row {row_numbers[outliers[0]]}"
+    row_text = f"{name} to {first_target}: row {row_numbers[outliers[0]]}"
     if not np.isfinite(distance):
-        return f"{row_text} does not fit the other readings and is an outlier{more}: measure again"
+        return f"{row_text} does not fit the other readings and is an outlier{others_text}: measure again"
     if len(rows_of_target) == 2:
         both = " and ".join(str(row_numbers[i]) for i in rows_of_target)
         pair = f"rows {both} are {length_text(distance)} apart"
-        return f"{name} to {first}: {pair}, one of them is an outlier{more}: measure again"
+        return f"{name} to {first_target}: {pair}, one of them is an outlier{others_text}: measure again"
     return (
-        f"{row_text} is {length_text(distance)} from the other pointings to this target and is an outlier{more}: "
-        "measure again"
+        f"{row_text} is {length_text(distance)} from the other pointings to this target "
+        f"and is an outlier{others_text}: measure again"
     )
 
 
@@ -123,7 +129,7 @@ def instrument_sentence(recording: Recording, fit: ColumnsFit, passed: bool) -> 
     """Sentence on the drift of the zeros of an instrument (range zero, vertical index) during an occupation."""
     duration = float(np.ptp(recording.time))
     drift_sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-    parts = [
+    change_texts = [
         f"{zero_name} by {with_sigma(value * duration / unit, sigma * duration / unit, unit_name)}"
         for value, sigma, (zero_name, unit_name, unit, max_sigma) in zip(
             fit.estimates, drift_sigmas, ZERO_NAMES_AND_MAX_SIGMAS, strict=True
@@ -131,7 +137,7 @@ def instrument_sentence(recording: Recording, fit: ColumnsFit, passed: bool) -> 
         if sigma * duration < max_sigma
     ]
     unknown_drift_text = "; the repeated pointings hardly determine its size"
-    drift_text = f" ({', '.join(parts)} over the occupation)" if parts else unknown_drift_text
+    drift_text = f" ({', '.join(change_texts)} over the occupation)" if change_texts else unknown_drift_text
     verdict = "no drift of the instrument detected" if passed else "the instrument drifts"
     return f"{recording.stations[0]}: {verdict}{drift_text}"
 
@@ -156,13 +162,13 @@ def _motion_text(fit: ColumnsFit) -> str:
         ("turned", AZIMUTH_COMPONENT, "urad", MICRORADIAN),
         ("tilted", TILT_COMPONENTS, "urad", MICRORADIAN),
     )
-    sizes = [(verb, *fit.length_and_sigma(columns), unit, factor) for verb, columns, unit, factor in kinds]
-    parts = [
+    motion_sizes = [(verb, *fit.length_and_sigma(columns), unit, factor) for verb, columns, unit, factor in kinds]
+    motion_texts = [
         f"{verb} by {with_sigma(size / factor, sigma / factor, unit)}"
-        for verb, size, sigma, unit, factor in sizes
+        for verb, size, sigma, unit, factor in motion_sizes
         if size > MIN_SIGNIFICANT_SIGMAS * sigma
     ]
-    return f": {', '.join(parts)}" if parts else ""
+    return f": {', '.join(motion_texts)}" if motion_texts else ""
 
 
 def length_text(metres: float) -> str:

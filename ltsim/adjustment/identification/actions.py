@@ -43,9 +43,9 @@ def cause_action(test: CauseTest) -> str:
         action = VERTICAL_INDEX_ACTION
     targets = listing(test.where.targets, len(test.where.targets)) or "the reading"
     row = f" (row {test.rows[0]})" if len(test.rows) == 1 else ""
-    rows = f"{targets}{' from ' if test.where.stations else ''}{', '.join(test.where.stations)}{row}"
+    reading_text = f"{targets}{' from ' if test.where.stations else ''}{', '.join(test.where.stations)}{row}"
     setups = "this set-up" if len(test.where.stations) == 1 else "these set-ups" if names else "all set-ups"
-    return action.format(place=place, at_place=f" at {place}" if names else "", rows=rows, setups=setups)
+    return action.format(place=place, at_place=f" at {place}" if names else "", rows=reading_text, setups=setups)
 
 
 def cause_actions(tests: Iterable[CauseTest]) -> list[str]:

@@ -18,18 +18,18 @@ from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import Hypothesis, ReadingShiftChange
 from ltsim.adjustment.identification.model_changes import apply_corrections_and_omissions
-from ltsim.physics.effects.signature import Signature
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.effects.linear_effect import LinearEffect
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 
 
 def adjust_with_causes(
     fit: NetworkFit,
     recording: Recording,
-    construction: Construction,
+    construction: GeometricErrorModel,
     hypotheses: Sequence[Hypothesis],
     *,
-    effects: Sequence[Signature] = (),
+    effects: Sequence[LinearEffect] = (),
     subtracted_changes: bool = False,
     **options: Any,
 ) -> Adjustment:
@@ -41,11 +41,11 @@ def adjust_with_causes(
         Fit that contains the hypotheses.
     recording : Recording
         Recording as it was read.
-    construction : Construction
-        Construction of the tracker, whose parameters are estimated.
+    construction : GeometricErrorModel
+        Geometric error model of the tracker; its parameters are estimated.
     hypotheses : sequence of Hypothesis
         Hypotheses of the fit to apply: all of its shifts of readings, or none of them.
-    effects : sequence of Signature
+    effects : sequence of LinearEffect
         Further effects to estimate; their parameters precede those of the shifts.
     subtracted_changes : bool
         True to subtract the estimated shifts from the readings first. The adjustment estimates the shifts in both
@@ -55,7 +55,7 @@ def adjust_with_causes(
     """
     changed, shifts, values = (
         apply_corrections_and_omissions(recording, hypotheses),
-        tuple[Signature, ...](),
+        tuple[LinearEffect, ...](),
         np.zeros(0),
     )
     if any(isinstance(h.model_change, ReadingShiftChange) for h in hypotheses):
@@ -66,6 +66,8 @@ def adjust_with_causes(
     instrument = np.zeros((len(recording.instruments), construction.n_parameters))
     if construction.n_parameters == fit.state.instrument_parameters.shape[1]:
         instrument = fit.state.instrument_parameters
-    extra = np.zeros(sum(len(e.parameters) for e in effects))
-    start_state = replace(fit.state, instrument_parameters=instrument, extra_parameters=np.concatenate([extra, values]))
+    effect_values = np.zeros(sum(len(e.parameters) for e in effects))
+    start_state = replace(
+        fit.state, instrument_parameters=instrument, extra_parameters=np.concatenate([effect_values, values])
+    )
     return adjust(changed, construction, effects=(*effects, *shifts), start_state=start_state, **options)

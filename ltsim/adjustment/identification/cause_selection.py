@@ -15,11 +15,11 @@ from ltsim.adjustment.identification.hypothesis import (
     ReadingShiftChange,
     ReferenceOmission,
 )
-from ltsim.adjustment.identification.signatures import displacement_per_reading
+from ltsim.adjustment.identification.reading_shifts import displacement_per_reading
 from ltsim.adjustment.significance import FAMILY_LEVEL, MAX_TRACKER_ERROR, MIN_LOG_EVIDENCE_CERTAIN
 from ltsim.adjustment.station_motions import FittedMotion, SuddenMotion
 from ltsim.core.arrays import Floats
-from ltsim.physics.effects.signature import Signature
+from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.effects.target_moved import TargetMoved
 
@@ -103,7 +103,7 @@ class CauseSelection:
         return [c.hypothesis for c in self.selected_hypotheses if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN]
 
     @property
-    def _certain_effects(self) -> list[Signature]:
+    def _certain_effects(self) -> list[LinearEffect]:
         """Effects of the certain shifts of readings, in their order."""
         changes = (h.model_change for h in self._certain_hypotheses)
         return [change.effect for change in changes if isinstance(change, ReadingShiftChange)]

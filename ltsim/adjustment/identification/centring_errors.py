@@ -1,6 +1,6 @@
 """Hypotheses of centring errors: random displacements of reflectors at one set-up, at all set-ups, or on one target.
 
-Each component of the displacement at an occupation has the prior N(0, s^2). The projection of the signature of unit
+Each component of the displacement at an occupation has the prior N(0, s^2). The projection of the columns of unit
 displacements onto the residual space is Z, with the eigenvalues d_j and eigenvectors V of Z'Z. With the whitened
 residuals r and the scores z = V'Z'r, the log restricted likelihood ratio of the variance component s^2 is
 
@@ -153,8 +153,8 @@ def _centring_places(recording: Recording, used_readings: Bools) -> list[_Centri
     recurs in both faces.
     """
     is_used = np.asarray(used_readings.any(axis=1))
-    pairs = np.unique(np.stack([recording.target[is_used], recording.station[is_used]]), axis=1)
-    is_shared = np.bincount(pairs[0], minlength=len(recording.targets)) > 1
+    target_station_pairs = np.unique(np.stack([recording.target[is_used], recording.station[is_used]]), axis=1)
+    is_shared = np.bincount(target_station_pairs[0], minlength=len(recording.targets)) > 1
     shared = tuple(name for name, is_tied in zip(recording.targets, is_shared.tolist(), strict=True) if is_tied)
     centrings = [CentringUncertainty(sigma_mm=1.0, stations=(name,), targets=shared) for name in recording.stations]
     centrings += [CentringUncertainty(sigma_mm=1.0, targets=(name,)) for name in shared]
@@ -186,10 +186,10 @@ def best_centring_sigma(space: ResidualSpace, occupation: Ints) -> CentringEstim
 
     `occupation` (n,) is the occupation of each pointing; -1 for pointings without centring errors.
     """
-    signature = space.whitened_signature(CentringErrors(1.0, occupation))
-    projected = space.project(signature)
+    design_columns = space.whitened_design(CentringErrors(1.0, occupation))
+    projected = space.project(design_columns)
     strength, turn = np.linalg.eigh(projected.T @ projected)
-    visible = strength > MAX_SOLUTION_ROUNDING_ERROR * float(np.max(np.sum(signature**2, axis=0)))
+    visible = strength > MAX_SOLUTION_ROUNDING_ERROR * float(np.max(np.sum(design_columns**2, axis=0)))
     strength, score = strength[visible], (turn[:, visible].T @ (projected.T @ space.residuals)) ** 2
     variance = CENTRING_SIGMAS[:, None] ** 2
     ratio = 0.5 * np.sum(score * variance / (1.0 + variance * strength) - np.log1p(variance * strength), axis=1)

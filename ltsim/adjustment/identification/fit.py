@@ -30,8 +30,8 @@ from ltsim.adjustment.identification.model_changes import (
     subtract_shifts,
     with_centring_sigma,
 )
+from ltsim.adjustment.identification.reading_shifts import displacement_per_reading
 from ltsim.adjustment.identification.resection import resect_contradicted_setups
-from ltsim.adjustment.identification.signatures import displacement_per_reading
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reference_values import (
@@ -48,8 +48,8 @@ from ltsim.adjustment.stochastic_model import fit_robust_state
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.geometry.polar import wrap_angle
-from ltsim.physics.effects.signature import Signature
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.effects.linear_effect import LinearEffect
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, with_plumb_lines
 from ltsim.recordings.occupations import target_occupations
 from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
@@ -72,9 +72,9 @@ class FitInput:
     """Input of a network fit."""
 
     recording: Recording
-    construction: Construction
+    construction: GeometricErrorModel
     prior: ParameterPrior | None = None
-    """Prior of the parameters of the construction; None for that of the set-up."""
+    """Prior of the instrument's parameters; None for the prior that the set-up declares."""
     is_usable: Bools | None = None
     """Flags (n, 3) of the readings that a fit may use; None for all."""
 
@@ -112,8 +112,8 @@ class NetworkFit:
         relaxed_problem = relax_exact_references(problem, start)
         state, residual = fit_robust_state(relaxed_problem, resect_contradicted_setups(relaxed_problem, start))
         limit = MIN_FAR_RESIDUAL * max(robust_sigma(residual[: int(problem.used_readings.sum())]), 1.0)
-        values = [v for v in reference_values(problem, state) if v.kind != "mark"]
-        return [v for v in values if float(np.abs(residual[v.rows]).max()) > limit], len(values), state
+        references = [v for v in reference_values(problem, state) if v.kind != "mark"]
+        return [v for v in references if float(np.abs(residual[v.rows]).max()) > limit], len(references), state
 
     @classmethod
     def from_start(
@@ -166,10 +166,10 @@ class NetworkFit:
     @property
     def shifts_with_slices(self) -> Iterator[tuple[Hypothesis, ReadingShiftChange, slice]]:
         """Triples of a hypothesis that is a shift, its model change, and the slice of its parameters in the state."""
-        first = 0
+        start = 0
         for h in self.hypotheses:
             if isinstance(h.model_change, ReadingShiftChange):
-                yield h, h.model_change, slice(first, first := first + len(h.model_change.effect.parameters))
+                yield h, h.model_change, slice(start, start := start + len(h.model_change.effect.parameters))
 
     def estimate(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
         """Estimate (p,) and covariance (p, p) of a shift, or of the centring errors, of a hypothesis [SI]."""
@@ -281,13 +281,13 @@ class NetworkFit:
         return self.problem.model.recording
 
     @property
-    def effects(self) -> tuple[Signature, ...]:
+    def effects(self) -> tuple[LinearEffect, ...]:
         """Effects of the shifts in the model, each with a plausible size that is at least as large as its estimate."""
-        signatures = list[Signature]()
+        effects = list[LinearEffect]()
         for _, shift, at in self.shifts_with_slices:
             times = float(np.max(np.abs(self.state.extra_parameters[at]) / shift.effect.size_scales))
-            signatures.append(replace(shift.effect, size_factor=max(1.0, times)))  # type: ignore[type-var]
-        return tuple(signatures)
+            effects.append(replace(shift.effect, size_factor=max(1.0, times)))  # type: ignore[type-var]
+        return tuple(effects)
 
     def correct_recording(self, recording: Recording, outliers: bool = False) -> Recording:
         """Recording corrected for the hypotheses in the model, with its outliers only if `outliers` is True.
@@ -349,8 +349,8 @@ class NetworkFit:
             station = self.recording.stations.index(value.name)
             over = problem.marks.positions_on_marks(self.state.station_positions, self.state.target_points)
             return np.asarray(self.state.station_positions[station] - over[station])
-        values = (*reference_values(problem, self.state), *common_scale(problem, self.state))
-        same = (v.residual for v in values if (v.kind, v.name) == (value.kind, value.name))
+        references = (*reference_values(problem, self.state), *common_scale(problem, self.state))
+        same = (v.residual for v in references if (v.kind, v.name) == (value.kind, value.name))
         return next(same, np.zeros_like(value.sigma))
 
     @property
@@ -372,8 +372,8 @@ class NetworkFit:
     @cached_property
     def log_evidence(self) -> float:
         """Log marginal likelihood up to a constant: chi-square, Occam factors and priors of hypotheses and outliers."""
-        total = -0.5 * self.solution.sum_of_squares + self.outlier_log_evidence
-        return total + sum(h.log_prior + self._log_occam_factor_of(h) for h in self.hypotheses)
+        log_evidence_sum = -0.5 * self.solution.sum_of_squares + self.outlier_log_evidence
+        return log_evidence_sum + sum(h.log_prior + self._log_occam_factor_of(h) for h in self.hypotheses)
 
     def _log_occam_factor_of(self, hypothesis: Hypothesis) -> float:
         """Logarithm of the Occam factor of a hypothesis in the model; for a noise factor with its log determinant."""

@@ -7,7 +7,7 @@ from typing import Literal
 
 from ltsim.adjustment.reference_values import ReferenceValue
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.physics.effects.signature import Signature
+from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.recordings.centring_errors import CentringUncertainty
 
 CauseKind = Literal[
@@ -36,7 +36,7 @@ CauseKind = Literal[
 class ReadingShiftChange:
     """Shift of readings by an effect whose parameters are estimated."""
 
-    effect: Signature
+    effect: LinearEffect
     start_values: tuple[float, ...] = ()
     """Start values [SI] of the estimation; empty for zeros."""
 

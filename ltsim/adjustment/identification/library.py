@@ -1,8 +1,8 @@
 """Library of hypotheses: errors that are possible at a station, at a target, in a reference value, and in the noise.
 
 A family is one kind of shift of readings at every station or target, or at all stations of an instrument, from the
-beginning or from a time on. The signatures of a family are computed from one array, so that a network with thousands of
-places is screened at once.
+beginning or from a time on. The design columns of a family are computed from one array, so that a network with
+thousands of places is screened at once.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from ltsim.adjustment.identification.hypothesis import (
     ReferenceOmission,
     RowCorrection,
 )
-from ltsim.adjustment.identification.signatures import ReadingShift
+from ltsim.adjustment.identification.reading_shifts import ReadingShift
 from ltsim.adjustment.reference_values import ReferenceValueRows, reference_values, without_reference_coordinates
 from ltsim.adjustment.significance import MIN_REPEATS_FOR_VARIANCE
 from ltsim.adjustment.start import initial_network
@@ -35,8 +35,8 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import MIN_RIGID_POINTS, largest_residual
+from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.motions import station_design
-from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.smr_offset import SmrOffset
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.effects.target_moved import TargetMoved
@@ -52,7 +52,7 @@ MAX_EXCHANGE_MISCLOSURE_RATIO = 0.02
 exchange, below which the exchange is a hypothesis.
 """
 PlaceKind = Literal["station", "target", "instrument"]
-"""Kind of place at which a family of hypotheses acts: one station, one target, or all stations of an instrument."""
+"""Kind of place at which a shift of readings acts: one station, one target, or all stations of an instrument."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class ShiftPlace:
 
 @dataclass(frozen=True)
 class ShiftFamily:
-    """Family of hypotheses: one kind of shift of readings at every station or target, or of every instrument.
+    """Hypotheses of one kind of shift of readings, at every station or target, or of every instrument.
 
     Attributes
     ----------
@@ -99,11 +99,11 @@ class ShiftFamily:
             return [-np.inf]
         times = sightings.time[rows]
         middle, gap = 0.5 * (times[1:] + times[:-1]), np.diff(times)
-        inner = slice(
+        allowed_range = slice(
             self.min_pointings_around_onset - 1,
             max(len(middle) - self.min_pointings_around_onset + 1, self.min_pointings_around_onset - 1),
         )
-        indices = np.flatnonzero(gap[inner] > 0.0) + self.min_pointings_around_onset - 1
+        indices = np.flatnonzero(gap[allowed_range] > 0.0) + self.min_pointings_around_onset - 1
         if self.place_kind == "target":  # what moves between two pointings of one station is as well told of its set-up
             moved = np.diff(sightings.station[rows])[indices] != 0
             indices = indices[moved] if moved.any() else indices
@@ -114,8 +114,8 @@ class ShiftFamily:
             indices = indices[np.linspace(0, len(indices) - 1, MAX_SWITCH_EDGES).round().astype(int)]
         return middle[indices].tolist()
 
-    def make_effect(self, place: ShiftPlace, onset_time: float) -> Signature:
-        """Effect of this family at a place, from the time `onset_time` [s] on."""
+    def make_effect(self, place: ShiftPlace, onset_time: float) -> LinearEffect:
+        """Shift of this kind at a place, from the time `onset_time` [s] on."""
         stations, targets = place.stations, place.targets
         if self.kind == "station-bump":
             return StationBump(stations, targets, time=onset_time)
@@ -147,16 +147,16 @@ def shift_places(sightings: Sightings, place_kind: PlaceKind) -> list[ShiftPlace
     )
     order = order[np.argsort(index[order], kind="stable")]
     edges = np.searchsorted(index[order], np.arange(len(names) + 1))
-    parts = [(name, order[edges[i] : edges[i + 1]]) for i, name in enumerate(names)]
+    rows_by_name = [(name, order[edges[i] : edges[i + 1]]) for i, name in enumerate(names)]
     return [
         ShiftPlace((name,), (), rows) if place_kind == "station" else ShiftPlace((), (name,), rows)
-        for name, rows in parts
+        for name, rows in rows_by_name
         if len(rows)
     ]
 
 
 def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
-    """Families of shifts that are possible in a recording."""
+    """Kinds of shifts of readings that are possible in a recording."""
     stations = len(sightings.station_names) > 1
     distance, azimuth, elevation = (
         ReadingShift(observable).design(sightings) for observable in ("distance", "azimuth", "elevation")
@@ -196,7 +196,7 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
 
 @dataclass(frozen=True)
 class ShiftCandidate:
-    """Candidate: a shift of a family at one place, from one time on."""
+    """Candidate: a shift of one kind at one place, from one time on."""
 
     family: ShiftFamily
     place: ShiftPlace
@@ -229,7 +229,7 @@ class ShiftCandidate:
 
 
 def shift_candidates(sightings: Sightings) -> list[ShiftCandidate]:
-    """Candidate shifts of all families."""
+    """Candidate shifts of all kinds."""
     places = {kind: shift_places(sightings, kind) for kind in get_args(PlaceKind)}
     shifts: list[tuple[ShiftFamily, ShiftPlace, float, Ints, Ints]] = []
     for family in shift_families(sightings):
@@ -238,10 +238,10 @@ def shift_candidates(sightings: Sightings) -> list[ShiftCandidate]:
             for since in family.candidate_onsets(sightings, rows):
                 late = sightings.time[rows] >= since
                 shifts.append((family, place, since, rows[late], rows[~late]))
-    count: dict[CauseKind, int] = {}
+    n_by_kind: dict[CauseKind, int] = {}
     for family, *_ in shifts:
-        count[family.kind] = count.get(family.kind, 0) + 1
-    return [ShiftCandidate(*shift, count[shift[0].kind]) for shift in shifts]
+        n_by_kind[family.kind] = n_by_kind.get(family.kind, 0) + 1
+    return [ShiftCandidate(*shift, n_by_kind[shift[0].kind]) for shift in shifts]
 
 
 def reference_omissions(fit: NetworkFit) -> list[Hypothesis]:
@@ -353,10 +353,10 @@ def noise_hypotheses(fit: NetworkFit) -> Iterator[tuple[Hypothesis, Bools]]:
     places = len(columns) + len(recording.targets) + is_multiple * len(recording.stations)
 
     def noise(
-        acts_on: str, stations: tuple[str, ...], targets: tuple[str, ...], n_rivals: int, rows: Bools
+        acts_on: str, stations: tuple[str, ...], targets: tuple[str, ...], n_rivals: int, is_scaled: Bools
     ) -> Hypothesis:
         prior = log_prior_of("noise-level", n_rivals)
-        return Hypothesis("noise-level", acts_on, stations, targets, prior, NoiseFactor(rows))
+        return Hypothesis("noise-level", acts_on, stations, targets, prior, NoiseFactor(is_scaled))
 
     yield noise("noise", (), (), 1, full_mask), full_mask
     for acts_on, is_column in columns.items():

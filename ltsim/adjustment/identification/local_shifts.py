@@ -34,12 +34,12 @@ class LocalShift:
     @classmethod
     def from_design(cls, design: Floats, residual: Floats, is_outlier: Bools) -> LocalShift:
         """Problem of a shift from the whitened design (n, 3, q), residuals (n, 3) and outlier flags (n, 3)."""
-        whole = design.reshape(-1, design.shape[2])
-        acts = whole.any(axis=1)
-        size = np.linalg.norm(whole[acts], axis=0)
-        columns = size > 0.0
-        unit = whole[acts][:, columns] / size[columns]
-        return cls(unit, size[columns], residual.ravel()[acts], is_outlier.ravel()[acts], columns)
+        design_matrix = design.reshape(-1, design.shape[2])
+        is_changed = design_matrix.any(axis=1)
+        column_norms = np.linalg.norm(design_matrix[is_changed], axis=0)
+        columns = column_norms > 0.0
+        unit = design_matrix[is_changed][:, columns] / column_norms[columns]
+        return cls(unit, column_norms[columns], residual.ravel()[is_changed], is_outlier.ravel()[is_changed], columns)
 
     @property
     def has_outliers_and_parameters(self) -> bool:
@@ -125,11 +125,11 @@ def _reading_changes(unit_columns: Floats, parameters: Floats) -> Floats:
     return np.asarray((unit_columns @ parameters[:, :, None])[:, :, 0])
 
 
-def _row_medians(values: Floats, mask: Bools) -> Floats:
+def _row_medians(row_values: Floats, mask: Bools) -> Floats:
     """Medians (h,) over the second axis of values (h, m) that `mask` (h, m) selects, at least one in each row."""
-    ordered, count = np.sort(np.where(mask, values, np.inf), axis=1), mask.sum(axis=1)
-    rows = np.arange(len(values))
-    return np.asarray(0.5 * (ordered[rows, (count - 1) // 2] + ordered[rows, count // 2]))
+    ordered, count = np.sort(np.where(mask, row_values, np.inf), axis=1), mask.sum(axis=1)
+    row_indices = np.arange(len(row_values))
+    return np.asarray(0.5 * (ordered[row_indices, (count - 1) // 2] + ordered[row_indices, count // 2]))
 
 
 def _least_squares(unit_columns: Floats, residual: Floats, weight: Floats) -> Floats:

@@ -31,12 +31,12 @@ def start_parameters(hypotheses: Sequence[Hypothesis], size: int, approximate_si
     The start values of the shifts are used if `approximate_sightings` are given; otherwise all values are zero.
     """
     shifts = [h.model_change for h in hypotheses if isinstance(h.model_change, ReadingShiftChange)]
-    values = [
+    start_values = [
         s.start_values if approximate_sightings is not None and s.start_values else (0.0,) * len(s.effect.parameters)
         for s in shifts
     ]
     parameters = np.zeros(size)
-    all_values = [v for value in values for v in value]
+    all_values = [v for value in start_values for v in value]
     parameters[: len(all_values)] = all_values
     return parameters
 

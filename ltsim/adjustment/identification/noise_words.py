@@ -23,12 +23,12 @@ def estimated_noise_factor(fit: NetworkFit, hypothesis: Hypothesis) -> float:
 
 def noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     """Sentence on an accepted hypothesis about the noise, with its factor and the settings to declare."""
-    at = ", ".join((*hypothesis.stations, *hypothesis.targets))
-    what = READING_TEXTS.get(hypothesis.acts_on, f"the readings of the {hypothesis.acts_on}")
-    of = f" {'from' if hypothesis.stations else 'to'} {at}" if at else ""
-    cure = _noise_declaration(fit, hypothesis) if not at else "measure again, or correct the set-up"
+    place_text = ", ".join((*hypothesis.stations, *hypothesis.targets))
+    readings_text = READING_TEXTS.get(hypothesis.acts_on, f"the readings of the {hypothesis.acts_on}")
+    place_phrase = f" {'from' if hypothesis.stations else 'to'} {place_text}" if place_text else ""
+    cure = _noise_declaration(fit, hypothesis) if not place_text else "measure again, or correct the set-up"
     factor = estimated_noise_factor(fit, hypothesis)
-    return f"The standard deviation of {what}{of} is {factor:.2g} times the declared one: {cure}."
+    return f"The standard deviation of {readings_text}{place_phrase} is {factor:.2g} times the declared one: {cure}."
 
 
 def _noise_declaration(fit: NetworkFit, hypothesis: Hypothesis) -> str:

@@ -127,16 +127,16 @@ def _exact_log_evidence(space: ResidualSpace, candidates: Sequence[ShiftCandidat
     """Gains (h,) of log evidence by each of h candidates, from the projection onto a residual space."""
     gains = np.full(len(candidates), -np.inf)
     indices = np.arange(len(candidates))
-    sizes = np.array([space.n_rows * c.family.design.shape[2] for c in candidates], dtype=np.int64)
-    if sizes.sum() > MAX_SCREENED_ENTRIES:
+    n_entries = np.array([space.n_rows * c.family.design.shape[2] for c in candidates], dtype=np.int64)
+    if n_entries.sum() > MAX_SCREENED_ENTRIES:
         indices = np.argsort(-_approximate_log_evidence(space, candidates))
-        indices = indices[np.cumsum(sizes[indices]) <= MAX_SCREENED_ENTRIES]
+        indices = indices[np.cumsum(n_entries[indices]) <= MAX_SCREENED_ENTRIES]
     by_rank: dict[int, list[int]] = {}
     for i in indices.tolist():
         by_rank.setdefault(candidates[i].family.design.shape[2], []).append(i)
     for rank, group in by_rank.items():
         for batch in (group[part] for part in batches(len(group), space.n_rows * rank)):
-            rows = np.hstack([_whitened_signature(space, candidates[i]) for i in batch])
+            rows = np.hstack([_whitened_design(space, candidates[i]) for i in batch])
             projected = space.project(rows).reshape(space.n_rows, len(batch), rank)
             size = space.norms_beyond_centring(rows).reshape(len(batch), rank)
             unit = projected / np.where(size > 0, size, 1.0)
@@ -156,7 +156,7 @@ def _log_evidence(chi2_drop: float, rank: int) -> float:
     return 0.5 * chi2_drop + float(log_occam_factor_of_shift(np.sqrt(chi2_drop), rank)) if rank else -np.inf
 
 
-def _whitened_signature(space: ResidualSpace, candidate: ShiftCandidate) -> Floats:
+def _whitened_design(space: ResidualSpace, candidate: ShiftCandidate) -> Floats:
     design = np.zeros_like(candidate.family.design)
     design[candidate.affected_rows] = candidate.family.design[candidate.affected_rows]
     return space.whiten(design)
@@ -263,12 +263,15 @@ def _moved_targets(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> Ite
         yield i, saved + float(log_occam_factor_of_shift(10.0, 3)) + candidates[i].log_prior, points[1] - points[0]
 
 
-def _target_position(fit: NetworkFit, rows: Ints) -> Floats | None:
+def _target_position(fit: NetworkFit, pointing_indices: Ints) -> Floats | None:
     """Position (3,) [m] of a target from some pointings to it, with the stations unchanged; None if not unique."""
-    rows = rows[fit.problem_with_all_readings.used_readings[rows].any(axis=1)]
-    sight, station = FitReadings.from_recording(fit.recording).select_rows(rows), fit.recording.station[rows]
+    pointing_indices = pointing_indices[fit.problem_with_all_readings.used_readings[pointing_indices].any(axis=1)]
+    sight, station = (
+        FitReadings.from_recording(fit.recording).select_rows(pointing_indices),
+        fit.recording.station[pointing_indices],
+    )
     usable = replace(
-        sight, readings=np.where(fit.problem_with_all_readings.used_readings[rows], sight.readings, np.nan)
+        sight, readings=np.where(fit.problem_with_all_readings.used_readings[pointing_indices], sight.readings, np.nan)
     )
     return fit_point(usable, fit.state.station_positions[station], fit.state.station_rotations[station])
 
@@ -322,10 +325,10 @@ def _fit_without_distances(fit: NetworkFit, rows: Ints) -> NetworkFit | None:
         return None
 
 
-def _outlier_log_evidence(fit: NetworkFit, rows: Ints) -> float:
+def _outlier_log_evidence(fit: NetworkFit, pointing_indices: Ints) -> float:
     """Log evidence that is gained if the outliers among some rows are explained: their Occam factors and priors."""
-    out = fit.is_outlier[rows]
-    w = np.abs(fit.whitened_residuals[rows][out])
+    is_outlier = fit.is_outlier[pointing_indices]
+    w = np.abs(fit.whitened_residuals[pointing_indices][is_outlier])
     return -float(np.sum(log_occam_factor_of_shift(w, 1))) - len(w) * log_prior_of(
         "outlier", int(fit.problem_with_all_readings.used_readings.sum())
     )
@@ -358,10 +361,10 @@ def _length_scale_hypothesis(fit: NetworkFit, space: ResidualSpace) -> list[tupl
     scale = GaugeScale()
     if any(h.kind == "reference-scale" for h in fit.hypotheses) or len(fit.problem.gauge_rows) < MIN_LENGTHS_FOR_SCALE:
         return []
-    drop, rank = space.chi2_drop(space.whitened_signature(scale))
+    drop, rank = space.chi2_drop(space.whitened_design(scale))
     prior = log_prior_of("reference-scale", 1)
-    common = Hypothesis("reference-scale", "length", (), (), prior, ReadingShiftChange(scale))
-    return [(_log_evidence(drop, rank) + prior, common)] if rank else []
+    scale_hypothesis = Hypothesis("reference-scale", "length", (), (), prior, ReadingShiftChange(scale))
+    return [(_log_evidence(drop, rank) + prior, scale_hypothesis)] if rank else []
 
 
 def _noise_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
@@ -375,15 +378,17 @@ def _best_noise_hypothesis(fit: NetworkFit, hypothesis: Hypothesis, reading_mask
     Some of the present outliers are none with larger noise; the number of remaining outliers maximises the gain.
     """
     within, out = reading_mask & fit.problem.used_readings, reading_mask & fit.is_outlier
-    sizes = np.sort(np.abs(fit.whitened_residuals[out]))  # as many of the smaller ones as is best are outliers no more
-    squares = np.sum(fit.whitened_residuals[within] ** 2) + np.append(0.0, np.cumsum(sizes**2))
-    redundancy = np.nansum(fit.redundancy[within]) + np.arange(len(sizes) + 1)
+    residual_sizes = np.sort(
+        np.abs(fit.whitened_residuals[out])
+    )  # as many of the smaller ones as is best are outliers no more
+    squares = np.sum(fit.whitened_residuals[within] ** 2) + np.append(0.0, np.cumsum(residual_sizes**2))
+    redundancy = np.nansum(fit.redundancy[within]) + np.arange(len(residual_sizes) + 1)
     factor, gain = estimate_variance_factor(squares, redundancy)
     # `estimate_variance_factor` compares with all within the declared noise; but outliers have paid another price
-    price = -log_occam_factor_of_shift(sizes, 1) - log_prior_of(
+    price = -log_occam_factor_of_shift(residual_sizes, 1) - log_prior_of(
         "outlier", int(fit.problem_with_all_readings.used_readings.sum())
     )
-    gain = gain + np.append(0.0, np.cumsum(price - 0.5 * sizes**2)) + log_occam_factor_of_variance(redundancy)
+    gain = gain + np.append(0.0, np.cumsum(price - 0.5 * residual_sizes**2)) + log_occam_factor_of_variance(redundancy)
     best_index = int(np.argmax(gain))
     change = NoiseFactor(reading_mask, float(factor[best_index]))
     return float(gain[best_index]) + hypothesis.log_prior, replace(hypothesis, model_change=change)

@@ -32,7 +32,7 @@ from ltsim.adjustment.snooping import without_copied_rows
 from ltsim.core.errors import LtsimError, NetworkError
 from ltsim.core.limits import MAX_ADJUSTED_POINTINGS
 from ltsim.physics.effects.station_bump import StationBump
-from ltsim.physics.model.construction import Construction, declared_construction
+from ltsim.physics.model.construction import GeometricErrorModel, declared_construction
 from ltsim.recordings.recording import Recording
 from ltsim.solve.threads import single_threaded
 
@@ -90,7 +90,7 @@ def select_causes(network: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) ->
         If the readings determine no network with any hypothesis.
     """
     fit = beginning = _initial_fit(network)
-    last: FitKey | None = None
+    last_key: FitKey | None = None
     spared: list[Hypothesis] = []
     while len(fit.hypotheses) < MAX_SELECTED_HYPOTHESES and not _is_consistent_as_a_whole(fit):
         tried = _fit_best_hypotheses(fit)
@@ -101,9 +101,9 @@ def select_causes(network: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) ->
         if isinstance(tried[0][0].model_change, CentringChange):
             best = max(best, _fit_with_other_causes(fit, needed, best), key=lambda made: made.log_evidence)
         chosen = _drop_unneeded(best, min_gain, len(beginning.hypotheses), spared)
-        last = (fit, tried) if chosen is tried[0][1] else None
+        last_key = (fit, tried) if chosen is tried[0][1] else None
         fit = chosen
-    return _compare_again(fit, min_gain, beginning, last, spared)
+    return _compare_again(fit, min_gain, beginning, last_key, spared)
 
 
 def _fit_with_other_causes(fit: NetworkFit, needed: float, rival: NetworkFit) -> NetworkFit:
@@ -172,7 +172,7 @@ def _is_consistent_as_a_whole(fit: NetworkFit) -> bool:
 
 
 def identify_causes(
-    recording: Recording, construction: Construction | None = None, prior: ParameterPrior | None = None
+    recording: Recording, construction: GeometricErrorModel | None = None, prior: ParameterPrior | None = None
 ) -> CauseSelection | None:
     """Simple causes of a recording, by default with instrument errors in the model; None if it is no network.
 
@@ -246,21 +246,22 @@ def _fit_best_hypotheses(
 
 def refit_with(fit: NetworkFit, hypothesis: Hypothesis, approximate_gain: float) -> NetworkFit | None:
     """Fit with one more hypothesis, from the present state, or from the start if its gain is too small."""
-    best: NetworkFit | None = None
+    best_fit: NetworkFit | None = None
     near = fit.adjustment.sightings
     for start in (replace(fit.state, extra_parameters=np.zeros(0)), None):
         try:
             made = NetworkFit.from_start(fit.network, (*fit.hypotheses, hypothesis), start, None if start else near)
         except LtsimError:
             made = None
-        if made is not None and (best is None or made.log_evidence > best.log_evidence):
-            best = made
+        if made is not None and (best_fit is None or made.log_evidence > best_fit.log_evidence):
+            best_fit = made
         disappoints = (
-            best is None or best.log_evidence - fit.log_evidence < MIN_GAIN_FRACTION_FROM_STATE * approximate_gain
+            best_fit is None
+            or best_fit.log_evidence - fit.log_evidence < MIN_GAIN_FRACTION_FROM_STATE * approximate_gain
         )
         if not disappoints or approximate_gain < MIN_LOG_EVIDENCE_FOR_RESTART:
             break
-    return best
+    return best_fit
 
 
 def _drop_unneeded(fit: NetworkFit, min_gain: float, n_start: int, spared: list[Hypothesis]) -> NetworkFit:

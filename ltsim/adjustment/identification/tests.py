@@ -22,7 +22,7 @@ from ltsim.adjustment.identification.hypothesis import (
 )
 from ltsim.adjustment.identification.noise_words import estimated_noise_factor, noise_sentence
 from ltsim.adjustment.identification.nominal_offsets import usual_offset_text, usual_smr_text
-from ltsim.adjustment.identification.signatures import ReadingShift
+from ltsim.adjustment.identification.reading_shifts import ReadingShift
 from ltsim.adjustment.significance import MIN_REPORTED_PROBABILITY
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import with_sigma
@@ -104,23 +104,23 @@ def cause_tests(selection: CauseSelection) -> tuple[CauseTest, ...]:
 
 def _accepted_test(fit: NetworkFit, choice: SelectedHypothesis) -> CauseTest:
     h = choice.hypothesis
-    size: dict[str, Any] = {}
+    size_entries: dict[str, Any] = {}
     drop, rank = max(2.0 * min(choice.log_evidence_gain, MAX_LOG_EVIDENCE_GAIN), 0.0), 1
     if isinstance(h.model_change, ReadingShiftChange):
         values, covariance = fit.estimate(h)
         drop, rank = fit.length_in_sigmas(h) ** 2, len(values)
-        size = _estimated_size(h, values, covariance)
+        size_entries = _estimated_size(h, values, covariance)
     elif isinstance(h.model_change, ReferenceOmission):
         rank = len(h.model_change.reference_value.sigma)
         miss, unit, factor = _misclosure_and_unit(fit, h)
-        size = {"estimate": miss / factor, "unit": unit}
+        size_entries = {"estimate": miss / factor, "unit": unit}
     elif isinstance(h.model_change, NoiseFactor):
-        size = {"estimate": estimated_noise_factor(fit, h)}
+        size_entries = {"estimate": estimated_noise_factor(fit, h)}
     elif isinstance(h.model_change, CentringChange):
         rank = len(fit.estimate(h)[0])
-        size = {"estimate": h.model_change.centring.sigma_mm, "unit": "mm"}
+        size_entries = {"estimate": h.model_change.centring.sigma_mm, "unit": "mm"}
         if (common := fit.common_displacement(h)) is not None:
-            size |= {"estimate": common.length / MILLIMETRE, "sigma": common.sigma / MILLIMETRE}
+            size_entries |= {"estimate": common.length / MILLIMETRE, "sigma": common.sigma / MILLIMETRE}
     p = (
         float(special.chdtrc(rank, drop))
         if isinstance(h.model_change, ReadingShiftChange | ReferenceOmission)
@@ -145,7 +145,7 @@ def _accepted_test(fit: NetworkFit, choice: SelectedHypothesis) -> CauseTest:
         probability=share[0],
         alternatives=alternatives,
         sentence=cause_sentence(fit, h),
-        **size,
+        **size_entries,
     )
 
 
@@ -156,7 +156,7 @@ def reported_kind(fit: NetworkFit, hypothesis: Hypothesis) -> CauseKind:
     return hypothesis.kind
 
 
-def _estimated_size(hypothesis: Hypothesis, values: Floats, covariance: Floats) -> dict[str, Any]:
+def _estimated_size(hypothesis: Hypothesis, shift_components: Floats, covariance: Floats) -> dict[str, Any]:
     """Dictionary with the keys `estimate`, `sigma` and `unit` of a shift; the size of a vector is its length."""
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     unit, factor = ("mm", MILLIMETRE)
@@ -165,18 +165,18 @@ def _estimated_size(hypothesis: Hypothesis, values: Floats, covariance: Floats) 
         unit, factor = ("arcsec", ARCSECOND) if hypothesis.acts_on in ("azimuth", "elevation") else (unit, factor)
     if hypothesis.kind == "reference-scale":
         unit, factor = "ppm", PPM
-    part, spread = values[:3], covariance[:3, :3]
-    size = float(part[0]) if len(part) == 1 else float(np.linalg.norm(part))
-    sigma = float(np.sqrt(max(float(part @ spread @ part), 0.0))) / max(abs(size), 1e-300)
-    return {"estimate": size / factor, "sigma": sigma / factor, "unit": unit}
+    part, spread = shift_components[:3], covariance[:3, :3]
+    estimated_size = float(part[0]) if len(part) == 1 else float(np.linalg.norm(part))
+    sigma = float(np.sqrt(max(float(part @ spread @ part), 0.0))) / max(abs(estimated_size), 1e-300)
+    return {"estimate": estimated_size / factor, "sigma": sigma / factor, "unit": unit}
 
 
 def _misclosure_and_unit(fit: NetworkFit, hypothesis: Hypothesis) -> tuple[float, str, float]:
     """Misclosure of an excluded reference value [SI], and the name and size of its unit of display."""
     assert isinstance(hypothesis.model_change, ReferenceOmission)
-    size = float(np.linalg.norm(fit.misclosure_of(hypothesis.model_change.reference_value)))
+    misclosure = float(np.linalg.norm(fit.misclosure_of(hypothesis.model_change.reference_value)))
     angular = hypothesis.model_change.reference_value.kind in ("level", "yaw")
-    return size, *(
+    return misclosure, *(
         ("arcsec", ARCSECOND)
         if angular
         else ("ppm", PPM)
@@ -207,7 +207,7 @@ def cause_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
 
 def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     """Sentence on an accepted hypothesis that is not about centring errors."""
-    at = ", ".join((*hypothesis.stations, *hypothesis.targets))
+    place_names = ", ".join((*hypothesis.stations, *hypothesis.targets))
     if isinstance(hypothesis.model_change, RowCorrection | CoordinateExchange):
         return hypothesis.name
     if isinstance(hypothesis.model_change, NoiseFactor):
@@ -223,26 +223,29 @@ def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     estimate = _estimated_size(hypothesis, values, covariance)
     if isinstance(hypothesis.model_change.effect, ReadingShift) and hypothesis.kind != "orientation":
         return _observable_sentence(fit, hypothesis, estimate)
-    size = f"{with_sigma(abs(estimate['estimate']), estimate['sigma'], estimate['unit'])}"
+    size_text = f"{with_sigma(abs(estimate['estimate']), estimate['sigma'], estimate['unit'])}"
     effect = hypothesis.model_change.effect
     if hypothesis.kind == "reference-scale":
         causes = "the declared temperature or expansion, or the scale of the distances, is wrong"
-        return f"The reference lengths and the distances differ in scale by {size}: {causes}."
+        return f"The reference lengths and the distances differ in scale by {size_text}: {causes}."
     if hypothesis.kind == "reflector-radius":
         cause = usual_smr_text(float(values[0]), float(np.sqrt(covariance[0, 0]))) or "another SMR radius"
         side = "away from" if values[0] > 0 else "towards"
-        return f"At {at} the centres of the SMRs are displaced along the normals {side} their nests by {size}: {cause}."
+        return (
+            f"At {place_names} the centres of the SMRs are displaced along the normals {side} their nests "
+            f"by {size_text}: {cause}."
+        )
     if hypothesis.kind == "station-drift":
-        return f"Station {at} moved at a constant rate during its measurement, by {size} in total."
+        return f"Station {place_names} moved at a constant rate during its measurement, by {size_text} in total."
     interval = _interval_text(fit, hypothesis)
     if hypothesis.kind == "orientation":
-        return f"The horizontal circle of {at} was turned by {size} {interval}."
+        return f"The horizontal circle of {place_names} was turned by {size_text} {interval}."
     if hypothesis.kind == "station-bump":
         turn, spread = values[3:], covariance[3:, 3:]
         length = float(np.linalg.norm(turn))
         sigma = float(np.sqrt(max(float(turn @ spread @ turn), 0.0))) / max(length, 1e-300)
         turned = with_sigma(length / MICRORADIAN, sigma / MICRORADIAN, "urad")
-        return f"Station {at} moved {interval}, by {size} and {turned}."
+        return f"Station {place_names} moved {interval}, by {size_text} and {turned}."
     assert isinstance(effect, TargetMoved)
     components = (values / MILLIMETRE, np.sqrt(np.diag(covariance)) / MILLIMETRE)
     parts = (f"d{axis} {with_sigma(value, sigma)}" for axis, value, sigma in zip("xyz", *components, strict=True))
@@ -251,7 +254,7 @@ def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
         np.vstack([state.station_positions[:1], state.station_rotations[0] - np.eye(3)]), 0
     )
     axes = f" along the axes of {first_station}" if is_frame_of_station else ""
-    return f"Target {at} moved {interval}, by {size} ({', '.join(parts)} mm{axes})."
+    return f"Target {place_names} moved {interval}, by {size_text} ({', '.join(parts)} mm{axes})."
 
 
 OBSERVABLE_CAUSES = {
@@ -270,46 +273,47 @@ OBSERVABLE_CAUSES = {
 
 def _observable_sentence(fit: NetworkFit, hypothesis: Hypothesis, estimate: dict[str, Any]) -> str:
     """Sentence on a shift of all readings of one observable; `estimate` has its size, standard deviation and unit."""
-    at = ", ".join((*hypothesis.stations, *hypothesis.targets))
+    place_names = ", ".join((*hypothesis.stations, *hypothesis.targets))
     place, link = ("target", "to") if hypothesis.targets else ("station", "from")
     cause = OBSERVABLE_CAUSES[hypothesis.kind, hypothesis.acts_on, place]
-    what, number = f"The {hypothesis.acts_on}s {link} {at or 'all stations'}", estimate["estimate"]
-    size = f"{with_sigma(abs(number), estimate['sigma'], estimate['unit'])}"
+    what, number = f"The {hypothesis.acts_on}s {link} {place_names or 'all stations'}", estimate["estimate"]
+    size_text = f"{with_sigma(abs(number), estimate['sigma'], estimate['unit'])}"
     if hypothesis.kind == "constant-step":
-        return f"{what} changed by {size} {_interval_text(fit, hypothesis)}: {cause}."
+        return f"{what} changed by {size_text} {_interval_text(fit, hypothesis)}: {cause}."
     if hypothesis.kind == "constant-drift":
         interval = "the measurement" if len(hypothesis.stations) == 1 else "the longest occupation"
-        return f"{what} drifted by {size} during {interval}: {cause}."
+        return f"{what} drifted by {size_text} during {interval}: {cause}."
     if hypothesis.acts_on != "distance":
-        return f"{what} are wrong by {size}: {cause}."
+        return f"{what} are wrong by {size_text}: {cause}."
     if hypothesis.kind == "constant-offset":
         values, covariance = fit.estimate(hypothesis)
         cause = usual_offset_text(float(values[0]), float(np.sqrt(covariance[0, 0]))) or cause
-    return f"{what} are {size} too {'long' if number > 0 else 'short'}: {cause}."
+    return f"{what} are {size_text} too {'long' if number > 0 else 'short'}: {cause}."
 
 
 def _centring_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     """Sentence on centring errors at a set-up, on a target, or at all set-ups, with the size of the displacements."""
     assert isinstance(hypothesis.model_change, CentringChange)
     sigma = f"{_number_text(float(f'{hypothesis.model_change.centring.sigma_mm:.2g}'))} mm"
-    size = f"{sigma} (standard deviation)"
+    size_text = f"{sigma} (standard deviation)"
     if hypothesis.targets:
         what = f"The reflector on target {hypothesis.targets[0]} was displaced at random at each set-up"
-        return f"{what}, by {size} along each axis: check its centring."
+        return f"{what}, by {size_text} along each axis: check its centring."
     if not hypothesis.stations:
         return shared_errors_sentence(sigma)
-    at = hypothesis.stations[0]
+    station = hypothesis.stations[0]
     common = fit.common_displacement(hypothesis)
     if common is None:
         return (
-            f"The reflectors seen from {at} are displaced from their targets at random, by {size} along each axis: "
-            f"the reflectors were not centred, or readings from {at} have errors that repeat in all rounds."
+            f"The reflectors seen from {station} are displaced from their targets at random, "
+            f"by {size_text} along each axis: "
+            f"the reflectors were not centred, or readings from {station} have errors that repeat in all rounds."
         )
     text = with_sigma(abs(common.length) / MILLIMETRE, common.sigma / MILLIMETRE, "mm")
-    side = "away from" if common.length > 0 else "towards"
+    direction_text = "away from" if common.length > 0 else "towards"
     cause = usual_smr_text(common.length, common.sigma) or "another SMR or adaptor"
     return (
-        f"At {at} the centres of the SMRs are all displaced by {text}, {side} their nests: {cause}. "
+        f"At {station} the centres of the SMRs are all displaced by {text}, {direction_text} their nests: {cause}. "
         "Declare the normals of the nests (nest_normal), so that the displacement is estimated along the normals."
     )
 
@@ -319,16 +323,16 @@ def _interval_text(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     effect, s = hypothesis.model_change.effect, fit.adjustment.sightings
     since = effect.onset_time if isinstance(effect, ReadingShift) else getattr(effect, "time", -np.inf)
-    acts = np.ones(len(s), dtype=bool)
+    is_acting = np.ones(len(s), dtype=bool)
     if hypothesis.stations:
-        acts &= np.isin(s.station, [s.station_names.index(name) for name in hypothesis.stations])
+        is_acting &= np.isin(s.station, [s.station_names.index(name) for name in hypothesis.stations])
     if hypothesis.targets:
-        acts &= np.isin(s.target, [s.target_names.index(name) for name in hypothesis.targets])
-    rows = s.measurement_order[acts[s.measurement_order]]
-    index = int(np.searchsorted(s.time[rows], since))
-    if not 0 < index < len(rows):
+        is_acting &= np.isin(s.target, [s.target_names.index(name) for name in hypothesis.targets])
+    acting_rows = s.measurement_order[is_acting[s.measurement_order]]
+    index = int(np.searchsorted(s.time[acting_rows], since))
+    if not 0 < index < len(acting_rows):
         return "during its measurement"
-    return interval_text(fit.recording, *rows[index - 1 : index + 1].tolist())
+    return interval_text(fit.recording, *acting_rows[index - 1 : index + 1].tolist())
 
 
 def _number_text(value: float) -> str:

@@ -1,6 +1,6 @@
 """Minimal detectable size of every effect of the catalogue in a network.
 
-A test detects an effect if the noncentrality of its signature in the residuals reaches that of the test
+A test detects an effect if the noncentrality of its change of the residuals reaches that of the test
 (`reliability.noncentrality`). A diagnosis tests each effect at all of its places and with all of its constants. The
 false-alarm rate is divided equally among the effects, and then equally among the places and constants of an effect.
 
@@ -42,7 +42,7 @@ def search_noncentrality(dof: int, n_places: int) -> float:
     The false-alarm rate is divided among all places and constants of the effect, and among all effects of the
     catalogue. An unknown cause counts as one more effect.
     """
-    return noncentrality(dof, alpha=GLOBAL_LEVEL, hypotheses=n_places * (len(CATALOGUE) - len(BASELINE_EFFECTS) + 1))
+    return noncentrality(dof, alpha=GLOBAL_LEVEL, n_tests=n_places * (len(CATALOGUE) - len(BASELINE_EFFECTS) + 1))
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class MinimalSize:
     prior_sigma: float
     """Plausible size of the parameter [SI]."""
     visible_fraction: float
-    """Fraction of the squared signature that remains in the residuals, median over all places."""
+    """Fraction of the change of the readings (in sum of squares) that remains in the residuals; median over places."""
     worst_place: str
     """Station, target or constants where the detectable size is largest."""
 
@@ -89,15 +89,15 @@ class EffectDetectability:
     minimal_sizes: tuple[Floats, ...]
     """Minimal detectable size of each parameter at each place [SI]; infinite if the network absorbs the effect."""
     visible_fractions: tuple[float, ...]
-    """Fraction of the squared signature that remains in the residuals, at each place."""
+    """Fraction of the change of the readings (in sum of squares) that remains in the residuals, at each place."""
     projected_basis: tuple[Floats, ...]
-    """Orthonormal basis of the signature's part in the residuals at each place, shape (residuals, rank).
+    """Orthonormal basis of the possible changes of the residuals at each place, shape (residuals, rank).
 
     It is empty for effects on the noise, and if it is not needed."""
 
     def table(self) -> list[MinimalSize]:
         """Minimal detectable size of each parameter of the effect."""
-        rows = []
+        table_rows = []
         for law in dict.fromkeys(self.parameters):
             at = [k for k, parameters in enumerate(self.parameters) if parameters == law]
             visible = float(np.median([self.visible_fractions[k] for k in at]))
@@ -106,8 +106,8 @@ class EffectDetectability:
                 typical = float(np.quantile(size, 0.5, method="higher"))
                 worst = self.places[at[int(np.argmax(size))]]
                 row = (self.name, p.name, p.unit, float(size.min()), typical, float(size.max()), p.prior_sigma)
-                rows.append(MinimalSize(*row, visible, worst))
-        return rows
+                table_rows.append(MinimalSize(*row, visible, worst))
+        return table_rows
 
 
 def _noise_effect_information(space: ResidualSpace, places: Sequence[NoiseEffect]) -> list[Floats]:
@@ -123,11 +123,11 @@ def _noise_effect_information(space: ResidualSpace, places: Sequence[NoiseEffect
             upper = effect.variance(space.sightings, problem.sigma, step)
             changes.append(((upper - problem.sigma**2) / (problem.sigma**2 * step.sum()))[problem.used_readings])
     stack = np.array(changes)
-    count = stack.shape[1]
+    n_parameters = stack.shape[1]
     spread = np.empty_like(stack)
-    for part in batches(count, space.n_rows):
+    for part in batches(n_parameters, space.n_rows):
         units = np.eye(space.n_rows, part.stop - part.start, -part.start)
-        spread[:, part] = stack @ space.project(units)[:count] ** 2
+        spread[:, part] = stack @ space.project(units)[:n_parameters] ** 2
     edges = np.cumsum([0, *(len(effect.parameters) for effect in places)])
     return [0.5 * stack[a:b] @ spread[a:b].T for a, b in pairwise(edges)]
 
@@ -136,43 +136,43 @@ def detectability_at_places(space: ResidualSpace, places: Sequence[Effect]) -> E
     """Detectability of one effect at all places that a search would test; None if the network lacks data for it."""
     selected_places = select_places(places)
     noises = [effect for effect in selected_places if isinstance(effect, NoiseEffect)]
-    signatures: list[tuple[Effect, Floats, float, int, Floats]] = []
+    visible_effects: list[tuple[Effect, Floats, float, int, Floats]] = []
     informations = _noise_effect_information(space, noises) if noises else []
-    signatures += [
+    visible_effects += [
         (effect, information, 1.0, len(information), np.zeros((0, 0)))
         for effect, information in zip(noises, informations, strict=True)
     ]
     for effect in () if noises else selected_places:
-        whole = space.whitened_signature(effect)
+        whole = space.whitened_design(effect)
         if np.isfinite(whole).all() and whole.any():
             norm = np.linalg.norm(whole, axis=0)
             scaled = space.project(whole / np.where(norm > 0, norm, 1.0))
             basis = orthonormal_columns(scaled, np.ones(len(norm)))
             information, share, rank = visible_information(scaled.T @ scaled, norm, MAX_SOLUTION_ROUNDING_ERROR)
-            signatures.append((effect, information, float(share), int(rank), basis))
-    return effect_detectability(signatures, len(places)) if signatures else None
+            visible_effects.append((effect, information, float(share), int(rank), basis))
+    return effect_detectability(visible_effects, len(places)) if visible_effects else None
 
 
 def effect_detectability(
-    signatures: Sequence[tuple[Effect, Floats, float, int, Floats]], effect_index: int
+    visible_effects: Sequence[tuple[Effect, Floats, float, int, Floats]], effect_index: int
 ) -> EffectDetectability:
-    """Detectability of one effect from the part of its signatures that remains in the residuals.
+    """Detectability of one effect from the part of its changes of readings that remains in the residuals.
 
-    Each of `signatures` has the effect at one place, the information on its parameters, the fraction that remains in
-    the residuals, its rank, and a basis. `effect_index` is the number of places that a search tests.
+    Each of `visible_effects` has the effect at one place, the information on its parameters, the fraction that remains
+    in the residuals, its rank, and a basis. `effect_index` is the number of places that a search tests.
     """
-    effects, information, visible, spent, columns = zip(*signatures, strict=True)
+    effects, information, visible, spent, columns = zip(*visible_effects, strict=True)
     noncentralities = [search_noncentrality(max(dof, 1), effect_index) for dof in spent]
-    sizes = tuple(map(_minimal_sizes, information, noncentralities))
+    minimal_sizes = tuple(map(_minimal_sizes, information, noncentralities))
     names, laws = tuple(map(_place_text, effects)), tuple(effect.parameters for effect in effects)
-    return EffectDetectability(effects[0].name, laws, names, sizes, visible, columns)
+    return EffectDetectability(effects[0].name, laws, names, minimal_sizes, visible, columns)
 
 
 def visible_information(gram: Floats, norm: Floats, min_visible_fraction: float) -> tuple[Floats, Floats, Ints]:
     """Information on the parameters of effects, fraction that remains in the residuals, and rank, from Gram matrices.
 
-    `gram` (..., q, q) are the products of projected unit signatures of q parameters, `norm` (..., q) the lengths of the
-    signatures. Squared lengths below `min_visible_fraction` are rounding.
+    `gram` (..., q, q) are the products of the projected design columns of q parameters, `norm` (..., q) the lengths of
+    the columns before the projection. Squared lengths below `min_visible_fraction` are rounding.
     """
     share = np.einsum("...ii->...i", gram)
     visible_norms = np.where(share < min_visible_fraction, 0.0, norm)
@@ -183,9 +183,9 @@ def visible_information(gram: Floats, norm: Floats, min_visible_fraction: float)
 def _minimal_sizes(information: Floats, noncentrality: float) -> Floats:
     """Minimal detectable size of each parameter if it acts alone; infinite without information."""
     diagonal = np.diag(information)
-    size = np.full(len(diagonal), np.inf)
-    size[diagonal > 0] = np.sqrt(noncentrality / diagonal[diagonal > 0])
-    return size
+    minimal_sizes = np.full(len(diagonal), np.inf)
+    minimal_sizes[diagonal > 0] = np.sqrt(noncentrality / diagonal[diagonal > 0])
+    return minimal_sizes
 
 
 def _place_text(effect: Effect) -> str:
@@ -210,12 +210,12 @@ def baseline_detectability(adjustment: Adjustment, effect: Effect) -> EffectDete
     )
     information: Floats = np.asarray(np.linalg.inv(block) - np.diag(1.0 / prior**2), dtype=np.float64)
     information[np.diag(information) * prior**2 < MAX_ROUNDING_ERROR] = 0.0
-    sizes = _minimal_sizes(information, noncentrality(len(information)))
-    return EffectDetectability(effect.name, (effect.parameters,), ("",), (sizes,), (1.0,), ())
+    minimal_sizes = _minimal_sizes(information, noncentrality(len(information)))
+    return EffectDetectability(effect.name, (effect.parameters,), ("",), (minimal_sizes,), (1.0,), ())
 
 
 def explained_fraction(first: EffectDetectability, second: EffectDetectability) -> float:
-    """Fraction of the signature of `first` in the residuals that `second` explains, median over the places of `first`.
+    """Fraction of the change of the residuals by `first` that `second` explains, median over its places.
 
     `second` may act at any of its places and with any of its constants, as in a diagnosis.
     """
@@ -236,13 +236,13 @@ class CatalogueDetectability:
     """Detectability of all effects of the catalogue in one network."""
 
     effects: tuple[EffectDetectability, ...]
-    """Detectability of each effect that has a signature in the residuals."""
+    """Detectability of each effect that changes the residuals."""
     undetectable_effects: tuple[str, ...]
     """Names of effects that no residual shows, or that need data which the network does not have."""
     detectable_effects: tuple[str, ...]
-    """Names of effects with a signature in the residuals."""
+    """Names of the effects that change the residuals."""
     similarity: Floats
-    """Fraction of the signature of the effect of the row that the effect of the column explains, in the order of
+    """Fraction of the change of the residuals by the row's effect that the column's effect explains, in the order of
     `detectable_effects`."""
 
     def table(self) -> list[MinimalSize]:
@@ -257,11 +257,11 @@ class CatalogueDetectability:
         first, second = np.nonzero(
             (self.similarity > MIN_EQUIVALENT_CORRELATION) & ~np.eye(len(self.detectable_effects), dtype=bool)
         )
-        pairs = [
+        effect_pairs = [
             (self.detectable_effects[i], self.detectable_effects[j], float(self.similarity[i, j]))
             for i, j in zip(first, second, strict=True)
         ]
-        return sorted(pairs, key=lambda pair: -pair[2])
+        return sorted(effect_pairs, key=lambda pair: -pair[2])
 
 
 def catalogue_detectability(
@@ -269,7 +269,7 @@ def catalogue_detectability(
 ) -> CatalogueDetectability:
     """Detectability of all effects of a catalogue in a network, at its adjusted or nominal coordinates.
 
-    Effects that the calibration estimates are treated as estimated parameters; all others as additional signatures.
+    Effects that the calibration estimates are treated as estimated parameters; all others as further effects.
     """
     space = ResidualSpace.from_adjustment(adjustment)
     estimated_names = set(adjustment.construction.parameter_names)

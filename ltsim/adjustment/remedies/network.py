@@ -17,7 +17,7 @@ from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.rows import GaugeRows
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.units import MILLIMETRE
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import KIND_COLUMN, SHARED_COLUMN, Recording
 from ltsim.recordings.setup import GaugeDistance
@@ -34,13 +34,13 @@ class PlannedNetwork:
     """Recording with the real and the hypothetical pointings."""
     state: NetworkState
     """Poses, coordinates and parameters that predict the readings."""
-    construction: Construction
+    construction: GeometricErrorModel
     """Instrument model whose parameters are estimated."""
     prior: ParameterPrior | None = None
     """Prior of the instrument parameters; None for the prior of the set-up."""
 
     @classmethod
-    def from_adjustment(cls, adjustment: Adjustment, construction: Construction | None = None) -> PlannedNetwork:
+    def from_adjustment(cls, adjustment: Adjustment, construction: GeometricErrorModel | None = None) -> PlannedNetwork:
         """Network of an adjustment, without its rejected readings.
 
         An adjustment of corrected readings has no parameters; the parameters of `construction` are then zero.
@@ -163,7 +163,7 @@ class PlannedNetwork:
             set(pair) for pair in zip(rows.first_targets.tolist(), rows.second_targets.tolist(), strict=True)
         ):
             return self
-        length = (
+        length_mm = (
             float(np.linalg.norm(self.state.target_points[first_target] - self.state.target_points[second_target]))
             / MILLIMETRE
         )
@@ -171,7 +171,7 @@ class PlannedNetwork:
         end_names: dict[str, Any] = {
             "from": recording.targets[first_target],
             "to": recording.targets[second_target],
-            "length_mm": length,
+            "length_mm": length_mm,
         }
         new_length = GaugeDistance(**end_names, sigma_mm=sigma_mm, measured_in_place=True)
         gauge = recording.gauge.model_copy(update={"distance": (*recording.gauge.distance, new_length)})

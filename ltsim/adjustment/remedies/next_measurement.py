@@ -1,8 +1,8 @@
 """Next measurement: the one that gives most information on the instrument, or that decides between possible causes.
 
-The expected evidence between two causes is a difference of chi-square: the part of the true cause's signature that the
-other cause does not explain at any of its places and with any of its constants. As the true cause is unknown, the
-smaller of the two differences is used.
+The expected evidence between two causes is a difference of chi-square: the part of the true cause's change of the
+residuals that the other cause does not explain at any of its places and with any of its constants. As the true cause is
+unknown, the smaller of the two differences is used.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from ltsim.core.errors import ModelError
 from ltsim.core.values import ValueEquality
 from ltsim.physics.effects import find_effect, title_of
 from ltsim.physics.effects.effect import Effect, NoiseEffect
-from ltsim.physics.effects.signature import Signature
+from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.verbs import effect_tuple
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.exchange import RecordingSource, load_recording
@@ -65,7 +65,7 @@ class Explanation:
     """Estimated sizes of the effect, shape (parameters,) [SI]."""
 
 
-def residual_space_of(adjustment: Adjustment, extra_effects: Sequence[Signature] = ()) -> ResidualSpace:
+def residual_space_of(adjustment: Adjustment, extra_effects: Sequence[LinearEffect] = ()) -> ResidualSpace:
     """Space of the residuals of an adjustment that also estimates `extra_effects`."""
     return ResidualSpace.from_adjustment(adjustment).with_effects(extra_effects)
 
@@ -73,29 +73,31 @@ def residual_space_of(adjustment: Adjustment, extra_effects: Sequence[Signature]
 def best_explanation(space: ResidualSpace, name: str) -> Explanation:
     """Effect with the given name, at the place and with the constants that fit a recording best, and its size.
 
-    ModelError is raised for an unknown effect, and for an effect without a signature in the residuals.
+    ModelError is raised for an unknown effect, and for an effect that does not change the residuals.
     """
     kind = find_effect(name)
     if issubclass(kind, NoiseEffect):
         raise ModelError(f"{name} is a change of the noise; only effects that shift readings can be separated here")
-    best: Explanation | None = None
+    best_so_far: Explanation | None = None
     least = float(space.residuals @ space.residuals)
     for effect in kind.candidates(space.sightings):
         values, sum_of_squares = _best_fit(space, effect, space.residuals)
         if sum_of_squares < least:
-            least, best = sum_of_squares, Explanation(effect, values)
-    if best is None:
-        raise ModelError(f"{name} has no signature in this recording, so its size cannot be estimated from it")
-    return best
+            least, best_so_far = sum_of_squares, Explanation(effect, values)
+    if best_so_far is None:
+        raise ModelError(
+            f"{name} does not change the residuals of this recording, so its size cannot be estimated from it"
+        )
+    return best_so_far
 
 
 def _best_fit(space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Floats, float]:
     """Size of an effect that fits a vector of residuals best, shape (parameters,), and remaining squared length."""
-    projected_signature = space.project(space.whitened_signature(effect))
-    if not np.isfinite(projected_signature).all() or not projected_signature.any():
+    projected_design = space.project(space.whitened_design(effect))
+    if not np.isfinite(projected_design).all() or not projected_design.any():
         return np.zeros(len(effect.parameters)), float(residual @ residual)
-    values = np.asarray(np.linalg.lstsq(projected_signature, residual, rcond=1e-6)[0], dtype=np.float64)
-    return values, float(np.sum((residual - projected_signature @ values) ** 2))
+    fitted_values = np.asarray(np.linalg.lstsq(projected_design, residual, rcond=1e-6)[0], dtype=np.float64)
+    return fitted_values, float(np.sum((residual - projected_design @ fitted_values) ** 2))
 
 
 @dataclass(frozen=True)
@@ -114,14 +116,16 @@ class RivalExplanations:
     pointings never decrease these chi-squares."""
 
     @classmethod
-    def from_explanations(cls, space: ResidualSpace, first: Explanation, second: Explanation) -> RivalExplanations:
+    def from_explanations(
+        cls, space: ResidualSpace, first_explanation: Explanation, second_explanation: Explanation
+    ) -> RivalExplanations:
         """Pair of two possible causes, compared in the residuals of a recording."""
         return cls(
-            first,
-            second,
+            first_explanation,
+            second_explanation,
             (
-                _instances_with_unexplained_part(space, first, second.effect),
-                _instances_with_unexplained_part(space, second, first.effect),
+                _instances_with_unexplained_part(space, first_explanation, second_explanation.effect),
+                _instances_with_unexplained_part(space, second_explanation, first_explanation.effect),
             ),
         )
 
@@ -134,12 +138,12 @@ class RivalExplanations:
         """Expected difference of chi-square between the two causes in a longer recording, whichever of them is true."""
         least = []
         for truth, rival_instances in zip((self.first, self.second), self.rival_instances, strict=True):
-            signature = space.project(space.whitened_signature(truth.effect) @ truth.parameter_values)
-            smallest = float(signature @ signature)
+            residual_change = space.project(space.whitened_design(truth.effect) @ truth.parameter_values)
+            smallest = float(residual_change @ residual_change)
             for before, effect in rival_instances:
                 if before >= smallest:
                     break
-                smallest = min(smallest, _best_fit(space, effect, signature)[1])
+                smallest = min(smallest, _best_fit(space, effect, residual_change)[1])
             least.append(smallest)
         return min(least)
 
@@ -148,9 +152,11 @@ def _instances_with_unexplained_part(
     space: ResidualSpace, truth: Explanation, rival: Effect
 ) -> list[tuple[float, Effect]]:
     """Variants of a rival effect, each with the chi-square of the true cause that it leaves, the smallest first."""
-    signature = space.project(space.whitened_signature(truth.effect) @ truth.parameter_values)
+    residual_change = space.project(space.whitened_design(truth.effect) @ truth.parameter_values)
     instances = [rival, *select_places(type(rival).candidates(space.sightings))]
-    return sorted(((_best_fit(space, effect, signature)[1], effect) for effect in instances), key=lambda pair: pair[0])
+    return sorted(
+        ((_best_fit(space, effect, residual_change)[1], effect) for effect in instances), key=lambda pair: pair[0]
+    )
 
 
 @dataclass(frozen=True)
@@ -231,20 +237,20 @@ class RankedProposals(ValueEquality):
     @property
     def advice_sentence(self) -> str:
         """Sentence on the measurement that decides between the causes, or that is most informative."""
-        best = self.proposals[0]
+        best_proposal = self.proposals[0]
         if not self.compared_explanations:
-            return best.remedy.instruction
-        distinguished = best.distinguished_explanations or self.compared_explanations[1:]
+            return best_proposal.remedy.instruction
+        distinguished = best_proposal.distinguished_explanations or self.compared_explanations[1:]
         now, then = (
-            list_text([f"{values[name]:.0f}" for name in distinguished])
-            for values in (self.present_chi2, best.expected_chi2)
+            list_text([f"{template_values[name]:.0f}" for name in distinguished])
+            for template_values in (self.present_chi2, best_proposal.expected_chi2)
         )
         titles = {name: title_of(name) for name in self.compared_explanations}
-        others = list_text([titles[name] for name in distinguished])
-        values = {"first": titles[self.compared_explanations[0]], "others": others, "then": then}
-        if not best.distinguished_explanations:
-            return advice_sentence("undecided", needed=MIN_DECISIVE_CHI2, **values)
-        sentence = advice_sentence("decided", do=best.remedy.instruction, now=now, **values)
+        other_titles = list_text([titles[name] for name in distinguished])
+        template_values = {"first": titles[self.compared_explanations[0]], "others": other_titles, "then": then}
+        if not best_proposal.distinguished_explanations:
+            return advice_sentence("undecided", needed=MIN_DECISIVE_CHI2, **template_values)
+        sentence = advice_sentence("decided", do=best_proposal.remedy.instruction, now=now, **template_values)
         remaining = [titles[name] for name in self.compared_explanations[1:] if name not in distinguished]
         return sentence + (advice_sentence("left open", others=list_text(remaining)) if remaining else "")
 
@@ -253,7 +259,7 @@ def rank_next_measurements(
     recording: RecordingSource,
     *,
     explanations: Sequence[str] = (),
-    with_effects: str | Signature | Sequence[str | Signature] = (),
+    with_effects: str | LinearEffect | Sequence[str | LinearEffect] = (),
     minutes_per_move: float = 20.0,
     site_sights: SiteSights | None = None,
     progress: ProgressCallback = no_progress,
@@ -294,7 +300,7 @@ def rank_next_measurements(
 def rank_deciding_measurements(
     adjustment: Adjustment,
     explanations: Sequence[Explanation],
-    extra_effects: Sequence[Signature] = (),
+    extra_effects: Sequence[LinearEffect] = (),
     *,
     seconds_per_move: float = DEFAULT_MOVE_TIME,
     site_sights: SiteSights | None = None,
@@ -318,7 +324,7 @@ def rank_deciding_measurements(
     nearby_remedies = sorted(pointing_remedies(network, suspects, site_sights), key=_effort_rank)
     repeat_remedies = sorted(return_remedies(network, seconds_per_move), key=_effort_rank)
     costly_remedies = sorted([*procedure_remedies(network), *calibrated_length_remedy(network)], key=_effort_rank)
-    total = len(nearby_remedies) + len(repeat_remedies) + N_EVALUATED_PLACES + len(costly_remedies)
+    n_proposals = len(nearby_remedies) + len(repeat_remedies) + N_EVALUATED_PLACES + len(costly_remedies)
     proposals: list[MeasurementProposal] = []
     stations = _most_informative_stations(network, seconds_per_move, site_sights)
     every = chain(nearby_remedies, repeat_remedies, stations, costly_remedies)
@@ -329,7 +335,7 @@ def rank_deciding_measurements(
         longer = residual_space_of(longer_adjustment, extra_effects)
         evidence = {name: pair.expected_evidence(longer) for name, pair in rivals.items()}
         proposals.append(MeasurementProposal.from_remedy(remedy, planned_adjustment, longer_adjustment, evidence))
-        progress("weighing the explanations", min(len(proposals) / total, 1.0))
+        progress("weighing the explanations", min(len(proposals) / n_proposals, 1.0))
         if stops_at_first and proposals[-1].distinguishes_all:
             break
     ranked_proposals = tuple(sorted(proposals, key=lambda p: p.sort_key))
@@ -357,5 +363,5 @@ def _most_informative_stations(
     """Additional stations that give most information on the instrument, the quickest first."""
     remedies = station_remedies(network, seconds_per_move, site_sights)
     proposals = _proposals_of(remedies, network.make_adjustment())
-    best = sorted(proposals, key=lambda p: p.sigma_ratio)[:N_EVALUATED_PLACES]
-    yield from sorted((p.remedy for p in best), key=_effort_rank)
+    best_proposals = sorted(proposals, key=lambda p: p.sigma_ratio)[:N_EVALUATED_PLACES]
+    yield from sorted((p.remedy for p in best_proposals), key=_effort_rank)

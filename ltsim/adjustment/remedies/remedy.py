@@ -241,8 +241,10 @@ def return_remedies(
 ) -> Iterator[Remedy]:
     """Further measurements: the same targets from each previous position, with the tracker's base rotated."""
     recording, state = network.recording, network.state
-    count = len(recording.stations)
-    indices = np.unique(np.linspace(0, count - 1, min(count, MAX_REPEATED_SETUPS)).round().astype(int)).tolist()
+    n_stations = len(recording.stations)
+    indices = np.unique(
+        np.linspace(0, n_stations - 1, min(n_stations, MAX_REPEATED_SETUPS)).round().astype(int)
+    ).tolist()
     for s in indices if stations is None else stations:
         target = _targets_in_order(recording.target[_setup_rows(recording, s)])
         if len(target):
@@ -318,20 +320,25 @@ def procedure_remedies(network: PlannedNetwork) -> Iterator[Remedy]:
             yield Remedy("survey", advice_sentence(key, count=MIN_RIGID_POINTS), work + len(made) * step, grown)
 
 
-def _additional_pointings(recording: Recording, rows: Ints, procedure: str) -> list[tuple[int, int]]:
+def _additional_pointings(recording: Recording, pointing_indices: Ints, procedure: str) -> list[tuple[int, int]]:
     """Target and face of the additional pointings from one set-up under another procedure."""
-    existing = list(zip(recording.target[rows].tolist(), recording.face[rows].tolist(), strict=True))
+    existing = list(
+        zip(recording.target[pointing_indices].tolist(), recording.face[pointing_indices].tolist(), strict=True)
+    )
     if procedure == "other face":
         return sorted({(t, 3 - f) for t, f in existing} - set(existing))
     if procedure == "close":
-        return [(t, existing[0][1]) for t in _targets_in_order(recording.target[rows])[:MIN_RIGID_POINTS].tolist()]
+        return [
+            (t, existing[0][1])
+            for t in _targets_in_order(recording.target[pointing_indices])[:MIN_RIGID_POINTS].tolist()
+        ]
     return existing[::-1]
 
 
 def second_face_remedy(network: PlannedNetwork) -> Remedy | None:
     """Further measurement: the other face at each station; None if both faces were used."""
-    first = next(procedure_remedies(network), None)
-    return first if first and first.instruction == advice_sentence("other face") else None
+    first_remedy = next(procedure_remedies(network), None)
+    return first_remedy if first_remedy and first_remedy.instruction == advice_sentence("other face") else None
 
 
 def calibrated_length_remedy(network: PlannedNetwork) -> Iterator[Remedy]:
@@ -372,8 +379,8 @@ def near_reflector_remedies(network: PlannedNetwork) -> Iterator[Remedy]:
 
 def _setup_rows(recording: Recording, station: int) -> Ints:
     """Indices of the pointings from one set-up, in the order of time."""
-    here = np.flatnonzero(recording.station == station)
-    return here[np.argsort(recording.time[here], kind="stable")]
+    station_rows = np.flatnonzero(recording.station == station)
+    return station_rows[np.argsort(recording.time[station_rows], kind="stable")]
 
 
 def _targets_in_order(target: Ints) -> Ints:

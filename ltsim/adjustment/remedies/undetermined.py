@@ -24,7 +24,7 @@ from ltsim.adjustment.remedies.remedy import (
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError
 from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 MIN_DETERMINED_GAIN = 0.5
@@ -49,10 +49,10 @@ class ParameterCombination:
 
     def coefficients(self, names: Sequence[str]) -> dict[str, float]:
         """Coefficients above 0.1 by parameter name, the largest first; the largest is positive."""
-        size = np.abs(self.vector)
-        order = np.argsort(-np.round(size / MAX_SOLUTION_ROUNDING_ERROR), kind="stable")
-        sign = np.sign(self.vector[_first_of_largest(size)])
-        return {names[i]: float(sign * self.vector[i]) for i in order if size[i] > MIN_REPORTED_COEFFICIENT}
+        abs_coefficients = np.abs(self.vector)
+        order = np.argsort(-np.round(abs_coefficients / MAX_SOLUTION_ROUNDING_ERROR), kind="stable")
+        sign = np.sign(self.vector[_first_of_largest(abs_coefficients)])
+        return {names[i]: float(sign * self.vector[i]) for i in order if abs_coefficients[i] > MIN_REPORTED_COEFFICIENT}
 
 
 def gains_and_combinations(covariance: Floats, prior_sigma: Floats) -> tuple[Floats, Floats]:
@@ -135,7 +135,7 @@ class DeterminingMeasurement(NamedTuple):
 
 
 def determining_measurements(
-    adjustment: Adjustment, construction: Construction, directions: Sequence[Sequence[ParameterCombination]]
+    adjustment: Adjustment, construction: GeometricErrorModel, directions: Sequence[Sequence[ParameterCombination]]
 ) -> list[list[DeterminingMeasurement]]:
     """Measurements that determine the undetermined combinations of each instrument.
 

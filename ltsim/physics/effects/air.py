@@ -27,8 +27,8 @@ def reading_changes_per_sigma(air: AirUncertainty, sightings: Sightings) -> Floa
 
 def turbulence_variance(air: AirUncertainty, sightings: Sightings) -> Floats:
     """Variance (n, 3) of the readings due to turbulence."""
-    size = np.array([air.turbulence_um2_per_m3 * MICROMETRE**2, 0.0])
-    return Turbulence().variance(sightings, np.zeros((len(sightings), 3)), size)
+    parameter_values = np.array([air.turbulence_um2_per_m3 * MICROMETRE**2, 0.0])
+    return Turbulence().variance(sightings, np.zeros((len(sightings), 3)), parameter_values)
 
 
 def air_sigma_across_beam(air: AirUncertainty, range_: float) -> float:

@@ -31,13 +31,13 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.physics.effects.signature import (
+from ltsim.physics.effects.linear_effect import (
     CandidateEffect,
-    NoiseSignature,
+    CandidateNoiseEffect,
+    LinearEffect as LinearEffect,
     Parameter as Parameter,
     PriorKind as PriorKind,
     ShapeParameter as ShapeParameter,
-    Signature as Signature,
     axis_parameters as axis_parameters,
     design_from_displacements as design_from_displacements,
     design_from_front_face_corrections as design_from_front_face_corrections,
@@ -121,7 +121,7 @@ def effect_parameter_names(effects: Iterable[tuple[str, str, Sequence[str]]]) ->
 
 
 @dataclass(frozen=True)
-class NoiseEffect(NoiseSignature, Effect):
+class NoiseEffect(CandidateNoiseEffect, Effect):
     """Base class of effects that change the noise and not the mean."""
 
     base_rate: ClassVar[float] = 1.0
@@ -206,7 +206,7 @@ class SlotTerm:
 class SlotEffect(Effect):
     """Base class of geometric errors of the instrument; each parameter acts on a slot of the kinematic chain.
 
-    The construction evaluates the error exactly; `design` is its first-order form.
+    `GeometricErrorModel` evaluates the error exactly; `design` is its first-order form.
     """
 
     terms: ClassVar[tuple[SlotTerm, ...]]

@@ -29,6 +29,6 @@ class GaugeScale(Effect):
     def design(self, sightings: Sightings) -> Floats:
         return np.zeros((len(sightings), 3, 1))
 
-    def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
-        lengths: Floats = np.linalg.norm(points[first] - points[second], axis=1)
+    def gauge_design(self, first_targets: Ints, second_targets: Ints, points: Floats) -> Floats:
+        lengths: Floats = np.linalg.norm(points[first_targets] - points[second_targets], axis=1)
         return -lengths[:, None]

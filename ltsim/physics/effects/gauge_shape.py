@@ -47,8 +47,8 @@ class GaugeShape(Effect):
     def design(self, sightings: Sightings) -> Floats:
         return np.zeros((len(sightings), 3, 3))
 
-    def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
-        gap = points[first] - points[second]
+    def gauge_design(self, first_targets: Ints, second_targets: Ints, points: Floats) -> Floats:
+        gap = points[first_targets] - points[second_targets]
         unit = gap / np.linalg.norm(gap, axis=1, keepdims=True)
-        ends = (second == self.index).astype(float) - (first == self.index)
+        ends = (second_targets == self.index).astype(float) - (first_targets == self.index)
         return unit * ends[:, None]

@@ -8,7 +8,7 @@ from ltsim.core.arrays import Floats
 from ltsim.geometry.polar import to_face, to_polar, wrap_angle
 from ltsim.geometry.rigid import from_rotation_vector, pose_design
 from ltsim.physics.effects.effect import Effect, design_from_displacements
-from ltsim.physics.effects.signature import Linearisation, Signature
+from ltsim.physics.effects.linear_effect import LinearEffect, Linearisation
 from ltsim.scene.sightings import Sightings
 
 
@@ -71,8 +71,8 @@ def reading_change(sightings: Sightings, local_points: Floats) -> Floats:
     return change
 
 
-class TargetDisplacement(Signature):
-    """Base class of signatures that displace targets, or their apparent positions."""
+class TargetDisplacement(LinearEffect):
+    """Base class of effects that displace targets, or their apparent positions."""
 
     def displacement(self, sightings: Sightings) -> Floats:
         """Motion (n, 3, p) [m] of each pointing's target in the network frame, per unit of each parameter."""
@@ -81,12 +81,12 @@ class TargetDisplacement(Signature):
     def design(self, sightings: Sightings) -> Floats:
         return design_from_displacements(sightings, self.displacement(sightings))
 
-    def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
-        return exact_target_change(sightings, self.displacement(sightings) @ values)
+    def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:
+        return exact_target_change(sightings, self.displacement(sightings) @ parameter_values)
 
-    def linearise(self, sightings: Sightings, values: Floats) -> Linearisation:
+    def linearise(self, sightings: Sightings, parameter_values: Floats) -> Linearisation:
         displacement = self.displacement(sightings)
-        apparent = _sightings_with_displaced_targets(sightings, displacement @ values)
+        apparent = _sightings_with_displaced_targets(sightings, displacement @ parameter_values)
         return _linearised_change(sightings, apparent, design_from_displacements(apparent, displacement))
 
 
@@ -106,10 +106,10 @@ class StationMotion(Effect):
     def design(self, sightings: Sightings) -> Floats:
         return station_design(sightings) @ self.motion(sightings)
 
-    def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
-        return exact_station_change(sightings, self.motion(sightings) @ values)
+    def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:
+        return exact_station_change(sightings, self.motion(sightings) @ parameter_values)
 
-    def linearise(self, sightings: Sightings, values: Floats) -> Linearisation:
+    def linearise(self, sightings: Sightings, parameter_values: Floats) -> Linearisation:
         motion = self.motion(sightings)
-        apparent = _apparent_sightings(sightings, motion @ values)
+        apparent = _apparent_sightings(sightings, motion @ parameter_values)
         return _linearised_change(sightings, apparent, station_design(apparent) @ motion)

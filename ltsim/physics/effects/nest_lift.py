@@ -53,13 +53,13 @@ class NestLift(TargetMotion):
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Candidates for every pair of station and target: any direction and, for a known nest, along its normal."""
-        pairs = station_target_pairs(sightings)
-        if len(pairs) > MAX_PAIRS_WITH_SINGLE_SEATINGS:
+        sight_pairs = station_target_pairs(sightings)
+        if len(sight_pairs) > MAX_PAIRS_WITH_SINGLE_SEATINGS:
             return []
         oriented_indices = np.flatnonzero(np.isfinite(sightings.nest_normals).all(axis=1))
         nests = {sightings.target_names[t] for t in oriented_indices}
-        normal_lifts = [cls((s,), (t,), "normal") for s, t in pairs if t in nests]
-        return [*normal_lifts, *(cls((s,), (t,), "free") for s, t in pairs)]
+        normal_lifts = [cls((s,), (t,), "normal") for s, t in sight_pairs if t in nests]
+        return [*normal_lifts, *(cls((s,), (t,), "free") for s, t in sight_pairs)]
 
     def displacement(self, sightings: Sightings) -> Floats:
         acts = self.row_weights(sightings)[:, None, None]

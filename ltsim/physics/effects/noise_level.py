@@ -34,6 +34,6 @@ class NoiseLevel(NoiseEffect):
         Parameter("noise-elevation", "", "variance added to the elevations, divided by the declared variance", 1.0),
     )
 
-    def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
-        factor = 1.0 + self.row_weights(sightings)[:, None] * values
+    def variance(self, sightings: Sightings, sigma: Floats, parameter_values: Floats) -> Floats:
+        factor = 1.0 + self.row_weights(sightings)[:, None] * parameter_values
         return sigma**2 * np.maximum(factor, MIN_VARIANCE_FACTOR)

@@ -22,8 +22,8 @@ def change_times(times: Floats, *, min_pointings: int, max_times: int) -> list[f
     """
     ordered = np.sort(times)
     middle, gap = 0.5 * (ordered[1:] + ordered[:-1]), np.diff(ordered)
-    inner = slice(min_pointings - 1, max(len(middle) - min_pointings + 1, min_pointings - 1))
-    middles = middle[inner][gap[inner] > 0]
+    allowed_range = slice(min_pointings - 1, max(len(middle) - min_pointings + 1, min_pointings - 1))
+    middles = middle[allowed_range][gap[allowed_range] > 0]
     if len(middles) > max_times:
         middles = middles[np.unique(np.linspace(0, len(middles) - 1, max_times).round().astype(int))]
     return [float(t) for t in middles]
@@ -46,8 +46,8 @@ def visit_change_times(sightings: Sightings, target: int, *, max_times: int) -> 
 
     If only one station measured the target, they are times between its pointings.
     """
-    rows = sightings.measurement_order[sightings.target[sightings.measurement_order] == target]
-    times, stations = sightings.time[rows], sightings.station[rows]
+    target_rows = sightings.measurement_order[sightings.target[sightings.measurement_order] == target]
+    times, stations = sightings.time[target_rows], sightings.station[target_rows]
     if len(np.unique(stations)) < 2:
         return change_times(times, min_pointings=2, max_times=max_times)
     change_rows = np.flatnonzero(np.diff(stations))
@@ -67,8 +67,8 @@ def neighbouring_gap_times(times: Floats, time: float) -> list[float]:
 
 def station_target_pairs(sightings: Sightings) -> list[tuple[str, str]]:
     """Pairs of the names of station and target with at least one pointing."""
-    pairs = np.unique(np.stack([sightings.station, sightings.target], axis=1), axis=0)
-    return [(sightings.station_names[s], sightings.target_names[t]) for s, t in pairs]
+    index_pairs = np.unique(np.stack([sightings.station, sightings.target], axis=1), axis=0)
+    return [(sightings.station_names[s], sightings.target_names[t]) for s, t in index_pairs]
 
 
 def first_pointing_time(sightings: Sightings) -> float:
@@ -144,6 +144,6 @@ class Drift(Effect):
         return time_since_start if self.law == "linear" else np.asarray(np.exp(-time_since_start / self.time_constant))
 
     def design(self, sightings: Sightings) -> Floats:
-        amount = self.row_weights(sightings) * self.time_law_values(sightings)
-        column: Floats = sightings.slot_responses[self.slot] * amount[:, None]
+        drift_per_unit = self.row_weights(sightings) * self.time_law_values(sightings)
+        column: Floats = sightings.slot_responses[self.slot] * drift_per_unit[:, None]
         return column[:, :, None]

@@ -40,8 +40,8 @@ class RangeStep(Effect):
             (name, float(sightings.time[sightings.station == s].min(initial=0.0)))
             for s, name in enumerate(sightings.station_names)
         ]
-        changes = station_change_times(sightings, min_pointings=2)
-        return [cls((name,), time=time) for name, time in [*starts, *changes]]
+        change_times = station_change_times(sightings, min_pointings=2)
+        return [cls((name,), time=time) for name, time in [*starts, *change_times]]
 
     def neighbours(self, sightings: Sightings) -> list[Self]:
         """Steps in the neighbouring gaps between pointings."""

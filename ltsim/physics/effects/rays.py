@@ -56,20 +56,20 @@ def first_order_change(sightings: Sightings, field: TemperatureField, row_weight
     """
     pointing_indices = np.arange(len(sightings)) if row_weights is None else np.flatnonzero(row_weights)
     beam, across, up = (way[pointing_indices] for way in sightings.beam_vectors)
-    length = sightings.range_[pointing_indices]
+    ray_lengths = sightings.range_[pointing_indices]
     path_fractions = 0.5 * (1.0 + QUADRATURE_NODES)
     origins = sightings.station_positions[sightings.station[pointing_indices]]
-    points = origins[:, None] + (length[:, None] * path_fractions)[:, :, None] * beam[:, None]
+    points = origins[:, None] + (ray_lengths[:, None] * path_fractions)[:, :, None] * beam[:, None]
     temperature_deviation, gradient = field(points.reshape(-1, 3))
     beta = relative_index_change_per_kelvin()
     weight = 0.5 * QUADRATURE_WEIGHTS
-    mean_deviation = temperature_deviation.reshape(len(length), len(QUADRATURE_NODES)) @ weight
+    mean_deviation = temperature_deviation.reshape(len(ray_lengths), len(QUADRATURE_NODES)) @ weight
     weighted_gradient = np.einsum(
-        "nqi,q->ni", gradient.reshape(len(length), len(QUADRATURE_NODES), 3), weight * (1.0 - path_fractions)
+        "nqi,q->ni", gradient.reshape(len(ray_lengths), len(QUADRATURE_NODES), 3), weight * (1.0 - path_fractions)
     )
-    bending_angles = -beta * length[:, None] * weighted_gradient  # D over d: an angle
+    bending_angles = -beta * ray_lengths[:, None] * weighted_gradient  # D over d: an angle
     change = np.zeros((3, len(sightings)))
-    change[0, pointing_indices] = beta * length * mean_deviation
+    change[0, pointing_indices] = beta * ray_lengths * mean_deviation
     change[1, pointing_indices] = np.sum(bending_angles * across, axis=1) / np.cos(
         sightings.elevation[pointing_indices]
     )
@@ -84,17 +84,17 @@ def integrated_change(sightings: Sightings, field: TemperatureField, *, steps: i
     ray and the target.
     """
     start, target = sightings.station_positions[sightings.station], sightings.target_points[sightings.target]
-    length = sightings.range_
+    ray_lengths = sightings.range_
     start_direction = _apparent_directions(sightings, field)
-    end, arrival, optical = _trace_rays(start, start_direction, length, field, steps)
+    end, arrival, optical = _trace_rays(start, start_direction, ray_lengths, field, steps)
     end_error = target - end
     along = np.sum(end_error * arrival, axis=1)
-    aim = start_direction + (end_error - along[:, None] * arrival) / length[:, None]
+    aim = start_direction + (end_error - along[:, None] * arrival) / ray_lengths[:, None]
     law, _ = _refractivity_by_temperature()
     at_target = law(field(target)[0])
-    excess = (optical + at_target * along - law(0.0) * (length + along)) / (1.0 + law(0.0))
+    excess = (optical + at_target * along - law(0.0) * (ray_lengths + along)) / (1.0 + law(0.0))
     local = np.einsum("nji,nj->ni", sightings.station_rotations[sightings.station], aim)
-    apparent = local / np.linalg.norm(local, axis=1, keepdims=True) * (length + along + excess)[:, None]
+    apparent = local / np.linalg.norm(local, axis=1, keepdims=True) * (ray_lengths + along + excess)[:, None]
     return reading_change(sightings, apparent)
 
 
@@ -108,7 +108,7 @@ def _apparent_directions(sightings: Sightings, field: TemperatureField) -> Float
 
 
 def _trace_rays(
-    origins: Floats, direction: Floats, length: Floats, field: TemperatureField, steps: int
+    origins: Floats, direction: Floats, ray_lengths: Floats, field: TemperatureField, steps: int
 ) -> tuple[Floats, Floats, Floats]:
     """End points (n, 3) [m] and end directions (n, 3) of rays, and integrals (n,) [m] of the refractivity along them.
 
@@ -126,7 +126,7 @@ def _trace_rays(
         return turn, above
 
     place, heading, optical = origins.copy(), direction.copy(), np.zeros(len(origins))
-    h = length / steps
+    h = ray_lengths / steps
     hv = h[:, None]
     for _ in range(steps):
         t1, n1 = rates(place, heading)
@@ -155,12 +155,12 @@ class WarmAirEffect(Effect):
         """Change (n, 3, 1) of the raw readings per kelvin, to first order."""
         return first_order_change(sightings, self.field(sightings), self.row_weights(sightings) > 0)[:, :, None]
 
-    def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
+    def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:
         """Change (n, 3) of the raw readings by integration of the ray equation."""
         kelvin = self.field(sightings)
 
         def field(points: Floats) -> tuple[Floats, Floats]:
             warmer, gradient = kelvin(points)
-            return values[0] * warmer, values[0] * gradient
+            return parameter_values[0] * warmer, parameter_values[0] * gradient
 
         return integrated_change(sightings, field) * self.row_weights(sightings)[:, None]

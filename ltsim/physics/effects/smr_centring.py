@@ -18,11 +18,11 @@ def reflector_axes(sightings: Sightings) -> Floats:
     normal = sightings.nest_normals[sightings.target]
     is_turned = sightings.is_reaimed[sightings.target] | ~np.isfinite(normal).all(axis=1)
     axial = np.where(is_turned[:, None], -sightings.beam_vectors[0], normal)
-    side = np.cross(VERTICAL, axial)
-    is_vertical = np.linalg.norm(side, axis=1) < 1e-6
-    side[is_vertical] = [1.0, 0.0, 0.0]
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
-    return np.stack([axial, side, np.cross(axial, side)], axis=2)
+    lateral = np.cross(VERTICAL, axial)
+    is_vertical = np.linalg.norm(lateral, axis=1) < 1e-6
+    lateral[is_vertical] = [1.0, 0.0, 0.0]
+    lateral /= np.linalg.norm(lateral, axis=1, keepdims=True)
+    return np.stack([axial, lateral, np.cross(axial, lateral)], axis=2)
 
 
 class SmrCentring(Effect):

@@ -141,7 +141,7 @@ class SmrIncidence(Effect):
             sightings, distance=acts * self.error_derivatives(*self.incidence_angles(sightings))
         )
 
-    def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings by the table and by parameters with `values` (14,) [m]."""
-        change: Floats = self.design(sightings) @ (self.parameters_from_table + values)
+    def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:
+        """Change (n, 3) of the raw readings by the table and by parameters with `parameter_values` (14,) [m]."""
+        change: Floats = self.design(sightings) @ (self.parameters_from_table + parameter_values)
         return change

@@ -34,16 +34,16 @@ class TargetSwap(Blunder):
     @classmethod
     def possible_blunders(cls, sightings: Sightings) -> list[Self]:
         """Possible blunders: every pair of targets at every station."""
-        pairs = list(combinations(sightings.target_names, 2))
-        return [cls((station,), pair) for station in sightings.station_names for pair in pairs]
+        name_pairs = list(combinations(sightings.target_names, 2))
+        return [cls((station,), pair) for station in sightings.station_names for pair in name_pairs]
 
     def measured_sightings(self, sightings: Sightings) -> Sightings:
         """Sightings in which the two targets are exchanged."""
         if len(self.targets) != 2:
             return sightings
         a, b = (sightings.target_names.index(name) for name in self.targets)
-        other = np.where(sightings.target == a, b, a)
-        return replace(sightings, target=np.where(self.row_weights(sightings) > 0, other, sightings.target))
+        exchanged_target = np.where(sightings.target == a, b, a)
+        return replace(sightings, target=np.where(self.row_weights(sightings) > 0, exchanged_target, sightings.target))
 
     def design(self, sightings: Sightings) -> Floats:
         if len(self.targets) != 2:

@@ -30,8 +30,8 @@ class Turbulence(NoiseEffect):
         Parameter("turbulence-along", "um2/m", "variance of the range / range", 9 * MICROMETRE**2),
     )
 
-    def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
+    def variance(self, sightings: Sightings, sigma: Floats, parameter_values: Floats) -> Floats:
         range_, acts = sightings.range_, self.row_weights(sightings)
-        across = values[0] * range_  # C d^3 over d^2: an angle
-        added = np.stack([values[1] * range_, across / np.cos(sightings.elevation) ** 2, across], axis=1)
+        across = parameter_values[0] * range_  # C d^3 over d^2: an angle
+        added = np.stack([parameter_values[1] * range_, across / np.cos(sightings.elevation) ** 2, across], axis=1)
         return sigma**2 + acts[:, None] * added

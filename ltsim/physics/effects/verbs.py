@@ -9,7 +9,7 @@ from ltsim.core.errors import ModelError
 from ltsim.core.results import ColumnValues, Result
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects import CATALOGUE, find_effect
-from ltsim.physics.effects.effect import Effect as AnyEffect, Signature
+from ltsim.physics.effects.effect import Effect as AnyEffect, LinearEffect
 
 PLACE_FIELDS = ("stations", "targets")
 """Fields of an effect that hold its places."""
@@ -28,7 +28,7 @@ class SizedEffect:
     """Values of the parameters by name, in display units."""
 
 
-S = TypeVar("S", bound=Signature | SizedEffect)
+S = TypeVar("S", bound=LinearEffect | SizedEffect)
 
 
 def Effect(  # noqa: N802 - it stands for a class of the catalogue
@@ -143,8 +143,8 @@ def display_constants(effect: AnyEffect) -> dict[str, Any]:
     """Constants of an effect, in the form that `make_effect` takes."""
     units = {s.name: SI_PER_UNIT[s.unit] for s in effect.shape_parameters}
     names = [f.name for f in dataclasses.fields(effect) if f.name not in COMMON_FIELDS]
-    values = {name: getattr(effect, name) for name in names}
-    return {name: value / units[name] if name in units else value for name, value in values.items()}
+    value_by_name = {name: getattr(effect, name) for name in names}
+    return {name: value / units[name] if name in units else value for name, value in value_by_name.items()}
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -168,13 +168,13 @@ class EffectList(Result):
         }
 
     def _parameters_table(self) -> ColumnValues:
-        rows = [(e, p) for e in self.effect_classes for p in e.parameters]
+        effects_and_parameters = [(e, p) for e in self.effect_classes for p in e.parameters]
         return {
-            "effect": [e.name for e, _ in rows],
-            "parameter": [p.name for _, p in rows],
-            "plausible_size": [p.prior_sigma / p.si_per_display_unit for _, p in rows],
-            "unit": [p.unit for _, p in rows],
-            "meaning": [p.description for _, p in rows],
+            "effect": [e.name for e, _ in effects_and_parameters],
+            "parameter": [p.name for _, p in effects_and_parameters],
+            "plausible_size": [p.prior_sigma / p.si_per_display_unit for _, p in effects_and_parameters],
+            "unit": [p.unit for _, p in effects_and_parameters],
+            "meaning": [p.description for _, p in effects_and_parameters],
         }
 
 

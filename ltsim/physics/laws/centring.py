@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MILLIMETRE
-from ltsim.physics.effects.signature import Parameter
+from ltsim.physics.effects.linear_effect import Parameter
 from ltsim.physics.laws.variance import VarianceFunction
 from ltsim.recordings.centring_errors import CentringUncertainty, Occupation
 from ltsim.scene.sightings import Sightings
@@ -60,7 +60,7 @@ class CentringVariance(VarianceFunction):
             return shared_errors_sentence(sigma_text)
         return f"Centring errors: {self.text}, with a standard deviation of {sigma_text} along each axis."
 
-    def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
+    def variance(self, sightings: Sightings, sigma: Floats, parameter_values: Floats) -> Floats:
         """Variance (n, 3) of the three readings of n pointings: the declared one, without the displacements."""
         return sigma**2
 

@@ -71,8 +71,8 @@ def has_natural_zero(covariate: Floats) -> bool:
 
 def scaled_to_unit_rms(column: Floats) -> Floats:
     """Column (n, 1) divided by its rms. A column of zeros is unchanged."""
-    size = float(np.sqrt(np.mean(column**2)))
-    return column / size if size > 0 else column
+    rms = float(np.sqrt(np.mean(column**2)))
+    return column / rms if rms > 0 else column
 
 
 N_HARMONICS = 5
@@ -86,8 +86,8 @@ def fourier_columns(phase: Floats, n_harmonics: int) -> Floats:
 
 def _unit_phasors(phase: Floats, n_harmonics: int) -> NDArray[np.complex128]:
     """Complex numbers exp(i k phase), (n, n_harmonics), for a phase (n,) [rad] and k = 1 to `n_harmonics`."""
-    first = np.broadcast_to(np.exp(1j * phase)[:, None], (len(phase), n_harmonics))
-    return np.cumprod(first, axis=1)
+    first_harmonic = np.broadcast_to(np.exp(1j * phase)[:, None], (len(phase), n_harmonics))
+    return np.cumprod(first_harmonic, axis=1)
 
 
 def smooth_curve_columns(name: str, covariate: Floats, n_modes: int) -> Floats:
@@ -140,15 +140,15 @@ def function_column(sightings: Sightings, covariate: str, function_name: str, co
     return scaled_to_unit_rms(np.nan_to_num(values, posinf=0.0, neginf=0.0)[:, None])
 
 
-def play_operator(values: Floats, slack: float) -> Floats:
+def play_operator(input_values: Floats, slack: float) -> Floats:
     """Output (n,) of a play operator for a sequence of inputs (n,).
 
     The output stays constant until the input differs from it by `slack`, and then follows at this distance. This is the
     operator of mechanical hysteresis (Krasnosel'skii and Pokrovskii, Systems with hysteresis, 1989).
     """
-    output = np.empty_like(values)
-    present_value = float(values[0]) if len(values) else 0.0
-    for i, value in enumerate(values.tolist()):
+    output = np.empty_like(input_values)
+    present_value = float(input_values[0]) if len(input_values) else 0.0
+    for i, value in enumerate(input_values.tolist()):
         present_value = min(max(present_value, value - slack), value + slack)
         output[i] = present_value
     return output
@@ -184,16 +184,16 @@ def first_order_lag(sightings: Sightings, covariate: str, time_constant: float) 
     return np.hstack([scaled_to_unit_rms(lagged[:, None]), scaled_to_unit_rms((x - lagged)[:, None])])
 
 
-def lagged_values(values: Floats, sightings: Sightings, time_constant: float) -> Floats:
+def lagged_values(unlagged_values: Floats, sightings: Sightings, time_constant: float) -> Floats:
     """Values (n,) of a quantity after a first-order lag with `time_constant` [s], from its values (n,) without lag.
 
     Before the first pointing the quantity counts as constant.
     """
-    rows = sightings.measurement_order
-    share = -np.expm1(-np.diff(sightings.time[rows], prepend=sightings.time[rows[0]]) / time_constant)
-    lagged = np.empty_like(values)
-    present_value = float(values[rows[0]])
-    for row, value, gain in zip(rows.tolist(), values[rows].tolist(), share.tolist(), strict=True):
+    row_order = sightings.measurement_order
+    share = -np.expm1(-np.diff(sightings.time[row_order], prepend=sightings.time[row_order[0]]) / time_constant)
+    lagged = np.empty_like(unlagged_values)
+    present_value = float(unlagged_values[row_order[0]])
+    for row, value, gain in zip(row_order.tolist(), unlagged_values[row_order].tolist(), share.tolist(), strict=True):
         present_value += gain * (value - present_value)
         lagged[row] = present_value
     return lagged

@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
-from ltsim.physics.effects.signature import CandidateEffect, Parameter
+from ltsim.physics.effects.linear_effect import CandidateEffect, Parameter
 from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_FACTOR, N_MODES_FINE, indicator_columns
 from ltsim.physics.laws.places import MIN_GROUP_SIZE
 from ltsim.physics.laws.regressor_library import (
@@ -44,7 +44,7 @@ index.
 MAX_PIECE_POSITIONS = 41
 """Largest number of values of a covariate at which a search tries steps and ramps."""
 PER_SETUP_RESPONSE_KINDS = ("reading", "instrument", "circle", "stand")
-"""Kinds of responses for which a law may have separate coefficients in each set-up."""
+"""Kinds of changed quantities for which a law may have separate coefficients in each set-up."""
 MAX_SWITCH_EDGES = 60
 """Largest number of values of a covariate at which a search lets a switch turn on or off."""
 MAX_REFINED_PIECES = 4
@@ -63,7 +63,7 @@ LATCH_THRESHOLD_STEPS = np.array([-0.06, -0.02, 0.02, 0.06])
 
 @dataclass(frozen=True)
 class EmpiricalLaw(CandidateEffect):
-    """Empirical law: a response (a reading or a constant) that is a function of a regressor, at some places or all."""
+    """Empirical law: a change of one quantity (its response) that depends on a regressor, at some places or all."""
 
     stations: tuple[str, ...] = ()
     """Names of the stations at which the law acts; empty for all."""
@@ -72,7 +72,7 @@ class EmpiricalLaw(CandidateEffect):
     response: Response = RESPONSES_BY_NAME["distance"][0]
     """Quantity of the forward model that the law changes."""
     regressor: Regressor = CONSTANT_REGRESSOR
-    """Function on which the response depends."""
+    """Function of covariates on which the changed quantity depends."""
     instruments: tuple[str, ...] = ()
     """Names of the instruments at which the law acts; empty for all."""
     scale_index: int = 0

@@ -10,7 +10,7 @@ CATALOGUE_NAMES = {
     ("range scale", "time"): "refractivity-drift",
     ("distance", "incidence"): "smr-incidence",
 }
-"""Catalogue effect by response and covariate, for laws with an equivalent in the catalogue."""
+"""Catalogue effect by changed quantity and covariate, for laws with an equivalent in the catalogue."""
 NAMED_FUNCTIONS = ("decay", "power", "sin", "cos", "tan")
 """Functions of a covariate that have the name of the catalogue effect: the sine, cosine or tangent of an angle differ
 from its powers by less than an effect of the catalogue does from one instrument to the next.
@@ -19,7 +19,7 @@ TIME_FUNCTIONS_OF_MOVED_TARGET = ("step", "power", "decay")
 """Functions of time that describe a target's position in the effect `target-moved`: a step, steady or decaying
 motion."""
 CIRCLE_RESPONSES = {"azimuth": ("azimuth",), "elevation": ("elevation", "vertical index")}
-"""Names of the responses that an error of a circle's graduation changes, by circle."""
+"""Names of the quantities that an error of a circle's graduation changes, by circle."""
 MIN_HARMONIC_PERIODS_PER_TURN = 2.5
 """Number of periods per turn above which a wave in the angle of a circle is called a harmonic. The ordinary calibration
 already contains waves with one and two periods per turn."""

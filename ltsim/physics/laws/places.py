@@ -38,8 +38,8 @@ def rows_by_name(names: Sequence[str], group_indices: Ints) -> Iterator[tuple[st
 
     `group_indices` (n,) is the index in `names` of each pointing.
     """
-    rows = ((name, np.flatnonzero(group_indices == i)) for i, name in enumerate(names))
-    return (pair for pair in rows if len(pair[1]))
+    name_and_rows = ((name, np.flatnonzero(group_indices == i)) for i, name in enumerate(names))
+    return (pair for pair in name_and_rows if len(pair[1]))
 
 
 def station_names_of_rows(sightings: Sightings, rows: Ints) -> tuple[str, ...]:
@@ -65,7 +65,7 @@ def target_clusters(sightings: Sightings) -> set[tuple[int, ...]]:
     if len(sightings.target_points) < 2 * MIN_GROUP_SIZE:
         return set()
     scaled_normals = np.nan_to_num(sightings.nest_normals) * np.ptp(sightings.target_points, axis=0).max()
-    groups = set()
+    clusters = set()
     for features in (
         sightings.target_points,
         np.hstack([sightings.target_points, scaled_normals]),
@@ -74,8 +74,8 @@ def target_clusters(sightings: Sightings) -> set[tuple[int, ...]]:
         tree = [[t] for t in range(len(features))]
         for first, second in linkage(features, "average")[:, :2].astype(int):
             tree.append(sorted(tree[first] + tree[second]))
-        groups |= {tuple(b) for b in tree if MIN_GROUP_SIZE <= len(b) <= len(features) - MIN_GROUP_SIZE}
-    return groups
+        clusters |= {tuple(b) for b in tree if MIN_GROUP_SIZE <= len(b) <= len(features) - MIN_GROUP_SIZE}
+    return clusters
 
 
 def neighbour_groups(sightings: Sightings) -> set[tuple[int, ...]]:
@@ -93,11 +93,13 @@ def connected_groups(sightings: Sightings, lengths: Iterable[tuple[str, str]]) -
     `lengths` are the pairs of names at the ends of the reference lengths.
     """
     index = {name: i for i, name in enumerate(sightings.target_names)}
-    pairs = [(index[a], index[b]) for a, b in lengths if a in index and b in index]
-    if not pairs:
+    index_pairs = [(index[a], index[b]) for a, b in lengths if a in index and b in index]
+    if not index_pairs:
         return set()
-    count, (first, second) = len(index), np.array(pairs).T
-    _, body = connected_components(sp.coo_array((np.ones(len(pairs)), (first, second)), (count, count)), directed=False)
+    count, (first, second) = len(index), np.array(index_pairs).T
+    _, body = connected_components(
+        sp.coo_array((np.ones(len(index_pairs)), (first, second)), (count, count)), directed=False
+    )
     members = [tuple(np.flatnonzero(body == k).tolist()) for k in np.unique(body)]
     return {group for group in members if MIN_GROUP_SIZE <= len(group) <= count - MIN_GROUP_SIZE}
 

@@ -89,10 +89,9 @@ COVARIATES_BY_KIND: dict[str, tuple[str, ...]] = {
     "reflector": ("time", "lapse", "last-target", *_SIGN_COVARIATES[3:], *_NEST_COVARIATES),
     "air": CLOCK_COVARIATES,
 }
-"""Covariates that each kind of response can depend on, in addition to columns of the recording. The position of a wall
-cannot depend on where a tracker points. That of a stand can, because a head is not balanced exactly and the floor
-yields under the operator.
-"""
+"""Covariates that each kind of changed quantity can depend on, in addition to columns of the recording. The position of
+a wall cannot depend on where a tracker points. That of a stand can, because a head is not balanced exactly and the
+floor yields under the operator."""
 MIN_EFFECTIVE_TARGETS = 2.5
 """Effective number of targets in a region, above which a law of the targets near it is tried. With fewer, the error is
 that of a single target."""
@@ -166,7 +165,7 @@ def _varying_covariates(sightings: Sightings, covariates: Iterable[str]) -> list
 
 
 def is_admissible(response_kind: str, regressor: Regressor, sightings: Sightings) -> bool:
-    """True if a response of a given kind (`Response.kind`) can depend on a regressor. A reading can depend on all."""
+    """True if a quantity of a given kind (`Response.kind`) can depend on a regressor. A reading can depend on all."""
     names = [*regressor.covariates, *(n for f in regressor.factors if f.kind != "field" for n in f.covariates)]
     return response_kind == "reading" or all(
         n in COVARIATES_BY_KIND[response_kind] or operator_input(n) in sightings.covariates for n in names
@@ -293,8 +292,11 @@ def _step_regressors(sightings: Sightings) -> list[Regressor]:
     clock = np.unique(sightings.time)
     if len(clock) < MAX_SEPARATE_PARTS:
         return []
-    at = np.linspace(0, len(clock) - 1, MAX_SEPARATE_PARTS + 2).round().astype(int)[1:-1]
-    return [piecewise_regressor([scalar_regressor("time", "step", float(0.5 * (clock[i] + clock[i + 1])))]) for i in at]
+    step_indices = np.linspace(0, len(clock) - 1, MAX_SEPARATE_PARTS + 2).round().astype(int)[1:-1]
+    return [
+        piecewise_regressor([scalar_regressor("time", "step", float(0.5 * (clock[i] + clock[i + 1])))])
+        for i in step_indices
+    ]
 
 
 def _seating_parity_differs(sightings: Sightings) -> bool:
@@ -308,14 +310,14 @@ def visits(sightings: Sightings, min_setups: int) -> list[Regressor]:
 
     The list is empty for fewer set-ups than `min_setups`, or more than `MAX_SEPARATE_PARTS`.
     """
-    count = len(np.unique(sightings.station))
-    return [group_amounts_regressor("station", count)] if min_setups <= count <= MAX_SEPARATE_PARTS else []
+    n_stations = len(np.unique(sightings.station))
+    return [group_amounts_regressor("station", n_stations)] if min_setups <= n_stations <= MAX_SEPARATE_PARTS else []
 
 
 def _per_previous_target_regressors(sightings: Sightings) -> list[Regressor]:
     """Regressor with a separate value for each previous target, in a list, which is empty for too many targets."""
-    count = len(sightings.target_names)
-    return [group_amounts_regressor("last-target", count)] if 1 < count <= MAX_SEPARATE_TARGETS else []
+    n_targets = len(sightings.target_names)
+    return [group_amounts_regressor("last-target", n_targets)] if 1 < n_targets <= MAX_SEPARATE_TARGETS else []
 
 
 def lag_regressors(sightings: Sightings, covariates: Iterable[str]) -> list[Regressor]:

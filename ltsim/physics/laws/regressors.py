@@ -1,4 +1,4 @@
-"""Regressors: functions on which a response may depend, each with k columns, a row per pointing, and a prior."""
+"""Regressors: functions of covariates on which an unknown error may depend, with k columns each and a prior."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def covariate_file_names(covariates: Iterable[str]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Regressor:
-    """Regressor: the function on which a response depends.
+    """Regressor: the function of covariates on which an unknown error depends.
 
     The kinds of functions are:
 

@@ -19,8 +19,8 @@ from ltsim.physics.effects.air_gradient import AirGradient
 from ltsim.physics.effects.azimuth_eccentricity import AzimuthEccentricity
 from ltsim.physics.effects.effect import SlotTerm
 from ltsim.physics.effects.elevation_eccentricity import ElevationEccentricity
+from ltsim.physics.effects.linear_effect import design_from_displacements, design_from_front_face_corrections
 from ltsim.physics.effects.motions import station_design
-from ltsim.physics.effects.signature import design_from_displacements, design_from_front_face_corrections
 from ltsim.physics.effects.smr_centring import reflector_axes
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
@@ -40,13 +40,13 @@ class Response:
     """Quantity of the measurement, such as the vertical index, that an effect or law changes."""
 
     name: str
-    """Name of the response in files and sentences."""
+    """Name of the quantity in files and sentences."""
     display_unit: str
     """Unit in which a change of the quantity is displayed."""
     plausible_size: float
     """Plausible size [SI] of a change of the quantity, the prior standard deviation of its coefficients."""
     observables: tuple[str, ...] = ()
-    """Observables that the response mainly changes; empty if they depend on the geometry."""
+    """Observables that a change of the quantity mainly changes; empty if they depend on the geometry."""
     kind: str = "instrument"
     """Part of the measurement that changes: `reading`, `instrument`, `circle`, `stand`, `target`, `air`, `reflector`.
     """
@@ -75,7 +75,8 @@ _SLOT_RESPONSES = {
     "beam-vertical": Response("vertical beam offset", "um", PLAUSIBLE_LENGTH_ERROR, ("elevation",)),
     "beam-tilt": Response("beam tilt", "urad", PLAUSIBLE_ANGLE_ERROR, ("azimuth",)),
 }
-"""Responses that are constants of the instrument, by the place (slot) in the kinematic chain where the error acts."""
+"""Changeable quantities that are constants of the instrument, by the place (slot) in the kinematic chain where the
+error acts."""
 _ECCENTRICITY_RESPONSES = {
     Response(
         f"{effect.observables[0]} eccentricity",
@@ -87,8 +88,8 @@ _ECCENTRICITY_RESPONSES = {
     ): effect
     for effect in (AzimuthEccentricity(), ElevationEccentricity())
 }
-"""Responses of circles whose centre is not on the axis, each with the effect of the catalogue that has its derivatives.
-"""
+"""Eccentricities of the circles as changeable quantities, each with the effect of the catalogue that has its
+derivatives."""
 _READING_RESPONSES = tuple(
     Response(
         name,
@@ -118,7 +119,7 @@ _JOINT_RESPONSES = tuple(
     for count in (2, 3)
     for names in combinations(OBSERVABLES, count)
 )
-"""Responses with two or three observables as components, which depend on the same regressor with separate coefficients.
+"""Pairs and triples of observables that change together. They depend on the same regressor with separate coefficients.
 """
 _RANGE_SCALE = Response("range scale", "ppm", PLAUSIBLE_SCALE_ERROR, ("distance",))
 
@@ -155,7 +156,7 @@ def _reading_design(sightings: Sightings, observable: str) -> Floats:
 
 
 def _joint_design(sightings: Sightings, response: Response) -> Floats:
-    """Change (n, 3, c) of the raw readings per unit of each of the c coefficients of a response of c observables."""
+    """Change (n, 3, c) of the raw readings per unit of each coefficient, for a joint change of c observables."""
     component_designs = [
         scale * _reading_design(sightings, name)
         for name, scale in zip(response.observables, response.component_scales, strict=True)
@@ -197,7 +198,7 @@ def _displacement_towards_instrument(sightings: Sightings) -> Floats:
 
 
 ResponseDesign = Callable[[Sightings], Floats]
-"""Function from sightings to the change (n, 3, c) of the raw readings per unit of each coefficient of a response."""
+"""Function from sightings to the change (n, 3, c) of the raw readings per unit of each component of a quantity."""
 
 
 def _response_registry() -> dict[str, tuple[Response, ResponseDesign]]:
@@ -223,7 +224,7 @@ RESPONSES_BY_NAME = _response_registry()
 """Responses by name, each with the function for the change (n, 3, c) of the raw readings per unit of each coefficient.
 """
 _RESPONSES_NEEDING_NESTS = {_TARGET_HEIGHT.name, _REFLECTOR_VERTEX.name}
-"""Names of the responses that need declared normals of the nests."""
+"""Names of the changeable quantities that need declared normals of the nests."""
 
 
 def response_designs(sightings: Sightings) -> dict[str, tuple[Response, Floats]]:

@@ -44,8 +44,8 @@ def displayed_sizes(
         amplitude = _displayed_size(law, "amplitude", np.sqrt(2.0) * size, 2.0 * float(along @ covariance @ along))
         return amplitude, DisplayedSize("phase", phase, min(turn, 180.0), "deg")
     columns = law.columns(sightings)[law.row_weights(sightings) > 0]
-    amounts = columns @ means.T
-    values = amounts @ main_direction
+    component_values = columns @ means.T
+    values = component_values @ main_direction
     gap = columns[int(np.argmax(values))] - columns[int(np.argmin(values))]
     swings = (
         _displayed_size(law, f"swing {w}", float(gap @ means[i]), float(gap @ spread[i, :, i] @ gap), i)
@@ -53,13 +53,13 @@ def displayed_sizes(
     )
     if law.response.component_units:  # components of several units have no common rms
         return tuple(swings)
-    rms = float(np.sqrt(np.mean(np.sum(amounts**2, axis=1))))
-    slope = np.einsum("nc,nk->ck", amounts, columns) / max(rms * len(amounts), 1e-300)
+    rms = float(np.sqrt(np.mean(np.sum(component_values**2, axis=1))))
+    slope = np.einsum("nc,nk->ck", component_values, columns) / max(rms * len(component_values), 1e-300)
     rms_size = _displayed_size(law, "rms", rms, float(np.einsum("ck,ckdl,dl->", slope, spread, slope)))
     return rms_size, *swings
 
 
 def _displayed_size(law: EmpiricalLaw, name: str, value: float, variance: float, component: int = 0) -> DisplayedSize:
-    """Size of one component of the law's response in its display unit, from its `value` and `variance` [SI]."""
+    """Size of one component of the changed quantity in its display unit, from its `value` and `variance` [SI]."""
     unit, factor = law.response.display_unit_of(component)
     return DisplayedSize(name.strip(), float(value) * factor, float(np.sqrt(max(variance, 0.0))) * factor, unit)

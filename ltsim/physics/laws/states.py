@@ -110,14 +110,16 @@ def latch_column(sightings: Sightings, covariate: str, set_threshold: float, rel
     """
     x, rows = sightings.quantities[covariate], sightings.order_by_setup
     event = np.where(x > set_threshold, 1.0, np.where(x < release_threshold, 0.0, np.nan))[rows]
-    first = sightings.previous_rows[rows] < 0
+    is_first_pointing = sightings.previous_rows[rows] < 0
     event = np.where(
-        first & np.isnan(event), (x[rows] > 0.5 * (set_threshold + release_threshold)).astype(np.float64), event
+        is_first_pointing & np.isnan(event),
+        (x[rows] > 0.5 * (set_threshold + release_threshold)).astype(np.float64),
+        event,
     )
     last_events = np.maximum.accumulate(np.where(np.isnan(event), 0, np.arange(len(rows))))
-    values = np.empty(len(rows))
-    values[rows] = event[last_events]
-    return values - values.mean()
+    latch_values = np.empty(len(rows))
+    latch_values[rows] = event[last_events]
+    return latch_values - latch_values.mean()
 
 
 def latch_thresholds(sightings: Sightings, covariates: Iterable[str]) -> list[tuple[str, float, float]]:
@@ -160,20 +162,20 @@ def _cache_states(sightings: Sightings, states: Sequence[StateKey]) -> None:
     states = [key for key in states if key not in sightings.derived_cache]
     if not states:
         return
-    rows = sightings.order_by_setup
-    inputs = {name: _increments(sightings, name)[rows] for name in {name for name, _, _ in states}}
-    factors = {key: _remaining_fraction(sightings, *key)[rows] for key in {(how, k) for _, how, k in states}}
+    row_order = sightings.order_by_setup
+    inputs = {name: _increments(sightings, name)[row_order] for name in {name for name, _, _ in states}}
+    factors = {key: _remaining_fraction(sightings, *key)[row_order] for key in {(how, k) for _, how, k in states}}
     increments = np.stack([inputs[name] for name, _, _ in states], axis=1)
     factor = np.stack([factors[how, k] for _, how, k in states], axis=1)
-    values = np.empty_like(increments)
+    state_values = np.empty_like(increments)
     present_values = np.zeros(len(states))
-    for i in range(len(rows)):
+    for i in range(len(row_order)):
         present_values = factor[i] * (present_values + increments[i])
-        values[i] = present_values
-    values -= values.mean(axis=0)
-    for key, column in zip(states, values.T, strict=True):
-        sightings.derived_cache[key] = np.empty(len(rows))
-        sightings.derived_cache[key][rows] = column
+        state_values[i] = present_values
+    state_values -= state_values.mean(axis=0)
+    for key, column in zip(states, state_values.T, strict=True):
+        sightings.derived_cache[key] = np.empty(len(row_order))
+        sightings.derived_cache[key][row_order] = column
 
 
 def _increments(sightings: Sightings, covariate: str) -> Floats:

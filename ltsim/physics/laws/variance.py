@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.physics.effects.signature import NoiseSignature, Parameter
+from ltsim.physics.effects.linear_effect import CandidateNoiseEffect, Parameter
 from ltsim.physics.laws.columns import CIRCULAR_COVARIATES, MEMORY_PREFIXES
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.regions import HallRegion
@@ -35,12 +35,12 @@ def noise_groups(sightings: Sightings, group_kind: str) -> tuple[tuple[str, ...]
 
 def noise_covariate(sightings: Sightings, covariate: str) -> Floats:
     """Covariate (n,) on which noise depends. For a covariate of earlier pointings it is the absolute value."""
-    values: Floats = sightings.quantities[covariate]
-    return np.abs(values) if covariate.startswith(MEMORY_PREFIXES) else values
+    covariate_values: Floats = sightings.quantities[covariate]
+    return np.abs(covariate_values) if covariate.startswith(MEMORY_PREFIXES) else covariate_values
 
 
 @dataclass(frozen=True)
-class VarianceFunction(NoiseSignature):
+class VarianceFunction(CandidateNoiseEffect):
     """Variance function: noise of some observables that depends on a covariate, or differs by target or station.
 
     variance = sigma^2 (1 + value * pattern), with a pattern from 0 to 1 over the pointings. Each of `group_names`
@@ -116,10 +116,10 @@ class VarianceFunction(NoiseSignature):
             return f"larger noise in {several} of {self.covariates[0]}"
         return f"noise that {'falls' if self.decreases else 'grows'} with {self.covariates[0]}"
 
-    def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
-        """Variance (n, 3) of the readings, from the declared standard deviations `sigma` (n, 3) and added `values`."""
+    def variance(self, sightings: Sightings, sigma: Floats, parameter_values: Floats) -> Floats:
+        """Variance (n, 3) of the readings, from declared standard deviations `sigma` (n, 3) and added variances."""
         if self.group_kind:
-            added = values.reshape(len(self.group_names), -1)[noise_groups(sightings, self.group_kind)[1]]
+            added = parameter_values.reshape(len(self.group_names), -1)[noise_groups(sightings, self.group_kind)[1]]
             acts = [o in self.observables for o in OBSERVABLES]
             factor = np.ones(sigma.shape)
             factor[:, acts] += added
@@ -135,19 +135,19 @@ class VarianceFunction(NoiseSignature):
             x = noise_covariate(sightings, name)
             x = (x - x.min()) / max(float(np.ptp(x)), 1e-12)
             pattern = pattern * ((1 - x) if self.decreases else x) ** 2
-        return self._variance_plus_fraction(sigma, values[0] * pattern)
+        return self._variance_plus_fraction(sigma, parameter_values[0] * pattern)
 
     def is_in_band(self, sightings: Sightings) -> Bools:
         """Flags (n,) of the pointings whose covariate is within the band."""
         name = self.covariates[0]
         x = noise_covariate(sightings, name)
-        inside = np.zeros(len(x), dtype=bool)
+        is_inside = np.zeros(len(x), dtype=bool)
         for low, high in zip(self.covariate_band[::2], self.covariate_band[1::2], strict=True):
             if name in CIRCULAR_COVARIATES:
-                inside |= np.remainder(x - low, 2.0 * np.pi) <= high - low
+                is_inside |= np.remainder(x - low, 2.0 * np.pi) <= high - low
             else:
-                inside |= (x >= low) & (x <= high)
-        return inside
+                is_inside |= (x >= low) & (x <= high)
+        return is_inside
 
     def _variance_plus_fraction(self, sigma: Floats, added_fraction: Floats) -> Floats:
         """Variance (n, 3): the declared variance, increased by a fraction (n,) in the observables of this function."""

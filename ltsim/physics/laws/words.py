@@ -111,7 +111,7 @@ PER_INSTRUMENT_SUFFIX = ", separately for each instrument"
 SWITCH_TEMPLATE = "a switch of {x}, on from {spans}"
 """Template of the text form of a switch."""
 SWITCH_LAG_SUFFIX = ", followed with a lag of {value}"
-"""Suffix of the text of a switch, for a response that follows the switch with a first-order lag."""
+"""Suffix of the text of a switch, if the error follows the switch with a first-order lag."""
 START_TEXT = "the start"
 """Text for the start of an interval of a switch that is on from the first pointing."""
 FACTOR_SEPARATORS = {"product": " times ", "pieces": ", "}
@@ -190,8 +190,8 @@ def law_suffix(law: EmpiricalLaw) -> str:
 
 def region_text(region: HallRegion) -> str:
     """Text form of a region of the hall."""
-    at = ", ".join(f"{axis} {value:.4g} m" for axis, value in zip(region.bounded_axes, region.centre, strict=True))
-    return f"a {REGION_SHAPES[region.bounded_axes]} at {at}, width {region.width:.4g} m"
+    centre = ", ".join(f"{axis} {value:.4g} m" for axis, value in zip(region.bounded_axes, region.centre, strict=True))
+    return f"a {REGION_SHAPES[region.bounded_axes]} at {centre}, width {region.width:.4g} m"
 
 
 TEXT_FORM_EXAMPLES = (
@@ -237,9 +237,9 @@ def parse_law(
     stations: tuple[str, ...] = (),
     targets: tuple[str, ...] = (),
 ) -> EmpiricalLaw:
-    """Law from the name of its response and the text form of its regressor, at the given places or everywhere.
+    """Law from the name of the changed quantity and the text form of its regressor, at the given places or all.
 
-    Raises ModelError for an unknown response, and for a text that is not the text form of a regressor.
+    Raises ModelError for an unknown quantity, and for a text that is not the text form of a regressor.
     """
     if response_name not in RESPONSES_BY_NAME:
         raise ModelError(f"there is no response called '{response_name}'; responses are {', '.join(RESPONSES_BY_NAME)}")

@@ -1,4 +1,4 @@
-"""Construction of a tracker: a kinematic chain with error parameters, which converts readings to points and back."""
+"""Geometric error model of a tracker: a kinematic chain with error parameters, from readings to points and back."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -24,9 +24,9 @@ from ltsim.physics.effects.effect import (
     SlotTerm,
     constant_basis,
 )
+from ltsim.physics.effects.linear_effect import PriorKind
 from ltsim.physics.effects.range_offset import RangeOffset
 from ltsim.physics.effects.range_scale import RangeScale
-from ltsim.physics.effects.signature import PriorKind
 from ltsim.physics.effects.transit_offset import TransitOffset
 from ltsim.physics.effects.transit_tilt import TransitTilt
 from ltsim.physics.effects.vertical_index import VerticalIndex
@@ -41,8 +41,8 @@ LAST_STEP_RESIDUAL = 1e-11
 
 
 @dataclass(frozen=True)
-class Construction:
-    """Kinematic chain and the parameters that act on its slots."""
+class GeometricErrorModel:
+    """Geometric error model of a tracker: its kinematic chain, and the error parameters of the chain's motions."""
 
     name: str
     kinematic_chain: kinematics.KinematicChain
@@ -73,9 +73,9 @@ class Construction:
         return self.parameter_names.index(name)
 
     def with_parameter_subset(self, indices: Iterable[int]) -> Self:
-        """Construction with a selection of the parameters."""
-        numbers = [int(k) for k in indices]
-        parameters, terms = tuple(self.parameters[k] for k in numbers), tuple(self.terms[k] for k in numbers)
+        """Geometric error model with a selection of the parameters."""
+        subset = [int(k) for k in indices]
+        parameters, terms = tuple(self.parameters[k] for k in subset), tuple(self.terms[k] for k in subset)
         return replace(self, parameters=parameters, terms=terms)
 
     @cached_property
@@ -103,20 +103,20 @@ class Construction:
         """Terms whose basis is not constant, with their indices."""
         return [(k, term) for k, term in enumerate(self.terms) if term.basis is not constant_basis]
 
-    def slot_errors(self, readings: Floats, values: Floats) -> dict[str, Floats]:
+    def slot_errors(self, readings: Floats, parameter_values: Floats) -> dict[str, Floats]:
         """Error of each slot [m or rad], (n,) or one number, for parameters (p,), or (n, p) by pointing [SI]."""
-        amounts: dict[str, Floats] = {}
-        for term, value in zip(self.terms, values.T, strict=True):
+        error_by_slot: dict[str, Floats] = {}
+        for term, value in zip(self.terms, parameter_values.T, strict=True):
             amount = value if term.basis is constant_basis else term.basis(readings) * value
-            amounts[term.slot] = amounts[term.slot] + amount if term.slot in amounts else amount
-        return amounts
+            error_by_slot[term.slot] = error_by_slot[term.slot] + amount if term.slot in error_by_slot else amount
+        return error_by_slot
 
-    def _slot_amounts(self, bases: Floats, values: Floats) -> dict[str, Floats]:
+    def _slot_amounts(self, bases: Floats, parameter_values: Floats) -> dict[str, Floats]:
         """Error (n,) of each slot from the values (n, p) of the basis functions and the parameters."""
-        amounts: dict[str, Floats] = {}
-        for term, amount in zip(self.terms, (bases * values).T, strict=True):
-            amounts[term.slot] = amounts[term.slot] + amount if term.slot in amounts else amount
-        return amounts
+        error_by_slot: dict[str, Floats] = {}
+        for term, amount in zip(self.terms, (bases * parameter_values).T, strict=True):
+            error_by_slot[term.slot] = error_by_slot[term.slot] + amount if term.slot in error_by_slot else amount
+        return error_by_slot
 
     def point(self, readings: Floats, values: Floats) -> Floats:
         """Point (n, 3) [m] in the instrument frame of raw readings (n, 3); exact."""
@@ -137,13 +137,13 @@ class Construction:
         by_value = np.stack([by_slot[term.slot] for term in self.terms], axis=2)
         return p, by_reading, by_value * bases[:, None, :]
 
-    def readings(self, points: Floats, face: Ints, values: Floats) -> Floats:
+    def readings(self, points: Floats, face: Ints, parameter_values: Floats) -> Floats:
         """Raw readings (n, 3) of points (n, 3) [m] in the instrument frame; exact."""
-        raw = self._invert_chain(points, face, values, NEWTON_TOLERANCE)
+        raw = self._invert_chain(points, face, parameter_values, NEWTON_TOLERANCE)
         raw[:, 1] = wrap_angle(raw[:, 1])
         return raw
 
-    def _invert_chain(self, points: Floats, face: Ints, values: Floats, tolerance: float) -> Floats:
+    def _invert_chain(self, points: Floats, face: Ints, parameter_values: Floats, tolerance: float) -> Floats:
         """Raw readings (n, 3) of points (n, 3) [m], with errors below `tolerance` [m, rad]; azimuths may exceed pi.
 
         Each Newton step, with the derivative of an ideal tracker, reduces the error by a factor of about 1e-5. Steps
@@ -151,11 +151,11 @@ class Construction:
         """
         polar = to_polar(points)
         raw = to_face(polar, face)
-        if not np.any(values):
+        if not np.any(parameter_values):
             return raw
         by_point, before = polar_jacobian(polar, face), np.inf
         for _ in range(MAX_NEWTON_STEPS):
-            step = np.einsum("nij,nj->ni", by_point, points - self.point(raw, values))
+            step = np.einsum("nij,nj->ni", by_point, points - self.point(raw, parameter_values))
             raw = raw + step
             size = float(np.max(np.abs(step), initial=0.0))
             if not (size > tolerance and (before == np.inf or size * size > tolerance * before)):
@@ -172,17 +172,17 @@ class Construction:
         raw[:, 1] = wrap_angle(raw[:, 1])
         return raw, by_point, -by_point @ by_value
 
-    def reading_design(self, readings: Floats, values: Floats) -> tuple[Floats, Floats]:
+    def reading_design(self, readings: Floats, parameter_values: Floats) -> tuple[Floats, Floats]:
         """Derivatives of raw readings by the point in the instrument frame (n, 3, 3), and by parameters (n, 3, p)."""
-        _, by_reading, by_value = self.linearise(readings, values)
+        _, by_reading, by_value = self.linearise(readings, parameter_values)
         by_point = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
         return by_point, -by_point @ by_value
 
 
-def misalignment_construction(effects: Iterable[SlotEffect] = BASELINE_EFFECTS) -> Construction:
-    """Geometric-misalignment construction with the parameters of `effects`; by default with all 16 parameters."""
+def misalignment_construction(effects: Iterable[SlotEffect] = BASELINE_EFFECTS) -> GeometricErrorModel:
+    """Error model of a tracker with the source in the head: misalignments of `effects`, by default all 16."""
     chosen = tuple(effects)
-    return Construction(
+    return GeometricErrorModel(
         "misalignment",
         kinematics.MISALIGNMENT_CHAIN,
         tuple(p for effect in chosen for p in effect.parameters),
@@ -200,11 +200,11 @@ UNIT_AND_SIGMA_BY_PRIOR_KIND: dict[str, tuple[str, float]] = {
 COEFFICIENT_SUFFIXES = ("c", "sin", "cos", "sin2", "cos2", "sin3", "cos3", "sin4", "cos4")
 """Names of the coefficients of a rotary joint's error function."""
 DH_JOINT_ERRORS = ("eX", "eY", "eZ", "dX", "dY", "dZ")
-"""Names of the six error motions of a rotary joint in the D-H construction."""
+"""Names of the six error motions of a rotary joint in the Denavit-Hartenberg model."""
 MAX_HARMONIC_ORDER = 4
-"""Highest order of the harmonics of a joint in the D-H construction."""
+"""Highest order of the harmonics of a joint in the Denavit-Hartenberg model."""
 MAX_POLYNOMIAL_DEGREE = 9
-"""Highest degree of the polynomials of the range in the D-H construction."""
+"""Highest degree of the polynomials of the range in the Denavit-Hartenberg model."""
 
 DH_MISALIGNMENTS: dict[str, PriorKind] = {
     "J1.dX_c": "offset",
@@ -225,7 +225,7 @@ _RANGE_SCALE_LENGTH = 5.0
 """Range [m] at which the coefficients of all degrees of the range polynomials have equal prior contributions."""
 
 
-def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: float = 0.05) -> Construction:
+def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: float = 0.05) -> GeometricErrorModel:
     """Denavit-Hartenberg model of a tracker (Sensors 2021, 21, 7479) with all coefficients of its eq. 3, 4, 6 and 7.
 
     Parameters
@@ -262,7 +262,7 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
         )
         parameters.append(Parameter(name, unit, f"coefficient {name} of eq. 8", sigma, kind))
         terms.append(SlotTerm(slot, basis))
-    return Construction("dh", kinematics.DH_CHAIN, tuple(parameters), tuple(terms))
+    return GeometricErrorModel("dh", kinematics.DH_CHAIN, tuple(parameters), tuple(terms))
 
 
 def _joint_basis(column: int, basis_number: int) -> BasisFunction:
@@ -306,35 +306,35 @@ the mirror's angle, which is half the raw elevation.
 """
 
 
-def steering_mirror_construction() -> Construction:
-    """Construction with a beam-steering mirror and its 21 parameters."""
+def steering_mirror_construction() -> GeometricErrorModel:
+    """Error model of a tracker with a beam-steering mirror, with 21 parameters."""
     parameters = [p for effect in SHARED_EFFECTS for p in effect.parameters]
     terms = [t for effect in SHARED_EFFECTS for t in effect.terms]
     for name, kind, lobe, meaning in MIRROR_PARAMETERS:
         unit, sigma = UNIT_AND_SIGMA_BY_PRIOR_KIND[kind]
         parameters.append(Parameter(name, unit, meaning, sigma, kind))
         terms.append(SlotTerm("elevation", lobe) if lobe else SlotTerm(name))
-    return Construction("steering-mirror", kinematics.STEERING_MIRROR_CHAIN, tuple(parameters), tuple(terms))
+    return GeometricErrorModel("steering-mirror", kinematics.STEERING_MIRROR_CHAIN, tuple(parameters), tuple(terms))
 
 
-def ideal_construction() -> Construction:
-    """Construction without instrument parameters."""
-    return Construction("ideal", kinematics.MISALIGNMENT_CHAIN, (), ())
+def ideal_construction() -> GeometricErrorModel:
+    """Error model of an ideal tracker, without parameters."""
+    return GeometricErrorModel("ideal", kinematics.MISALIGNMENT_CHAIN, (), ())
 
 
-CONSTRUCTION_FACTORIES: dict[str, Callable[[], Construction]] = {
+CONSTRUCTION_FACTORIES: dict[str, Callable[[], GeometricErrorModel]] = {
     "misalignment": misalignment_construction,
     "dh": dh_construction,
     "steering-mirror": steering_mirror_construction,
     "ideal": ideal_construction,
 }
-"""Functions that create each construction with its default orders, by the name of the construction."""
+"""Functions that create each geometric error model with its default orders, by the name of the model."""
 
 
-def make_construction(name: str, max_order: int | None = None, degree: int | None = None) -> Construction:
-    """Construction with a given name; a D-H chain has harmonics up to `max_order` and range polynomials of `degree`.
+def make_construction(name: str, max_order: int | None = None, degree: int | None = None) -> GeometricErrorModel:
+    """Error model of a tracker by name; `dh` has harmonics up to `max_order` and range polynomials of `degree`.
 
-    Raises ModelError for an unknown name, for orders of another construction, and for an order out of bounds.
+    Raises ModelError for an unknown name, for orders of another model than `dh`, and for an order out of bounds.
     """
     if name not in CONSTRUCTION_FACTORIES:
         raise unknown_name("construction", name, CONSTRUCTION_FACTORIES)
@@ -349,16 +349,16 @@ def make_construction(name: str, max_order: int | None = None, degree: int | Non
     return dh_construction(2 if max_order is None else max_order, 2 if degree is None else degree)
 
 
-def construction_with_orders(name: str, max_order: int, degree: int) -> Construction:
-    """Geometric error model of a tracker (`Construction`) with a given name.
+def construction_with_orders(name: str, max_order: int, degree: int) -> GeometricErrorModel:
+    """Geometric error model of a tracker (`GeometricErrorModel`) with a given name.
 
     The orders `max_order` of harmonics and `degree` of polynomials apply to the Denavit-Hartenberg chain ``dh`` only.
     """
     return dh_construction(max_order, degree) if name == "dh" else make_construction(name)
 
 
-def construction_for_parameters(name: str, parameters: Iterable[str]) -> Construction:
-    """Construction with a given name that has all `parameters`: a D-H chain gets the orders that their names need."""
+def construction_for_parameters(name: str, parameters: Iterable[str]) -> GeometricErrorModel:
+    """Error model of a tracker by name, with all `parameters`: `dh` gets the orders that their names need."""
     if name != "dh":
         return make_construction(name)
     ends = [p.rpartition("_") for p in parameters]
@@ -373,7 +373,7 @@ def construction_for_parameters(name: str, parameters: Iterable[str]) -> Constru
 
 @cache
 def all_parameter_names() -> frozenset[str]:
-    """Names of the parameters of all constructions, with the highest orders of the D-H chain."""
+    """Names of the parameters of all geometric error models, with the highest orders of `dh`."""
     constructions = (
         misalignment_construction(),
         steering_mirror_construction(),
@@ -382,13 +382,13 @@ def all_parameter_names() -> frozenset[str]:
     return frozenset(name for construction_ in constructions for name in construction_.parameter_names)
 
 
-def construction_of_design(design: str) -> Construction:
-    """Construction of an instrument by the origin of its beam, as declared in the set-up."""
+def construction_of_design(design: str) -> GeometricErrorModel:
+    """Geometric error model of an instrument, by the origin of its beam as declared in the set-up."""
     return steering_mirror_construction() if design == "steering-mirror" else misalignment_construction()
 
 
-def declared_construction(recording: Recording) -> Construction:
-    """Construction of a recording's instruments, by the origin of their beam that the set-up declares.
+def declared_construction(recording: Recording) -> GeometricErrorModel:
+    """Geometric error model of a recording's instruments, by the origin of their beam that the set-up declares.
 
     Raises NetworkError for a recording with instruments of both designs, because their parameters differ.
     """

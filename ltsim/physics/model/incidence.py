@@ -15,7 +15,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.units import DEGREE, MICROMETRE
 from ltsim.physics.effects.effect import design_from_front_face_corrections
-from ltsim.physics.effects.signature import Parameter, Signature
+from ltsim.physics.effects.linear_effect import LinearEffect, Parameter
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.reflectors import smr_names
@@ -30,7 +30,7 @@ declared values are replaced by it."""
 
 
 @dataclass(frozen=True)
-class IncidenceErrors(Signature):
+class IncidenceErrors(LinearEffect):
     """Range error of one reflector by angle of incidence: the mean from its bench test plus k independent errors."""
 
     reflector: str
@@ -44,7 +44,7 @@ class IncidenceErrors(Signature):
 
     @property
     def name(self) -> str:
-        """Name of the signature."""
+        """Name of the effect."""
         return "incidence-errors"
 
     @property
@@ -54,9 +54,9 @@ class IncidenceErrors(Signature):
             Parameter("incidence-error", "", "error of a reflector against incidence", 1.0),
         ) * self.covariance_root.shape[1]
 
-    def smr_incidence_parameters(self, values: Floats) -> Floats:
+    def smr_incidence_parameters(self, independent_errors: Floats) -> Floats:
         """Parameters (p, ...) [SI] of the effect `smr-incidence` for independent errors (k, ...)."""
-        change: Floats = np.tensordot(self.covariance_root, values, 1)
+        change: Floats = np.tensordot(self.covariance_root, independent_errors, 1)
         return change + self.mean_parameters.reshape(-1, *[1] * (change.ndim - 1))
 
     def _range_error_design(self, sightings: Sightings) -> Floats:
@@ -72,10 +72,10 @@ class IncidenceErrors(Signature):
             sightings, distance=self._range_error_design(sightings) @ self.covariance_root
         )
 
-    def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
+    def reading_change(self, sightings: Sightings, independent_errors: Floats) -> Floats:
         """Change (n, 3) of the raw readings by the mean and by independent errors (k,)."""
         return design_from_front_face_corrections(
-            sightings, distance=self._range_error_design(sightings) @ self.smr_incidence_parameters(values)
+            sightings, distance=self._range_error_design(sightings) @ self.smr_incidence_parameters(independent_errors)
         )
 
 

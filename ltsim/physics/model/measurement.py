@@ -1,4 +1,4 @@
-"""Forward model: predicted readings and their derivatives from the network's state, the construction and effects."""
+"""Forward model: predicted readings and their derivatives, from the network's state, the instruments and effects."""
 
 import itertools
 from dataclasses import dataclass, replace
@@ -10,9 +10,9 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import DEGREE, EARTH_RADIUS, MILLIMETRE
 from ltsim.geometry.rigid import align_rigidly, pose_design, rotation_about_z, smallest_rotation
-from ltsim.physics.effects.signature import Signature
+from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.physics.model.incidence import IncidenceErrors, incidence_errors, incidence_shift
 from ltsim.physics.model.nuisances import (
     CentringErrors,
@@ -124,11 +124,11 @@ def smr_radius_offsets(recording: Recording) -> Floats | None:
 
 @dataclass(frozen=True)
 class MeasurementModel:
-    """Forward model of a recording, with its construction and its additional effects."""
+    """Forward model of a recording, with the geometric error model of its instruments and additional effects."""
 
     recording: Recording
-    construction: Construction
-    effects: tuple[Signature, ...] = ()
+    construction: GeometricErrorModel
+    effects: tuple[LinearEffect, ...] = ()
 
     @cached_property
     def head_heights(self) -> tuple[HeadHeights, ...]:
@@ -144,8 +144,8 @@ class MeasurementModel:
     @property
     def incidence_columns(self) -> tuple[slice, ...]:
         """Slice of the q additional parameters that belongs to each of `incidence_errors`."""
-        first = self.n_effect_parameters + sum(len(heads.parameters) for heads in self.head_heights)
-        boundaries = first + np.cumsum([0, *(len(error.parameters) for error in self.incidence_errors)])
+        first_column = self.n_effect_parameters + sum(len(heads.parameters) for heads in self.head_heights)
+        boundaries = first_column + np.cumsum([0, *(len(error.parameters) for error in self.incidence_errors)])
         return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(boundaries))
 
     def incidence_parameters_by_reflector(self, parameters: Floats) -> dict[str, Floats]:
@@ -164,12 +164,12 @@ class MeasurementModel:
     @property
     def centring_columns(self) -> tuple[slice, ...]:
         """Slice of the q additional parameters that belongs to each of `centring_errors`."""
-        sizes = [len(errors.parameters) for errors in self.centring_errors]
-        boundaries = self.n_extra_parameters - sum(sizes) + np.cumsum([0, *sizes])
+        n_parameters = [len(errors.parameters) for errors in self.centring_errors]
+        boundaries = self.n_extra_parameters - sum(n_parameters) + np.cumsum([0, *n_parameters])
         return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(boundaries))
 
     @cached_property
-    def nuisance_errors(self) -> tuple[Signature, ...]:
+    def nuisance_errors(self) -> tuple[LinearEffect, ...]:
         """Nuisance errors with a prior: heights, incidence on reflectors, shared errors, refraction, centring."""
         return (
             *self.head_heights,
@@ -180,7 +180,7 @@ class MeasurementModel:
         )
 
     @property
-    def extra_effects(self) -> tuple[Signature, ...]:
+    def extra_effects(self) -> tuple[LinearEffect, ...]:
         """Additional effects, followed by the nuisance errors with a prior."""
         return *self.effects, *self.nuisance_errors
 
@@ -241,24 +241,26 @@ class MeasurementModel:
 
     def extra_change(self, sightings: Sightings, parameters: Floats) -> Floats:
         """Change (n, 3) of the readings by all additional parameters with values (q,) [SI]."""
-        return self._signatures_change(self.extra_effects, sightings, parameters)
+        return self._linear_effects_change(self.extra_effects, sightings, parameters)
 
     def effects_change(self, sightings: Sightings, parameters: Floats) -> Floats:
         """Change (n, 3) of the readings by the additional effects alone."""
-        return self._signatures_change(self.effects, sightings, parameters)
+        return self._linear_effects_change(self.effects, sightings, parameters)
 
     def incidence_change(self, sightings: Sightings, parameters: Floats) -> Floats:
         """Change (n, 3) of the readings by the incidence errors of reflectors alone."""
         return incidence_shift(self.recording, sightings, self.incidence_parameters_by_reflector(parameters))
 
-    def _signatures_change(self, signatures: tuple[Signature, ...], sightings: Sightings, parameters: Floats) -> Floats:
-        """Change (n, 3) of the readings by `signatures`, which are the first of `extra_effects`.
+    def _linear_effects_change(
+        self, linear_effects: tuple[LinearEffect, ...], sightings: Sightings, parameters: Floats
+    ) -> Floats:
+        """Change (n, 3) of the readings by `linear_effects`, which are the first of `extra_effects`.
 
         `parameters` (q,) are the values of all additional parameters.
         """
         change = np.zeros((len(sightings), 3))
-        for signature, values in zip(signatures, self._values_by_effect(parameters), strict=False):
-            change += signature.reading_change(sightings, values)
+        for linear_effect, values in zip(linear_effects, self._values_by_effect(parameters), strict=False):
+            change += linear_effect.reading_change(sightings, values)
         return change
 
     def predict(self, state: NetworkState) -> Floats:
@@ -276,9 +278,9 @@ class MeasurementModel:
 
     def _values_by_effect(self, parameters: Floats) -> list[Floats]:
         """Parameter values of each additional effect; zeros if `parameters` has fewer than q values."""
-        sizes = [len(effect.parameters) for effect in self.extra_effects]
-        all_values = np.pad(parameters, (0, sum(sizes) - len(parameters)))
-        return np.split(all_values, np.cumsum(sizes)[:-1]) if sizes else []
+        n_parameters = [len(effect.parameters) for effect in self.extra_effects]
+        all_values = np.pad(parameters, (0, sum(n_parameters) - len(parameters)))
+        return np.split(all_values, np.cumsum(n_parameters)[:-1]) if n_parameters else []
 
     def linearise(self, state: NetworkState) -> Prediction:
         """Predicted readings at `state`, and their derivatives with respect to all unknowns."""

@@ -12,8 +12,8 @@ import numpy as np
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import EARTH_RADIUS, MILLIMETRE
 from ltsim.physics.effects.effect import design_from_front_face_corrections
+from ltsim.physics.effects.linear_effect import LinearEffect, Parameter, design_from_displacements
 from ltsim.physics.effects.motions import TargetDisplacement
-from ltsim.physics.effects.signature import Parameter, Signature, design_from_displacements
 from ltsim.recordings.occupations import target_occupations
 from ltsim.recordings.recording import (
     OBSERVABLES,
@@ -27,7 +27,7 @@ from ltsim.scene.sightings import Sightings
 
 
 @dataclass(frozen=True)
-class HeadHeights(Signature):
+class HeadHeights(LinearEffect):
     """Errors of the heights of instruments and reflectors above their marks, one for each of q occupations."""
 
     sigma: float
@@ -70,8 +70,8 @@ def head_heights(recording: Recording, plumb_directions: Floats) -> tuple[HeadHe
     index_of_occupation = {key: i for i, key in enumerate(dict.fromkeys(key for end in ends for key in end if key[1]))}
     if not index_of_occupation:
         return ()
-    rows = np.eye(len(index_of_occupation) + 1, len(index_of_occupation))
-    at, to = (rows[[index_of_occupation.get(key, len(index_of_occupation)) for key in end]] for end in ends)
+    unit_rows = np.eye(len(index_of_occupation) + 1, len(index_of_occupation))
+    at, to = (unit_rows[[index_of_occupation.get(key, len(index_of_occupation)) for key in end]] for end in ends)
     return (HeadHeights(sigma * MILLIMETRE, to - at, plumb_directions[recording.station]),)
 
 
@@ -102,8 +102,8 @@ class CentringErrors(TargetDisplacement):
     def displacement(self, sightings: Sightings) -> Floats:
         """Motion (n, 3, q) [m] of each pointing's reflector per unit of each component."""
         displacements = np.zeros((len(sightings), 3, self.n_occupations, 3))
-        rows = np.flatnonzero(self.occupation >= 0)
-        displacements[rows, :, self.occupation[rows]] = np.eye(3)
+        occupied_rows = np.flatnonzero(self.occupation >= 0)
+        displacements[occupied_rows, :, self.occupation[occupied_rows]] = np.eye(3)
         return displacements.reshape(len(sightings), 3, -1)
 
 
@@ -116,7 +116,7 @@ def centring_errors(recording: Recording) -> tuple[CentringErrors, ...]:
 
 
 @dataclass(frozen=True)
-class SharedErrors(Signature):
+class SharedErrors(LinearEffect):
     """Set of q independent errors, in units of their standard deviations, each of which several readings share.
 
     Let D be the standard deviations of the independent noise, and F the changes of the readings by one standard
@@ -172,7 +172,7 @@ def read_shared_errors(recording: Recording) -> tuple[SharedErrors, ...]:
 
 
 @dataclass(frozen=True)
-class Refraction(Signature):
+class Refraction(LinearEffect):
     """Refraction near the ground, with a prior for its coefficient.
 
     The coefficient k is the radius R of the earth divided by the radius of the curved line of sight. A line of sight of
@@ -201,12 +201,12 @@ class Refraction(Signature):
         azimuth = bend * across[:, 2] / np.cos(sightings.elevation)
         return design_from_front_face_corrections(sightings, azimuth=azimuth, elevation=bend * up[:, 2])[:, :, None]
 
-    def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
+    def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:
         """Change (n, 3) of the raw readings for a coefficient that differs from its mean by values (1,)."""
-        return self.design(sightings) @ (self.mean_coefficient + values)
+        return self.design(sightings) @ (self.mean_coefficient + parameter_values)
 
 
 def refraction_unknown(recording: Recording) -> tuple[Refraction, ...]:
     """Refraction as an unknown, if the set-up declares its coefficient with a standard deviation."""
-    given = recording.setup.refraction
-    return () if given is None else (Refraction(*given),)
+    declared_refraction = recording.setup.refraction
+    return () if declared_refraction is None else (Refraction(*declared_refraction),)

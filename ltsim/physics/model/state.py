@@ -25,7 +25,7 @@ class NetworkState:
     target_points: Floats
     """Coordinates of the targets, (T, 3)."""
     instrument_parameters: Floats
-    """Construction parameters of each instrument, (I, p)."""
+    """Parameters of the geometric error model of each instrument, (I, p)."""
     extra_parameters: Floats = field(default_factory=lambda: np.zeros(0))
     """Parameters of the additional effects, (q,)."""
 

@@ -66,14 +66,14 @@ class LineWords:
 
     def options(self, first_word: int) -> LineOptions:
         """Options from the word with index `first_word` on: flags, or names with a value; raises RecordError."""
-        values: dict[str, str] = {}
+        value_by_option: dict[str, str] = {}
         remaining_words = iter(self.tokens[first_word:])
         for word in map(str.upper, remaining_words):
             value = next(remaining_words, None) if word in OPTIONS_WITH_VALUE else ""
             if value is None:
                 raise self.location.error(f"the option {word} has no value")
-            values[word] = value
-        return LineOptions(values, self.location)
+            value_by_option[word] = value
+        return LineOptions(value_by_option, self.location)
 
 
 @dataclass(frozen=True)
@@ -187,9 +187,9 @@ def _read_precision(point: DeclaredPoint, sigma_words: list[str], location: Sour
 def _parse_matrix(word: str, location: SourceLocation) -> Floats:
     """Covariance (3, 3) [m^2] written as `DIAG(xx,yy,zz)` or `MAT(xx,xy,...,zz)`."""
     match = re.fullmatch(r"(DIAG|MAT)\(([^()]*)\)", word)
-    values = [location.number(v, "APRICOV") for v in match[2].split(",")] if match else []
-    if match and len(values) == (3 if match[1] == "DIAG" else 9):
-        matrix = np.diag(values) if match[1] == "DIAG" else np.array(values).reshape(3, 3)
+    matrix_entries = [location.number(v, "APRICOV") for v in match[2].split(",")] if match else []
+    if match and len(matrix_entries) == (3 if match[1] == "DIAG" else 9):
+        matrix = np.diag(matrix_entries) if match[1] == "DIAG" else np.array(matrix_entries).reshape(3, 3)
         if np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0) and np.linalg.eigvalsh(matrix)[0] > 0:
             return matrix
     raise location.error("expected DIAG(xx,yy,zz) or MAT(xx,xy,...,zz), a covariance in square metres", "APRICOV")

@@ -100,8 +100,10 @@ class FieldBook:
         pointings, _, heights = separate_constant_heights(self.pointings)
         names = dict.fromkeys(p.station for p in pointings)
         marks = {p.target for p in pointings}
-        other = marks_with_other_spelling([self.setups[p.station][0] for p in pointings], [p.target for p in pointings])
-        points = {name: other.get(self.setups[name][0], self.setups[name][0]) for name in names}
+        respelled_marks = marks_with_other_spelling(
+            [self.setups[p.station][0] for p in pointings], [p.target for p in pointings]
+        )
+        points = {name: respelled_marks.get(self.setups[name][0], self.setups[name][0]) for name in names}
         marks |= {point for point, count in Counter(points.values()).items() if count > 1}
         stations = {}
         for name, point in points.items():
@@ -121,7 +123,7 @@ class FieldBook:
             stations=stations,
             targets={name: Target(height_mm=height) for name, height in heights.items()},
         )
-        spelled = spelling_note({name: mark for name, mark in other.items() if mark in marks})
+        spelled = spelling_note({name: mark for name, mark in respelled_marks.items() if mark in marks})
         all_notes = [noise, *orientation_notes, *spelled, *notes]
         return with_earth_curvature(recording_of_pointings(pointings, setup, notes=all_notes, file=self.path))
 

@@ -170,8 +170,8 @@ def covariance_entries(node: XmlNode) -> tuple[Ints, Ints, Floats]:
     matrix = next((inner for inner in node if inner.tag == "cov-mat"), None)
     if matrix is None:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
-    values = [matrix.location.number(word, "cov-mat") for word in matrix.text.split()]
-    return band_matrix_entries(matrix, matrix.number("dim"), matrix.number("band"), values)
+    band_values = [matrix.location.number(word, "cov-mat") for word in matrix.text.split()]
+    return band_matrix_entries(matrix, matrix.number("dim"), matrix.number("band"), band_values)
 
 
 def read_differences(section: XmlNode, y_sign: float, apriori_sigma: float) -> tuple[list[ReferenceDifference], bool]:

@@ -98,8 +98,8 @@ def _point_lines(recording: Recording) -> Iterator[str]:
 
 def _coordinate_attributes(coordinates: Vector, axes: str = "xyz") -> str:
     """Coordinates [mm] as XML attributes in metres."""
-    values = zip("xyz", coordinates, strict=True)
-    return "".join(f' {axis}="{round(value * MILLIMETRE, 12)!r}"' for axis, value in values if axis in axes)
+    axes_and_values = zip("xyz", coordinates, strict=True)
+    return "".join(f' {axis}="{round(value * MILLIMETRE, 12)!r}"' for axis, value in axes_and_values if axis in axes)
 
 
 def _coordinate_lines(name: str, target: Target) -> Iterator[str]:
@@ -110,15 +110,15 @@ def _coordinate_lines(name: str, target: Target) -> Iterator[str]:
     if target.known_covariance_mm2 is not None:
         matrix, band = symmetric_matrix(target.known_covariance_mm2), len(axes) - 1
     block = matrix[np.ix_(axes, axes)].tolist()
-    numbers = " ".join(repr(block[i][j]) for i in range(len(axes)) for j in range(i, min(i + band + 1, len(axes))))
-    yield f'<cov-mat dim="{len(axes)}" band="{band}">{numbers}</cov-mat></coordinates>'
+    band_text = " ".join(repr(block[i][j]) for i in range(len(axes)) for j in range(i, min(i + band + 1, len(axes))))
+    yield f'<cov-mat dim="{len(axes)}" band="{band}">{band_text}</cov-mat></coordinates>'
 
 
 def _first_setup_points(recording: Recording) -> dict[str, Vector]:
     """Coordinates [mm] in the frame of the first set-up of each target that it measured with all three readings."""
     points = (from_polar(to_face(recording.readings, recording.face)) / MILLIMETRE).round(3).tolist()
-    rows = np.flatnonzero((recording.station == 0) & np.all(recording.is_measured, axis=1))
-    return {recording.targets[recording.target[i]]: points[i] for i in rows}
+    complete_rows = np.flatnonzero((recording.station == 0) & np.all(recording.is_measured, axis=1))
+    return {recording.targets[recording.target[i]]: points[i] for i in complete_rows}
 
 
 def _observation_lines(recording: Recording) -> Iterator[str]:

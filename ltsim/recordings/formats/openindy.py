@@ -112,15 +112,21 @@ def _pointing(
     )
 
 
-def _polar_reading(values: dict[str, float]) -> tuple[float, float, float]:
+def _polar_reading(values_by_observable: dict[str, float]) -> tuple[float, float, float]:
     """Range [m], azimuth and raw elevation [rad] from the measurements of a reading; NaN if not measured."""
-    if "x" in values:
-        d, a, e = to_polar(np.array([[values["x"], values["y"], values["z"]]]))[0].tolist()
+    if "x" in values_by_observable:
+        d, a, e = to_polar(
+            np.array([[values_by_observable["x"], values_by_observable["y"], values_by_observable["z"]]])
+        )[0].tolist()
         return d, a, e
-    elevation = np.pi / 2 - values.get("zenith", NOT_MEASURED) % (2 * np.pi)
+    elevation = np.pi / 2 - values_by_observable.get("zenith", NOT_MEASURED) % (2 * np.pi)
     if elevation < -np.pi / 2 - 1e-9:
         elevation += 2 * np.pi
-    return values.get("distance", NOT_MEASURED), values.get("azimuth", NOT_MEASURED) % (2 * np.pi), elevation
+    return (
+        values_by_observable.get("distance", NOT_MEASURED),
+        values_by_observable.get("azimuth", NOT_MEASURED) % (2 * np.pi),
+        elevation,
+    )
 
 
 def _sigmas(nodes: dict[str, XmlNode]) -> dict[str, float]:

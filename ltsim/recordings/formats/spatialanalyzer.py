@@ -204,22 +204,22 @@ def _check_heading(fields: Sequence[str], location: SourceLocation) -> None:
             raise location.error(message, required_title.capitalize())
 
 
-def _sheet_of_block(block: _Block, name: str, rows: list[SheetRow], file: Path) -> TableSheet:
+def _sheet_of_block(block: _Block, name: str, sheet_rows: list[SheetRow], file: Path) -> TableSheet:
     """Table of a set-up with only the columns that are read; the titles of offsets contain their unit."""
     titles = {}
     for place, title in enumerate(block.rows[0].fields):
         word, unit = title_words_and_unit(title)
         if word in RETAINED_COLUMNS:
             titles[place] = f"{word}_{unit}" if word.startswith("offset") else title
-    body = [SheetRow(row.line, tuple(row.cell(place) for place in titles)) for row in rows]
+    body = [SheetRow(row.line, tuple(row.cell(place) for place in titles)) for row in sheet_rows]
     return TableSheet(file, (SheetRow(block.rows[0].line, tuple(titles.values())), *body), name)
 
 
 def _station_names(blocks: Sequence[_Block]) -> list[str]:
     """Names of the stations: ``Instrument_0`` if the numbers are unique, otherwise ``COLLECTION::0``."""
-    numbers = [block.number for block in blocks]
-    if len(set(numbers)) == len(numbers):
-        return [f"Instrument_{number}" for number in numbers]
+    block_numbers = [block.number for block in blocks]
+    if len(set(block_numbers)) == len(block_numbers):
+        return [f"Instrument_{number}" for number in block_numbers]
     return [f"{block.collection}::{block.number}" for block in blocks]
 
 
@@ -241,8 +241,10 @@ def _prefix_ambiguous_points(
     if not ambiguous_names:
         return []
     examples = ", ".join(ambiguous_names[:4])
-    count = len(ambiguous_names)
-    return [f"{count} names stand for points at different places ({examples}, ...): their group is added to the name"]
+    n_ambiguous = len(ambiguous_names)
+    return [
+        f"{n_ambiguous} names stand for points at different places ({examples}, ...): their group is added to the name"
+    ]
 
 
 def _names_by_place(name: str, groups: dict[str, list[tuple[str, Floats]]]) -> dict[str, str]:

@@ -48,9 +48,9 @@ def unrecognised_header_sentence(sheet: TableSheet, is_readable_with: Callable[[
         return unit_fault
     n_columns = max(map(len, data_rows))
     has_header = header_row is not None and len(header_row.fields) == n_columns
-    given = header_row.fields if header_row is not None and has_header else ("",) * n_columns
-    titles = tuple(_column_reference(i, given) for i in range(n_columns))
-    header = f"the header {quoted_text(', '.join(given), 80)}" if has_header else "a table without a header"
+    header_fields = header_row.fields if header_row is not None and has_header else ("",) * n_columns
+    titles = tuple(_column_reference(i, header_fields) for i in range(n_columns))
+    header = f"the header {quoted_text(', '.join(header_fields), 80)}" if has_header else "a table without a header"
     assignments = _likely_assignments(titles, [row for row in data_rows if len(row) == n_columns][:MAX_SAMPLE_ROWS])
     advice = next(filter(is_readable_with, assignments[:MAX_TRIED_ASSIGNMENTS]), None)
     if advice is not None:
@@ -71,13 +71,13 @@ def _column_reference(position: int, titles: Sequence[str]) -> str:
 def sample_rows(sheet: TableSheet) -> list[SheetRow]:
     """First rows of a sheet, with about `MAX_SAMPLE_CELLS` cells in total."""
     cells_before = accumulate((len(row.fields) for row in sheet.rows), initial=0)
-    pairs = zip(sheet.rows, cells_before, strict=False)
-    return [row for row, _ in takewhile(lambda pair: pair[1] < MAX_SAMPLE_CELLS, pairs)]
+    rows_and_counts = zip(sheet.rows, cells_before, strict=False)
+    return [row for row, _ in takewhile(lambda pair: pair[1] < MAX_SAMPLE_CELLS, rows_and_counts)]
 
 
-def _likely_assignments(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+def _likely_assignments(titles: Sequence[str], first_rows: Sequence[Sequence[str]]) -> list[str]:
     """Values of ``--columns`` that the cells permit, most likely first: names, a face, then readings or coordinates."""
-    columns: list[tuple[str, ...]] = list(zip(*rows, strict=True))
+    columns: list[tuple[str, ...]] = list(zip(*first_rows, strict=True))
     time_columns = [
         i for i, column in enumerate(columns) if any(column) and all(cells.has_clock(t) for t in column if t)
     ]
@@ -170,7 +170,7 @@ def _possible_conventions(
     horizontal: Sequence[int], vertical: Sequence[int], columns: CellsByColumn, titles: Sequence[str]
 ) -> list[tuple[str, str]]:
     """Pairs of unit and kind of the vertical angle that its numbers and its title permit, most likely first."""
-    numbers = _column_numbers(columns[vertical[0]])
+    vertical_angles = _column_numbers(columns[vertical[0]])
     max_value = max(_largest_magnitude(columns[horizontal[0]]), _largest_magnitude(columns[vertical[0]]))
     if _is_sexagesimal(horizontal, columns):
         units: tuple[AngleUnit, ...] = ("deg",)
@@ -178,7 +178,7 @@ def _possible_conventions(
         units = ("rad",)
     else:
         units = ("deg", "gon") if max_value <= FULL_CIRCLE_BY_UNIT["deg"] else ("gon",)
-    lowest = min(numbers, default=Decimal(0))
+    lowest = min(vertical_angles, default=Decimal(0))
     is_zenith = "zenit" in normalised_title(titles[vertical[0]])
     kind = "elevation" if lowest < 0 else "zenith" if is_zenith else "vertical"
     return [(unit, kind) for unit in units if lowest >= -FULL_CIRCLE_BY_UNIT[unit] / 4]

@@ -55,8 +55,8 @@ class TableBlock:
     def height_columns_after(self, columns: Sequence[TableColumn]) -> list[TableColumn]:
         """Columns of the heights, to be added after the columns of a header, without those that the header has."""
         roles = {column.role for column in columns}
-        extra = [column for column in self.height_columns if column.role not in roles]
-        return [replace(column, position=len(columns) + i) for i, column in enumerate(extra)]
+        further_columns = [column for column in self.height_columns if column.role not in roles]
+        return [replace(column, position=len(columns) + i) for i, column in enumerate(further_columns)]
 
     def _station_of(self, line: str) -> str | None:
         """Name of the station in a line; None if the line names none."""

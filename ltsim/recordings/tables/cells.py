@@ -105,13 +105,13 @@ _COMMA_AND_POINT_PATTERN = {
 }
 
 
-def thousands_separator(rows: Iterable[Sequence[str]], file: object) -> str:
+def thousands_separator(sheet_rows: Iterable[Sequence[str]], file: object) -> str:
     """Thousands separator of the cells of a sheet, point or comma; '' if there is none.
 
     ``7.000,5`` in one cell shows that ``7.000`` in another cell is 7000. Raises RecordError if the cells have both
     separators.
     """
-    mixed_cells = (cell for row in rows for cell in row if "," in cell and "." in cell)
+    mixed_cells = (cell for row in sheet_rows for cell in row if "," in cell and "." in cell)
     cell_by_separator = {
         mark: cell for cell in mixed_cells for mark, form in _COMMA_AND_POINT_PATTERN.items() if form.fullmatch(cell)
     }
@@ -150,13 +150,13 @@ def split_unit_mark(text: str) -> tuple[str, str] | None:
 def split_common_unit(texts: Sequence[str]) -> tuple[Sequence[str], str]:
     """Cells without the mark of their common unit, and this unit; unchanged cells and '' without a common unit."""
     filled = list(filter(None, texts))
-    first = split_unit_mark(filled[0]) if filled else None
-    if first is None:
+    first_split = split_unit_mark(filled[0]) if filled else None
+    if first_split is None:
         return texts, ""
-    split = [split_unit_mark(text) if text else ("", first[1]) for text in texts]
-    if any(pair is None or pair[1] != first[1] for pair in split):
+    split = [split_unit_mark(text) if text else ("", first_split[1]) for text in texts]
+    if any(pair is None or pair[1] != first_split[1] for pair in split):
         return texts, ""
-    return [pair[0] for pair in split if pair is not None], first[1]
+    return [pair[0] for pair in split if pair is not None], first_split[1]
 
 
 def is_sexagesimal(text: str) -> bool:
@@ -228,10 +228,10 @@ def _parse_sexagesimal(text: str) -> Decimal | None:
 
 def _degrees(sign: str, degrees: str, minutes: str, seconds: str) -> Decimal | None:
     """Degrees from degrees, minutes and seconds; None for minutes of 60 or more, or seconds above 60."""
-    parts = Decimal(minutes), Decimal(seconds or 0)
-    if parts[0] >= 60 or parts[1] > 60:
+    minutes_and_seconds = Decimal(minutes), Decimal(seconds or 0)
+    if minutes_and_seconds[0] >= 60 or minutes_and_seconds[1] > 60:
         return None
-    magnitude = Decimal(degrees) + (parts[0] * 60 + parts[1]) / 3600
+    magnitude = Decimal(degrees) + (minutes_and_seconds[0] * 60 + minutes_and_seconds[1]) / 3600
     return -magnitude if sign == "-" else magnitude
 
 
@@ -262,13 +262,13 @@ def parse_times(texts: Sequence[str], order: str | None = None) -> tuple[list[fl
 
 def _convert_all(convert: Callable[[str], ValueType | None], texts: Sequence[str]) -> list[ValueType] | None:
     """Converted texts; None if one of them cannot be converted."""
-    values = []
+    converted = []
     for text in texts:
         value_of_text = convert(text)
         if value_of_text is None:
             return None
-        values.append(value_of_text)
-    return values
+        converted.append(value_of_text)
+    return converted
 
 
 def is_date_or_time(text: str) -> bool:
@@ -295,9 +295,9 @@ def _without_apostrophe(text: str) -> str:
 
 
 def _seconds_since_first(stamps: list[datetime], *, has_date: bool) -> tuple[list[float], str]:
-    first = min(stamps)
-    moment = first.isoformat() if has_date else first.time().isoformat()
-    return [(stamp - first).total_seconds() for stamp in stamps], moment
+    earliest = min(stamps)
+    moment = earliest.isoformat() if has_date else earliest.time().isoformat()
+    return [(stamp - earliest).total_seconds() for stamp in stamps], moment
 
 
 def _unwrap_midnight(clocks: list[timedelta]) -> list[timedelta]:
@@ -351,11 +351,11 @@ def _parse_date_and_time(text: str, letters: str, order: str | None) -> datetime
     if match is None or clock_time is None or (len(match[1]) == 4) != (letters == "ymd"):
         return None
     is_excluded = letters == "mdy" if match[2] == "." else letters != "ymd" and order not in (None, letters)
-    parts = {letter: int(part) for letter, part in zip(letters, match.group(1, 3, 4), strict=True)}
-    year = parts["y"] + (2000 if parts["y"] < 100 else 0)
+    number_by_letter = {letter: int(part) for letter, part in zip(letters, match.group(1, 3, 4), strict=True)}
+    year = number_by_letter["y"] + (2000 if number_by_letter["y"] < 100 else 0)
     if is_excluded or year < 1000:
         return None
     try:
-        return datetime(year, parts["m"], parts["d"]) + clock_time
+        return datetime(year, number_by_letter["m"], number_by_letter["d"]) + clock_time
     except ValueError:
         return None

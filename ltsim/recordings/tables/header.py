@@ -113,8 +113,10 @@ class TableColumn:
         """Cells of this column, from the cells of each column in `table`; joined with those of minutes and seconds."""
         if not self.part_positions:
             return table[self.position]
-        parts = zip(*(table[place] for place in (self.position, *self.part_positions)), strict=True)
-        return [" ".join(cell + mark for cell, mark in zip(row, ANGLE_MARKS, strict=False) if cell) for row in parts]
+        cell_rows = zip(*(table[place] for place in (self.position, *self.part_positions)), strict=True)
+        return [
+            " ".join(cell + mark for cell, mark in zip(row, ANGLE_MARKS, strict=False) if cell) for row in cell_rows
+        ]
 
     @property
     def is_additional(self) -> bool:
@@ -247,8 +249,10 @@ def unknown_unit_sentence(titles: Sequence[str]) -> str:
 def require_readable_units(columns: Sequence[TableColumn], location: SourceLocation) -> None:
     """Check that no kind of reading is missing because the unit of its column is unknown; raises RecordError."""
     kinds = {_reading_kind(column.role) for column in columns}
-    others = [c.title for c in columns if not c.role]
-    missing = [title for title in others if _reading_kind(title_role(title_words_and_unit(title)[0])) not in kinds]
+    unknown_titles = [c.title for c in columns if not c.role]
+    missing = [
+        title for title in unknown_titles if _reading_kind(title_role(title_words_and_unit(title)[0])) not in kinds
+    ]
     if sentence := unknown_unit_sentence(missing):
         raise location.error(sentence)
 

@@ -97,13 +97,13 @@ class ColumnInterpretation:
         ]
         return np.stack(polar, axis=1) * [MILLIMETRE, DEGREE, DEGREE]
 
-    def unit_of(self, role: str, values: Floats) -> str:
+    def unit_of(self, role: str, column_values: Floats) -> str:
         """Unit of a column of sigmas or heights (n,) that declares none: the unit of the readings.
 
         Heights are in millimetres, or metres, if only that unit makes them plausible.
         """
         if role in HEIGHT_ROLES and self.length_unit in ("m", "mm"):
-            sizes = np.abs(values[np.isfinite(values) & (values != 0)])
+            sizes = np.abs(column_values[np.isfinite(column_values) & (column_values != 0)])
             height = float(np.median(sizes)) if len(sizes) else 0.0
             for unit, low, high in PLAUSIBLE_HEIGHTS:
                 if unit != self.length_unit and low < height < high:
@@ -251,19 +251,19 @@ def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -
         raise table.pointings.source_location(int(rows[0])).error(
             f"the coordinate {COORDINATE_ROLES[axes[0]]} is missing"
         )
-    length = next((c.unit for c in table.columns if c.role in COORDINATE_ROLES and c.unit), "")
+    length_unit = next((c.unit for c in table.columns if c.role in COORDINATE_ROLES and c.unit), "")
     notes: list[str] = []
-    if not length:
-        length, notes = length_meaning(np.linalg.norm(coordinates, axis=1), hints)
-    readings = to_polar(coordinates * SI_PER_UNIT[length])
+    if not length_unit:
+        length_unit, notes = length_meaning(np.linalg.norm(coordinates, axis=1), hints)
+    readings = to_polar(coordinates * SI_PER_UNIT[length_unit])
     coincident_rows = np.flatnonzero(readings[:, 0] < MILLIMETRE)
     if len(coincident_rows):
         raise table.pointings.source_location(int(coincident_rows[0])).error(
             "the point coincides with the instrument, expected another point"
         )
-    _require_separate_frames(table, coordinates * SI_PER_UNIT[length], file)
+    _require_separate_frames(table, coordinates * SI_PER_UNIT[length_unit], file)
     return ColumnInterpretation(
-        "rad", "rad", length, "elevation", "counter-clockwise", (*notes, COORDINATES_NOTE)
+        "rad", "rad", length_unit, "elevation", "counter-clockwise", (*notes, COORDINATES_NOTE)
     ), readings
 
 

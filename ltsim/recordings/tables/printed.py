@@ -40,10 +40,10 @@ def to_digits(texts: Sequence[str]) -> Digits:
 
 def to_floats(digits: Digits) -> Floats:
     """Nearest floating-point numbers (n,); NaN for a missing number."""
-    values = np.full(len(digits), np.nan)
+    numbers = np.full(len(digits), np.nan)
     filled = digits != b""
-    values[filled] = digits[filled].astype(np.float64)
-    return values
+    numbers[filled] = digits[filled].astype(np.float64)
+    return numbers
 
 
 def to_decimals(digits: Digits) -> Iterator[Decimal | None]:
@@ -61,14 +61,14 @@ def apply_exactly(
     The arguments of `function` are the products as integers (n,), in units of their last digit, and the integer that
     represents 1.0.
     """
-    values = np.full(len(digits), np.nan)
+    numbers = np.full(len(digits), np.nan)
     filled = digits != b""
     exponent = factor.as_tuple().exponent
     multiplier = int(factor.scaleb(-int(exponent))) * 10 ** max(int(exponent), 0)
     n_decimals = max(int(decimal_places(digits[filled]).max(initial=0)), 0)
     unit = 10 ** (n_decimals + max(-int(exponent), 0))
-    values[filled] = function(_scaled_integers(digits[filled], n_decimals, multiplier, unit), unit) / unit
-    return values
+    numbers[filled] = function(_scaled_integers(digits[filled], n_decimals, multiplier, unit), unit) / unit
+    return numbers
 
 
 def _scaled_integers(digits: Digits, n_decimals: int, multiplier: int, unit: int) -> NDArray[Any]:
@@ -76,9 +76,9 @@ def _scaled_integers(digits: Digits, n_decimals: int, multiplier: int, unit: int
 
     They are int64 if floating-point arithmetic is exact, otherwise Python integers.
     """
-    values = to_floats(digits)
-    if unit * multiplier * int(np.abs(values).max(initial=MAX_ANGLE_SUM)) < MAX_EXACT_PRODUCT:
-        return np.rint(values * 10**n_decimals).astype(np.int64) * multiplier
+    numbers = to_floats(digits)
+    if unit * multiplier * int(np.abs(numbers).max(initial=MAX_ANGLE_SUM)) < MAX_EXACT_PRODUCT:
+        return np.rint(numbers * 10**n_decimals).astype(np.int64) * multiplier
     with localcontext(prec=MAX_PREC):
         integers = [int(number.scaleb(n_decimals)) * multiplier for number in to_decimals(digits) if number is not None]
     return np.array([*integers, None])[:-1]  # of Python's integers, which an array of them alone would cut
@@ -150,9 +150,9 @@ class PrintedPointings:
         """Pointings at the given positions, in this order."""
         positions = list(order)
         list_columns: list[Any] = [[column[i] for i in positions] for column in self.complete_columns]
-        numbers = {role: digits[positions] for role, digits in self.numbers.items()}
+        digits_by_role = {role: digits[positions] for role, digits in self.numbers.items()}
         additional_cells = {title: [column[i] for i in positions] for title, column in self.additional_cells.items()}
-        return PrintedPointings(*[*list_columns, numbers, additional_cells])
+        return PrintedPointings(*[*list_columns, digits_by_role, additional_cells])
 
 
 def join_pointings(tables: Sequence[PrintedPointings]) -> PrintedPointings:
@@ -164,12 +164,12 @@ def join_pointings(tables: Sequence[PrintedPointings]) -> PrintedPointings:
     ]
     roles = dict.fromkeys(role for part in tables for role in part.numbers)
     titles = dict.fromkeys(title for part in tables for title in part.additional_cells)
-    numbers = {
+    digits_by_role = {
         role: np.concatenate([part.numbers.get(role, np.zeros(len(part), dtype="S1")) for part in tables])
         for role in roles
     }
     additional_cells = {title: _concatenate(part.texts(title) for part in tables) for title in titles}
-    return PrintedPointings(*[*list_columns, numbers, additional_cells])
+    return PrintedPointings(*[*list_columns, digits_by_role, additional_cells])
 
 
 def _concatenate(columns: Iterable[list[ValueType]]) -> list[ValueType]:

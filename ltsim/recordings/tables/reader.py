@@ -72,19 +72,19 @@ def pointing_times(table: PointingTable, hints: Hints) -> tuple[list[float], str
     consequence = "the order of the rows replaces the time"
     if not all(texts):
         return missing, "", [f"column '{quoted_text(column.title)}' is empty in some rows: {consequence}"]
-    values = cells.plain_numbers(texts)
-    if values is not None and column.role == "date":
+    plain_times = cells.plain_numbers(texts)
+    if plain_times is not None and column.role == "date":
         return (
             missing,
             "",
             [f"column '{quoted_text(column.title)}' contains numbers of days without a time: {consequence}"],
         )
-    if values is not None:
-        return (values * SI_PER_UNIT[column.unit or "s"]).tolist(), "", []
-    numbers = [cells.parse_number(text) for text in texts]
-    if all(number is not None for number in numbers):
+    if plain_times is not None:
+        return (plain_times * SI_PER_UNIT[column.unit or "s"]).tolist(), "", []
+    times = [cells.parse_number(text) for text in texts]
+    if all(number is not None for number in times):
         factor = SI_PER_UNIT[column.unit or "s"]
-        return [float(number) * factor for number in numbers if number is not None], "", []
+        return [float(number) * factor for number in times if number is not None], "", []
     seconds, start = cells.parse_times(texts, hints.date)
     if seconds is None and start:
         message = (
@@ -123,14 +123,14 @@ def recognises(path: Path, beginning: str) -> bool:
         return path.suffix.lower() == ".xlsx"
     if "\x00" in beginning[2:] or beginning.lstrip()[:1] in ("<", "{"):
         return False
-    rows = head_rows(
+    first_rows = head_rows(
         beginning if beginning.endswith("\n") else "\n".join(beginning.splitlines()[:-1])
     )  # the last may be cut
-    headers = [columns for row in rows if (columns := parse_header(row, NO_HINTS))]
+    headers = [columns for row in first_rows if (columns := parse_header(row, NO_HINTS))]
     if headers and has_named_coordinates(headers[0]) and not any(c.role == "station" for c in headers[0]):
         return False  # a list of coordinates, unless its station is named
-    n_measured_rows = sum(row.n_values > 1 and len(row.fields) > 2 for row in rows)
-    return bool(headers) or (path.suffix.lower() in TABLE_SUFFIXES and 2 * n_measured_rows > len(rows))
+    n_measured_rows = sum(row.n_values > 1 and len(row.fields) > 2 for row in first_rows)
+    return bool(headers) or (path.suffix.lower() in TABLE_SUFFIXES and 2 * n_measured_rows > len(first_rows))
 
 
 def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Recording:
@@ -291,11 +291,11 @@ def _additional_columns(
         for c in columns
         if c.title in with_units and c.title in numeric
     ]
-    others = ", ".join(f"'{quoted_text(names[c.title])}'" for c in columns if c.title not in with_units)
+    names_text = ", ".join(f"'{quoted_text(names[c.title])}'" for c in columns if c.title not in with_units)
     return (
         covariates,
         labels,
-        [*units, *([f"further columns are read as covariates and labels: {others}"] if others else [])],
+        [*units, *([f"further columns are read as covariates and labels: {names_text}"] if names_text else [])],
     )
 
 
@@ -315,9 +315,9 @@ def _covariate_values(
     if not any(texts):
         return None
     bare_texts, cell_unit = cells.split_common_unit(texts) if column.role in ROLE_UNITS else (texts, "")
-    numbers = cells.plain_numbers(bare_texts) if not any(pointings.group_separator) else None
-    if numbers is None:
-        numbers = np.full(len(texts), NOT_MEASURED)
+    column_numbers = cells.plain_numbers(bare_texts) if not any(pointings.group_separator) else None
+    if column_numbers is None:
+        column_numbers = np.full(len(texts), NOT_MEASURED)
         for i, (text, group_separator) in enumerate(zip(bare_texts, pointings.group_separator, strict=True)):
             if text and text not in cells.MISSING_MARKS:
                 number = cells.parse_quantity(text, group_separator)
@@ -326,12 +326,12 @@ def _covariate_values(
                     raise pointings.source_location(i).error(message, quoted_text(column.title))
                 if number is None:
                     return None
-                numbers[i] = number
-    unit = cell_unit or column.unit or interpretation.unit_of(column.role, numbers)
+                column_numbers[i] = number
+    unit = cell_unit or column.unit or interpretation.unit_of(column.role, column_numbers)
     target_unit = column.role.rpartition("_")[2]
     if target_unit in ("mm", "arcsec") and unit in (*ROLE_UNITS[column.role], "dms"):
-        numbers = numbers * float(unit_ratio(unit, target_unit))
-    return numbers, unit
+        column_numbers = column_numbers * float(unit_ratio(unit, target_unit))
+    return column_numbers, unit
 
 
 def _unread_lines_note(table: PointingTable) -> list[str]:

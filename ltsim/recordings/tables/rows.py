@@ -131,18 +131,18 @@ class _SheetReader:
 
     def read(self, header_row: int) -> PointingTable:
         """Pointings of the rows below the header with index `header_row`; -1 for numbered columns."""
-        rows = self.sheet.rows
-        for row in rows[: max(header_row, 0)]:
+        sheet_rows = self.sheet.rows
+        for row in sheet_rows[: max(header_row, 0)]:
             self._process_other_line(row)
         if header_row < 0:
-            numbered = SheetRow(0, tuple(str(i + 1) for i in range(len(rows[header_row + 1].fields))))
+            numbered = SheetRow(0, tuple(str(i + 1) for i in range(len(sheet_rows[header_row + 1].fields))))
             self._start_header(parse_header(numbered, self.hints, self.sheet.file) or [], None)
-        return self._read_rows(rows[max(header_row, 0) :])
+        return self._read_rows(sheet_rows[max(header_row, 0) :])
 
     def read_positional(self) -> PointingTable:
         """Pointings of lines with station, target and three numbers, or with target and three numbers."""
-        first = next((row for row in self.sheet.rows if not row.is_comment), None)
-        roles = POSITIONAL_ROLES[1:] if first is not None and len(first.fields) == 4 else POSITIONAL_ROLES
+        first_row = next((row for row in self.sheet.rows if not row.is_comment), None)
+        roles = POSITIONAL_ROLES[1:] if first_row is not None and len(first_row.fields) == 4 else POSITIONAL_ROLES
         for row in self.sheet.rows:
             if not row.is_comment and len(row.fields) != len(roles):
                 message = f"{len(row.fields)} fields, expected station, target, two angles and a distance"
@@ -168,9 +168,9 @@ class _SheetReader:
         self.reading_positions = [c.position for c in columns if c.role in READING_ROLES]
         self.station_position = next((c.position for c in columns if c.role == "station"), None)
 
-    def _read_rows(self, rows: Sequence[SheetRow], *, reads_all: bool = False) -> PointingTable:
-        last_index = len(rows) - 1
-        for i, row in enumerate(rows):
+    def _read_rows(self, sheet_rows: Sequence[SheetRow], *, reads_all: bool = False) -> PointingTable:
+        last_index = len(sheet_rows) - 1
+        for i, row in enumerate(sheet_rows):
             measured = (reads_all and not row.is_comment) or self._is_measured(row)
             again = parse_header(row, self.hints, self.sheet.file) if not measured else None
             if again is not None:

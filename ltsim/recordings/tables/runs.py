@@ -88,14 +88,16 @@ class RunReader:
         ]
         self.lacks_station_names |= "" in stations
         faces = self._faces(cells_by_role["face"], run.line) if "face" in cells_by_role else [0] * len(run)
-        numbers: dict[str, Digits] = {}
+        digits_by_role: dict[str, Digits] = {}
         for c in columns:
             if c.role in READING_ROLES:
                 digits = self._numbers(c.texts(table), c, run.line)
                 filled = digits != b""
                 if filled.any():
-                    earlier_digits = numbers.get(c.role)
-                    numbers[c.role] = digits if earlier_digits is None else np.where(filled, digits, earlier_digits)
+                    earlier_digits = digits_by_role.get(c.role)
+                    digits_by_role[c.role] = (
+                        digits if earlier_digits is None else np.where(filled, digits, earlier_digits)
+                    )
         additional_cells = {c.title: self._texts(table[c.position], run.line) for c in columns if c.is_additional}
         return PrintedPointings(
             [self.sheet.file] * len(run),
@@ -106,7 +108,7 @@ class RunReader:
             _joined_cells(cells_by_role.get("date"), cells_by_role.get("time")) or [*empty_cells],
             _joined_cells(cells_by_role.get("date"), cells_by_role.get("round")) or [*empty_cells],
             [self.sheet.thousands_separator] * len(run),
-            numbers,
+            digits_by_role,
             additional_cells,
         )
 
@@ -124,9 +126,13 @@ class RunReader:
         Raises RecordError.
         """
         texts = ["" if text in cells.MISSING_MARKS else text for text in texts]
-        values = cells.plain_numbers(texts) if column.unit != "dms" and not self.sheet.thousands_separator else None
+        plain_values = (
+            cells.plain_numbers(texts) if column.unit != "dms" and not self.sheet.thousands_separator else None
+        )
         lower_bound = 0.0 if column.role in DISTANCE_ROLES else -np.inf
-        if values is not None and not np.any((np.abs(values) >= MAX_READING_MAGNITUDE) | (values <= lower_bound)):
+        if plain_values is not None and not np.any(
+            (np.abs(plain_values) >= MAX_READING_MAGNITUDE) | (plain_values <= lower_bound)
+        ):
             return to_digits(texts)
         numbers, unit = cells.split_common_unit(texts)
         if unit in ROLE_UNITS[column.role] and column.unit in ("", unit):
@@ -145,17 +151,19 @@ class RunReader:
     def _number(self, text: str, column: TableColumn, line: int) -> str:
         """Digits of the number in one cell; raises RecordError."""
         packed = column.unit == "dms"
-        number = cells.parse_packed_degrees(text) if packed else cells.parse_value(text, self.sheet.thousands_separator)
+        exact_value = (
+            cells.parse_packed_degrees(text) if packed else cells.parse_value(text, self.sheet.thousands_separator)
+        )
         location = self._place(line)
-        if packed and number is None:
+        if packed and exact_value is None:
             what = "degrees, minutes and seconds, such as 33°12'07.5\" or 33.12075"
             raise location.error(f"found '{quoted_text(text)}', expected {what}", quoted_text(column.title))
-        if number is None or not abs(number) < MAX_READING_MAGNITUDE:
+        if exact_value is None or not abs(exact_value) < MAX_READING_MAGNITUDE:
             raise location.error(f"found '{quoted_text(text)}', expected a number", quoted_text(column.title))
-        if column.role in DISTANCE_ROLES and not number > 0:
+        if column.role in DISTANCE_ROLES and not exact_value > 0:
             what = f"found {quoted_text(text)}, expected a distance above 0, or an empty cell without one"
             raise location.error(what, quoted_text(column.title))
-        return str(number)
+        return str(exact_value)
 
     def _texts(self, texts: Sequence[str], lines: Sequence[int]) -> list[str]:
         """Checked cells of an additional column; equal texts are stored once. Raises RecordError."""
@@ -180,8 +188,8 @@ def pad_cells(fields: Sequence[str], width: int) -> Sequence[str]:
     return (*fields[:width], *[""] * (width - len(fields)))
 
 
-def _joined_cells(first: Sequence[str] | None, second: Sequence[str] | None) -> list[str] | None:
+def _joined_cells(first_cells: Sequence[str] | None, second_cells: Sequence[str] | None) -> list[str] | None:
     """Cells of two columns, joined by a blank; those of one column if the other is None, and None if both are."""
-    if first is None or second is None:
-        return list(first or second or ()) or None
-    return [" ".join(filter(None, pair)) for pair in zip(first, second, strict=True)]
+    if first_cells is None or second_cells is None:
+        return list(first_cells or second_cells or ()) or None
+    return [" ".join(filter(None, pair)) for pair in zip(first_cells, second_cells, strict=True)]

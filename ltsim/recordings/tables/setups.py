@@ -83,17 +83,19 @@ def common_target_names(pointings: PrintedPointings) -> tuple[list[str], list[st
     spellings_by_name: dict[str, list[str]] = {}
     for target in stations_of:
         spellings_by_name.setdefault(normalised_name(target), []).append(target)
-    common = {
+    spelling_by_name = {
         name: spellings[0]
         for spellings in spellings_by_name.values()
         if len(spellings) > 1
         and sum(len(stations_of[s]) for s in spellings) == len(set().union(*(stations_of[s] for s in spellings)))
         for name in spellings[1:]
     }
-    if common:
-        examples = listing([f"'{name}' and '{first}'" for name, first in common.items()], MAX_NAMES_IN_SETUP_NOTE)
+    if spelling_by_name:
+        examples = listing(
+            [f"'{name}' and '{first}'" for name, first in spelling_by_name.items()], MAX_NAMES_IN_SETUP_NOTE
+        )
         notes.append(f"names that differ only in {NAME_DIFFERENCES} are the same target: {examples}")
-    names = [common.get(target, target) for target in targets]
+    names = [spelling_by_name.get(target, target) for target in targets]
     return [names[i] for i in row.tolist()], notes
 
 
@@ -210,7 +212,7 @@ def _numbers_by_height(table: PointingTable) -> list[str]:
     and the mark has one occupation.
     """
     column = table.column(("instrument_height_mm",))
-    numbers = [""] * len(table.pointings)
+    setup_numbers = [""] * len(table.pointings)
     rows_by_mark: dict[str, list[int]] = {}
     for row, mark in enumerate(table.mark if column is not None else ()):
         rows_by_mark.setdefault(mark, []).append(row)
@@ -221,8 +223,8 @@ def _numbers_by_height(table: PointingTable) -> list[str]:
         if is_occupation and min(map(len, runs)) >= MIN_ROWS_OF_OCCUPATION:
             for number, run in enumerate(runs, start=1):
                 for row in run:
-                    numbers[row] = str(number)
-    return numbers
+                    setup_numbers[row] = str(number)
+    return setup_numbers
 
 
 def _has_rotated_circle(
@@ -234,11 +236,13 @@ def _has_rotated_circle(
     table, so that a single gross error has no effect.
     """
     pointings = table.pointings
-    first: dict[tuple[object, ...], tuple[int, float, float]] = {}
+    first_reading: dict[tuple[object, ...], tuple[int, float, float]] = {}
     differences: dict[int, list[tuple[float, float]]] = {}
-    numbers = (occupation_index.tolist(), round_index.tolist(), azimuth.tolist(), sigma.tolist())
-    for target, face, stay, key, direction, noise in zip(pointings.target, pointings.face, *numbers, strict=True):
-        other, before, before_noise = first.setdefault((stay, target, face), (key, direction, noise))
+    reading_columns = (occupation_index.tolist(), round_index.tolist(), azimuth.tolist(), sigma.tolist())
+    for target, face, stay, key, direction, noise in zip(
+        pointings.target, pointings.face, *reading_columns, strict=True
+    ):
+        other, before, before_noise = first_reading.setdefault((stay, target, face), (key, direction, noise))
         if other != key and np.isfinite(direction - before):
             difference = float(np.remainder(direction - before + np.pi, 2 * np.pi) - np.pi)
             differences.setdefault(key, []).append((difference, np.hypot(noise, before_noise)))
@@ -301,8 +305,8 @@ def _has_closed_lines(table: PointingTable, readings: Floats) -> bool:
     lines: dict[tuple[str, str], list[tuple[float, float]]] = {}
     for line, length, rise in zip(_mark_and_target(table), lengths.tolist(), rises.tolist(), strict=True):
         lines.setdefault(line, []).append((length, rise))
-    mean = {line: np.mean(both, axis=0) for line, both in lines.items()}
-    closures = [mean[a, b] - mean[b, a] * [1.0, -1.0] for a, b in lines if a < b and (b, a) in lines]
+    mean_rise = {line: np.mean(both, axis=0) for line, both in lines.items()}
+    closures = [mean_rise[a, b] - mean_rise[b, a] * [1.0, -1.0] for a, b in lines if a < b and (b, a) in lines]
     if not closures:
         return False
     length, rise = np.abs(np.array(closures)).T
@@ -343,8 +347,10 @@ def heights_not_applied(table: PointingTable, readings: Floats, height: Floats) 
     for line, up, other in zip(_mark_and_target(table), rise.tolist(), with_heights.tolist(), strict=True):
         if up == up:
             lines.setdefault(line, []).append((up, other))
-    mean = {line: np.mean(rises, axis=0) for line, rises in lines.items()}
-    closures = np.abs([mean[a, b] + mean[b, a] for a, b in mean if a < b and (b, a) in mean]).reshape(-1, 2)
+    mean_rise = {line: np.mean(rises, axis=0) for line, rises in lines.items()}
+    closures = np.abs(
+        [mean_rise[a, b] + mean_rise[b, a] for a, b in mean_rise if a < b and (b, a) in mean_rise]
+    ).reshape(-1, 2)
     if len(closures) < MIN_CLOSED_LINES:
         return []
     if np.median(closures[:, 0]) > MAX_UNAPPLIED_CLOSURE_M:

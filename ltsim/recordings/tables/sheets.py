@@ -122,8 +122,8 @@ class TableSheet:
     @cached_property
     def thousands_separator(self) -> str:
         """Thousands separator of the numbers, '' for none; raises RecordError for two different ones."""
-        rows = self.rows.rows_with_comma_and_point if isinstance(self.rows, TextRows) else self.rows
-        return thousands_separator((row.fields for row in rows), self.file)
+        number_rows = self.rows.rows_with_comma_and_point if isinstance(self.rows, TextRows) else self.rows
+        return thousands_separator((row.fields for row in number_rows), self.file)
 
     def require_complete_end(self, width: int, *, requires_all: bool = False) -> None:
         """Check that the last line is complete; raises RecordError.
@@ -177,14 +177,14 @@ def read_text_sheet(file: Path) -> TableSheet:
 def _non_blank_rows(lines: Sequence[str], file: Path) -> TextRows:
     """Rows of the lines that are not blank; raises RecordError for a line with more than `MAX_ROW_FIELDS` fields."""
     separator = _detect_separator(lines)
-    rows = []
+    non_blank = []
     for i, line in enumerate(lines):
         is_separator_line = len(line) == 5 and line.lower().startswith("sep=")  # exports of some spreadsheets
         if line.strip().lstrip("#").strip() and not is_separator_line:
             if len(line) >= MAX_ROW_FIELDS:
                 _require_few_fields(_split_fields(line, separator), i + 1, file)
-            rows.append((i + 1, line))
-    return TextRows(rows, separator)
+            non_blank.append((i + 1, line))
+    return TextRows(non_blank, separator)
 
 
 def _require_few_fields(fields: Sequence[str], line: int, file: Path) -> None:
@@ -209,9 +209,13 @@ def _detect_separator(lines: Sequence[str]) -> str:
     Lines with three or more columns decide first, then those with two or more, and then the number of columns. In case
     of a tie it is the first of `FIELD_SEPARATORS`.
     """
-    first = zip(lines[:N_SAMPLE_LINES], accumulate(map(len, lines[:N_SAMPLE_LINES]), initial=0), strict=False)
+    lines_and_offsets = zip(
+        lines[:N_SAMPLE_LINES], accumulate(map(len, lines[:N_SAMPLE_LINES]), initial=0), strict=False
+    )
     sample = [
-        line for line, before in first if before < MAX_SAMPLE_CHARACTERS and line.strip() and line.lstrip()[0] != "#"
+        line
+        for line, before in lines_and_offsets
+        if before < MAX_SAMPLE_CHARACTERS and line.strip() and line.lstrip()[0] != "#"
     ]
     if sample and all(line.count("\t") == sample[0].count("\t") > 2 for line in sample):
         return "\t"
@@ -223,10 +227,10 @@ def _detect_separator(lines: Sequence[str]) -> str:
 
 def _count_values(lines: Sequence[str], separator: str, min_columns: int) -> int:
     """Largest number of cells with numbers in lines of one width, among lines with at least `min_columns` columns."""
-    rows = [fields for fields in (_split_fields(line, separator) for line in lines) if len(fields) >= min_columns]
+    wide_rows = [fields for fields in (_split_fields(line, separator) for line in lines) if len(fields) >= min_columns]
     is_number_cell = is_number if separator == "," else is_value
     counts: Counter[int] = Counter()
-    for fields in rows:
+    for fields in wide_rows:
         counts[len(fields)] += sum(map(is_number_cell, fields))
     return max(counts.values(), default=0)
 
@@ -369,9 +373,9 @@ def _cell_text(cell: object) -> str:
     return "" if cell is None else cell.isoformat() if isinstance(cell, _DATE_TYPES) else str(cell).strip()
 
 
-def _cell_texts(values: tuple[Any, ...]) -> list[str]:
+def _cell_texts(cell_values: tuple[Any, ...]) -> list[str]:
     """Texts of the cells of a row: ISO dates, numbers with their shortest digits, no empty cells at the end."""
-    texts = list(map(_cell_text, values))
+    texts = list(map(_cell_text, cell_values))
     while texts and not texts[-1]:
         texts.pop()
     return texts

@@ -70,11 +70,11 @@ def several_positions_note(table: PointingTable, readings: Floats) -> list[str]:
     low, high = np.full(len(sights), np.inf), np.full(len(sights), -np.inf)
     np.minimum.at(low, groups[finite], readings[finite, 0])
     np.maximum.at(high, groups[finite], readings[finite, 0])
-    worst = int(np.argmax(high - low))
-    station, target = (quoted_text(name) for name in sights[worst])
+    worst_station = int(np.argmax(high - low))
+    station, target = (quoted_text(name) for name in sights[worst_station])
     return [
         f"one name of a target has several positions: the distances from '{station}' to '{target}' differ by "
-        f"{high[worst] - low[worst]:.3g} m; if it names a reflector that moved, name each point"
+        f"{high[worst_station] - low[worst_station]:.3g} m; if it names a reflector that moved, name each point"
     ]
 
 
@@ -88,7 +88,7 @@ def _median_spread(values: Floats, groups: Ints) -> float:
         return 0.0
     order = np.lexsort((values[finite], groups[finite]))
     values, groups = values[finite][order], groups[finite][order]
-    first = np.flatnonzero(np.diff(groups, prepend=-1))
-    last = np.append(first[1:], len(groups)) - 1
-    spreads = (values[last] - values[first])[last > first]
+    first_indices = np.flatnonzero(np.diff(groups, prepend=-1))
+    last_indices = np.append(first_indices[1:], len(groups)) - 1
+    spreads = (values[last_indices] - values[first_indices])[last_indices > first_indices]
     return float(np.median(spreads)) if len(spreads) else 0.0

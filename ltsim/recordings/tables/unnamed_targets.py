@@ -105,14 +105,14 @@ def _position_numbers(readings: Floats) -> Ints:
     points = from_polar(np.stack([np.where(np.isnan(ranges), longest, ranges), *np.nan_to_num(readings[:, 1:]).T], 1))
     scaled = points / (MAX_SAME_PLACE_RATIO * longest)
     steps = list(product((0, -1, 1), repeat=scaled.shape[1]))
-    first: list[tuple[float, ...]] = []
+    first_positions: list[tuple[float, ...]] = []
     of_box: dict[tuple[int, ...], int] = {}  # no two places lie in one box of unit size
     numbers_of_places = []
     for row, box in zip(scaled.tolist(), np.floor(scaled).astype(np.int64).tolist(), strict=True):
         around = [of_box[other] for step in steps if (other := tuple(map(add, box, step))) in of_box]
-        near = [i for i in around if max(map(abs, map(sub, row, first[i]))) < 1.0]
+        near = [i for i in around if max(map(abs, map(sub, row, first_positions[i]))) < 1.0]
         if not near:
-            of_box[tuple(box)] = len(first)
-            first.append(tuple(row))
-        numbers_of_places.append(min(near, default=len(first) - 1))
+            of_box[tuple(box)] = len(first_positions)
+            first_positions.append(tuple(row))
+        numbers_of_places.append(min(near, default=len(first_positions) - 1))
     return np.array(numbers_of_places)

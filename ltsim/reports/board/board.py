@@ -14,7 +14,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import LtsimError, SetupError
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
-from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.planner import layout_visibility
 from ltsim.planning.result import PLAN_FILE, SCENARIO_FILE, copy_cad_files, load_plan_and_scenario, with_layout
@@ -65,7 +65,7 @@ class MovableLayout:
     """Scenario with the initial stations."""
     search_space: SearchSpace
     """Allowed places and lines of sight; the `survey` in it has the faces and rounds of the scenario."""
-    construction: Construction
+    construction: GeometricErrorModel
     tolerances: PointTolerances
     """Tolerances of the points in the plan file."""
 
@@ -83,7 +83,7 @@ class MovableLayout:
         survey, floor = self.search_space.survey, self.plan_file.floor
         names = [area.name for area in floor.areas] or [""]
         free = [*(place.name for place in floor.keep_outs), *(door.name for door in floor.doors)]
-        groups = {point.name: point.group for point in self.plan_file.listed_points}
+        group_by_point = {point.name: point.group for point in self.plan_file.listed_points}
         tolerances = self.tolerances.tolerance_by_point
         stations = zip(survey.station_names, survey.station_positions, survey.station_yaws, strict=True)
         return {
@@ -100,7 +100,7 @@ class MovableLayout:
             ],
             "obstacles": _obstacle_path(self.search_space.obstacles),
             "points": [
-                {"name": name, "at": place, "group": groups.get(name, ""),
+                {"name": name, "at": place, "group": group_by_point.get(name, ""),
                  "tolerance_um": tolerance / MICROMETRE if (tolerance := tolerances.get(name)) else None}
                 for name, place in zip(survey.target_names, survey.target_points.tolist(), strict=True)
             ],

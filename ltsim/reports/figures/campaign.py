@@ -120,7 +120,7 @@ def sweep_points(
     floor_statistic = statistic.replace("error_calibrated", "error_true_parameters")
     floors = results.distribution(floor_statistic) if floor_statistic != statistic else []
     lowest = [min((s for s in floors if s.cell == cell), key=lambda s: s.mean) for cell in {s.cell: 0 for s in floors}]
-    rows = []
+    points = []
     for s in [*results.distribution(statistic), *lowest]:
         here = results.levels[s.cell] | {"method": s.method}
         if any(here[name] != required for name, required in levels.items()):
@@ -129,10 +129,10 @@ def sweep_points(
         level = here[names[0]] if len(names) == 1 else None
         position = ", ".join(texts[name] for name in names) if level is None else level
         line = s.method if s.column == statistic else NOISE_FLOOR_LABEL
-        rows.append(
+        points.append(
             SweepPoint(position, line, texts.get(panel, ""), s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5])
         )
-    return rows
+    return points
 
 
 def sweep_figure(results: CampaignResults, statistic: str, along: str, *, panel: str = "", **levels: Any) -> Figure:
@@ -153,7 +153,7 @@ def sweep_figure(results: CampaignResults, statistic: str, along: str, *, panel:
 
 @style.with_figure_style
 def factor_panels_figure(
-    rows: Sequence[SweepPoint],
+    plotted_points: Sequence[SweepPoint],
     *,
     label: str,
     axis: str,
@@ -164,7 +164,7 @@ def factor_panels_figure(
 
     Parameters
     ----------
-    rows : sequence of SweepPoint
+    plotted_points : sequence of SweepPoint
     label : str
         The statistic with its unit.
     axis : str
@@ -174,16 +174,16 @@ def factor_panels_figure(
     joins_points : bool
         True to join the points of a line. If False, each panel has a separate factor, named by the panel.
     """
-    panels = list(dict.fromkeys(row.panel for row in rows))[:MAX_FIGURE_PANELS]
+    panels = list(dict.fromkeys(row.panel for row in plotted_points))[:MAX_FIGURE_PANELS]
     n_columns = min(len(panels), 2)
     n_rows = -(-len(panels) // n_columns)
     figure = style.new_figure(0.9 + (1.9 if n_columns > 1 else 2.6) * n_rows)
     axes = figure.subplots(n_rows, n_columns, sharex=joins_points, sharey=True, squeeze=False)
-    words = list(dict.fromkeys(row.level for row in rows if isinstance(row.level, str)))
-    names = list(dict.fromkeys(row.line for row in rows))[:MAX_PANEL_LINES]
+    words = list(dict.fromkeys(row.level for row in plotted_points if isinstance(row.level, str)))
+    names = list(dict.fromkeys(row.line for row in plotted_points))[:MAX_PANEL_LINES]
     for ax, panel in zip(axes.flat, panels, strict=False):
         for k, name in enumerate(names):
-            points = [row for row in rows if (row.panel, row.line) == (panel, name)]
+            points = [row for row in plotted_points if (row.panel, row.line) == (panel, name)]
             _draw_line(ax, points, _axis_positions(points, words, (k + 0.5) / len(names)), k, is_joined=joins_points)
         if published_value is not None:
             ax.axhline(published_value, color=style.INK_COLOUR, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
@@ -191,7 +191,7 @@ def factor_panels_figure(
             ax.set_title(style.shortened_name(panel, 44 if n_columns < 2 else 34), fontsize=8.5)
         else:
             ax.set_xlabel(panel)
-        _set_axis_ticks(ax, [row.level for row in rows if row.panel == panel], words, is_joined=joins_points)
+        _set_axis_ticks(ax, [row.level for row in plotted_points if row.panel == panel], words, is_joined=joins_points)
         style.set_grid(ax)
     for ax in axes.flat[len(panels) :]:
         ax.set_axis_off()
@@ -203,22 +203,22 @@ def factor_panels_figure(
     return figure
 
 
-def _axis_positions(rows: Sequence[SweepPoint], level_texts: Sequence[str], offset_fraction: float) -> Floats:
+def _axis_positions(line_points: Sequence[SweepPoint], level_texts: Sequence[str], offset_fraction: float) -> Floats:
     """Positions (n,) of points on the x axis; with levels that are texts, line by line shifted by `offset_fraction`."""
-    place = [level_texts.index(row.level) if isinstance(row.level, str) else row.level for row in rows]
+    place = [level_texts.index(row.level) if isinstance(row.level, str) else row.level for row in line_points]
     return np.array(place, dtype=np.float64) + (0.3 * (offset_fraction - 0.5) if level_texts else 0.0)
 
 
-def _draw_line(ax: Axes, rows: Sequence[SweepPoint], place: Floats, number: int, *, is_joined: bool) -> None:
-    if not rows:
+def _draw_line(ax: Axes, points: Sequence[SweepPoint], place: Floats, line_number: int, *, is_joined: bool) -> None:
+    if not points:
         return
     order = np.argsort(place, kind="stable")
-    x, mean = place[order], np.array([rows[i].mean for i in order])
-    low, high = (np.array([getattr(rows[i], side) for i in order]) for side in ("low", "high"))
-    colour = style.COLOUR_CYCLE[number % len(style.COLOUR_CYCLE)]
-    p05, p95 = (np.array([getattr(rows[i], side) for i in order]) for side in ("quantile_05", "quantile_95"))
+    x, mean = place[order], np.array([points[i].mean for i in order])
+    low, high = (np.array([getattr(points[i], side) for i in order]) for side in ("low", "high"))
+    colour = style.COLOUR_CYCLE[line_number % len(style.COLOUR_CYCLE)]
+    p05, p95 = (np.array([getattr(points[i], side) for i in order]) for side in ("quantile_05", "quantile_95"))
     has_trials = bool(np.any(p05 < p95))
-    if is_joined and not isinstance(rows[0].level, str) and has_trials:
+    if is_joined and not isinstance(points[0].level, str) and has_trials:
         ax.fill_between(
             x,
             p05,
@@ -226,12 +226,12 @@ def _draw_line(ax: Axes, rows: Sequence[SweepPoint], place: Floats, number: int,
             color=colour,
             alpha=0.12,
             linewidth=0,
-            label=CENTRAL_90_PERCENT_LABEL if number == 0 else None,
+            label=CENTRAL_90_PERCENT_LABEL if line_number == 0 else None,
         )
     interval_text = "mean, 95 % interval" if has_trials else "95 % interval"  # a share has no trials
-    label = (f"{rows[0].line}: {interval_text}" if number == 0 else rows[0].line).removeprefix(": ")
+    label = (f"{points[0].line}: {interval_text}" if line_number == 0 else points[0].line).removeprefix(": ")
     ax.errorbar(
-        x, mean, [mean - low, high - mean], color=colour, marker=style.MARKERS[number % len(style.MARKERS)],
+        x, mean, [mean - low, high - mean], color=colour, marker=style.MARKERS[line_number % len(style.MARKERS)],
         markersize=4.5, linestyle=("-" if is_joined else "none"), elinewidth=2.4, label=label,
     )  # fmt: skip
 
@@ -264,24 +264,24 @@ MAX_SETTING_ROWS = 40
 
 
 @style.with_figure_style
-def setting_rows_figure(rows: Sequence[SweepPoint], *, label: str, published_value: float | None = None) -> Figure:
+def setting_rows_figure(points: Sequence[SweepPoint], *, label: str, published_value: float | None = None) -> Figure:
     """Figure with a row per setting: means with 95 % intervals, thin lines for the central 90 % of the trials.
 
     Parameters
     ----------
-    rows : sequence of SweepPoint
+    points : sequence of SweepPoint
         `level` is the setting, `line` the method.
     label : str
         The statistic with its unit.
     published_value : float, optional
         A published value to compare with.
     """
-    settings = list(dict.fromkeys(str(row.level) for row in rows))[:MAX_SETTING_ROWS]
-    methods = list(dict.fromkeys(row.line for row in rows))
+    settings = list(dict.fromkeys(str(row.level) for row in points))[:MAX_SETTING_ROWS]
+    methods = list(dict.fromkeys(row.line for row in points))
     figure, ax = style.new_panel(0.75 + len(settings) * (0.14 + 0.14 * len(methods)))
     places = dict(zip(settings, style.set_category_rows(ax, settings), strict=True))
     for m, method in enumerate(methods):
-        mine = [row for row in rows if row.line == method and str(row.level) in places]
+        mine = [row for row in points if row.line == method and str(row.level) in places]
         y = np.array([places[str(row.level)] for row in mine]) + 0.62 * ((m + 0.5) / len(methods) - 0.5)
         colour = style.COLOUR_CYCLE[m % len(style.COLOUR_CYCLE)]
         ninety, mean = ("90 % of trials", "95 % interval of the mean") if m == 0 else ("", "")
@@ -306,15 +306,15 @@ class TrialDistribution:
 
 
 @style.with_figure_style
-def distributions_figure(rows: Sequence[TrialDistribution]) -> Figure:
+def distributions_figure(distributions: Sequence[TrialDistribution]) -> Figure:
     """Histograms of quantities over trials, with mean and 95 % interval, central 90 % of trials, published value."""
-    n_columns = min(2, max(len(rows), 1))
-    n_rows = -(-len(rows) // n_columns)
+    n_columns = min(2, max(len(distributions), 1))
+    n_rows = -(-len(distributions) // n_columns)
     figure = style.new_figure(0.4 + 1.7 * n_rows)
     axes = figure.subplots(n_rows, n_columns, squeeze=False)
-    for ax, row in zip(axes.flat, rows, strict=False):
+    for ax, row in zip(axes.flat, distributions, strict=False):
         _draw_distribution(ax, row)
-    for ax in axes.flat[len(rows) :]:
+    for ax in axes.flat[len(distributions) :]:
         ax.set_axis_off()
     style.add_legend(figure, axes.flat)
     return figure
@@ -322,12 +322,12 @@ def distributions_figure(rows: Sequence[TrialDistribution]) -> Figure:
 
 def _draw_distribution(ax: Axes, row: TrialDistribution) -> None:
     """Draw the histogram of a quantity, with mean, intervals and published value above."""
-    values = row.values[np.isfinite(row.values)]
-    low, high = np.percentile(values, [0.25, 99.75])
+    finite = row.values[np.isfinite(row.values)]
+    low, high = np.percentile(finite, [0.25, 99.75])
     if row.published is not None:
         low, high = min(low, row.published), max(high, row.published)
     margin = 0.04 * (high - low) or 1.0
-    counts, edges = np.histogram(values, bins=min(60, max(12, int(np.sqrt(len(values))))), range=(low, high))
+    counts, edges = np.histogram(finite, bins=min(60, max(12, int(np.sqrt(len(finite))))), range=(low, high))
     ax.stairs(counts, edges, fill=True, color=style.SKY)
     ax.set_xlim(low - margin, high + margin)
     ax.set_yticks([])
@@ -335,9 +335,9 @@ def _draw_distribution(ax: Axes, row: TrialDistribution) -> None:
     style.set_grid(ax, grid_axis="none")
     top = 1.05 * float(counts.max())
     ax.set_ylim(0, 1.28 * top)
-    mean, half = float(values.mean()), NORMAL_QUANTILE_95 * float(values.std(ddof=1)) / np.sqrt(len(values))
+    mean, half = float(finite.mean()), NORMAL_QUANTILE_95 * float(finite.std(ddof=1)) / np.sqrt(len(finite))
     ax.hlines(
-        1.07 * top, *np.percentile(values, [5, 95]), color=style.INK_COLOUR, linewidth=1.0, label="90 % of trials"
+        1.07 * top, *np.percentile(finite, [5, 95]), color=style.INK_COLOUR, linewidth=1.0, label="90 % of trials"
     )
     ax.hlines(
         1.07 * top, mean - half, mean + half, color=style.COLOUR_AFTER, linewidth=5.0, label="mean, 95 % interval"
@@ -348,7 +348,7 @@ def _draw_distribution(ax: Axes, row: TrialDistribution) -> None:
     ax.set_xlabel(f"[{style.unit_text(row.unit)}]" if row.unit else "")
     if row.published is not None:
         ax.axvline(row.published, color=style.INK_COLOUR, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
-        right, below = row.published > 0.5 * (low + high), 100 * float(np.mean(values < row.published))
+        right, below = row.published > 0.5 * (low + high), 100 * float(np.mean(finite < row.published))
         ax.annotate(
             typographic_text(f"{number_text(row.published)}, percentile {below:.0f}"), (row.published, 1.27 * top),
             xytext=(-3 if right else 3, -1), textcoords="offset points", fontsize=7.5, ha="right" if right else "left",
@@ -366,21 +366,22 @@ def coverage_interval(row: ZScoreSummary) -> tuple[float, float]:
     return float(interval.low), float(interval.high)
 
 
-def is_outside_allowed_coverage(rows: Sequence[ZScoreSummary]) -> list[bool]:
+def is_outside_allowed_coverage(z_scores: Sequence[ZScoreSummary]) -> list[bool]:
     """True for each parameter whose interval of coverage lies completely outside the allowed band."""
-    return [high < ALLOWED_COVERAGE[0] or low > ALLOWED_COVERAGE[1] for low, high in map(coverage_interval, rows)]
+    return [high < ALLOWED_COVERAGE[0] or low > ALLOWED_COVERAGE[1] for low, high in map(coverage_interval, z_scores)]
 
 
 @style.with_figure_style
-def coverage_figure(rows: Sequence[ZScoreSummary]) -> Figure:
+def coverage_figure(scores: Sequence[ZScoreSummary]) -> Figure:
     """Coverage of the 95 % intervals of each parameter with an interval of the coverage, and the allowed band."""
-    figure, ax = style.new_panel(0.9 + 0.2 * max(len(rows), 3))
-    places = style.set_category_rows(ax, [row.parameter for row in rows])
-    coverage, bounds = np.array([row.coverage_95 for row in rows]), np.array([coverage_interval(row) for row in rows])
+    figure, ax = style.new_panel(0.9 + 0.2 * max(len(scores), 3))
+    places = style.set_category_rows(ax, [row.parameter for row in scores])
+    coverage = np.array([row.coverage_95 for row in scores])
+    bounds = np.array([coverage_interval(row) for row in scores])
     band = f"allowed {100 * ALLOWED_COVERAGE[0]:.1f} to {100 * ALLOWED_COVERAGE[1]:.1f} %"
     ax.axvspan(*ALLOWED_COVERAGE, color=style.BAND_COLOUR, linewidth=0, zorder=0, label=band)
     ax.axvline(0.95, color=style.INK_COLOUR, linewidth=1.0, linestyle=(0, (4, 2)), label="nominal 95 %")
-    red = np.array(is_outside_allowed_coverage(rows), dtype=bool)
+    red = np.array(is_outside_allowed_coverage(scores), dtype=bool)
     for chosen, colour, word in ((~red, style.BLUE, "share, its 95 % interval"), (red, style.RED, "outside the band")):
         if chosen.any():
             ax.hlines(places[chosen], *bounds[chosen].T, color=colour, linewidth=1.8)

@@ -52,10 +52,10 @@ def levels_of_cells(results: CampaignResults, factor: Factor) -> list[Any]:
     return [level[factor.name] for level in results.levels]
 
 
-def _is_bijection(first: Sequence[Any], second: Sequence[Any]) -> bool:
+def _is_bijection(first_column: Sequence[Any], second_column: Sequence[Any]) -> bool:
     """True if the values of two columns correspond one to one."""
-    pairs = len(set(zip(first, second, strict=True)))
-    return pairs == len(set(first)) == len(set(second))
+    n_pairs = len(set(zip(first_column, second_column, strict=True)))
+    return n_pairs == len(set(first_column)) == len(set(second_column))
 
 
 def statistic_figures(
@@ -68,14 +68,14 @@ def statistic_figures(
     """
     factors, trials_sentence = varying_factors(results), f"{results.manifest.trials} trials per setting."
     figure_options: dict[str, Any] = {"label": label, "published_value": published_value}
-    cells = len({tuple(level[f.name] for f in factors) for level in results.levels})
-    is_grid = cells == len(results.levels) == math.prod(len(set(levels_of_cells(results, f))) for f in factors)
+    n_cells = len({tuple(level[f.name] for f in factors) for level in results.levels})
+    is_grid = n_cells == len(results.levels) == math.prod(len(set(levels_of_cells(results, f))) for f in factors)
     if factors and results.manifest.settings.get("design"):
         points = [(f, _axis_position(f, results.levels[s.cell]), s) for f in factors for s in summaries]
         rows = [_sweep_point(s, place, s.method, factor_axis_title(factor)) for factor, place, s in points]
         figure = partial(factor_panels_figure, rows, axis="", joins_points=False, **figure_options)
         yield f"Each mark is one setting, against each factor. {trials_sentence}", figure
-    elif factors and is_grid and cells > 2:
+    elif factors and is_grid and n_cells > 2:
         axis, rows = _factor_lines(results, factors, summaries)
         names = list(dict.fromkeys(row.panel for row in rows))
         for first in range(0, len(names), MAX_FIGURE_PANELS):
@@ -106,11 +106,11 @@ def _factor_lines(
 ) -> tuple[str, list[SweepPoint]]:
     """Title of the x axis, and the points of all lines over the factor on this axis."""
     x_factor, line_factor, panel_factors = factor_arrangement(results, factors)
-    rows = []
+    line_points = []
     for s in summaries:
         level = results.levels[s.cell]
         line = factor_level_text(line_factor, level[line_factor.name]) if line_factor else s.method
-        rows.append(
+        line_points.append(
             _sweep_point(
                 s,
                 _axis_position(x_factor, level),
@@ -118,7 +118,7 @@ def _factor_lines(
                 ", ".join(factor_level_text(f, level[f.name]) for f in panel_factors),
             )
         )
-    return factor_axis_title(x_factor), rows
+    return factor_axis_title(x_factor), line_points
 
 
 def factor_arrangement(

@@ -182,10 +182,10 @@ def floor_plan(
 def _draw_walls(ax: Axes, workshop: PlacedWorkshop) -> None:
     """Draw as walls the sides of the floor that are the nearest side of at least two targets."""
     legend_label: str | None = "wall with targets"
-    sides = np.stack([workshop.floor, np.roll(workshop.floor, -1, axis=0)], axis=1)
-    distances = np.array([distance_to_outline(side, workshop.target_points[:, :2]) for side in sides])
+    wall_ends = np.stack([workshop.floor, np.roll(workshop.floor, -1, axis=0)], axis=1)
+    distances = np.array([distance_to_outline(side, workshop.target_points[:, :2]) for side in wall_ends])
     nearest = np.where(distances.min(axis=0) < MAX_WALL_DISTANCE, distances.argmin(axis=0), -1)
-    for number, side in enumerate(sides):
+    for number, side in enumerate(wall_ends):
         if np.sum(nearest == number) >= 2:
             ax.plot(*side.T, color=style.INK_COLOUR, linewidth=3.0, zorder=1, label=legend_label)
             legend_label = None
@@ -265,19 +265,27 @@ def _sight_matrix(workshop: PlacedWorkshop) -> Bools | None:
 def _draw_visibility_pies(ax: Axes, workshop: PlacedWorkshop, is_visible: Bools) -> None:
     """Draw each target as a circle with a slice in the colour of each station that sees it."""
     x, y = workshop.target_points[:, :2].T
-    size = 62 if len(workshop.targets) <= MAX_LABELLED_TARGETS else 34
+    marker_size = 62 if len(workshop.targets) <= MAX_LABELLED_TARGETS else 34
     label = "target: slices are the\nstations that see it"
-    ax.scatter(x, y, s=size, facecolors="white", edgecolors=style.INK_COLOUR, linewidths=0.7, zorder=4, label=label)
+    ax.scatter(
+        x, y, s=marker_size, facecolors="white", edgecolors=style.INK_COLOUR, linewidths=0.7, zorder=4, label=label
+    )
     slice_angle = 2 * np.pi / len(is_visible)
     for s, sees_target in enumerate(is_visible):
         angle = 0.5 * np.pi - slice_angle * np.linspace(s, s + 1, 24)
         slice_ = np.vstack([[0.0, 0.0], np.stack([np.cos(angle), np.sin(angle)], axis=1), [0.0, 0.0]])
         farthest_corner = float(np.abs(slice_).max())  # a marker is scaled by its farthest corner
-        marker_style = {"s": 0.8 * size * farthest_corner**2, "marker": slice_.tolist(), "color": style.COLOUR_CYCLE[s]}
+        marker_style = {
+            "s": 0.8 * marker_size * farthest_corner**2,
+            "marker": slice_.tolist(),
+            "color": style.COLOUR_CYCLE[s],
+        }
         ax.scatter(x[sees_target], y[sees_target], linewidths=0, zorder=5, **marker_style)
     is_hidden = ~is_visible.any(axis=0)
     if is_hidden.any():
-        ax.scatter(x[is_hidden], y[is_hidden], marker="x", s=size, color=style.RED, zorder=5, label="not visible")
+        ax.scatter(
+            x[is_hidden], y[is_hidden], marker="x", s=marker_size, color=style.RED, zorder=5, label="not visible"
+        )
 
 
 def _draw_gauge(ax: Axes, workshop: PlacedWorkshop) -> None:
@@ -340,8 +348,8 @@ def _target_labels(workshop: PlacedWorkshop) -> list[MapLabel]:
 
 def _draw_stations(ax: Axes, workshop: PlacedWorkshop, colours: Sequence[str]) -> None:
     """Draw each station as a marker, with an arrow towards azimuth zero."""
-    length = 0.075 * float(np.ptp(workshop.floor, axis=0).max())
-    ticks: Floats = length * np.stack([np.cos(workshop.station_yaws), np.sin(workshop.station_yaws)], axis=1)
+    arrow_length = 0.075 * float(np.ptp(workshop.floor, axis=0).max())
+    ticks: Floats = arrow_length * np.stack([np.cos(workshop.station_yaws), np.sin(workshop.station_yaws)], axis=1)
     arrow = {"arrowstyle": "-|>", "color": style.INK_COLOUR, "lw": 1.3, "shrinkA": 0, "shrinkB": 0}
     for place, end in zip(workshop.station_positions[:, :2], ticks, strict=True):
         ax.annotate("", tuple(place + end), tuple(place), zorder=6, arrowprops=arrow)

@@ -25,7 +25,7 @@ MAX_MARK_SHARING_DISTANCE = 0.04
 def marked_floor_plan(
     workshop: PlacedWorkshop,
     marked_names: Sequence[str],
-    pairs: Sequence[tuple[str, str]] = (),
+    target_pairs: Sequence[tuple[str, str]] = (),
     area: Mapping[str, tuple[float, float]] | None = None,
 ) -> Figure:
     """Floor plan with red rings around marked stations and targets, and an arrow between the targets of each pair.
@@ -61,7 +61,7 @@ def marked_floor_plan(
         if name in position_by_name:
             x, y = position_by_name[name]
             ax.scatter(x, y, s=180, facecolors="none", edgecolors=style.RED, linewidths=2.0, zorder=9)
-    for start, end in pairs:
+    for start, end in target_pairs:
         arrow = {"arrowstyle": "<|-|>", "color": style.RED, "lw": 1.6, "shrinkA": 5, "shrinkB": 5}
         ax.annotate("", position_by_name[end], position_by_name[start], arrowprops=arrow, zorder=9)
     return figure
@@ -69,7 +69,7 @@ def marked_floor_plan(
 
 @style.with_figure_style
 def reflector_changes_figure(
-    workshop: PlacedWorkshop, changes: Sequence[PlanChange], floor: Floor | None = None
+    workshop: PlacedWorkshop, planned_changes: Sequence[PlanChange], floor: Floor | None = None
 ) -> Figure:
     """Floor plan with numbered changes of reflectors: moves as arrows, reflectors that can be omitted as crosses."""
     position_by_target = dict(zip(workshop.targets, workshop.target_points[:, :2].tolist(), strict=True))
@@ -79,7 +79,7 @@ def reflector_changes_figure(
         kinds = (True, "D", style.PURPLE, "new place, by number"), (False, "x", style.RED, "can go, by number")
         for has_new_place, marker, colour, word in kinds:
             numbers_by_position: dict[tuple[float, float], list[int]] = {}
-            for number, change in enumerate(changes, 1):
+            for number, change in enumerate(planned_changes, 1):
                 if (change.position_mm is not None) != has_new_place:
                     continue
                 new_position_mm = change.position_mm

@@ -22,13 +22,13 @@ def draw_obstacles(ax: Axes, triangles: Floats) -> None:
     is_clockwise = first_edge[:, 0] * second_edge[:, 1] < first_edge[:, 1] * second_edge[:, 0]
     corners = np.where(is_clockwise[:, None, None], corners[:, ::-1], corners)  # overlaps do not cancel
     closed_triangles, codes = corners[:, [0, 1, 2, 0]], [Path.MOVETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY]
-    parts = (
+    triangle_batches = (
         closed_triangles[i : i + MAX_TRIANGLES_PER_PATH]
         for i in range(0, len(closed_triangles), MAX_TRIANGLES_PER_PATH)
     )
     ax.add_collection(
         PathCollection(
-            [Path(part.reshape(-1, 2), np.tile(codes, len(part))) for part in parts],
+            [Path(part.reshape(-1, 2), np.tile(codes, len(part))) for part in triangle_batches],
             facecolors="#B9A98C",
             edgecolors="#B9A98C",
             linewidths=0.3,

@@ -22,22 +22,24 @@ if TYPE_CHECKING:
     from ltsim.planning.result import Plan
 
 
-def parameter_labels(rows: Sequence[ParameterEntry]) -> list[str]:
+def parameter_labels(parameters: Sequence[ParameterEntry]) -> list[str]:
     """Names of parameters, with their instrument if there are several."""
-    return [f"{row.name} ({row.instrument})" if row.instrument else row.name for row in rows]
+    return [f"{row.name} ({row.instrument})" if row.instrument else row.name for row in parameters]
 
 
 @style.with_figure_style
-def parameter_figure(rows: Sequence[ParameterEntry], true_values: Sequence[float | None] = ()) -> Figure:
+def parameter_figure(parameters: Sequence[ParameterEntry], true_values: Sequence[float | None] = ()) -> Figure:
     """Estimates in units of their prior sigma with 95 % intervals; values at the right.
 
     The estimate of a parameter without a prior is divided by its sigma. Hollow markers show parameters that the
     recording hardly determines. `true_values` are the values of a simulation, None for a parameter without one.
     """
-    figure, ax = style.new_panel(0.75 + 0.2 * max(len(rows), 3))
-    places = style.set_category_rows(ax, parameter_labels(rows), font_size=7.0)
-    scales = np.array([row.prior_sigma or row.sigma or 1.0 for row in rows])
-    values, sigma = (np.array([getattr(row, name) or 0.0 for row in rows]) / scales for name in ("value", "sigma"))
+    figure, ax = style.new_panel(0.75 + 0.2 * max(len(parameters), 3))
+    places = style.set_category_rows(ax, parameter_labels(parameters), font_size=7.0)
+    scales = np.array([row.prior_sigma or row.sigma or 1.0 for row in parameters])
+    values, sigma = (
+        np.array([getattr(row, name) or 0.0 for row in parameters]) / scales for name in ("value", "sigma")
+    )
     ax.axvspan(-1.0, 1.0, color=style.BAND_COLOUR, linewidth=0, zorder=0, label="prior, ± 1 sigma")
     ax.axvline(0.0, color=style.GREY, linewidth=0.7, zorder=1)
     ax.hlines(
@@ -48,7 +50,7 @@ def parameter_figure(rows: Sequence[ParameterEntry], true_values: Sequence[float
         linewidth=1.8,
         label="95 % interval",
     )
-    is_well_determined = np.array([is_determined(row.sigma, row.prior_sigma) for row in rows], dtype=bool)
+    is_well_determined = np.array([is_determined(row.sigma, row.prior_sigma) for row in parameters], dtype=bool)
     for chosen, face_colour, legend_label in (
         (is_well_determined, style.COLOUR_AFTER, "estimate"),
         (~is_well_determined, "white", "hardly determined"),
@@ -63,22 +65,22 @@ def parameter_figure(rows: Sequence[ParameterEntry], true_values: Sequence[float
         ax.plot(
             truth, places[indices_with_truth], "|", ms=9, mew=1.8, color=style.INK_COLOUR, zorder=4, label="true value"
         )
-    style.write_at_right(ax, places, [with_sigma(r.value, r.sigma, r.unit) for r in rows])
+    style.write_at_right(ax, places, [with_sigma(r.value, r.sigma, r.unit) for r in parameters])
     ax.set_xlabel("estimate / sigma of the prior")
     style.add_legend(figure, [ax])
     return figure
 
 
 @style.with_figure_style
-def sigma_figure(rows: Sequence[PlannedParameterEntry], reference: Mapping[str, float]) -> Figure:
+def sigma_figure(parameters: Sequence[PlannedParameterEntry], reference: Mapping[str, float]) -> Figure:
     """Predicted sigma of each parameter divided by its prior sigma, on a logarithmic axis; sigmas at the right.
 
     `reference` has the sigmas that another layout would give, by parameter.
     """
-    figure, ax = style.new_panel(0.55 + 0.21 * max(len(rows), 3))
-    places = style.set_category_rows(ax, [row.name for row in rows])
-    ratios = np.array([row.sigma / row.prior_sigma for row in rows])
-    reference_ratios = np.array([reference.get(row.name, np.nan) / row.prior_sigma for row in rows])
+    figure, ax = style.new_panel(0.55 + 0.21 * max(len(parameters), 3))
+    places = style.set_category_rows(ax, [row.name for row in parameters])
+    ratios = np.array([row.sigma / row.prior_sigma for row in parameters])
+    reference_ratios = np.array([reference.get(row.name, np.nan) / row.prior_sigma for row in parameters])
     ax.hlines(places, ratios, reference_ratios, color=style.COLOUR_BEFORE, linewidth=1.0, zorder=1)
     if np.isfinite(reference_ratios).any():
         ax.scatter(
@@ -98,7 +100,7 @@ def sigma_figure(rows: Sequence[PlannedParameterEntry], reference: Mapping[str, 
     ticks = [t for t in (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0) if t >= 0.8 * low]
     ax.set_xticks(ticks, [f"{100 * t:g} %" for t in ticks])
     ax.minorticks_off()
-    style.write_at_right(ax, places, [f"{number_text(r.sigma, 2)} {style.unit_text(r.unit)}" for r in rows])
+    style.write_at_right(ax, places, [f"{number_text(r.sigma, 2)} {style.unit_text(r.unit)}" for r in parameters])
     ax.set_xlabel("sigma after measuring / sigma of the prior")
     style.add_legend(figure, [ax])
     return figure
@@ -109,17 +111,17 @@ MAX_CORRELATED_PARAMETERS = 24
 
 
 @style.with_figure_style
-def correlation_figure(rows: Sequence[ParameterEntry], covariance: Floats) -> Figure:
+def correlation_figure(parameters: Sequence[ParameterEntry], covariance: Floats) -> Figure:
     """Correlations of p parameters with a covariance matrix (p, p), as colours; above 0.3 also as numbers [%].
 
     Of more than 24 parameters the 24 with the largest correlations are shown, with a note.
     """
-    names, sigma = parameter_labels(rows), np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    names, sigma = parameter_labels(parameters), np.sqrt(np.maximum(np.diag(covariance), 0.0))
     scale = np.where(sigma > 0, sigma, 1.0)
     matrix = covariance / np.outer(scale, scale)
     largest_correlations = np.abs(np.where(np.eye(len(names), dtype=bool), 0.0, matrix)).max(axis=1, initial=0.0)
-    shown = np.sort(np.argsort(-largest_correlations, kind="stable")[:MAX_CORRELATED_PARAMETERS])
-    count, matrix = len(shown), matrix[np.ix_(shown, shown)]
+    shown_indices = np.sort(np.argsort(-largest_correlations, kind="stable")[:MAX_CORRELATED_PARAMETERS])
+    count, matrix = len(shown_indices), matrix[np.ix_(shown_indices, shown_indices)]
     figure, ax = style.new_panel(2.2 + 0.15 * count)
     if count < len(names):
         ax.set_title(
@@ -129,7 +131,7 @@ def correlation_figure(rows: Sequence[ParameterEntry], covariance: Floats) -> Fi
     table = np.where(np.eye(count, dtype=bool), np.nan, matrix)
     colours = ax.pcolormesh(table, cmap=style.DIVERGING_COLOUR_MAP, vmin=-1, vmax=1)
     ax.invert_yaxis()
-    labels = [style.shortened_name(names[i], 26) for i in shown]
+    labels = [style.shortened_name(names[i], 26) for i in shown_indices]
     ax.set_xticks(np.arange(count) + 0.5, labels, rotation=60, ha="right", rotation_mode="anchor", fontsize=6.5)
     ax.set_yticks(np.arange(count) + 0.5, labels, fontsize=6.5)
     ax.tick_params(length=0)
@@ -151,9 +153,9 @@ def history_figure(names: Sequence[str], courses: Sequence[ParameterCourse]) -> 
     The band is the mean over the calibrations with the spread of the true values between them.
     """
     columns = 2 if len(courses) > 1 else 1
-    rows = max(1, -(-len(courses) // columns))
-    figure = style.new_figure(0.7 + 1.35 * rows)
-    panels = figure.subplots(rows, columns, sharex=True, squeeze=False)
+    n_panel_rows = max(1, -(-len(courses) // columns))
+    figure = style.new_figure(0.7 + 1.35 * n_panel_rows)
+    panels = figure.subplots(n_panel_rows, columns, sharex=True, squeeze=False)
     labels = [style.shortened_name(name, 24) for name in distinct_labels(names)]
     positions = np.arange(len(labels))
     for ax, course in zip(panels.ravel(), courses, strict=False):
@@ -222,13 +224,13 @@ def budget_figure(names: Sequence[str], variance_fractions: Mapping[str, Sequenc
     """
     ranked = sorted(variance_fractions, key=lambda name: -float(np.sum(variance_fractions[name])))
     largest, smaller_sources = ranked[:MAX_BUDGET_SOURCES], ranked[MAX_BUDGET_SOURCES:]
-    rows = {name: np.asarray(variance_fractions[name], dtype=np.float64) for name in largest}
+    fractions_by_name = {name: np.asarray(variance_fractions[name], dtype=np.float64) for name in largest}
     if smaller_sources:
-        rows["all others"] = np.sum([variance_fractions[name] for name in smaller_sources], axis=0)
-    figure, ax = style.new_panel(0.55 + 0.21 * max(len(names), 3) + style.legend_height(list(rows), 2))
+        fractions_by_name["all others"] = np.sum([variance_fractions[name] for name in smaller_sources], axis=0)
+    figure, ax = style.new_panel(0.55 + 0.21 * max(len(names), 3) + style.legend_height(list(fractions_by_name), 2))
     places = style.set_category_rows(ax, list(names))
     bar_starts = np.zeros(len(names))
-    for i, (name, fractions) in enumerate(rows.items()):
+    for i, (name, fractions) in enumerate(fractions_by_name.items()):
         colour = style.GREY if name == "all others" else style.COLOUR_CYCLE[i % len(style.COLOUR_CYCLE)]
         ax.barh(places, 100 * fractions, left=100 * bar_starts, height=0.62, color=colour, label=name)
         bar_starts += fractions
@@ -245,14 +247,17 @@ ValueWithInterval = tuple[float, float, float]
 
 @style.with_figure_style
 def values_figure(
-    rows: Mapping[str, ValueWithInterval], label: str, *, reference_values: Mapping[str, Sequence[float]] | None = None
+    values_by_name: Mapping[str, ValueWithInterval],
+    label: str,
+    *,
+    reference_values: Mapping[str, Sequence[float]] | None = None,
 ) -> Figure:
     """Values with intervals, one row each; dashed lines at the `reference_values`, with their labels as keys."""
-    lines = ["\n".join(wrap(name, 34)) for name in rows]
+    lines = ["\n".join(wrap(name, 34)) for name in values_by_name]
     figure, ax = style.new_panel(0.9 + 0.15 * sum(1.4 + name.count("\n") for name in lines))
     places = style.set_category_rows(ax, lines)
     ax.set_yticks(places, lines)
-    value, low, high = np.array(list(rows.values())).T
+    value, low, high = np.array(list(values_by_name.values())).T
     ax.hlines(places, low, high, color=style.COLOUR_AFTER, linewidth=1.8)
     ax.plot(value, places, "o", ms=4.5, color=style.COLOUR_AFTER)
     for colour, (legend_label, positions) in zip(

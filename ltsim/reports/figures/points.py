@@ -69,13 +69,13 @@ def error_to_limit_figure(content: AcceptanceFile) -> Figure:
 
     Bars are expanded uncertainties; the marker shows the judgement.
     """
-    groups = [g.name for g in content.groups]
-    figure, ax = style.new_panel(0.9 + 0.42 * max(len(groups), 3))
-    rows = style.set_category_rows(ax, groups)
+    group_names = [g.name for g in content.groups]
+    figure, ax = style.new_panel(0.9 + 0.42 * max(len(group_names), 3))
+    rows = style.set_category_rows(ax, group_names)
     ax.axvspan(-1, 1, color=style.BLUE, alpha=0.08, lw=0)
     for edge in (-1, 1):
         ax.axvline(edge, color=style.INK_COLOUR, lw=0.8)
-    for row, name in zip(rows, groups, strict=True):
+    for row, name in zip(rows, group_names, strict=True):
         group_tests = [t for t in content.tests if t.group == name]
         error_ratios = np.array([t.error_um / t.limit_um for t in group_tests])
         uncertainty_ratios = np.array([(t.expanded_um or 0.0) / t.limit_um for t in group_tests])

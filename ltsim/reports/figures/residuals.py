@@ -49,13 +49,13 @@ def residuals_by_covariate_figure(residuals: Residuals) -> Figure:
 @style.with_figure_style
 def residuals_by_station_figure(plotted: Residuals, reference: Residuals | None = None) -> Figure:
     """Residuals by station as dots, with their root mean square as a bar; one panel per observable."""
-    shown = [name for name in OBSERVABLES if plotted.is_observable(name).any()]
+    observables = [name for name in OBSERVABLES if plotted.is_observable(name).any()]
     stations = plotted.stations[:MAX_STATION_PANELS]
-    figure = style.new_figure(1.7 * max(len(shown), 1) + 0.4)
-    axes = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
+    figure = style.new_figure(1.7 * max(len(observables), 1) + 0.4)
+    axes = figure.subplots(len(observables), 1, sharex=True, squeeze=False)[:, 0]
     series = [(plotted, 0.18 if reference else 0.0, style.COLOUR_AFTER, "after")]
     series += [(reference, -0.18, style.COLOUR_BEFORE, "before")] if reference is not None else []
-    for ax, observable in zip(axes, shown, strict=True):
+    for ax, observable in zip(axes, observables, strict=True):
         for residuals, offset, colour, word in series:
             for station_index, station in enumerate(stations):
                 values = residuals.residual[residuals.is_observable(observable) & (residuals.station == station)]
@@ -87,18 +87,18 @@ def signature_figure(
     A row of panels shows one observable of the finding; `scope` has its stations, targets and observables. Dots at
     other stations and targets are pale.
     """
-    shown = [
+    observables = [
         n
         for n in OBSERVABLES
         if (not scope.observables or n in scope.observables) and without_finding.is_observable(n).any()
     ]
-    figure = style.new_figure(0.5 + 1.8 * max(len(shown), 1))
-    grid = figure.subplots(len(shown), 2, sharex=True, sharey="row", squeeze=False)
+    figure = style.new_figure(0.5 + 1.8 * max(len(observables), 1))
+    grid = figure.subplots(len(observables), 2, sharex=True, sharey="row", squeeze=False)
     normalised_residuals = (
         without_finding.normalised_residual,
         with_finding.normalised_by_noise_of(without_finding).normalised_residual,
     )
-    for panel_row, observable in zip(grid, shown, strict=True):
+    for panel_row, observable in zip(grid, observables, strict=True):
         for ax, residuals, normalised, model_text in zip(
             panel_row, (without_finding, with_finding), normalised_residuals, ("without", "with it"), strict=True
         ):
@@ -129,9 +129,9 @@ def signature_figure(
 
 @style.with_figure_style
 def response_curve_figure(curve: ResponseCurve, response: str, residuals: Residuals | None = None) -> Figure:
-    """Estimated curve of a response (an observable or a constant) over its covariate, with the 95 % band.
+    """Estimated curve of an observable or a constant of the instrument over its covariate, with the 95 % band.
 
-    If the response is an observable, the residuals of the model without the finding are drawn as dots behind the curve,
+    For an observable, the residuals of the model without the finding are drawn as dots behind the curve,
     and the curve has the sign of a residual.
     """
     at, value, sigma = (np.array(values) for values in (curve.at, curve.value, curve.sigma))
@@ -178,10 +178,10 @@ def _observable_label(observable: str) -> str:
     return f"{observable} [{style.unit_text(OBSERVABLE_UNITS[observable])}]"
 
 
-def _draw_residuals(ax: Axes, residuals: Residuals, rows: Bools, covariate: str, **style_options: Any) -> None:
+def _draw_residuals(ax: Axes, residuals: Residuals, is_drawn: Bools, covariate: str, **style_options: Any) -> None:
     """Draw residuals over a covariate with a line at zero; `style_options` is passed to matplotlib."""
-    is_rasterized = int(rows.sum()) > MAX_VECTOR_DOTS
-    x, y = residuals.covariates[covariate][rows], residuals.residual[rows]
+    is_rasterized = int(is_drawn.sum()) > MAX_VECTOR_DOTS
+    x, y = residuals.covariates[covariate][is_drawn], residuals.residual[is_drawn]
     ax.plot(x, y, ".", alpha=0.7, rasterized=is_rasterized, zorder=1.5, **style_options)
     ax.axhline(0.0, color=style.INK_COLOUR, linewidth=0.6)
     style.set_grid(ax, grid_axis="both")

@@ -187,10 +187,10 @@ def _corrections_sentence(content: Calibration) -> str:
     if not faults:
         return ""
     places = dict.fromkeys(name for test in faults for name in (*test.where.stations, *test.where.targets))
-    at = f" at {listing(list(places))}" if places else ""
+    place_text = f" at {listing(list(places))}" if places else ""
     dof = sum(test.dof for test in faults if test.sigma is not None)
     degrees = f", with {count_text(dof, 'degree')} of freedom" if dof else ""
-    return f" The model corrects {count_text(len(faults), 'error')}{at}{degrees}."
+    return f" The model corrects {count_text(len(faults), 'error')}{place_text}{degrees}."
 
 
 def _has_larger_noise(content: Calibration) -> bool:
@@ -272,9 +272,11 @@ def _reference_value_blocks(content: Calibration) -> list[TableBlock]:
     note = "Residual: declared minus adjusted value. Error: estimate from all other observations, +- one sigma."
     if not content.constants_included and any(entry.kind == "length" for entry in content.reference_values):
         note += " Known lengths, points and levels are tested in a fit that also estimates the instrument's constants."
-    shown = sorted(content.reference_values, key=lambda entry: (not entry.excluded, -entry.w))
+    sorted_values = sorted(content.reference_values, key=lambda entry: (not entry.excluded, -entry.w))
     fields = ("kind", "name", "component", "residual", "error+-sigma_error", "minimal_detectable=detectable", "unit")
-    return entries_table("Fit of the reference values", shown, *fields, "redundancy", "w", "excluded", note=note)
+    return entries_table(
+        "Fit of the reference values", sorted_values, *fields, "redundancy", "w", "excluded", note=note
+    )
 
 
 def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
@@ -340,12 +342,12 @@ def _criteria_blocks(content: Calibration) -> list[TableBlock]:
 
 
 def _station_blocks(content: Calibration) -> list[TableBlock]:
-    rows = [
+    table_rows = [
         [s.name, *s.position_mm, *(None if v is None else 2e3 * v for v in s.sigma_position_mm or (None,) * 3)]
         for s in content.stations
     ]
     note = f"U: expanded uncertainty, k = 2. Axes: {content.frame or 'those of the first station'}."
-    return table_block("Stations", STATION_COORDINATES_TABLE.with_rows(rows), note=note)
+    return table_block("Stations", STATION_COORDINATES_TABLE.with_rows(table_rows), note=note)
 
 
 def calibrated_workshop(
@@ -385,7 +387,9 @@ def _residual_sights(
         for names, column in ((stations, residuals.station), (targets, residuals.target))
     )
     matched = (station >= 0) & (target >= 0)
-    size = np.abs(np.nan_to_num(residuals.normalised_residual[matched]))
+    residual_sizes = np.abs(np.nan_to_num(residuals.normalised_residual[matched]))
     return (
-        DrawnSights(station[matched], target[matched], size, "largest normalised residual") if matched.any() else None
+        DrawnSights(station[matched], target[matched], residual_sizes, "largest normalised residual")
+        if matched.any()
+        else None
     )

@@ -61,7 +61,7 @@ MAX_LISTED_LEVELS = 8
 MAX_OPEN_BLOCKS = 4
 """Largest number of blocks that are open on the page."""
 MAX_CELL_ROWS = 48
-"""Number of cells above which means are tabulated by level and not by cell."""
+"""Number of combinations of settings (cells) above which means are tabulated by level and not by cell."""
 IMPROVEMENT_COLUMN = "distance_improvement_percent"
 """Column of the statistic that the summary of a campaign reports."""
 
@@ -169,8 +169,8 @@ def _extreme_cells_sentence(results: CampaignResults, summaries: Mapping[str, li
     return f" The error of the targets is smallest with {lowest_text} and largest with {highest_text}."
 
 
-def _list_text(items: Sequence[str]) -> str:
-    return " and ".join(filter(None, [", ".join(items[:-1]), *items[-1:]]))
+def _list_text(texts: Sequence[str]) -> str:
+    return " and ".join(filter(None, [", ".join(texts[:-1]), *texts[-1:]]))
 
 
 def _key_figures(
@@ -200,13 +200,13 @@ def _key_figures(
 
 
 def _varying_factors_table(results: CampaignResults) -> list[Block]:
-    rows = []
+    table_rows = []
     for factor in results.factors:
         values = list(dict.fromkeys(factor.level_text(level[factor.name]) for level in results.levels))
         shown = values if len(values) <= MAX_LISTED_LEVELS else [values[0], "...", values[-1]]
         meaning = key_description(factor.keys[0]).replace("`", "")
-        rows.append([factor_axis_title(factor), ", ".join(shown), ", ".join(factor.keys), meaning])
-    return [*table_block("What was varied", FACTORS_TABLE.with_rows(rows))]
+        table_rows.append([factor_axis_title(factor), ", ".join(shown), ", ".join(factor.keys), meaning])
+    return [*table_block("What was varied", FACTORS_TABLE.with_rows(table_rows))]
 
 
 def _means_by_level_table(
@@ -215,14 +215,14 @@ def _means_by_level_table(
     """Means over the settings with the same level of a factor, if there are more than `MAX_CELL_ROWS` settings."""
     if len(results.levels) <= MAX_CELL_ROWS:
         return []
-    groups: dict[tuple[str, ...], list[float]] = {}
+    means_by_level: dict[tuple[str, ...], list[float]] = {}
     for factor in sorted(varying_factors(results), key=lambda f: len(set(levels_of_cells(results, f)))):
         for name in filter(summaries.get, STATISTIC_TITLES):
             for s in summaries[name]:
                 key = factor_axis_title(factor), factor.level_text(results.levels[s.cell][factor.name]), s.method, name
-                groups.setdefault(key, []).append(s.mean)
-    rows = [[*key, sum(m) / len(m), min(m), max(m)] for key, m in groups.items()]
-    return table_block("Means over the settings of a level", MEANS_BY_LEVEL_TABLE.with_rows(rows))
+                means_by_level.setdefault(key, []).append(s.mean)
+    table_rows = [[*key, sum(m) / len(m), min(m), max(m)] for key, m in means_by_level.items()]
+    return table_block("Means over the settings of a level", MEANS_BY_LEVEL_TABLE.with_rows(table_rows))
 
 
 def _improvement_figures(
@@ -269,31 +269,31 @@ def _trial_distributions(results: CampaignResults, published_values: Mapping[str
     columns_used.sort(
         key=lambda c: (not c.endswith("percent"), "mean" not in c, "before" not in c, c.startswith("coord"))
     )
-    values = {
+    values_by_column = {
         c: results.column_values(c, cell, results.manifest.methods[0], max_trials=MAX_DRAWN_TRIALS)
         for c in columns_used
     }
     return [
         TrialDistribution(_column_label(c), v, "um" if c.endswith("_um") else "%", published_values.get(c))
-        for c, v in values.items()
+        for c, v in values_by_column.items()
         if len(v) > 1
     ]
 
 
 def _distribution_figures(results: CampaignResults, published_values: Mapping[str, float]) -> list[Block]:
     """Histograms of the criteria of the first method, if there is one setting."""
-    rows = [] if len(results.levels) > 1 else _trial_distributions(results, published_values)
+    distributions = [] if len(results.levels) > 1 else _trial_distributions(results, published_values)
     caption = "Dashed: published values, with the share of trials below them." if published_values else ""
     title = f"Distributions over trials: {results.manifest.methods[0]}"
-    return [PictureBlock(title, partial(distributions_figure, rows), caption)] if rows else []
+    return [PictureBlock(title, partial(distributions_figure, distributions), caption)] if distributions else []
 
 
 def _column_label(column: str) -> str:
     """Label of a column, such as `distance, mean before` for `distance_before_mean_um`."""
     if column.startswith("new_point_"):
         return f"new point: {_column_label(column.removeprefix('new_point_'))}"
-    parts = column.removesuffix("_um").removesuffix("_percent").replace("max", "largest").split("_")
-    return f"{parts[0]}, {' '.join(reversed(parts[1:]))}" if len(parts) > 1 else column
+    name_words = column.removesuffix("_um").removesuffix("_percent").replace("max", "largest").split("_")
+    return f"{name_words[0]}, {' '.join(reversed(name_words[1:]))}" if len(name_words) > 1 else column
 
 
 def _error_tables(results: CampaignResults, summaries: Mapping[str, list[StatisticSummary]]) -> list[Block]:

@@ -24,13 +24,13 @@ def coverage_key_figures(manifest: ManifestFile, z_scores: Sequence[ZScoreSummar
     The intervals are expected to hold only where all of these factors are 1.
     """
     trackers = {entry.cell: s.instrument for entry, s in zip(manifest.cells, manifest.scenarios, strict=False)}
-    groups: dict[str, list[ZScoreSummary]] = {}
+    scores_by_kind: dict[str, list[ZScoreSummary]] = {}
     for summary in z_scores:
         factors = {name: getattr(trackers.get(summary.cell), name, 1.0) for name in DECLARATION_FACTORS}
         text = ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in factors.items() if value != 1.0)
-        groups.setdefault(text, []).append(summary)
+        scores_by_kind.setdefault(text, []).append(summary)
     facts = []
-    for text, summaries in sorted(groups.items(), key=lambda group: group[0]):
+    for text, summaries in sorted(scores_by_kind.items(), key=lambda group: group[0]):
         shares, n_intervals = [s.coverage_95 for s in summaries], sum(s.trials for s in summaries)
         mean_share = sum(s.coverage_95 * s.trials for s in summaries) / n_intervals
         range_text = f"; by parameter and setting {100 * min(shares):.1f} to {100 * max(shares):.1f} %"
@@ -58,10 +58,10 @@ def coverage_blocks(results: CampaignResults, z_scores: Sequence[ZScoreSummary])
     )
 
 
-def coverage_sentence(rows: Sequence[ZScoreSummary]) -> str:
+def coverage_sentence(z_scores: Sequence[ZScoreSummary]) -> str:
     """Sentence on the parameters whose interval of coverage lies outside the allowed band."""
     low, high = (f"{100 * bound:.1f}" for bound in ALLOWED_COVERAGE)
-    outside = [row.parameter for row, out in zip(rows, is_outside_allowed_coverage(rows), strict=True) if out]
+    outside = [row.parameter for row, out in zip(z_scores, is_outside_allowed_coverage(z_scores), strict=True) if out]
     band = f"the allowed band of {low} to {high} %"
     if not outside:
         return f"No parameter is red: each interval overlaps {band}."

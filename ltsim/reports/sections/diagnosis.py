@@ -66,7 +66,7 @@ MIN_SEPARATED_PROBABILITY = 0.05
 MAX_INSPECTION_ACTIONS = 2
 """Largest number of next actions in addition to the use of the coordinates."""
 MAX_STEP_POINTS = 3
-"""Smallest number of points of a response that is drawn as a curve over its covariate."""
+"""Smallest number of points of a finding that is drawn as a curve over its covariate."""
 
 
 def diagnosis_section(content: Diagnosis, context: ReportContext) -> Section:
@@ -339,7 +339,7 @@ def _finding_place_blocks(finding: Finding, finding_number: int, adjustments: Ad
 
 def _place_text(scope: FindingScope) -> str:
     """Observables, instruments, stations, targets and covariates of a finding as text."""
-    parts = [
+    place_texts = [
         f"{word} {listing(list(names))}"
         for word, names in (
             ("in", scope.observables),
@@ -350,7 +350,7 @@ def _place_text(scope: FindingScope) -> str:
         )
         if names
     ]
-    return ", ".join(parts) or "everywhere"
+    return ", ".join(place_texts) or "everywhere"
 
 
 def _fit_table(content: Diagnosis) -> list[TableBlock]:

@@ -74,7 +74,7 @@ class MethodComparison:
 
     def blocks(self) -> list[TableBlock]:
         """List with the table of the differences and the definition of the compared error."""
-        rows = [
+        table_rows = [
             [setting, f"{method} less {self.best_method}", entry.difference, entry.low, entry.high, _verdict(entry),
              entry.trials]
             for method, entries in self.differences.items()
@@ -84,18 +84,18 @@ class MethodComparison:
         meaning = "" if declared is None else declared.meaning.replace("`", "")
         label = f"{self.label[0].upper()}{self.label[1:]}"
         note = f"{label}: {meaning}. The errors of each trial with both methods are subtracted."
-        table = METHOD_DIFFERENCES_TABLE.with_rows(rows)
+        table = METHOD_DIFFERENCES_TABLE.with_rows(table_rows)
         return table_block(f"Which method is better: {self.label}", table, note=note)
 
 
-def _difference_text(method: str, entries: Sequence[PairedDifference]) -> str:
+def _difference_text(method: str, differences: Sequence[PairedDifference]) -> str:
     """Text of the settings in which the error with the best method is smaller or larger than that with another method.
 
     It gives the range of the significant differences of each sign, and the number of settings without one.
     """
-    smaller = [entry.difference for entry in entries if entry.low > 0]
-    larger = [-entry.difference for entry in entries if entry.high < 0]
-    n_open, total = len(entries) - len(smaller) - len(larger), len(entries)
+    smaller = [entry.difference for entry in differences if entry.low > 0]
+    larger = [-entry.difference for entry in differences if entry.high < 0]
+    n_open, total = len(differences) - len(smaller) - len(larger), len(differences)
     texts = []
     for comparison, sizes in (("smaller than with", smaller), ("larger than with", larger)):
         ends = list(dict.fromkeys(number_text(limit(sizes)) for limit in (min, max))) if sizes else []

@@ -138,16 +138,20 @@ def scene_block(workshop: PlacedWorkshop) -> SceneBlock | NoteBlock:
     return SceneBlock("The workshop in 3D", webp_data_uri(picture), caption, page)
 
 
-def undetermined_table(title: str, entries: Sequence[UndeterminedEntry], *, note: str = "") -> list[TableBlock]:
+def undetermined_table(
+    title: str, undetermined_entries: Sequence[UndeterminedEntry], *, note: str = ""
+) -> list[TableBlock]:
     """Table of undetermined combinations of parameters, with the measurement that determines each."""
-    rows = [[entry.text, entry.cure, None if entry.gain is None else 100 * entry.gain] for entry in entries]
-    return table_block(title, UNDETERMINED_TABLE.with_rows(rows), note=note)
+    table_rows = [
+        [entry.text, entry.cure, None if entry.gain is None else 100 * entry.gain] for entry in undetermined_entries
+    ]
+    return table_block(title, UNDETERMINED_TABLE.with_rows(table_rows), note=note)
 
 
-def determined_table(title: str, entries: Sequence[DeterminedEntry]) -> list[TableBlock]:
+def determined_table(title: str, determined_entries: Sequence[DeterminedEntry]) -> list[TableBlock]:
     """Table of combinations of parameters that are determined far better than the single parameters."""
     note = "The combination is determined far better than its single parameters."
-    return entries_table(title, entries, "text=combination", "instrument", "value+-sigma", "unit", note=note)
+    return entries_table(title, determined_entries, "text=combination", "instrument", "value+-sigma", "unit", note=note)
 
 
 def target_table(file: Path | None, *, note: str) -> list[TableBlock]:
@@ -156,9 +160,9 @@ def target_table(file: Path | None, *, note: str) -> list[TableBlock]:
         return []
     names, points, sigma = read_targets(file)
     order = sorted(range(len(names)), key=lambda i: natural_sort_key(names[i]))
-    rows = [[names[i], *(1e3 * points[i]).tolist(), *(2e6 * sigma[i]).tolist()] for i in order]
+    table_rows = [[names[i], *(1e3 * points[i]).tolist(), *(2e6 * sigma[i]).tolist()] for i in order]
     note = f"U: expanded uncertainty, k = 2. {note}"
-    return table_block("Targets", STATION_COORDINATES_TABLE.with_rows(rows), note=note, is_foldable=False)
+    return table_block("Targets", STATION_COORDINATES_TABLE.with_rows(table_rows), note=note, is_foldable=False)
 
 
 def target_uncertainty_sentence(sigma: Floats) -> str:
@@ -243,7 +247,7 @@ def _content_key_figures(recording: Recording) -> str:
 
 
 def _work_table(recording: Recording) -> list[TableBlock]:
-    rows = []
+    table_rows = []
     for s, name in enumerate(recording.stations):
         is_at_station = recording.station == s
         counts = (
@@ -252,8 +256,8 @@ def _work_table(recording: Recording) -> list[TableBlock]:
             len(set(recording.face[is_at_station].tolist())),
         )
         start_text = duration_text(float(recording.time[is_at_station].min())) if recording.has_clock else MISSING_TEXT
-        rows.append([name, *map(int, counts), int((~recording.is_measured[is_at_station]).sum()), start_text])
-    return table_block("Work of each station", WORK_TABLE.with_rows(rows))
+        table_rows.append([name, *map(int, counts), int((~recording.is_measured[is_at_station]).sum()), start_text])
+    return table_block("Work of each station", WORK_TABLE.with_rows(table_rows))
 
 
 def _settings_blocks(folder: Path) -> Block:

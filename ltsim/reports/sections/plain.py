@@ -119,7 +119,7 @@ def _failed_test_actions(content: Check) -> list[str]:
 def comparison_section(content: Comparison, _: ReportContext) -> Section:
     """Section of a comparison of epochs."""
     points = sorted(content.displacements, key=lambda d: (not d.moved, natural_sort_key(d.target)))
-    moved = [d.target for d in points if d.moved]
+    moved_targets = [d.target for d in points if d.moved]
     caption = "Shift of each point, enlarged; circle: the largest semi-axis of its 95 % ellipsoid."
     note = (
         "dx, dy, dz: with one standard deviation; a: largest semi-axis of the 95 % confidence ellipsoid; visible: the "
@@ -129,22 +129,22 @@ def comparison_section(content: Comparison, _: ReportContext) -> Section:
         "target moved dx_um dy_um dz_um a_um visible_um p_value"
     )
     table = table_block(
-        "Every point", shown_table, note=note, marked_rows=frozenset(range(len(moved))), is_foldable=False
+        "Every point", shown_table, note=note, marked_rows=frozenset(range(len(moved_targets))), is_foldable=False
     )
     facts = [
         KeyFigure("points", str(len(points))),
-        KeyFigure("moved", str(len(moved)), assessment_of(not moved)),
+        KeyFigure("moved", str(len(moved_targets)), assessment_of(not moved_targets)),
         KeyFigure("no motion, p", p_text(content.p_value), assessment_of(content.p_value >= content.level)),
         *([] if content.scale_ppm is None else [KeyFigure("scale", f"{content.scale_ppm:+.2f} ppm")]),
     ]
     answer = " ".join(map(as_sentence, (content.sentence, *content.notes)))
     picture = PictureBlock("Displacements", lambda: figures.points.displacement_figure(content), caption)
-    action = f"Inspect and re-measure these points before you use them as references: {listing(moved)}."
+    action = f"Inspect and re-measure these points before you use them as references: {listing(moved_targets)}."
     if content.is_rigid_motion:
         action = f"If the lists are in different frames, compare them with {option('free=True')}."
     return Section(
-        "Comparison of two epochs", "Comparison", answer, assessment_of(not moved), facts, [picture, *table],
-        axes="the first epoch's", next_actions=[action] if moved else [],
+        "Comparison of two epochs", "Comparison", answer, assessment_of(not moved_targets), facts, [picture, *table],
+        axes="the first epoch's", next_actions=[action] if moved_targets else [],
     )  # fmt: skip
 
 
@@ -173,18 +173,18 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
             "prior_sigma=usual size", "smallest_failing=detected from", "unit", "test=first failed test",
         ),
     ]  # fmt: skip
-    worst = content.worst_passing
-    if worst is not None:
+    worst_test = content.worst_passing
+    if worst_test is not None:
         constants = ", ".join(
             f"{name} {number_text(value, 2)}"
-            for name, value in worst.constants.items()
+            for name, value in worst_test.constants.items()
             if abs(value) > MAX_ZERO_CONSTANT
         )
         undetected_constants = [s.name for s in content.sensitivities if s.smallest_failing is None]
         text = f"No test detects {', '.join(undetected_constants)}. " if undetected_constants else ""
         text += (
             f"An instrument with {constants} passes every test, although points at 1.5 to 9 m have errors of "
-            f"{worst.rms_um:.0f} um (rms; {worst.largest_um:.0f} um at most)."
+            f"{worst_test.rms_um:.0f} um (rms; {worst_test.largest_um:.0f} um at most)."
         )
         blocks.append(NoteBlock("Undetected instrument errors", text))
     facts = [
@@ -247,10 +247,12 @@ def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
 
 def uncertainty_budget_figure(content: Uncertainty) -> Figure:
     """Figure of the budgets of the first results."""
-    shown = content.results[:MAX_BUDGET_BARS]
-    sources = dict.fromkeys(part.source for r in shown for part in r.budget)
-    shares = {name: [next((p.share for p in r.budget if p.source == name), 0.0) for r in shown] for name in sources}
-    return figures.parameters.budget_figure([f"{r.task}, {r.name}" for r in shown], shares)
+    listed_results = content.results[:MAX_BUDGET_BARS]
+    sources = dict.fromkeys(part.source for r in listed_results for part in r.budget)
+    shares = {
+        name: [next((p.share for p in r.budget if p.source == name), 0.0) for r in listed_results] for name in sources
+    }
+    return figures.parameters.budget_figure([f"{r.task}, {r.name}" for r in listed_results], shares)
 
 
 def _site_sentence(content: NextMeasurement) -> str:
@@ -269,13 +271,13 @@ def _site_sentence(content: NextMeasurement) -> str:
 
 def next_measurement_section(content: NextMeasurement, _: ReportContext) -> Section:
     """Section of proposed further measurements."""
-    best = content.proposals[0]
-    assessment = assessment_of(best.decides) if content.between else "plain"
-    reductions = [100 * (1 - factor) for factor in (best.sharper, best.serves_factor)]
-    answer = f"Measure next: {best.do} ({duration_text(60 * best.minutes)}); the standard deviations of the "
+    best_proposal = content.proposals[0]
+    assessment = assessment_of(best_proposal.decides) if content.between else "plain"
+    reductions = [100 * (1 - factor) for factor in (best_proposal.sharper, best_proposal.serves_factor)]
+    answer = f"Measure next: {best_proposal.do} ({duration_text(60 * best_proposal.minutes)}); "
     answer += (
-        f"instrument's parameters fall by {reductions[0]:.0f} % on average, "
-        f"of the {parameter_text(best.serves)} by {reductions[1]:.0f} %."
+        f"the standard deviations of the instrument's parameters fall by {reductions[0]:.0f} % on average, "
+        f"of the {parameter_text(best_proposal.serves)} by {reductions[1]:.0f} %."
     )
     answer = as_sentence(content.advice) if content.between and content.advice else answer
     note = (
@@ -292,7 +294,7 @@ def next_measurement_section(content: NextMeasurement, _: ReportContext) -> Sect
         blocks += table_block("Separation of the alternatives", content.table("separation"), note=explanation)
     blocks += [NoteBlock("Diagnosis of the recording", content.diagnosis)] if content.diagnosis else []
     facts = [
-        KeyFigure("time for it", duration_text(60 * best.minutes)),
+        KeyFigure("time for it", duration_text(60 * best_proposal.minutes)),
         KeyFigure("mean fall of sigma", f"{reductions[0]:.0f} %"),
     ]
     actions = [as_sentence(proposal.do) for proposal in content.proposals[:1]]
@@ -318,10 +320,10 @@ def history_section(content: History, _: ReportContext) -> Section:
         not knows_usual_changes
     )
     fits_note = "Where sigma0 is significantly above 1, the sigmas of that calibration are multiplied by it."
-    changes = content.table("changes")
-    significant_rows = frozenset(i for i, p in enumerate(changes.column("p_value")) if p < FAMILY_LEVEL)
+    change_table = content.table("changes")
+    significant_rows = frozenset(i for i, p in enumerate(change_table.column("p_value")) if p < FAMILY_LEVEL)
     blocks: list[Block] = [
-        *table_block("Changes between calibrations", changes, note=note, marked_rows=significant_rows),
+        *table_block("Changes between calibrations", change_table, note=note, marked_rows=significant_rows),
         *course,
         *table_block("Events: unusual steps", content.table("events")),
         *table_block("Parameters", content.table("parameters")),

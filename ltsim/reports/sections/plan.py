@@ -161,10 +161,12 @@ def _trade_off_picture(content: Plan) -> list[Block]:
 def _parameter_picture(content: Plan) -> list[Block]:
     """List with the figure of the predicted sigmas of the instrument's parameters; empty without parameters."""
     reference_sigmas = {p.name: p.sigma for p in content.reference.parameters} if content.reference else {}
-    rows = [p for p in content.parameters if p.prior_sigma and p.sigma > 0]
+    estimated_parameters = [p for p in content.parameters if p.prior_sigma and p.sigma > 0]
     text = "Prediction; on the dashed line the recording would add no information."
-    figure = partial(figures.parameters.sigma_figure, rows, reference_sigmas)
-    return [PictureBlock("Predicted sigma of the instrument's parameters", figure, text)] if rows else []
+    figure = partial(figures.parameters.sigma_figure, estimated_parameters, reference_sigmas)
+    return (
+        [PictureBlock("Predicted sigma of the instrument's parameters", figure, text)] if estimated_parameters else []
+    )
 
 
 def _effect_tables(content: Plan) -> list[Block]:

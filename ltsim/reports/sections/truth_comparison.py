@@ -41,18 +41,18 @@ def effect_place_text(effect: Any) -> str:
 
 def truth_blocks(content: Diagnosis, truth: Truth, adjustments: AdjustmentPair | None) -> list[Block]:
     """Figure and table that compare the injected effects of a simulated recording with the findings of a diagnosis."""
-    by_name = {applied.effect.name: applied for applied in truth.applied_effects}
-    effects_of_findings = [by_name.get(f.effect) for f in content.findings]
+    applied_by_name = {applied.effect.name: applied for applied in truth.applied_effects}
+    effects_of_findings = [applied_by_name.get(f.effect) for f in content.findings]
     effects_of_findings += [
-        applied for name, applied in by_name.items() if name not in {f.effect for f in content.findings}
+        applied for name, applied in applied_by_name.items() if name not in {f.effect for f in content.findings}
     ]
-    rows = [
+    table_rows = [
         row
         for injected, finding in zip_longest(effects_of_findings, content.findings)
         for row in _injected_and_finding_rows(injected, finding)
     ]
     note = "Injected values are from truth.json, which the diagnosis does not read; estimates +- one sigma."
-    table = table_block("Injected and diagnosed", INJECTED_TABLE.with_rows(rows), note=note)
+    table = table_block("Injected and diagnosed", INJECTED_TABLE.with_rows(table_rows), note=note)
     return [*_injected_and_estimated_curves(content, truth.applied_effects[0], adjustments), *table]
 
 
@@ -67,23 +67,25 @@ def _injected_and_finding_rows(injected: AppliedEffect | None, finding: Finding 
             for s in injected.effect.shape_parameters
         }
     estimate_by_name = {} if finding is None else {p.name: p for p in finding.parameters}
-    where = [
+    place_texts = [
         effect_place_text(x) if x else MISSING_TEXT for x in (injected and injected.effect, finding and finding.where)
     ]
-    rows = [
+    table_rows = [
         [
             "effect",
             title_of(injected.effect.name) if injected else MISSING_TEXT,
             effect_text(finding.effect) if finding else "not detected",
         ],
-        ["where", *where],
+        ["where", *place_texts],
     ]
     for name in dict.fromkeys([*true_values, *estimate_by_name]):
         estimate = estimate_by_name.get(name)
         value, unit = true_values.get(name, (None, estimate.unit if estimate else ""))
         text = with_sigma(estimate.value, estimate.sigma) if estimate else MISSING_TEXT
-        rows.append([f"{parameter_text(name)} [{unit}]" if unit else parameter_text(name), number_text(value), text])
-    return rows
+        table_rows.append(
+            [f"{parameter_text(name)} [{unit}]" if unit else parameter_text(name), number_text(value), text]
+        )
+    return table_rows
 
 
 def _injected_and_estimated_curves(

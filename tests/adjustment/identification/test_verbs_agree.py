@@ -12,7 +12,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.adjustment.identification.signatures import ReadingShift
+from ltsim.adjustment.identification.reading_shifts import ReadingShift
 from ltsim.core.arrays import Ints
 from ltsim.core.units import ARCSECOND
 from ltsim.physics.effects.motions import exact_target_change

@@ -37,7 +37,7 @@ def test_noncentrality_of_one_parameter_is_the_classical_one() -> None:
     assert noncentrality(1) == pytest.approx((stats.norm.isf(0.0005) + stats.norm.ppf(TEST_POWER)) ** 2, rel=1e-3)
     assert noncentrality(1) == pytest.approx(17.07, abs=0.01)
     assert [noncentrality(q) for q in (1, 2, 6)] == sorted(noncentrality(q) for q in (1, 2, 6))
-    searched = [noncentrality(1, hypotheses=n) for n in (1, 10, 1000)]
+    searched = [noncentrality(1, n_tests=n) for n in (1, 10, 1000)]
     assert searched == sorted(searched)
 
 
@@ -45,7 +45,7 @@ def test_noncentrality_of_one_parameter_is_the_classical_one() -> None:
 def test_an_effect_of_the_minimal_size_is_found_with_the_stated_power(effect) -> None:  # type: ignore[no-untyped-def]
     seen = detectability_at_places(SPACE, [effect])
     assert seen is not None
-    rows = SPACE.whitened_signature(effect)
+    rows = SPACE.whitened_design(effect)
     trials = np.random.default_rng(7).normal(size=(len(rows), 4000)) + rows @ seen.minimal_sizes[0][:, None]
     fitted = seen.projected_basis[0].T @ SPACE.project(trials)
     found = (fitted**2).sum(axis=0) > stats.chi2.isf(SINGLE, seen.projected_basis[0].shape[1])

@@ -118,15 +118,15 @@ def test_evidence_between_two_explanations_is_what_simulation_gives(drifting: tu
     space = residual_space_of(adjust(drifting[0], misalignment_construction()))
     first, second = best_explanation(space, "index-drift"), best_explanation(space, "station-settling")
     expected = RivalExplanations.from_explanations(space, first, second).present_evidence
-    signature = space.project(space.whitened_signature(first.effect) @ first.parameter_values)[:, None]
+    design_columns = space.project(space.whitened_design(first.effect) @ first.parameter_values)[:, None]
     noise = space.project(np.random.default_rng(1).normal(size=(space.n_rows, 400)))
 
     def left(effect, y):  # type: ignore[no-untyped-def]
-        columns = space.project(space.whitened_signature(effect))
+        columns = space.project(space.whitened_design(effect))
         fitted = np.linalg.lstsq(columns, y, rcond=1e-8)[0]
         return ((y - columns @ fitted) ** 2).sum(axis=0) - columns.shape[1]
 
-    advantage = left(second.effect, signature + noise) - left(first.effect, signature + noise)
+    advantage = left(second.effect, design_columns + noise) - left(first.effect, design_columns + noise)
     spread = advantage.std() / np.sqrt(400)
     assert advantage.mean() > 0.8 * expected - 4 * spread
 

@@ -54,11 +54,11 @@ class Search:
         row = min(seen.table(), key=lambda r: r.median_size / r.prior_sigma)
         if not np.isfinite(row.median_size):
             return None
-        acting = [effect for effect in select_places(places) if self.space.whitened_signature(effect).any()]
+        acting = [effect for effect in select_places(places) if self.space.whitened_design(effect).any()]
         for effect, sizes in zip(acting, seen.minimal_sizes, strict=True):
             names = [p.name for p in effect.parameters]
             if row.parameter in names and sizes[names.index(row.parameter)] == row.median_size:
-                column = self.space.whitened_signature(effect)[:, names.index(row.parameter)]
+                column = self.space.whitened_design(effect)[:, names.index(row.parameter)]
                 return self.space.project(column * row.median_size)
         return None
 

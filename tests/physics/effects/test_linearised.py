@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from ltsim.adjustment.identification.signatures import ReadingShift
+from ltsim.adjustment.identification.reading_shifts import ReadingShift
 from ltsim.geometry.polar import wrap_angle
-from ltsim.physics.effects.signature import Signature
+from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.effects.target_moved import TargetMoved
 from ltsim.physics.model.measurement import sightings_of
@@ -33,13 +33,13 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("signature", "values"), CASES)
-def test_derivatives_at_large_values_are_those_of_the_change(signature: Signature, values: np.ndarray) -> None:
+@pytest.mark.parametrize(("effect", "values"), CASES)
+def test_derivatives_at_large_values_are_those_of_the_change(effect: LinearEffect, values: np.ndarray) -> None:
     here = sightings()
-    found = signature.linearise(here, values)
-    assert np.array_equal(found.shift, signature.reading_change(here, values))
+    found = effect.linearise(here, values)
+    assert np.array_equal(found.shift, effect.reading_change(here, values))
     for k, step in enumerate(np.eye(len(values)) * STEP):
-        change = signature.reading_change(here, values + step) - signature.reading_change(here, values - step)
+        change = effect.reading_change(here, values + step) - effect.reading_change(here, values - step)
         change[:, 1:] = wrap_angle(change[:, 1:])
         assert np.abs(change / (2 * STEP) - found.by_values[:, :, k]).max() < 1e-6
     assert found.by_geometry is not None
@@ -47,7 +47,7 @@ def test_derivatives_at_large_values_are_those_of_the_change(signature: Signatur
         moved = [
             replace(here, target_points=here.target_points + sign * STEP * np.eye(3)[axis]) for sign in (1.0, -1.0)
         ]
-        change = np.subtract(*(signature.reading_change(place, values) for place in moved))
+        change = np.subtract(*(effect.reading_change(place, values) for place in moved))
         change[:, 1:] = wrap_angle(change[:, 1:])
         assert np.abs(change / (2 * STEP) - found.by_geometry[0][:, :, axis]).max() < 1e-5
 
@@ -56,6 +56,6 @@ def test_displaced_reflectors_are_computed_once(monkeypatch: pytest.MonkeyPatch)
     calls = []
     whole = TargetMoved.displacement
     monkeypatch.setattr(TargetMoved, "displacement", lambda self, s: calls.append(1) or whole(self, s))
-    signature, values = CASES[0]
-    signature.linearise(sightings(), values)
+    effect, values = CASES[0]
+    effect.linearise(sightings(), values)
     assert len(calls) == 1

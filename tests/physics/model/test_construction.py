@@ -11,7 +11,7 @@ from ltsim.core.errors import ModelError
 from ltsim.core.randomness import stream
 from ltsim.geometry.polar import from_polar, wrap_angle
 from ltsim.physics.model.construction import (
-    Construction,
+    GeometricErrorModel,
     dh_construction,
     ideal_construction,
     make_construction,
@@ -36,7 +36,7 @@ def room(seed: int, count: int = 40) -> tuple[Floats, Ints]:
     return from_polar(polar), np.arange(count) % 2 + 1
 
 
-def drawn(made: Construction, seed: int, size: float = 1.0) -> Floats:
+def drawn(made: GeometricErrorModel, seed: int, size: float = 1.0) -> Floats:
     sigma = np.array([p.prior_sigma for p in made.parameters])
     return size * sigma * stream(seed, "values").normal(size=made.n_parameters)
 
@@ -47,7 +47,7 @@ def across(raw: Floats) -> Floats:
     return np.stack([np.ones(len(raw)), range_ * np.abs(np.cos(elevation)), range_], axis=1)[:, :, None]
 
 
-def column(made: Construction, name: str, raw: Floats) -> Floats:
+def column(made: GeometricErrorModel, name: str, raw: Floats) -> Floats:
     """Change of the readings (3n,), in lengths, per unit of one parameter, at zero values."""
     design = made.reading_design(raw, np.zeros(made.n_parameters))[1] * across(raw)
     return np.ravel(design[:, :, made.index(name)])

@@ -8,12 +8,12 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats
-from ltsim.physics.effects.signature import Parameter, Signature, design_from_front_face_corrections
+from ltsim.physics.effects.linear_effect import LinearEffect, Parameter, design_from_front_face_corrections
 from ltsim.scene.sightings import Sightings
 from tests.networks import network
 
 
-class Ripple(Signature):
+class Ripple(LinearEffect):
     """Azimuths that are off to either side by turns, both faces of a target alike."""
 
     name = "ripple"
@@ -38,14 +38,14 @@ def test_a_signature_is_estimated_beside_poses_and_targets() -> None:
 def test_what_an_adjustment_leaves_of_a_signature_holds_its_size() -> None:
     recording, truth = network(faces=2, seed=3)
     space = ResidualSpace.from_adjustment(adjust(recording, truth.construction))
-    whole = space.whitened_signature(Ripple())
+    whole = space.whitened_design(Ripple())
     left = space.project(whole)
     assert whole.shape == (space.n_rows, 1)
     assert 0.5 < float(left[:, 0] @ left[:, 0]) / float(whole[:, 0] @ whole[:, 0]) < 1.0
 
 
 def test_a_law_without_a_design_is_refused() -> None:
-    class Empty(Signature):
+    class Empty(LinearEffect):
         name = "empty"
         parameters = ()
 

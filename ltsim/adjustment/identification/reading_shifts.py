@@ -1,4 +1,4 @@
-"""Signatures of offsets, drifts and scale errors of one observable, at a station or target, from a time on."""
+"""Shifts of readings: offsets, drifts and scale errors of one observable, at a station or target, from a time on."""
 
 from dataclasses import dataclass
 
@@ -7,12 +7,17 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE, MICRORADIAN, PPM
 from ltsim.geometry.rigid import pose_design
-from ltsim.physics.effects.signature import Linearisation, Parameter, Signature, design_from_front_face_corrections
+from ltsim.physics.effects.linear_effect import (
+    LinearEffect,
+    Linearisation,
+    Parameter,
+    design_from_front_face_corrections,
+)
 from ltsim.scene.sightings import Sightings
 
 
 @dataclass(frozen=True)
-class ReadingShift(Signature):
+class ReadingShift(LinearEffect):
     """Offset, drift or scale error of the readings of one observable, for some stations and targets, from a time on.
 
     An offset of the elevations is an error of the vertical index. Its sign in the raw elevations depends on the face. A
@@ -63,24 +68,24 @@ class ReadingShift(Signature):
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings per unit of the parameter."""
-        acts = self.row_weights(sightings) * (sightings.time >= self.onset_time)
+        is_shifted = self.row_weights(sightings) * (sightings.time >= self.onset_time)
         if self.is_drift:
-            elapsed = acts * sightings.station_time
-            acts = elapsed / (float(elapsed.max(initial=0.0)) or 1.0)  # readings made at one time do not drift
-        size = acts * sightings.range_ if self.is_proportional else acts
-        size = size * sightings.face_sign if self.observable == "elevation" else size
-        return design_from_front_face_corrections(sightings, **{self.observable: -size[:, None]})
+            elapsed = is_shifted * sightings.station_time
+            is_shifted = elapsed / (float(elapsed.max(initial=0.0)) or 1.0)  # readings made at one time do not drift
+        shift_per_unit = is_shifted * sightings.range_ if self.is_proportional else is_shifted
+        shift_per_unit = shift_per_unit * sightings.face_sign if self.observable == "elevation" else shift_per_unit
+        return design_from_front_face_corrections(sightings, **{self.observable: -shift_per_unit[:, None]})
 
-    def linearise(self, sightings: Sightings, values: Floats) -> Linearisation:
+    def linearise(self, sightings: Sightings, parameter_values: Floats) -> Linearisation:
         """Change of the readings and its derivatives at a value of the parameter.
 
         A scale error is proportional to the range, so that its change also depends on poses and targets.
         """
         design = self.design(sightings)
         if not self.is_proportional:
-            return Linearisation(design @ values, design)
-        scaled = np.where(design != 0.0, values[0] * sightings.target_derivatives, 0.0)
-        return Linearisation(design @ values, design, (scaled, pose_design(scaled, sightings.sight_vectors)))
+            return Linearisation(design @ parameter_values, design)
+        scaled = np.where(design != 0.0, parameter_values[0] * sightings.target_derivatives, 0.0)
+        return Linearisation(design @ parameter_values, design, (scaled, pose_design(scaled, sightings.sight_vectors)))
 
 
 def displacement_per_reading(sightings: Sightings) -> Floats:

@@ -1,9 +1,9 @@
-"""Signatures: changes of the readings, linear in parameters that an adjustment estimates together with the network.
+"""Linear effects: changes of the readings, linear in parameters that an adjustment estimates with the network.
 
-`Signature` is the interface that `MeasurementModel`, `NetworkProblem` and `ResidualSpace` use. A subclass defines
-`name`, `parameters` and `design`. `CandidateEffect` adds the interface for a search over laws; `NoiseSignature` is for
-changes of the variance. An effect (`effects.effect.Effect`) is a `CandidateEffect` with a catalogue entry: a physical
-cause with a name.
+`LinearEffect` is the interface that `MeasurementModel`, `NetworkProblem` and `ResidualSpace` use. A subclass defines
+`name`, `parameters` and `design`. `CandidateEffect` adds the interface for a search that compares effects, and
+`CandidateNoiseEffect` is a change of the variance of the readings. An effect of the catalogue (`effects.effect.Effect`)
+is a `CandidateEffect` with a physical cause that has a name.
 
 Sign: a parameter is a correction, truth - reading; the change of a reading is therefore its negative.
 """
@@ -105,7 +105,7 @@ class ShapeParameter:
 
 
 class Linearisation(NamedTuple):
-    """Change of the readings by a signature at given parameter values, with its derivatives."""
+    """Change of the readings by an effect at given parameter values, with its derivatives."""
 
     shift: Floats
     """Change (n, 3) of the raw readings."""
@@ -118,18 +118,18 @@ class Linearisation(NamedTuple):
     """
 
 
-class Signature(Protocol):
+class LinearEffect(Protocol):
     """Interface of a change of the readings that is linear in its parameters, at least to first order."""
 
     @property
     @abstractmethod
     def name(self) -> str:
-        """Name of the signature, such as that of its physical effect."""
+        """Name of the effect, such as that of its physical cause."""
 
     @property
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters of the signature, p of them; `prior_sigma` is the size of a large but plausible effect."""
+        """The p parameters of the effect; `prior_sigma` of a parameter is the size of a large but plausible effect."""
 
     @abstractmethod
     def design(self, sightings: Sightings) -> Floats:
@@ -142,36 +142,36 @@ class Signature(Protocol):
 
     @property
     def stations(self) -> tuple[str, ...]:
-        """Names of the stations at which the signature acts; empty for all."""
+        """Names of the stations at which the effect acts; empty for all stations."""
         return ()
 
     @property
     def targets(self) -> tuple[str, ...]:
-        """Names of the targets at which the signature acts; empty for all."""
+        """Names of the targets at which the effect acts; empty for all targets."""
         return ()
 
-    def reading_change(self, sightings: Sightings, values: Floats) -> Floats:
+    def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:
         """Change (n, 3) of the raw readings for parameter values (p,) [SI]."""
-        return self.design(sightings) @ values
+        return self.design(sightings) @ parameter_values
 
-    def linearise(self, sightings: Sightings, values: Floats) -> Linearisation:
+    def linearise(self, sightings: Sightings, parameter_values: Floats) -> Linearisation:
         """Change of the readings at parameter values (p,) [SI], with its derivatives."""
-        return Linearisation(self.reading_change(sightings, values), self.design(sightings))
+        return Linearisation(self.reading_change(sightings, parameter_values), self.design(sightings))
 
-    def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
-        """Change (g, p) of the reference lengths between targets `first` and `second` (g,) per unit of each parameter.
+    def gauge_design(self, first_targets: Ints, second_targets: Ints, points: Floats) -> Floats:
+        """Change (g, p) of g reference lengths, given by the indices of their two targets, per unit of each parameter.
 
         It is zero except for effects that change the gauge.
         """
-        return np.zeros((len(first), len(self.parameters)))
+        return np.zeros((len(first_targets), len(self.parameters)))
 
     @property
     def place_text(self) -> str:
-        """Names of the stations and targets at which the signature acts, separated by commas; empty for all."""
+        """Names of the stations and targets at which the effect acts, separated by commas; empty for all."""
         return ",".join(self.stations + self.targets)
 
     def row_weights(self, sightings: Sightings) -> Floats:
-        """Weights (n,): 1 for pointings that the signature changes, 0 for others."""
+        """Weights (n,): 1 for pointings whose readings the effect changes, 0 for others."""
         acts = np.ones(len(sightings), dtype=bool)
         if self.stations:
             acts &= _is_any_of(sightings.station, sightings.station_indices, self.stations)
@@ -189,8 +189,8 @@ def _is_any_of(name_indices: Ints, allowed_names: Mapping[str, Sequence[int]], n
     return name_indices == ids[0] if len(ids) == 1 else np.isin(name_indices, ids)
 
 
-class CandidateEffect(Signature, Protocol):
-    """Signature that a search compares with other candidates. Its constants may enter nonlinearly."""
+class CandidateEffect(LinearEffect, Protocol):
+    """Interface of an effect that a search compares with other candidates; it may have nonlinear constants."""
 
     shape_parameters: ClassVar[tuple[ShapeParameter, ...]] = ()
     """Constants that enter nonlinearly; each is a field of the instance."""
@@ -200,12 +200,12 @@ class CandidateEffect(Signature, Protocol):
     @property
     @abstractmethod
     def observables(self) -> tuple[str, ...]:
-        """Observables that the signature changes: distance, azimuth, elevation."""
+        """Observables that the effect changes: distance, azimuth, elevation."""
 
     @property
     @abstractmethod
     def covariates(self) -> tuple[str, ...]:
-        """Covariates that the signature depends on."""
+        """Covariates that the effect depends on."""
 
     def neighbours(self, sightings: Sightings) -> Sequence[Self]:
         """Similar candidates, which a search tries only if this candidate is significant."""
@@ -230,14 +230,14 @@ class CandidateEffect(Signature, Protocol):
         return replace(self, **constants)  # type: ignore[type-var]
 
 
-class NoiseSignature(CandidateEffect, Protocol):
+class CandidateNoiseEffect(CandidateEffect, Protocol):
     """Change of the noise: parameters are added variances or factors on variances, not changes of the mean."""
 
     min_relative_size: ClassVar[float] = 0.0
     """Smallest permitted value of a parameter divided by its prior standard deviation. At 0 noise can only increase."""
 
     @abstractmethod
-    def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
+    def variance(self, sightings: Sightings, sigma: Floats, parameter_values: Floats) -> Floats:
         """Variance (n, 3) of the readings with declared standard deviations `sigma` (n, 3).
 
         It must be sigma^2 at zero values; each reading depends on at most one of the values.
@@ -245,8 +245,8 @@ class NoiseSignature(CandidateEffect, Protocol):
 
     def size_grid(self) -> list[tuple[float, ...]]:
         """Parameter values [SI] that a diagnosis tries: each parameter alone and all together, in several sizes."""
-        count = len(self.parameters)
-        subsets = [*np.eye(count), *([np.ones(count)] if count > 1 else [])]
+        n_parameters = len(self.parameters)
+        subsets = [*np.eye(n_parameters), *([np.ones(n_parameters)] if n_parameters > 1 else [])]
         return [
             tuple(size * subset * self.size_scales) for subset in subsets for size in (0.05, 0.15, 0.4, 1.0, 3.0, 10.0)
         ]

@@ -1,4 +1,4 @@
-"""Signatures of the effects of the catalogue as hypotheses, at every possible place and shape.
+"""Design matrices of the effects of the catalogue as hypotheses, at every possible place and shape.
 
 They are scored with the same vectors of the null ensemble and the same log evidence as the empirical laws. Shapes
 below: h effects with k parameters each, m rows of the residual space, v vectors of the null ensemble.
@@ -20,14 +20,14 @@ from ltsim.diagnosis.evidence import log_means_by_group, noise_level_factor, sim
 from ltsim.diagnosis.null_ensemble import NullEnsemble, row_gram
 from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
 from ltsim.physics.effects.effect import Effect, LightPathStage, NoiseEffect
+from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.effects.range_scale import RangeScale
-from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.physics.laws.places import instrument_places
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 MAX_SPARSE_FRACTION = 0.15
-"""Fraction of nonzero rows below which a signature is stored as a sparse matrix. It affects only the computing time."""
+"""Fraction of nonzero rows below which a design matrix is stored as sparse. It affects only the computing time."""
 
 
 ORDINARY_CALIBRATION_TYPES = {type(effect) for effect in BASELINE_EFFECTS}
@@ -49,8 +49,8 @@ def catalogue_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) 
 
 
 @dataclass(frozen=True)
-class SignatureGroup:
-    """Group of h effects with the same number k of parameters, whose signatures are stored in one matrix.
+class EffectGroup:
+    """Group of h effects with the same number k of parameters, whose design columns are stored in one matrix.
 
     The matrix is sparse, or dense on the r rows of the residual space that the effects change.
     """
@@ -61,46 +61,46 @@ class SignatureGroup:
     """Indices (h,) of the effects."""
     row_indices: Ints | slice
     """Indices (r,) of the rows of the residual space."""
-    signature_rows: Singles | sp.csr_array
-    """Signatures (h k, r) in units of plausible sizes, one row per parameter."""
+    design_rows: Singles | sp.csr_array
+    """Transposed design columns (h k, r) in units of plausible sizes, one row per parameter."""
     row_weights: Singles
-    """Factors (r,) by which the signatures are multiplied, for an adjustment with other weights."""
+    """Factors (r,) by which the design rows are multiplied, for an adjustment with other weights."""
     unscaled_gram: Floats
-    """Gram matrices (h, k, k) of the weighted signatures."""
+    """Gram matrices (h, k, k) of the weighted design columns."""
     gram: Floats
-    """Gram matrices (h, k, k) of the projected signatures, computed with the empty model."""
+    """Gram matrices (h, k, k) of the projected design columns, computed with the empty model."""
 
     def parts(self, n_vectors: int) -> Iterator[slice]:
         """Ranges of members whose products with `n_vectors` vectors are in memory at a time."""
         return batches(len(self.effect_indices), self.n_parameters * n_vectors)
 
     def weighted_products(self, member_range: slice, vectors: Floats | Singles) -> Floats:
-        """Products (h, k, v) of the weighted signatures of a range of h members with `vectors` (m, v)."""
-        signature_rows, count = (
-            self.signature_rows[member_range.start * self.n_parameters : member_range.stop * self.n_parameters],
+        """Products (h, k, v) of the weighted design columns of a range of h members with `vectors` (m, v)."""
+        design_rows, count = (
+            self.design_rows[member_range.start * self.n_parameters : member_range.stop * self.n_parameters],
             vectors.shape[1],
         )
-        products = np.empty((signature_rows.shape[0], count))
+        products = np.empty((design_rows.shape[0], count))
         for part in batches(count, len(self.row_weights)):
-            products[:, part] = signature_rows @ np.multiply(
+            products[:, part] = design_rows @ np.multiply(
                 vectors[self.row_indices, part], self.row_weights[:, None], dtype=np.float32
             )
         return products.reshape(member_range.stop - member_range.start, self.n_parameters, count)
 
-    def scaled_rows(self, ratio: Singles) -> SignatureGroup:
+    def scaled_rows(self, ratio: Singles) -> EffectGroup:
         """Copy of the group for a residual space with other weights, which multiply its rows by `ratio` (m,)."""
         weight = self.row_weights * ratio[self.row_indices]
-        if isinstance(self.signature_rows, np.ndarray):
+        if isinstance(self.design_rows, np.ndarray):
             parts = (
-                self.signature_rows[p.start * self.n_parameters : p.stop * self.n_parameters] * weight
+                self.design_rows[p.start * self.n_parameters : p.stop * self.n_parameters] * weight
                 for p in self.parts(len(weight))
             )
             products = np.concatenate(
-                [row_gram(signature_rows.reshape(-1, self.n_parameters, len(weight))) for signature_rows in parts]
+                [row_gram(design_rows.reshape(-1, self.n_parameters, len(weight))) for design_rows in parts]
             )
         else:
-            data = self.signature_rows.data * weight[self.signature_rows.indices]
-            ends = self.signature_rows.indptr[:: self.n_parameters].tolist()
+            data = self.design_rows.data * weight[self.design_rows.indices]
+            ends = self.design_rows.indptr[:: self.n_parameters].tolist()
             products = np.stack(
                 [row_gram(data[low:high].reshape(self.n_parameters, -1)) for low, high in pairwise(ends)]
             )
@@ -110,67 +110,69 @@ class SignatureGroup:
 
 
 @dataclass(frozen=True)
-class CatalogueSignatures:
-    """Effects of the catalogue with their signatures in units of plausible sizes.
+class CatalogueDesigns:
+    """Effects of the catalogue with their design columns in units of plausible sizes.
 
     A family contains the same effect at all its places and shapes.
     """
 
     effects: list[CandidateEffect]
     """Effects that change a reading of the recording, h of them."""
-    groups: list[SignatureGroup]
-    """Signatures, grouped by their number of parameters and their form of storage."""
+    groups: list[EffectGroup]
+    """Effects with their design columns, grouped by their number of parameters and their form of storage."""
     families: tuple[str, ...]
-    """Names of the families, which are names of the catalogue."""
+    """Names of the families, each of which has one effect of the catalogue at all its places and shapes."""
     family_of_effect: Ints
     """Index (h,) of the family of each effect."""
 
     @classmethod
-    def from_space(cls, space: ResidualSpace, effects: Sequence[CandidateEffect]) -> CatalogueSignatures:
-        """Signatures of all effects that change a reading of this recording."""
+    def from_space(cls, space: ResidualSpace, effects: Sequence[CandidateEffect]) -> CatalogueDesigns:
+        """Design matrices of all effects that change a reading of this recording."""
         touching: list[CandidateEffect] = []
-        sparse_signatures: dict[int, list[tuple[int, Ints, Singles]]] = {}
-        dense_signatures: dict[tuple[int, tuple[bool, ...]], tuple[list[int], list[Singles]]] = {}
-        read = np.nonzero(space.used_readings)
-        other = np.ones(space.n_rows - len(read[0]), dtype=np.int64)  # rows of no reading: one more pointing, and kind
-        pointing, kind = (np.append(of, n * other) for of, n in zip(read, space.used_readings.shape, strict=True))
+        sparse_designs: dict[int, list[tuple[int, Ints, Singles]]] = {}
+        dense_designs: dict[tuple[int, tuple[bool, ...]], tuple[list[int], list[Singles]]] = {}
+        used_readings = np.nonzero(space.used_readings)
+        other = np.ones(
+            space.n_rows - len(used_readings[0]), dtype=np.int64
+        )  # rows of no reading: one more pointing, and kind
+        pointing, kind = (
+            np.append(of, n * other) for of, n in zip(used_readings, space.used_readings.shape, strict=True)
+        )
         for effect in effects:
-            signature = space.whitened_signature(effect)
-            row_indices = np.flatnonzero(np.logical_or.reduce(np.not_equal(signature.T, 0.0, order="C")))
+            design_columns = space.whitened_design(effect)
+            row_indices = np.flatnonzero(np.logical_or.reduce(np.not_equal(design_columns.T, 0.0, order="C")))
             if not len(row_indices):
                 continue
             touched = np.bincount(kind[row_indices], minlength=len(OBSERVABLES) + 1) > 0
             is_sparse = len(row_indices) < MAX_SPARSE_FRACTION * space.n_rows
             stored = row_indices if is_sparse else np.flatnonzero(touched[kind])
-            signature = signature[stored]
-            signature *= effect.size_scales
-            effect, coarser = _scaled_to_noise(effect, signature, pointing[stored])
-            signature_rows = np.ascontiguousarray(signature.T * coarser, dtype=np.float32)
+            design_columns = design_columns[stored]
+            design_columns *= effect.size_scales
+            effect, coarser = _scaled_to_noise(effect, design_columns, pointing[stored])
+            design_rows = np.ascontiguousarray(design_columns.T * coarser, dtype=np.float32)
             if is_sparse:
-                sparse_signatures.setdefault(len(signature_rows), []).append(
-                    (len(touching), stored.astype(np.int32), signature_rows)
+                sparse_designs.setdefault(len(design_rows), []).append(
+                    (len(touching), stored.astype(np.int32), design_rows)
                 )
             else:
-                effect_indices, made = dense_signatures.setdefault(
-                    (len(signature_rows), tuple(touched.tolist())), ([], [])
-                )
+                effect_indices, made = dense_designs.setdefault((len(design_rows), tuple(touched.tolist())), ([], []))
                 effect_indices.append(len(touching))
-                made.append(signature_rows)
+                made.append(design_rows)
             touching.append(effect)
-        groups = [
-            _sparse_group(n_parameters, sparse_signatures.pop(n_parameters), space.n_rows)
-            for n_parameters in sorted(sparse_signatures)
+        effect_groups = [
+            _sparse_group(n_parameters, sparse_designs.pop(n_parameters), space.n_rows)
+            for n_parameters in sorted(sparse_designs)
         ]
-        groups += [
+        effect_groups += [
             _dense_group(n_parameters, effect_indices, stack_and_release(made), np.flatnonzero(np.array(kinds)[kind]))
-            for (n_parameters, kinds), (effect_indices, made) in sorted(dense_signatures.items())
+            for (n_parameters, kinds), (effect_indices, made) in sorted(dense_designs.items())
         ]
         names = tuple(dict.fromkeys(effect.name for effect in touching))
         index = {name: i for i, name in enumerate(names)}
-        return cls(touching, groups, names, np.array([index[e.name] for e in touching], dtype=np.int64))
+        return cls(touching, effect_groups, names, np.array([index[e.name] for e in touching], dtype=np.int64))
 
-    def with_weights_of(self, old_space: ResidualSpace, new_space: ResidualSpace) -> CatalogueSignatures:
-        """Signatures with the weights of another adjustment of the same readings.
+    def with_weights_of(self, old_space: ResidualSpace, new_space: ResidualSpace) -> CatalogueDesigns:
+        """Design matrices with the weights of another adjustment of the same readings.
 
         The geometry is not updated, because other weights move a network by far less than its lengths.
         """
@@ -179,11 +181,11 @@ class CatalogueSignatures:
         return replace(self, groups=[group.scaled_rows(ratio) for group in self.groups])
 
     def log_evidence_and_trials(self, null_ensemble: NullEnsemble) -> tuple[Floats, Floats]:
-        """Log evidence (h,) of each effect given a model, and null values of each family (families, trials).
+        """Log evidence (h,) of each effect given a model, and null values (families, trials) of each catalogue effect.
 
-        The null values are log means of the evidence for simulated recordings. The signatures are projected also onto
-        the residual space of the model, which reduces their Gram matrices. A Monte-Carlo Gram matrix is not reduced,
-        because the difference of an estimate and an exact value may vanish.
+        The null values are log means of the evidence for simulated recordings. The design columns are projected also
+        onto the residual space of the model, which reduces their Gram matrices. A Monte-Carlo Gram matrix is not
+        reduced, because the difference of an estimate and an exact value may vanish.
         """
         values, chance = (
             np.zeros(len(self.effects)),
@@ -207,7 +209,7 @@ class CatalogueSignatures:
         return values, chance.log_means
 
     def effects_by_family(self) -> list[list[Effect]]:
-        """Effects of each family, without the constants of the ordinary calibration except the range scale.
+        """Effects by catalogue name at all places and shapes, with only the range scale of the ordinary constants.
 
         A network without a known length absorbs the scale completely. `calibrate` reports the other constants.
         """
@@ -231,7 +233,7 @@ class CatalogueSignatures:
 
 @dataclass(frozen=True)
 class FamilyMeans:
-    """Log means of the evidence of each family for simulated recordings (trials), accumulated over its members."""
+    """Log means of the evidence of each catalogue effect over its places and shapes, in simulated recordings."""
 
     family: Ints
     """Index (h,) of the family of each effect."""
@@ -252,15 +254,16 @@ class FamilyMeans:
 
     @property
     def log_means(self) -> Floats:
-        """Log mean (families, trials) of the evidence over all members of each family."""
+        """Log mean (families, trials) of the evidence over all places and shapes of each catalogue effect (family)."""
         return self.sums - np.log(np.bincount(self.family, minlength=len(self.sums)))[:, None]
 
 
-def _scaled_to_noise(effect: CandidateEffect, signature: Floats, pointing: Ints) -> tuple[CandidateEffect, float]:
+def _scaled_to_noise(effect: CandidateEffect, design_columns: Floats, pointing: Ints) -> tuple[CandidateEffect, float]:
     """Effect whose plausible size is at least as large as the noise of the readings, and the factor on its size.
 
-    The factor is 1 for effects of the air, whose size depends on the hall and not on the instrument. `signature` (r, k)
-    is the whitened change by the plausible sizes on r nonzero rows, and `pointing` (r,) the pointing of each row.
+    The factor is 1 for effects of the air, whose size depends on the hall and not on the instrument. `design_columns`
+    (r, k) are the whitened changes by the plausible sizes on r nonzero rows, and `pointing` (r,) the pointing of each
+    row.
     """
     if (
         not isinstance(effect, Effect)
@@ -268,35 +271,35 @@ def _scaled_to_noise(effect: CandidateEffect, signature: Floats, pointing: Ints)
         or effect.stage == LightPathStage.AIR
     ):
         return effect, 1.0
-    squares = np.bincount(pointing, np.einsum("rq,rq->r", signature, signature) / signature.shape[1])
+    squares = np.bincount(pointing, np.einsum("rq,rq->r", design_columns, design_columns) / design_columns.shape[1])
     factor = noise_level_factor(np.sqrt(squares))
     return replace(effect, size_factor=factor) if factor > 1.0 else effect, factor
 
 
 def _dense_group(
-    n_parameters: int, effect_indices: Sequence[int], signature_rows: Singles, row_indices: Ints
-) -> SignatureGroup:
-    """Group of h effects with k parameters each, from `signature_rows` (h, k, r) on the rows `row_indices` (r,)."""
-    products, weight = row_gram(signature_rows).astype(np.float64), np.ones(len(row_indices), dtype=np.float32)
-    flattened = signature_rows.reshape(-1, len(row_indices))
-    return SignatureGroup(
+    n_parameters: int, effect_indices: Sequence[int], design_rows: Singles, row_indices: Ints
+) -> EffectGroup:
+    """Group of h effects with k parameters each, from `design_rows` (h, k, r) on the rows `row_indices` (r,)."""
+    products, weight = row_gram(design_rows).astype(np.float64), np.ones(len(row_indices), dtype=np.float32)
+    flattened = design_rows.reshape(-1, len(row_indices))
+    return EffectGroup(
         n_parameters, np.array(effect_indices), row_indices, flattened, weight, products, np.zeros_like(products)
     )
 
 
-def _sparse_group(n_parameters: int, signatures: Sequence[tuple[int, Ints, Singles]], n_rows: int) -> SignatureGroup:
-    """Group of effects with k parameters each, from the index, the rows and the values (k, r) of each signature.
+def _sparse_group(n_parameters: int, designs: Sequence[tuple[int, Ints, Singles]], n_rows: int) -> EffectGroup:
+    """Group of effects with k parameters each, from each effect's index, nonzero rows and transposed design (k, r).
 
     Each effect changes only a few of `n_rows` rows of the residual space.
     """
-    products = np.stack([row_gram(signature_rows) for _, _, signature_rows in signatures]).astype(np.float64)
-    indices = np.concatenate([np.tile(row_indices, n_parameters) for _, row_indices, _ in signatures])
-    ends = np.cumsum([0, *(len(row_indices) for _, row_indices, _ in signatures for _ in range(n_parameters))]).astype(
+    products = np.stack([row_gram(design_rows) for _, _, design_rows in designs]).astype(np.float64)
+    indices = np.concatenate([np.tile(row_indices, n_parameters) for _, row_indices, _ in designs])
+    ends = np.cumsum([0, *(len(row_indices) for _, row_indices, _ in designs for _ in range(n_parameters))]).astype(
         np.int32
     )
-    data = np.concatenate([signature_rows.ravel() for _, _, signature_rows in signatures])
-    signature_rows = sp.csr_array((data, indices, ends), (len(signatures) * n_parameters, n_rows))
-    weight, effect_indices = np.ones(n_rows, dtype=np.float32), np.array([i for i, _, _ in signatures])
-    return SignatureGroup(
-        n_parameters, effect_indices, slice(None), signature_rows, weight, products, np.zeros_like(products)
+    nonzero_values = np.concatenate([design_rows.ravel() for _, _, design_rows in designs])
+    design_rows = sp.csr_array((nonzero_values, indices, ends), (len(designs) * n_parameters, n_rows))
+    weight, effect_indices = np.ones(n_rows, dtype=np.float32), np.array([i for i, _, _ in designs])
+    return EffectGroup(
+        n_parameters, effect_indices, slice(None), design_rows, weight, products, np.zeros_like(products)
     )
