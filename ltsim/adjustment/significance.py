@@ -59,7 +59,7 @@ MIN_REPEATS_FOR_VARIANCE = 4
 tested; with two or three an outlier explains as much.
 """
 MIN_MEAN_REPEATS = 1.5
-"""Mean number of pointings to an occupation, or of occupations of a target, from which displacements have a hypothesis:
+"""Mean number of pointings to an occupation, or of occupations of a target, from which displacements are a hypothesis:
 half of the places are then repeated. Without repeats a displacement looks like noise, or is part of the coordinates.
 """
 MIN_EQUIVALENT_CORRELATION = 0.9

@@ -42,7 +42,7 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import simulate
 
 CONVERGENCE = "convergence"
-"""Subject of the check that every trial has a result."""
+"""Name, in the table of checks, of the check that every trial has a result."""
 
 
 class RecoveryTolerance(NamedTuple):

@@ -24,16 +24,17 @@ TRIAL_STATUSES = BATCH_CONVERGED, FULL_SOLVER, WITHOUT_RESULT = "converged", "fu
 ErrorOrigin = Literal["drawn", "stated"]
 """Origin of the instruments' errors in a recovery check: drawn from the prior, or declared."""
 StatisticGroup = Literal["criteria", "errors", "z-scores", "estimates", "truth"]
-"""Group of results that the rows of a campaign hold."""
+"""Kind of results in the rows of a campaign, of which a user may select some."""
 READING_ERROR_VARIANTS = (
     "rms over stations and targets of the 3D distance from the true point to the point that a reading describes, each "
     "station's points fitted rigidly to the true ones; noise of these readings included"
 )
 NEW_POINT_TEXT = "error of a new point, by readings in the place of `judge_in` that no calibration used: "
 POOLED_RATIOS = (
-    "(R - C) / (R - P) of the mean squares, over all trials of a cell and method, of {0}error_raw_um, "
-    "{0}error_calibrated_um and {0}error_true_parameters_um: 1 for a calibration that found the true parameters, 0 for "
-    "one that did nothing, below 0 for one that did harm; its interval is that of a ratio of means"
+    "(R - C) / (R - P), where R, C and P are the mean squares of {0}error_raw_um, {0}error_calibrated_um and "
+    "{0}error_true_parameters_um over all trials of a combination of settings and method: 1 for a calibration that "
+    "found the true parameters, 0 for one that did nothing, below 0 for one that did harm; its interval is that of a "
+    "ratio of means"
 )
 
 
@@ -157,7 +158,7 @@ def summary_table(factors: Mapping[str, str]) -> Table:
     ]
     return Table(
         SUMMARY_FILE,
-        "every statistic over the trials of a cell and method, with the settings of the cell",
+        "every statistic over the trials of a combination of settings (cell) and a method, with these settings",
         (
             *number_columns(cell="number"),
             *settings,

@@ -247,6 +247,6 @@ def separate_constant_heights(
 
 
 def _without_constant_height(covariates: dict[str, float], column: str, *, is_constant: bool) -> dict[str, float]:
-    """Covariates without a constant height; a height that varies is kept, 0 if it is missing."""
+    """Covariates without the height `column` if it is constant; otherwise with it, 0 if it is missing."""
     other_covariates = {name: value for name, value in covariates.items() if name != column}
     return other_covariates if is_constant else {**other_covariates, column: covariates.get(column, 0.0)}

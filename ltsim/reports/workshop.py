@@ -22,7 +22,7 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.workshop import WorkshopLayout, make_obstacles, make_visibility, planned_layout
 
 ALTERNATIVE_CONE_OPENING = 110.0 * DEGREE
-"""Alternative opening of the shadow cone (Sensors 2021, 21, 7479, section 2.3.2)."""
+"""Alternative opening angle [rad] of the shadow cone (Sensors 2021, 21, 7479, section 2.3.2)."""
 MAX_TRACKER_HEIGHT = 3.0
 """Largest height [m] of the lowest target or tracker above z = 0 of a plan at which the floor is drawn at z = 0.
 

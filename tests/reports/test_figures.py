@@ -174,9 +174,9 @@ def residuals_by_station_figure() -> Figure:
     return misfits.residuals_by_station_figure(second, first)
 
 
-def signature_figure() -> Figure:
+def finding_comparison_figure() -> Figure:
     first, second = residuals()
-    return misfits.signature_figure(
+    return misfits.finding_comparison_figure(
         first, second, "elevation", FindingScope(observables=("elevation",), stations=("S2",))
     )
 
@@ -263,7 +263,7 @@ DRAWINGS = {
         correlation_figure, coverage_figure, criteria_figure, displacement_figure, distributions_figure,
         response_curve_figure, floor_plan, injected_and_estimated_figure, history_figure, lines_figure,
         parameter_figure, reflector_changes_figure, residuals_by_covariate_figure, residuals_by_station_figure,
-        sigma_figure, signature_figure, trade_off_figure, values_figure, marked_floor_plan,
+        sigma_figure, finding_comparison_figure, trade_off_figure, values_figure, marked_floor_plan,
     )
 }  # fmt: skip
 

@@ -48,8 +48,8 @@ MIN_POINTS_FOR_EXCHANGE = 4
 """Number of reference points from which an exchange of two of them is tested; three points also fit their mirror image.
 """
 MAX_EXCHANGE_MISCLOSURE_RATIO = 0.02
-"""Largest misclosure of the reference points after an exchange, relative to that without it and to that after any other
-exchange, below which the exchange is a hypothesis.
+"""Ratio of misclosures of the reference points, below which the exchange of two points is a hypothesis: after this
+exchange to without it, and after this exchange to after any other exchange.
 """
 PlaceKind = Literal["station", "target", "instrument"]
 """Kind of place at which a shift of readings acts: one station, one target, or all stations of an instrument."""

@@ -174,7 +174,7 @@ def linear_field_columns(
 
 
 def first_order_lag(sightings: Sightings, covariate: str, time_constant: float) -> Floats:
-    """Columns (n, 2) of a covariate with a lag: the covariate after a first-order lag, and its difference from that.
+    """Columns (n, 2): a covariate after a first-order lag, and the covariate minus the lagged one; unit rms each.
 
     `time_constant` is in seconds.
     """

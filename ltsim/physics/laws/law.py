@@ -277,7 +277,7 @@ class EmpiricalLaw(CandidateEffect):
         }
 
     def candidate_pieces(self, sightings: Sightings) -> list[Regressor]:
-        """Single steps and ramps at gaps between values of the covariate. Sums of them may replace a curve."""
+        """Steps and ramps at gaps between values of the covariate; a sum of some of them may replace a curve."""
         curved = [f for f in (self.regressor, *self.regressor.factors) if f.kind == "smooth"]
         if len(curved) != 1:
             return []

@@ -136,7 +136,7 @@ VARIED_CONSTANTS = (
     | {response.name: tuple(p.name for p in effect.parameters) for response, effect in _ECCENTRICITY_RESPONSES.items()}
     | {"distance": constants_of_slot("range"), _RANGE_SCALE.name: ("range-scale",)}
 )
-"""Names of the constants of the ordinary calibration that a response adds to, by the name of the response."""
+"""Names of the constants of the ordinary calibration that a law varies, by the name of the quantity that it changes."""
 _STAND_TILT = Response("lean of the stand", "urad", PLAUSIBLE_ANGLE_ERROR, (), "stand", ("about x", "about y"))
 _STAND_POSITION = Response("place of the stand", "um", PLAUSIBLE_MOTION, (), "stand", ("along x", "along y", "along z"))
 _TARGET_POSITION = Response("place of targets", "um", PLAUSIBLE_MOTION, (), "target", ("along x", "along y", "along z"))

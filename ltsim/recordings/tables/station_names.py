@@ -81,7 +81,7 @@ def several_positions_note(table: PointingTable, readings: Floats) -> list[str]:
 def _median_spread(values: Floats, groups: Ints) -> float:
     """Median over groups of the largest difference of the values (n,) in a group; 0 without a group of several values.
 
-    `groups` (n,) is the number of the group of each value; values that are not finite are ignored.
+    `groups` (n,) is the index of the group of each value; values that are not finite are ignored.
     """
     finite = np.isfinite(values)
     if not finite.any():

@@ -79,7 +79,7 @@ def residuals_by_station_figure(plotted: Residuals, reference: Residuals | None 
 
 
 @style.with_figure_style
-def signature_figure(
+def finding_comparison_figure(
     without_finding: Residuals, with_finding: Residuals, covariate: str, scope: FindingScope
 ) -> Figure:
     """Residuals over a covariate, from the model without a finding (left) and with the finding (right).

@@ -310,7 +310,9 @@ def finding_figure(
     place = scope.stations, scope.targets
     if not common_covariates or not without_finding.is_at(*place).any() or not with_finding.is_at(*place).any():
         return None
-    return lambda: figures.residuals.signature_figure(without_finding, with_finding, common_covariates[0], scope)
+    return lambda: figures.residuals.finding_comparison_figure(
+        without_finding, with_finding, common_covariates[0], scope
+    )
 
 
 def _finding_place_blocks(finding: Finding, finding_number: int, adjustments: AdjustmentPair | None) -> list[Block]:
