@@ -139,10 +139,9 @@ class NetworkTests:
         maker = "Have the maker adjust the tracker"
         if not count:
             correction = "correct all readings by ltsim calibrate and ltsim correct"
-            return f"{maker}, or {correction}: no error is then rejected."
-        verb = "is" if count == 1 else "are"
+            return f"{maker}, or {correction}. After this correction no error is rejected."
         return (
-            f"{maker}. Corrections by ltsim calibrate do not suffice: {count} of {total} errors {verb} then rejected."
+            f"{maker}. Corrections by ltsim calibrate do not suffice: the test then rejects {count} of {total} errors."
         )
 
     def further_actions(self, *, is_rejected: bool) -> tuple[str, ...]:
@@ -254,7 +253,7 @@ class TestedNetwork:
         return to_polar(from_polar(readings))
 
     def is_corrected(self, cause: CauseTest) -> bool:
-        """True if an identified error of the recording is removed, or in the uncertainties of the lengths."""
+        """True if an error of the recording is removed from the readings, or in the uncertainties of the lengths."""
         place = cause.where
         if cause.kind == CENTRING_KIND:
             return bool(self.adjustment.problem.model.centring_errors)

@@ -231,9 +231,10 @@ def predicted_result(
     *,
     instrument_description: str,
 ) -> AcceptanceFile:
-    """Result for predicted tests of an instrument.
+    """Content of `accept.json` for a prediction: probability that an instrument passes its tests, with expected errors.
 
-    `prior` (p,) [SI] are standard deviations of its constants, `instrument_description` is the subject of the sentence.
+    `prior` (p,) [SI] are the standard deviations of the constants of the instrument. The sentence of the result begins
+    with `instrument_description`.
     """
     values, rms, largest = plan.worst_passing(prior, envelope_points())
     error_sizes = np.hypot(prediction.expected_errors[:, 0], prediction.expected_errors[:, 1])

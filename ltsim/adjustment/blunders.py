@@ -86,7 +86,7 @@ def _points_from_readings(adjustment: Adjustment, readings: Floats, rows: Ints) 
     local_points = adjustment.construction.point(readings, adjustment.state.instrument_parameters[instrument])
     rotated = np.einsum("nij,nj->ni", adjustment.state.station_rotations[station], local_points)
     network_points: Floats = rotated + adjustment.state.station_positions[station]
-    lift = adjustment.problem.model.geometry(adjustment.state).reflector_offsets
+    lift = adjustment.problem.model.geometry(adjustment.state).sight_vector_offsets
     return network_points if lift is None else network_points - lift[rows]
 
 
@@ -139,13 +139,13 @@ def _wrong_heights(adjustment: Adjustment, is_gross: Bools) -> Iterator[Correcte
     indices = np.flatnonzero(is_gross & recording.is_measured.all(axis=1))
     if not len(indices):
         return
-    deviations = (
+    point_deviations = (
         _points_from_readings(adjustment, recording.readings[indices], indices)
         - adjustment.state.target_points[recording.target[indices]]
     )
     plumb_lines = plumb_directions(recording)[recording.station[indices]]
-    vertical_parts = np.einsum("ni,ni->n", deviations, plumb_lines)
-    horizontal_parts = np.linalg.norm(deviations - vertical_parts[:, None] * plumb_lines, axis=1)
+    vertical_parts = np.einsum("ni,ni->n", point_deviations, plumb_lines)
+    horizontal_parts = np.linalg.norm(point_deviations - vertical_parts[:, None] * plumb_lines, axis=1)
     is_vertical = horizontal_parts < np.minimum(
         np.maximum(MAX_TRACKER_ERROR, MAX_INCLINATION * np.abs(vertical_parts)),
         adjustment.sightings.range_[indices],

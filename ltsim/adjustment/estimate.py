@@ -116,14 +116,14 @@ def adjust(
         parameters = np.zeros((len(recording.instruments), built.n_parameters)) if prior is None else prior.mean
         start_state = NetworkState(*network, parameters)
     recording = with_plumb_lines(recording, start_state.station_positions)
-    model = MeasurementModel(recording, built, tuple(effects))
-    if len(start_state.extra_parameters) != model.n_extra_parameters:
-        start_state = replace(start_state, extra_parameters=np.zeros(model.n_extra_parameters))
+    measurement_model = MeasurementModel(recording, built, tuple(effects))
+    if len(start_state.extra_parameters) != measurement_model.n_extra_parameters:
+        start_state = replace(start_state, extra_parameters=np.zeros(measurement_model.n_extra_parameters))
     keep = np.broadcast_to(((~gross | robust) & ~lost[recording.target])[:, None], recording.readings.shape)
     mask = keep if reading_mask is None else keep & reading_mask
     find = snoop_readings if robust else _solve
     whole = NetworkProblem.from_model(
-        model, sigma=sigma, reading_mask=mask, effect_prior_sigma=effect_prior_sigma, prior=prior
+        measurement_model, sigma=sigma, reading_mask=mask, effect_prior_sigma=effect_prior_sigma, prior=prior
     )
     _require_fixed_smr_offsets(whole)
     start_state = replace(
@@ -137,12 +137,14 @@ def adjust(
         tested, tested_state = sound.with_instrument_constants(start_state)
         problem, solution, wrong = snoop_references(tested, solve(tested, tested_state), tested_kinds)
         if tested is not sound:
-            problem = sound.with_model(replace(model, recording=problem.model.recording)) if wrong else sound
+            problem = (
+                sound.with_model(replace(measurement_model, recording=problem.model.recording)) if wrong else sound
+            )
             state = replace(solution.x, instrument_parameters=start_state.instrument_parameters)
             solution = solve(problem, state)
-        model = problem.model
+        measurement_model = problem.model
     if wrong and robust:
-        whole, start_state = whole.with_model(model), solution.x
+        whole, start_state = whole.with_model(measurement_model), solution.x
     if robust or not needs_start:
         problem, solution = find(whole, start_state)
     components: tuple[VarianceComponent, ...] = ()

@@ -57,7 +57,7 @@ def fit_pose(
         Position of the station, if known.
     """
     rows, sight = sight.thin_rows()
-    points = points[rows] + sight.reflector_offsets
+    points = points[rows] + sight.sight_vector_offsets
     azimuth, elevation = (bool(np.isfinite(sight.readings[:, i]).any()) for i in (1, 2))
     is_tilted = not is_levelled and (azimuth or elevation)
     slope = bool(np.isfinite(sight.readings[~sight.is_horizontal, 0]).any())
@@ -86,7 +86,7 @@ def fit_point(sight: FitReadings, position: Floats, rotation: Floats) -> Floats 
     `sight` contains the readings, `position` (k, 3) and `rotation` (k, 3, 3) the pose of the station of each pointing.
     """
     rows, sight = sight.thin_rows()
-    rotation, lifted = rotation[rows], position[rows] - sight.reflector_offsets
+    rotation, lifted = rotation[rows], position[rows] - sight.sight_vector_offsets
     if sight.n_readings < 3:
         return None
 

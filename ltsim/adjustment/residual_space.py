@@ -18,7 +18,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.scene.sightings import Sightings
-from ltsim.solve.projection import Projection, make_projection
+from ltsim.solve.projection import ResidualProjector, make_residual_projector
 
 MAX_SCREENED_ENTRIES = 3_000_000
 """Largest number of entries of all design columns that a screening projects (processor time); only the most
@@ -30,7 +30,7 @@ promising hypotheses are projected beyond it.
 class ResidualSpace:
     """Residual space of an adjustment with m equations: projector and residuals."""
 
-    projector: Projection
+    projector: ResidualProjector
     """Projector onto the complement of the whitened design matrix, with columns of additional effects in the model."""
     residuals: Floats
     """Whitened residuals of the m equations, (m,)."""
@@ -40,9 +40,9 @@ class ResidualSpace:
     def from_adjustment(cls, adjustment: Adjustment) -> Self:
         """Residual space at the solution of an adjustment, which does not keep the projector: a basis takes 32 MB."""
         solution = adjustment.solution
-        projection = make_projection(solution.system, solution.factor)
-        residual = projection.project(solution.system.whitened_residuals[:, None])[:, 0]
-        return cls(projection, residual, adjustment)
+        projector = make_residual_projector(solution.system, solution.factor)
+        residual = projector.project(solution.system.whitened_residuals[:, None])[:, 0]
+        return cls(projector, residual, adjustment)
 
     @property
     def sightings(self) -> Sightings:

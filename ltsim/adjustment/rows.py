@@ -43,8 +43,8 @@ class GaugeRows(ReferenceLengths):
         return np.asarray(np.linalg.cholesky(correlation), dtype=np.float64)
 
     @property
-    def decorrelated_to_lengths(self) -> Floats:
-        """Changes (g, g) [m] of the lengths by each of g independent errors of unit size: inverse of `decorrelate`."""
+    def covariance_root(self) -> Floats:
+        """Cholesky factor (g, g) [m] of the covariance of the g lengths; `decorrelate` multiplies by its inverse."""
         return np.diag(self.sigma) if self.correlation_root is None else self.sigma[:, None] * self.correlation_root
 
     def decorrelate(self, length_changes: Floats) -> Floats:

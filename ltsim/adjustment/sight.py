@@ -9,7 +9,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap_angle
-from ltsim.physics.model.measurement import reduce_to_horizontal, reflector_offsets
+from ltsim.physics.model.measurement import reduce_to_horizontal, sight_vector_offsets
 from ltsim.recordings.recording import Recording
 
 MAX_FIT_ROWS = 12
@@ -28,13 +28,13 @@ class FitReadings:
     """Readings converted to the front face, (k, 3) [m, rad, rad]; NaN if not measured."""
     is_horizontal: Bools
     """Flags (k,) of the pointings whose distance is horizontal."""
-    reflector_offsets: Floats
-    """Vectors (k, 3) [m] from the target to the centre of the reflector, in the network frame."""
+    sight_vector_offsets: Floats
+    """Offsets (k, 3) [m] of the sight vectors, network frame: of the reflector minus that of the instrument."""
 
     @classmethod
     def from_recording(cls, recording: Recording) -> Self:
         """Readings of all pointings of a recording."""
-        lift = reflector_offsets(recording)
+        lift = sight_vector_offsets(recording)
         lift = np.zeros((len(recording), 3)) if lift is None else lift
         return cls(to_face(recording.readings, recording.face), recording.is_horizontal, lift)
 
@@ -58,7 +58,7 @@ class FitReadings:
             self,
             readings=self.readings[rows],
             is_horizontal=self.is_horizontal[rows],
-            reflector_offsets=self.reflector_offsets[rows],
+            sight_vector_offsets=self.sight_vector_offsets[rows],
         )
 
     def thin_rows(self) -> tuple[Ints, FitReadings]:

@@ -67,7 +67,7 @@ class NetworkInitialiser:
         stations, targets = len(recording.stations), len(recording.targets)
         self._readings = FitReadings.from_recording(recording)
         self._front_readings = self._readings.readings
-        self._pair_offsets = station_target_pairs.values_by_pair(recording, self._readings.reflector_offsets)
+        self._pair_offsets = station_target_pairs.values_by_pair(recording, self._readings.sight_vector_offsets)
         self._positions = np.full((stations, 3), np.nan)
         self._rotations = np.tile(np.eye(3), (stations, 1, 1))
         self._is_joined = np.zeros(stations, dtype=bool)
@@ -200,7 +200,7 @@ class NetworkInitialiser:
         beams = np.isfinite(front[:, 1:]).all(axis=1)
         if beams.sum() >= 2:
             rays = from_polar(np.column_stack([np.ones(beams.sum()), front[beams, 1:]]))
-            origin = position[beams] - sight.reflector_offsets[beams]
+            origin = position[beams] - sight.sight_vector_offsets[beams]
             point = meeting_point(origin, np.einsum("nij,nj->ni", rotation[beams], rays))
             if point is not None:
                 return point

@@ -148,9 +148,9 @@ def _moment_variance(difference: Floats, sigma: Floats, relative_variances: Floa
 
     if excess(0.0) <= 0:
         return 0.0
-    upper_bound = float(np.sum(difference**2))
-    while excess(upper_bound) > 0:  # steps without time between them have no growing variance
-        if MAX_SOLUTION_ROUNDING_ERROR * upper_bound > float(np.sum(difference**2)):
-            return upper_bound  # no finite variance gives the expected chi-square
-        upper_bound *= 10.0
-    return float(brentq(excess, 0.0, upper_bound, rtol=MAX_SOLUTION_ROUNDING_ERROR))
+    variance_upper_bound = float(np.sum(difference**2))
+    while excess(variance_upper_bound) > 0:  # steps without time between them have no growing variance
+        if MAX_SOLUTION_ROUNDING_ERROR * variance_upper_bound > float(np.sum(difference**2)):
+            return variance_upper_bound  # no finite variance gives the expected chi-square
+        variance_upper_bound *= 10.0
+    return float(brentq(excess, 0.0, variance_upper_bound, rtol=MAX_SOLUTION_ROUNDING_ERROR))

@@ -20,9 +20,9 @@ CalibrationSource = Calibration | str | Path
 
 
 def write_calibration(calibration: Calibration, folder: Path) -> Calibration:
-    """Files of a calibration in a folder: `calibration.json`, `targets.csv`, and residuals and covariance of a network.
+    """Writing of a calibration and its companion files to a folder; returns the calibration with their digests.
 
-    The result is the calibration with the digests of the written files.
+    The files are `calibration.json`, `targets.csv`, and for a network the residuals and the covariance.
 
     Raises
     ------

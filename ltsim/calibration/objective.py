@@ -54,7 +54,7 @@ class DistanceProblem:
 
     @cached_property
     def set_numbers(self) -> Ints:
-        """Number of the set (station and face) of each pointing, from 0, shape (pointings,)."""
+        """Index of the set (station and face) of each pointing, from 0, shape (pointings,)."""
         _, number = np.unique(2 * self.recording.station + self.recording.face - 1, return_inverse=True)
         return number.astype(np.int64)
 

@@ -94,7 +94,7 @@ def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
     for k in np.flatnonzero(freed).tolist():
         name, p = rows[k]
         sentences.append(
-            f"{name} is {with_sigma(p.value, p.sigma, p.unit)} from the readings, which contradicts "
+            f"{name}: the readings give {with_sigma(p.value, p.sigma, p.unit)}, which contradicts "
             f"{references[k // size]} {p.prior_sigma:.3g} {p.unit}: the estimate follows the readings"
         )
         if lengths and calibration.construction.parameters[k % size].prior_kind == "range_scale":

@@ -100,7 +100,7 @@ def station_poses(adjustment: Adjustment, covariance: Floats | None = None) -> t
 
 
 def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
-    """Entries of outlying readings: gross pointings, other excluded readings, then outliers by the trusted test."""
+    """Entries of outlying readings: gross pointings, other excluded readings, then outliers by w-test or tau-test."""
     recording = adjustment.recording
     scaled = np.nan_to_num(adjustment.residuals / adjustment.problem.sigma)
 
@@ -118,12 +118,12 @@ def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     single = adjustment.is_rejected & ~adjustment.is_gross_pointing[:, None] & _has_estimated_error(adjustment, scaled)
     for i, k in sorted(np.argwhere(single).tolist(), key=lambda at: -abs(scaled[at[0], at[1]])):
         outliers.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), excluded=True))
-    trusted = adjustment.flagged_readings(uses_estimated_noise=verdict_entry(adjustment).uses_estimated_noise)
+    flagged_readings = adjustment.flagged_readings(uses_estimated_noise=verdict_entry(adjustment).uses_estimated_noise)
     return (
         *outliers,
         *(
             row(o.row, o.observable_column, o.estimated_error, o.normalised_residual, p_value=o.p_value)
-            for o in trusted
+            for o in flagged_readings
         ),
     )
 

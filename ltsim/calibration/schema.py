@@ -177,7 +177,9 @@ class OutlierRow(Entry):
     w: Finite
     """Normalised residual (statistic of the w-test)."""
     p_value: OptionalFloat = None
-    """p-value by the trusted test, corrected for the number of readings; null for excluded readings."""
+    """p-value of the w-test, or of the tau-test if the noise is estimated, corrected for the number of readings. Null
+    for excluded readings.
+    """
     gross: bool = False
     """True if this is the largest residual of a pointing that was excluded as a whole."""
     excluded: bool = False

@@ -26,8 +26,8 @@ SIGNIFICANT_DIGITS = 4
 """Number of significant digits of a value in a design. With four digits the points remain distinct and the values are
 easy to read.
 """
-MAX_RANGES = 64
-"""Largest number of ranges of a design."""
+MAX_DESIGN_SETTINGS = 64
+"""Largest number of settings that a design varies, each over one range of values."""
 
 
 class Range(TomlSection):
@@ -60,7 +60,7 @@ class Design(TomlSection):
     """Kind of design: Latin hypercube (McKay 1979), or scrambled Sobol sequence (Owen 1998)."""
     cells: Annotated[int, Field(ge=2)]
     """Number of points; for a Sobol sequence a power of two."""
-    ranges: Annotated[dict[str, Range], Field(min_length=1, max_length=MAX_RANGES)]
+    ranges: Annotated[dict[str, Range], Field(min_length=1, max_length=MAX_DESIGN_SETTINGS)]
     """Range of each key, by dotted key or by a name in `[link]`: tables `[design.ranges.KEY]`."""
 
     @model_validator(mode="after")

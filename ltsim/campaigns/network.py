@@ -132,12 +132,12 @@ class BatchNetwork:
     @cached_property
     def _non_reading_design(self) -> tuple[Floats, Floats]:
         """Whitened design (r, K) of the r observations other than readings, and their nominal residuals (r, 1)."""
-        design, residual = self._whitened_system
+        design, residual = self._whitened_design_and_residuals
         n_readings = int(self.problem.used_readings.sum())
         return design[n_readings:, self.column_order], residual[n_readings:, None]
 
     @cached_property
-    def _whitened_system(self) -> tuple[Floats, Floats]:
+    def _whitened_design_and_residuals(self) -> tuple[Floats, Floats]:
         """Whitened design (m, K) of all m observations, in the order of the problem, and their residuals (m,)."""
         prediction = (
             self.problem.model.linearise(self.nominal_state)
@@ -165,7 +165,7 @@ class BatchNetwork:
 
         The factor is lower triangular; scaling makes the diagonal one. Raises SetupError for undetermined unknowns.
         """
-        design = self._whitened_system[0]
+        design = self._whitened_design_and_residuals[0]
         normal = (design.T @ design).take(self.column_order, 0).take(self.column_order, 1)
         unit, scale = scale_to_unit_diagonal(normal, np.diag(normal))
         roots, determined = cholesky_where_determined(unit[None])
@@ -324,7 +324,7 @@ class BatchNetwork:
         other observations. K' excludes effects, whose changes are subtracted from the measured readings.
         """
         use, design = self.problem.used_readings, np.zeros((3 * len(self.recording), self.end_indices[-1]))
-        design[use.ravel()] = self._whitened_system[0][
+        design[use.ravel()] = self._whitened_design_and_residuals[0][
             : int(use.sum()), self.column_order
         ]  # whitened; zero where nothing is measured
         # A reading that is not measured has no row; its prediction starts at the nominal reading.

@@ -212,7 +212,7 @@ class RecoveryTrials(ValueEquality):
         return [trial for trial in self.trials if trial is not None]
 
     def _stack_attribute(self, attribute: str) -> Floats:
-        """Attribute of the trials with a result as one array, (N, p)."""
+        """Values (N, p) of an attribute that has p values in each trial, for the N trials with a result."""
         return np.stack([getattr(trial, attribute) for trial in self.trials_with_result])
 
     @property

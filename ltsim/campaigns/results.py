@@ -200,7 +200,7 @@ LEVEL_ROUNDING = 5e-4
 three digits.
 """
 CellMethod = tuple[int, str]
-"""Number of a combination of settings, and name of a method."""
+"""Index of a combination of settings, from 0, and name of a method."""
 
 
 @dataclass(frozen=True)

@@ -59,9 +59,9 @@ class ShardTask:
     cell_digest: str
     """Digest of everything that determines the rows of the combination of settings."""
     cell: int
-    """Number of the combination of settings."""
+    """Index of the combination of settings in the campaign, from 0."""
     shard: int
-    """Number of the shard within the combination of settings."""
+    """Index of the shard within the combination of settings, from 0."""
     validation_scenario: Scenario | None = None
     """Scenario of `judge_in`, which gives held-out points for the evaluation; None without the key."""
     session_effects: tuple[type[Effect], ...] = field(default_factory=lambda: CATALOGUE.session_effects)

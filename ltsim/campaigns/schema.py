@@ -92,7 +92,9 @@ RESULT_COLUMNS: tuple[RowColumn, ...] = (
         "rigidly to the true ones; the noise of the readings that were adjusted is in it",
     ),
     *_error_columns("new_point_", NEW_POINT_TEXT + READING_ERROR_VARIANTS),
-    _parameter_column("z", "", "z-scores", "(estimate - truth) / sigma of a parameter that is estimated and true"),
+    _parameter_column(
+        "z", "", "z-scores", "(estimate - truth) / sigma of a parameter that is both simulated and estimated"
+    ),
     _parameter_column("estimate", PARAMETER_UNIT_TEXT, "estimates", "estimate of a parameter"),
     _parameter_column("sigma", PARAMETER_UNIT_TEXT, "estimates", "standard deviation of an estimate"),
     _parameter_column("true", PARAMETER_UNIT_TEXT, "truth", "true value of a parameter"),
@@ -200,7 +202,7 @@ class CellEntry(Entry):
     """Cell of a campaign: a combination of settings."""
 
     cell: NonNegativeInt
-    """Number of the combination of settings."""
+    """Index of the combination of settings in the campaign, from 0."""
     label: str
     """Description of the combination of settings in a line: the level of each factor."""
     levels: dict[str, LevelValue] = Field(default_factory=dict)

@@ -137,7 +137,7 @@ class CampaignFile(TomlSection):
     grid: dict[str, list[Any]] = Field(default_factory=dict)
     """Values that are combined with each other, by dotted key."""
     design: Design | None = None
-    """Points spread over ranges of several keys."""
+    """Space-filling design: points that a Latin hypercube or a Sobol sequence spreads over ranges of several keys."""
     cells: tuple[dict[str, Any], ...] = ()
     """Combinations one by one, tables `[[cells]]`."""
     stop: StoppingRule | None = None

@@ -342,5 +342,5 @@ def _nan_if_none(value: float | None) -> float:
 
 def _damaged_folder_error(folder: Path, problem: Exception) -> SetupError:
     reason = quoted_text(str(problem).split("\n")[0], 200)
-    repair = f"run the campaign with {option('resume=True')} to repair it"
-    return SetupError(f"{folder}: a shard cannot be read ({reason}); {repair}")
+    repair = f"Run the campaign again with {option('resume=True')} to repair the folder"
+    return SetupError(f"{folder}: a file of rows (shard) cannot be read: {reason}. {repair}")

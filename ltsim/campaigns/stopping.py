@@ -30,7 +30,7 @@ INTERVAL_ERROR_RATE = 0.05
 """Probability that any confidence interval of a combination of settings does not contain the mean; without
 adaptive stopping, the probability for each interval."""
 ShardKey = tuple[int, int]
-"""Number of the combination of settings, and number of the shard among its files."""
+"""Index of the combination of settings, and index of the shard among its files, both from 0."""
 
 
 def student_quantile(n_values: int, error_rate: float) -> float:

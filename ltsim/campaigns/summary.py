@@ -25,7 +25,7 @@ class StatisticSummary(Entry):
     """
 
     cell: int
-    """Number of the combination of settings."""
+    """Index of the combination of settings in the campaign, from 0."""
     method: str
     """Name of the method."""
     column: str
@@ -57,7 +57,7 @@ class ZScoreSummary(Entry):
     """
 
     cell: int
-    """Number of the combination of settings."""
+    """Index of the combination of settings in the campaign, from 0."""
     method: str
     """Name of the method."""
     parameter: str
@@ -76,7 +76,7 @@ class SolverComparison(Entry):
     """Comparison of the batch and the full solver in the trials of one combination of factors, for one method."""
 
     cell: int
-    """Number of the combination of settings."""
+    """Index of the combination of settings in the campaign, from 0."""
     method: str
     """Name of the method."""
     trials: int

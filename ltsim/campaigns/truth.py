@@ -272,7 +272,7 @@ def make_cell_truth(
     if len(read) > 1:
         raise SetupError("instruments: observables differ between the trackers; trials need the same for all")
     geometry = make_geometry(scenario, seed, *key, plan=plan)
-    if geometry.sightings.reflector_offsets is not None and np.any(geometry.sightings.reflector_offsets):
+    if geometry.sightings.sight_vector_offsets is not None and np.any(geometry.sightings.sight_vector_offsets):
         raise SetupError("reflectors: trials in batch use one SMR; give all SMRs of the scenario the same radius")
     s, reference = geometry.sightings, None if reference_truth is None else reference_truth.recording
     if (

@@ -23,9 +23,9 @@ LABEL_WIDTH = 13
 """Width of the column of labels of a catalogue entry [characters]."""
 CONVENTIONS_TEXT = (
     "Delta is truth - reading. az counts counter-clockwise, el from the horizontal plane, d is the range; f is +1 on\n"
-    "face 1 and -1 on face 2; D_r, D_t, D_v are lengths along the beam, to its left and upward. Two numbers, as in\n"
-    "0.46 / 0.95, are correlations between the residuals that two effects cause in the reference workshop, for\n"
-    "measurements in one face and in two faces."
+    "face 1 and -1 on face 2; D_r, D_t, D_v are lengths along the beam, to its left and upward. The correlations are\n"
+    "between the residuals that two effects cause in the reference workshop. Two numbers are for measurements in one\n"
+    "face and in two faces, as in (0.46, 0.95)."
 )
 """Definition of the symbols in the equations of the catalogue."""
 

@@ -58,8 +58,9 @@ InjectedEffectsArgument = Annotated[
     list[str],
     typer.Argument(
         metavar="EFFECT...",
-        help="Effects of the catalogue, or laws as 'RESPONSE ~ REGRESSOR', each with :STATION,TARGET,CONSTANT=VALUE,"
-        "PARAMETER=VALUE; values that are not given are drawn.",
+        help="Effects of the catalogue, or laws as 'RESPONSE ~ REGRESSOR'. After a colon, give stations, targets and "
+        "NAME=VALUE of constants and parameters, with commas between: range-step:S3,range-step=50. Parameters without "
+        "a value are drawn at random.",
     ),
 ]
 InjectionFolderOption = Annotated[
@@ -152,7 +153,7 @@ def inject(
         del options["noncentrality"]
         return _run_injection_curve(terminal, reading.read_and_report(source, terminal), causes[0], file, options)
     if out is None:
-        raise ModelError("ltsim inject needs --out REC2, the folder of the recording, or --curve")
+        raise ModelError("ltsim inject has no output: give --out with a folder for the changed recording, or --curve")
     check_recording_folder(out, force)
     recording = reading.read_and_report(source, terminal)
     del options["injections"]

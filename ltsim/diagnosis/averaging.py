@@ -29,7 +29,7 @@ from ltsim.diagnosis.evidence import (
 )
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking
 from ltsim.diagnosis.search import Searcher
-from ltsim.diagnosis.shapes import shape_nodes
+from ltsim.diagnosis.shapes import shape_constants_nodes
 from ltsim.geometry.rigid import remove_rigid_motion
 from ltsim.physics.effects.effect import NoiseEffect
 from ltsim.physics.laws.law import EmpiricalLaw
@@ -160,7 +160,9 @@ def _instances_at_probable_shapes(
     shapes = (
         []
         if isinstance(selected.effect, EmpiricalLaw)
-        else shape_nodes(searcher.evidence_calculator, selected.effect, other_effects, {}, within_plausible=True)
+        else shape_constants_nodes(
+            searcher.evidence_calculator, selected.effect, other_effects, {}, within_plausible=True
+        )
     )
     if not shapes:
         return [(selected, 1.0)]

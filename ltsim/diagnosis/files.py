@@ -23,7 +23,7 @@ COMPANION_FILES = (
 
 
 def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | None = None) -> Diagnosis:
-    """Diagnosis with the digests of the files that are written to `folder`.
+    """Writing of a diagnosis and its companion files to a folder; returns the diagnosis with their digests.
 
     `targets.csv` contains the coordinates adjusted with the findings in the model, and `targets.covariance.csv` their
     joint covariance with the variance between explanations. `residuals.csv` contains the residuals of this adjustment,

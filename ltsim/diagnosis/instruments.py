@@ -110,8 +110,8 @@ class ConstantChange:
     """Text of the reference with which the constant is compared."""
     added_variances: Floats | float = 0.0
     """Possible variances (s,) of the constant in addition to the expected one, in squares of the specification."""
-    log_weights: Floats | float = 0.0
-    """Logs (s,) of the weights of these variances."""
+    log_variance_weights: Floats | float = 0.0
+    """Natural logarithms (s,) of the prior weights of `added_variances`."""
 
 
 @dataclass(frozen=True)
@@ -198,7 +198,7 @@ def compare_constants(
         ):
             change = expectation.changes[k]
             log_evidences[k] = log_prior + _change_log_evidence(
-                score_along[k] / strength[k], 1.0 / strength[k] + change.added_variances, change.log_weights
+                score_along[k] / strength[k], 1.0 / strength[k] + change.added_variances, change.log_variance_weights
             )
         return log_evidences
 
@@ -269,10 +269,10 @@ def _contradiction_of_change(
     )
 
 
-def _change_log_evidence(difference: float, variances: Floats | float, log_weights: Floats | float) -> float:
+def _change_log_evidence(difference: float, variances: Floats | float, log_variance_weights: Floats | float) -> float:
     """Log evidence of a change from its estimate `difference`, averaged over `variances` (s,) with log weights (s,)."""
-    variances, log_weights = np.atleast_1d(variances), np.atleast_1d(log_weights)
-    log_unchanged = log_weights - 0.5 * (difference**2 / variances + np.log(variances))
+    variances, log_variance_weights = np.atleast_1d(variances), np.atleast_1d(log_variance_weights)
+    log_unchanged = log_variance_weights - 0.5 * (difference**2 / variances + np.log(variances))
     log_changed = log_unchanged + log_evidence(((difference / variances) ** 2)[:, None], 1.0 / variances[:, None])
     return float(log_sum_exp(log_changed) - log_sum_exp(log_unchanged))
 

@@ -56,7 +56,7 @@ from ltsim.physics.laws.places import instrument_places
 from ltsim.physics.laws.variance import REPETITION_KINDS, VarianceFunction
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
-from ltsim.solve.projection import BasisProjection
+from ltsim.solve.projection import BasisResidualProjector
 
 MIN_COMPARABLE_EVIDENCE_FRACTION = 0.2
 """Fraction of the largest log evidence. Noise in windows of time with more evidence is also sought at single places."""
@@ -122,7 +122,7 @@ class NoiseBank:
         names = tuple(dict.fromkeys(h.family for h in hypotheses))
         index = {name: i for i, name in enumerate(names)}
         family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
-        basis = space.projector.basis if isinstance(space.projector, BasisProjection) else None
+        basis = space.projector.basis if isinstance(space.projector, BasisResidualProjector) else None
         group_noises = (
             RecordingNoiseLevel.from_space(space, allows_quieter=allows_quieter),
             *NoiseByGroup.all_of(space),

@@ -20,7 +20,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.shrinkage import MAX_DENSE_UNKNOWNS
 from ltsim.core.arrays import Floats, Ints, Singles, batches
 from ltsim.core.randomness import stream
-from ltsim.solve.projection import BasisProjection
+from ltsim.solve.projection import BasisResidualProjector
 
 MIN_SIMULATED_RECORDINGS = 300
 """Smallest number of simulated recordings without any effect. The smallest p-value is then 1 / 301."""
@@ -121,9 +121,9 @@ class NullEnsemble:
 
 def exact_basis(space: ResidualSpace) -> Floats | None:
     """Orthonormal basis (m, u) of u estimated parameters; None for more than `MAX_DENSE_UNKNOWNS` parameters."""
-    projection = space.projector
-    is_small = isinstance(projection, BasisProjection) and projection.basis.shape[1] <= MAX_DENSE_UNKNOWNS
-    return projection.basis if isinstance(projection, BasisProjection) and is_small else None
+    projector = space.projector
+    is_small = isinstance(projector, BasisResidualProjector) and projector.basis.shape[1] <= MAX_DENSE_UNKNOWNS
+    return projector.basis if isinstance(projector, BasisResidualProjector) and is_small else None
 
 
 def n_simulated_recordings(space: ResidualSpace, level: float) -> int:

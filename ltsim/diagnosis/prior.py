@@ -25,7 +25,7 @@ CAUSE_TEXTS = {
         "a constant of an instrument that contradicts the other instruments, its history or a declared correction"
     ),
 }
-"""Texts for users of the kinds of causes in `CAUSE_PRIOR`."""
+"""Phrase that names each kind of cause in an output, by the keys of `CAUSE_PRIOR`."""
 P_UNMODELLED = 0.2
 """Prior probability that a cause is neither in the catalogue nor a law, but resembles one of these."""
 P_EVEN = 0.5

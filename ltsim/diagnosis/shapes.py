@@ -70,8 +70,8 @@ def are_distinct(effect: CandidateEffect, other_effect: CandidateEffect) -> bool
     return False
 
 
-class ShapeNode(NamedTuple):
-    """Node of a grid of shapes: an effect with one set of shape constants, and its k parameters there."""
+class ShapeConstantsNode(NamedTuple):
+    """Node of the grid of shape constants of an effect: a value of each, and estimates of the k parameters."""
 
     effect: CandidateEffect
     """Effect with these shape constants."""
@@ -106,32 +106,39 @@ def _distinct_neighbours(effect: CandidateEffect, sightings: Sightings) -> list[
     return list(by_gap.values())
 
 
-def shape_nodes(
+def shape_constants_nodes(
     calculator: EvidenceCalculator,
     effect: CandidateEffect,
     base_model: Model,
     shape_sigmas: Mapping[str, float],
     *,
     within_plausible: bool = False,
-) -> list[ShapeNode]:
-    """Nodes of a grid of an effect over all its shapes and neighbouring places; empty if it has neither.
+) -> list[ShapeConstantsNode]:
+    """Nodes of the grid of an effect over its shape constants and neighbouring places; empty if it has neither.
 
     The grid is finer around the shape constants of `effect`. `shape_sigmas` are the standard deviations [SI] of these
     constants by name. The weights of the nodes use a wide prior of the sizes or, if `within_plausible`, the prior that
     the search uses.
     """
-    shapes = [
+    shape_parameters = [
         s for s in type(effect).shape_parameters if isinstance(vars(effect)[s.name], float) and s.n_grid_values > 1
     ]
     near = effect.neighbours(calculator.space.sightings)
-    if not (shapes or near) or len(shapes) > 2:
+    if not (shape_parameters or near) or len(shape_parameters) > 2:
         return []
-    n_grid_values = 33 if len(shapes) == 1 and not near else 15
-    axes = [_dense_grid(s, float(vars(effect)[s.name]), shape_sigmas.get(s.name, 0.0), n_grid_values) for s in shapes]
+    n_grid_values = 33 if len(shape_parameters) == 1 and not near else 15
+    axes = [
+        _dense_grid(s, float(vars(effect)[s.name]), shape_sigmas.get(s.name, 0.0), n_grid_values)
+        for s in shape_parameters
+    ]
     size_scales = effect.size_scales
     sightings = calculator.space.sightings
     points = [
-        (instance, {s.name: float(value) for s, (value, _) in zip(shapes, point, strict=True)}, [w for _, w in point])
+        (
+            instance,
+            {s.name: float(value) for s, (value, _) in zip(shape_parameters, point, strict=True)},
+            [w for _, w in point],
+        )
         for instance, *point in product(
             _distinct_neighbours(effect, sightings), *(zip(*axis, strict=True) for axis in axes)
         )
@@ -152,7 +159,7 @@ def shape_nodes(
         constants |= {"time": float(vars(instance)["time"])} if "time" in vars(effect) else {}
         _, gap = _gap_of_change(instance, sightings)
         weight = evidence + float(np.sum(np.log(widths))) + (np.log(gap) if gap else 0.0)
-        nodes.append(ShapeNode(shape, weight, constants, mean, np.diag(covariance), gap))
+        nodes.append(ShapeConstantsNode(shape, weight, constants, mean, np.diag(covariance), gap))
     return nodes
 
 
@@ -204,12 +211,14 @@ def shape_posterior(
     they are valid for flat, skew, bounded and bimodal likelihoods. The result is empty for effects without shape
     constants.
     """
-    shapes = shape_nodes(calculator, effect, base_model, {e.name: e.sigma * SI_PER_UNIT[e.unit] for e in estimates})
-    if not shapes:
+    nodes = shape_constants_nodes(
+        calculator, effect, base_model, {e.name: e.sigma * SI_PER_UNIT[e.unit] for e in estimates}
+    )
+    if not nodes:
         return {}
-    weight = normalised_probabilities(np.array([node.log_weight for node in shapes]))
-    node_values = np.array([[*node.mean, *node.constants.values()] for node in shapes])
-    within = np.array([[*s.variance, *((name == "time") * s.gap**2 / 12.0 for name in s.constants)] for s in shapes])
+    weight = normalised_probabilities(np.array([node.log_weight for node in nodes]))
+    node_values = np.array([[*node.mean, *node.constants.values()] for node in nodes])
+    within = np.array([[*s.variance, *((name == "time") * s.gap**2 / 12.0 for name in s.constants)] for s in nodes])
     posterior_mean = weight @ node_values
     sigma = np.sqrt(np.maximum(weight @ (within + node_values**2) - posterior_mean**2, 0.0))
     units = (
@@ -217,7 +226,7 @@ def shape_posterior(
         | {s.name: s.unit for s in type(effect).shape_parameters}
         | {p.name: p.unit for p in effect.parameters}
     )
-    names = [*(p.name for p in effect.parameters), *shapes[0].constants]
+    names = [*(p.name for p in effect.parameters), *nodes[0].constants]
     return {
         name: ParameterEstimate(
             name=name, value=m / SI_PER_UNIT[units[name]], sigma=d / SI_PER_UNIT[units[name]], unit=units[name]

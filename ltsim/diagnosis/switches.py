@@ -24,11 +24,12 @@ from ltsim.physics.laws.regressors import Regressor, scalar_regressor
 from ltsim.scene.sightings import Sightings
 
 MIN_SWITCH_EDGES = {True: 1, False: 2}
-"""Smallest number of times within set-ups at which a law turns on or off: for a law with a region of the hall (True),
-and for other laws (False). A single step without a region is an effect of the catalogue, or a form with steps."""
+"""Smallest number of switching times within set-ups, at which a law turns on or off: for a law with a region of the
+hall (True), and for other laws (False). A single step without a region is an effect of the catalogue, or a form with
+steps."""
 MIN_TARGET_SWITCH_EDGES = 3
-"""Smallest number of times at which a law of a single target turns on or off. One or two steps of a target are effects
-of the catalogue."""
+"""Smallest number of switching times of a law that is on in some intervals and acts on one target. With one or two
+switching times the law equals a catalogue effect, such as a target that moved."""
 MAX_PIECES = 10
 """Largest number of steps and ramps of a law, and of intervals whose state is toggled."""
 N_INTERVALS_AFTER_MAXIMUM = 3

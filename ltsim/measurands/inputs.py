@@ -303,13 +303,15 @@ def _effect_and_sizes(recording: Recording, type_b_entry: TypeB, entry_number: i
         ("station", type_b_entry.stations, recording.stations),
         ("target", type_b_entry.targets, recording.targets),
     ):
-        missing = [name for name in wanted if name not in choices]
-        if missing:
-            raise SetupError(f"type_b.{entry_number}.{what}s: {unknown_name(what, missing[0], choices)}")
-    names = [p.name for p in effect.parameters]
-    wrong = [name for name in type_b_entry.sizes if name not in names]
-    if wrong:
-        raise SetupError(f"type_b.{entry_number}.sizes: {unknown_name('parameter', wrong[0], names)}")
+        unknown_names = [name for name in wanted if name not in choices]
+        if unknown_names:
+            raise SetupError(f"type_b.{entry_number}.{what}s: {unknown_name(what, unknown_names[0], choices)}")
+    parameter_names = [p.name for p in effect.parameters]
+    unknown_parameters = [name for name in type_b_entry.sizes if name not in parameter_names]
+    if unknown_parameters:
+        raise SetupError(
+            f"type_b.{entry_number}.sizes: {unknown_name('parameter', unknown_parameters[0], parameter_names)}"
+        )
     if not type_b_entry.sizes:
         return effect, np.array([p.prior_sigma for p in effect.parameters])
     return effect, np.array([type_b_entry.sizes.get(p.name, 0.0) * p.si_per_display_unit for p in effect.parameters])

@@ -55,13 +55,13 @@ class Measurand(ValueEquality):
         for name in task.targets:
             if name not in targets:
                 raise unknown_name("target", name, targets)
-        indices = np.array([targets.index(name) for name in task.targets])
-        undetermined = [task.targets[i] for i in np.flatnonzero(~np.isfinite(points[indices]).all(axis=1))]
+        target_indices = np.array([targets.index(name) for name in task.targets])
+        undetermined = [task.targets[i] for i in np.flatnonzero(~np.isfinite(points[target_indices]).all(axis=1))]
         if undetermined:
             raise ModelError(f"task {task.name}: the readings do not determine target {undetermined[0]}")
         try:
-            near = fit_feature(task.kind, points[indices]) if task.kind in _FEATURE_OUTPUTS else None
-            measurand = cls(task, indices, near)
+            near = fit_feature(task.kind, points[target_indices]) if task.kind in _FEATURE_OUTPUTS else None
+            measurand = cls(task, target_indices, near)
             measurand.values(points)
         except (ModelError, NetworkError) as problem:
             raise ModelError(f"task {task.name}: {problem}") from None

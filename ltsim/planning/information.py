@@ -253,13 +253,13 @@ def expected_length(variances: Floats, n_nodes: int = 48) -> Floats:
     (1 + 2 t variance)^(-1/2); substituted t = (x / (1 - x))^2 over the total variance, Gauss-Legendre in x.
     """
     total_variance = np.maximum(variances.sum(axis=-1, keepdims=True), np.finfo(np.float64).tiny)
-    share = np.maximum(variances, 0.0) / total_variance
+    variance_fractions = np.maximum(variances, 0.0) / total_variance
     at, weight = np.polynomial.legendre.leggauss(n_nodes)
     x, weight = 0.5 * (at + 1.0), 0.5 * weight
     root = x / (1.0 - x)
-    product = np.ones((*share.shape[:-1], n_nodes))
+    product = np.ones((*variance_fractions.shape[:-1], n_nodes))
     for axis in range(3):
-        product /= np.sqrt(1.0 + 2.0 * share[..., axis, None] * root**2)
+        product /= np.sqrt(1.0 + 2.0 * variance_fractions[..., axis, None] * root**2)
     mean_length: Floats = ((1.0 - product) / root**2 * (weight / (1.0 - x) ** 2)).sum(axis=-1) / np.sqrt(np.pi)
     return mean_length * np.sqrt(total_variance[..., 0])
 

@@ -132,7 +132,7 @@ class PlannedParameterEntry(Entry):
     prior_sigma: Positive
     """Standard deviation before any reading."""
     gain: OptionalFloat = None
-    """Fraction of the prior variance that the readings are expected to remove."""
+    """Fraction of the prior variance that the readings are expected to remove: 1 - (sigma / prior_sigma)^2."""
 
     @classmethod
     def from_information(cls, information: LayoutInformation) -> tuple[Self, ...]:

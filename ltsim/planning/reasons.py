@@ -26,9 +26,9 @@ from ltsim.planning.tolerances import is_met, loss_sentences, text_near_limit
 from ltsim.planning.workshop import layout_objective
 
 CRITERION_PHRASES = {
-    "D": "in the geometric mean of all combinations (D)",
-    "A": "in the root mean square (A)",
-    "E": "in the worst combination (E)",
+    "D": "in the geometric mean over all combinations (D-optimality)",
+    "A": "in the root mean square over all parameters (A-optimality)",
+    "E": "in the worst combination (E-optimality)",
 }
 """Phrase for each optimality criterion of the instrument parameters."""
 

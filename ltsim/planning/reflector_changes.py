@@ -80,7 +80,7 @@ normal matrix (K, K).
 
 @dataclass(frozen=True)
 class ReflectorChanges:
-    """Results of all changes of single reflectors."""
+    """Results of all moves, additions and removals of one reflector, each evaluated with all others unchanged."""
 
     reported_changes: tuple[PlanChange, ...]
     """Reported changes: useful moves and additions, the best first, then removals with the smallest loss."""
@@ -174,7 +174,7 @@ class _ChangeEvaluator:
         return np.flatnonzero(open_)
 
     def evaluate_all(self) -> ReflectorChanges:
-        """Results of all changes of single reflectors."""
+        """Results of all moves, additions and removals of one reflector, each evaluated with all others unchanged."""
         terms, chosen = self.normal_matrix_table.place_normal_matrices, self.present_places
         candidates: dict[ChangeKind, list[ChangeResult]] = {what: [] for what in CHANGE_KINDS}
         tried, helped = dict.fromkeys(CHANGE_KINDS, 0), dict.fromkeys(CHANGE_KINDS, 0)

@@ -193,7 +193,7 @@ class Plan(ResultFile, LayoutEntry):
 
 
 def write_plan(plan: Plan, folder: Path | None, pictures: Mapping[str, bytes] | None = None) -> Plan:
-    """Plan with digests of its files, which are written to a folder if one is given."""
+    """Writing of a plan and its companion files to a folder, if one is given; returns the plan with their digests."""
     if folder is None:
         return plan
     network = plan.network

@@ -109,13 +109,13 @@ def recording_of_pointings(
         {name: [p.labels.get(name, "") for p in pointings] for name in label_names},
         [p.source for p in pointings],
     )
-    return recording_of_columns(columns, setup, notes=notes, file=file)
+    return recording_from_columns(columns, setup, notes=notes, file=file)
 
 
-def recording_of_columns(
-    columns: PointingColumns, setup: Setup, *, notes: Sequence[str] = (), file: object = None
+def recording_from_columns(
+    columns: PointingColumns, recording_setup: Setup, *, notes: Sequence[str] = (), file: object = None
 ) -> Recording:
-    """Recording of columns of pointings; repeats are numbered.
+    """Recording from the columns of a table of pointings, with the settings of `setup.toml`; repeats are numbered.
 
     Raises RecordError for a pointing without a reading, and for a name that is not permitted.
     """
@@ -129,7 +129,7 @@ def recording_of_columns(
             SourceLocation(file).text(text)
     has_clock = bool(np.all(np.isfinite(columns.time)))
     return Recording(
-        setup=setup,
+        setup=recording_setup,
         stations=stations,
         targets=targets,
         station=station,

@@ -56,7 +56,7 @@ parallel to them, and its weight as constant.
 
 @dataclass(frozen=True)
 class HallRegion:
-    """Gaussian region of the hall.
+    """Region of the hall that changes lines of sight, such as a column of warm air, with a Gaussian weight.
 
     Attributes
     ----------

@@ -23,11 +23,11 @@ class Sightings:
     """
 
     station: Ints
-    """Number of the station of each pointing, from 0, (n,)."""
+    """Index of the station of each pointing, from 0, (n,)."""
     target: Ints
-    """Number of the target of each pointing, from 0, (n,)."""
+    """Index of the target of each pointing, from 0, (n,)."""
     instrument: Ints
-    """Number of the instrument of each pointing, from 0, (n,)."""
+    """Index of the instrument of each pointing, from 0, (n,)."""
     face: Ints
     """Face (1 or 2) of each pointing, (n,)."""
     repeat: Ints
@@ -48,9 +48,9 @@ class Sightings:
     target_names: tuple[str, ...]
     covariates: Mapping[str, Floats] = field(default_factory=dict)
     """Additional columns of the recording by name, each (n,)."""
-    reflector_offsets: Floats | None = None
-    """Offset (n, 3) [m] of the reflector from the target's mark, minus the offset of the instrument from its
-    `station_positions`; None if all offsets are zero.
+    sight_vector_offsets: Floats | None = None
+    """Differences (n, 3) [m] of the sight vectors from the vectors between `station_positions` and `target_points`:
+    offset of the reflector from its target minus that of the instrument from its station. None if all are zero.
     """
     encoder_readings: Floats | None = None
     """Raw readings (n, 3) that include the instrument's errors. Errors with a short period depend on them. If None,
@@ -88,7 +88,7 @@ class Sightings:
     def sight_vectors(self) -> Floats:
         """Vectors (n, 3) [m] from the instrument to the reflector, network frame."""
         arm: Floats = self.target_points[self.target] - self.station_positions[self.station]
-        return arm if self.reflector_offsets is None else arm + self.reflector_offsets
+        return arm if self.sight_vector_offsets is None else arm + self.sight_vector_offsets
 
     @cached_property
     def local_points(self) -> Floats:

@@ -67,7 +67,7 @@ def make_geometry(
             reason = table.reason_texts()[s][0]
             raise SetupError(f"stations.{name}: sees no reflector ({layout.target_names[0]} is {reason}); move it")
     sightings = _sightings(scenario, layout, table.is_visible, seed, *stream_key)
-    sightings = replace(sightings, reflector_offsets=true_smr_offsets(scenario, sightings, seed, *stream_key))
+    sightings = replace(sightings, sight_vector_offsets=true_smr_offsets(scenario, sightings, seed, *stream_key))
     return MeasurementGeometry(
         scenario=scenario,
         layout=layout,

@@ -187,8 +187,8 @@ def _set_key(table: dict[str, Any], key: str, value: Any, error_location: str) -
             through = f"{quoted_text(key)} goes through {quoted_text(name)}"
             raise SetupError(f"{error_location}: {through}, which is not a table of the scenario")
     if not isinstance(subtable, dict):
-        text = quoted_text(key)
-        raise SetupError(f"{error_location}: {text} is not a key of a table; entries of a list are numbered from 1")
+        wanted = f"{'.'.join(parents)}.NUMBER.KEY, where the first entry of the list has the number 1"
+        raise SetupError(f"{error_location}: {quoted_text(key)} is not a key of a list entry; expected {wanted}")
     if value == REMOVAL_VALUE:
         subtable.pop(last, None)
     else:

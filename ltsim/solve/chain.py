@@ -20,7 +20,7 @@ MAX_SINGLE_BLOCK = 240
 """Number of columns up to which a matrix is treated as one block, because an ordering would cost more than it saves."""
 MIN_BORDER_COUPLING = 0.6
 """Fraction of non-zero entries above which a column of the matrix belongs to the border."""
-MIN_BLOCK_SIZE = 48
+MIN_BLOCK_COLUMNS = 48
 """Smallest number of columns of a block. Smaller blocks would cost more in calls than they save in arithmetic."""
 
 N_INVERSE_COLUMNS = 512
@@ -44,7 +44,7 @@ def arrange_as_chain(matrix: sp.csr_array) -> tuple[Ints, Ints]:
     order = reverse_cuthill_mckee(part, symmetric_mode=True)
     place = np.argsort(order)
     row_indices = np.repeat(place, np.diff(part.indptr))
-    width = max(int(np.max(np.abs(row_indices - place[part.indices]), initial=0)), MIN_BLOCK_SIZE)
+    width = max(int(np.max(np.abs(row_indices - place[part.indices]), initial=0)), MIN_BLOCK_COLUMNS)
     if 3 * width >= len(inner_indices):
         return single_block
     edges = np.append(np.arange(0, len(inner_indices) - width + 1, width), [len(inner_indices), n_unknowns])

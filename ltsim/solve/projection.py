@@ -39,14 +39,14 @@ MAX_ZERO_EIGENVALUE = 1e-12
 
 
 @dataclass(frozen=True)
-class BasisProjection:
-    """Projector onto the residual space, from an orthonormal basis of the column space of the design."""
+class BasisResidualProjector:
+    """Projector onto the residual space, the complement of the column space of the design, by a basis of the latter."""
 
     basis: Floats
     """Orthonormal basis (m, u) of the column space of the design with m rows and u columns."""
 
     @classmethod
-    def from_design(cls, design: DesignMatrix) -> BasisProjection:
+    def from_design(cls, design: DesignMatrix) -> BasisResidualProjector:
         """Projector onto the residual space of a design."""
         return cls(np.linalg.qr(to_dense(design) * column_scale(design))[0])
 
@@ -79,13 +79,13 @@ class BasisProjection:
             part = self.basis[rows]
             yield _spectrum_of_thin_root(part) if len(rows) > part.shape[1] else np.linalg.eigh(part @ part.T)
 
-    def with_removed_columns(self, columns: Floats) -> BasisProjection:
+    def with_removed_columns(self, columns: Floats) -> BasisResidualProjector:
         """Projector that also removes the components along e orthonormal vectors (m, e) of the residual space."""
-        return BasisProjection(np.hstack([self.basis, columns]))
+        return BasisResidualProjector(np.hstack([self.basis, columns]))
 
 
 @dataclass(frozen=True)
-class FactorProjection:
+class FactorResidualProjector:
     """Projector onto the residual space, from the factorised normal equations of a sparse design."""
 
     design: sp.csr_array
@@ -100,17 +100,17 @@ class FactorProjection:
     """Stored blocks (r, r) of the projector, by the bytes of their row indices."""
 
     @classmethod
-    def from_design(cls, design: DesignMatrix, factor: BlockFactor) -> FactorProjection:
+    def from_design(cls, design: DesignMatrix, factor: BlockFactor) -> FactorResidualProjector:
         """Projector onto the residual space of a design."""
         design = sp.csr_array(design)
         return cls(design, factor, np.zeros((design.shape[0], 0)), sp.csr_array(design.T), column_scale(design))
 
     def project(self, vectors: Floats) -> Floats:
-        """Component (m, q) of q vectors (m, q) in the residual space, as `BasisProjection.project`."""
+        """Component (m, q) of q vectors (m, q) in the residual space, as `BasisResidualProjector.project`."""
         return self._residual_part(vectors, slice(None))
 
     def gram_matrices(self, columns: Floats, group_boundaries: Ints, row_selection: Ints | slice) -> list[Floats]:
-        """Gram matrices (k, k) of projected vectors, as `BasisProjection.gram_matrices`.
+        """Gram matrices (k, k) of projected vectors, as `BasisResidualProjector.gram_matrices`.
 
         On at most `MAX_LOCAL_ROWS` rows they are computed from the block of the projector on these rows.
         """
@@ -156,7 +156,7 @@ class FactorProjection:
         return self.factor.leverage() + np.einsum("me,me->m", self.added_columns, self.added_columns)
 
     def hat_matrix_spectra(self, row_groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
-        """Eigenvalues and eigenvectors of blocks of the hat matrix, as `BasisProjection.hat_matrix_spectra`."""
+        """Eigenvalues and eigenvectors of blocks of the hat matrix, as `BasisResidualProjector.hat_matrix_spectra`."""
         edges = np.cumsum([0, *(len(rows) for rows in row_groups)])
         thick = edges[-1] == 0 or max(len(rows) for rows in row_groups) > self.design.shape[1] // 2
         if thick:
@@ -179,23 +179,23 @@ class FactorProjection:
         root = np.hstack([root, self.added_columns[row_indices]])
         return _spectrum_of_thin_root(root) if len(row_indices) > root.shape[1] else np.linalg.eigh(root @ root.T)
 
-    def with_removed_columns(self, columns: Floats) -> FactorProjection:
-        """Projector that also removes orthonormal vectors (m, e), as `BasisProjection.with_removed_columns`."""
+    def with_removed_columns(self, columns: Floats) -> FactorResidualProjector:
+        """Projector that also removes orthonormal vectors (m, e), as `BasisResidualProjector.with_removed_columns`."""
         return replace(self, added_columns=np.hstack([self.added_columns, columns]), _local_blocks={})
 
 
-Projection: TypeAlias = BasisProjection | FactorProjection
+ResidualProjector: TypeAlias = BasisResidualProjector | FactorResidualProjector
 
 
-def make_projection(block_system: BlockSystem, factor: BlockFactor | None) -> Projection:
+def make_residual_projector(block_system: BlockSystem, factor: BlockFactor | None) -> ResidualProjector:
     """Projector onto the residual space of a system.
 
     It uses an orthonormal basis for a small system or if there is no factor, otherwise the factor.
     """
     rows, columns = block_system.design.shape
     if factor is None or rows * columns <= MAX_BASIS_ENTRIES:
-        return BasisProjection.from_design(block_system.design)
-    return FactorProjection.from_design(block_system.design, factor)
+        return BasisResidualProjector.from_design(block_system.design)
+    return FactorResidualProjector.from_design(block_system.design, factor)
 
 
 def _group_gram_matrices(columns: Floats, group_boundaries: Ints) -> list[Floats]:

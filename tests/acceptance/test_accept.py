@@ -227,8 +227,8 @@ def test_network_method(tmp_path: Path) -> None:
     assert "two-face" in {g.name for g in bad.groups if g.judgement == "rejected"}
     assert np.isfinite([t.expanded_um or np.nan for t in good.tests if t.group != "two-face"]).all()
     assert bad.next_actions == (
-        "Have the maker adjust the tracker, or correct all readings by ltsim calibrate and ltsim correct: no error is "
-        "then rejected.",
+        "Have the maker adjust the tracker, or correct all readings by ltsim calibrate and ltsim correct. After this "
+        "correction no error is rejected.",
     )
     lt.write(lt.correct(recording, lt.calibrate(recording)), tmp_path / "corrected")
     corrected = lt.accept({**sheet, "recording": "corrected"}, tmp_path)

@@ -16,7 +16,7 @@ from ltsim.physics.model.construction import misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, sightings_of
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Instrument, Setup, Station
-from ltsim.solve.projection import FactorProjection
+from ltsim.solve.projection import FactorResidualProjector
 from tests.networks import drawn
 
 REFLECTORS = np.array([[8.0, 1.0, 0.5], [2.0, 9.0, 1.0], [-7.0, 3.0, 2.5], [-4.0, -8.0, 0.2], [6.0, -5.0, 3.0]])
@@ -89,7 +89,7 @@ def test_a_knocked_target_is_found_in_a_levelled_ring_the_sparse_way(monkeypatch
     monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MAX_DENSE_UNKNOWNS", 0)
     recording, target = knocked(26)
     found = diagnose(recording, seed=1)
-    assert isinstance(ResidualSpace.from_adjustment(found.baseline_adjustment).projector, FactorProjection)
+    assert isinstance(ResidualSpace.from_adjustment(found.baseline_adjustment).projector, FactorResidualProjector)
     assert [(f.effect, f.where.targets) for f in found.findings] == [("target-moved", (target,))]
     assert found.global_test.search_p_value == pytest.approx(1 / 100)
     assert found.fit.before.held_out_rms is None  # five more searches of a large network are for who asks for them

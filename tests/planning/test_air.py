@@ -11,8 +11,8 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.physics.effects.air import (
-    air_sigma_across_beam,
-    air_sigma_along_beam,
+    air_point_sigma_across_beam,
+    air_point_sigma_along_beam,
     reading_changes_per_sigma,
 )
 from ltsim.physics.model.construction import misalignment_construction
@@ -47,8 +47,8 @@ def test_the_points_move_as_an_adjustment_moves_them() -> None:
 
 def test_sizes_along_and_across_the_beam_are_those_of_the_cards() -> None:
     air = AirUncertainty()
-    assert 1e6 * air_sigma_along_beam(air, 40.0) == pytest.approx(0.5 * 0.954 * 40.0, rel=0.01)
-    assert 1e6 * air_sigma_across_beam(air, 40.0) == pytest.approx(
+    assert 1e6 * air_point_sigma_along_beam(air, 40.0) == pytest.approx(0.5 * 0.954 * 40.0, rel=0.01)
+    assert 1e6 * air_point_sigma_across_beam(air, 40.0) == pytest.approx(
         np.hypot(0.5 * 0.0954 * 1600, np.sqrt(0.1 * 64000)), rel=0.01
     )
 

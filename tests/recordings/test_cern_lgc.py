@@ -135,7 +135,7 @@ def test_setups_points_and_notes(tmp_path: Path) -> None:
         ("HALL.P1.   2000.0 3000.0", "HALL.P2.   2000.0 3000.0", "declared twice"),
         ("HALL.P2.   2020.0 3000.0 400.5", "HALL.P2.   2020.0", "three coordinates"),
         ("HALL.P4.   0 0 400", "<b>   0 0 400", "holds '<'"),
-        ("BALL 5 5 .01 0 0 0 0 0 0.03 0", "BALL 5 5", "four sigmas"),
+        ("BALL 5 5 .01 0 0 0 0 0 0.03 0", "BALL 5 5", "standard deviations"),
         ("PRISM 3 4 .02 6", "PRISM 3e11 4 .02 6", "a.lgc: azimuth_arcsec is 9"),
         ("Réseau", "x" * 30_000, "longer than"),
     ],

@@ -8,7 +8,7 @@ import scipy.sparse as sp
 
 from ltsim.core.randomness import stream
 from ltsim.solve.elimination import BlockFactor, BlockSystem
-from ltsim.solve.projection import BasisProjection, FactorProjection, make_projection
+from ltsim.solve.projection import BasisResidualProjector, FactorResidualProjector, make_residual_projector
 
 KEPT, BLOCKS, ROWS = 320, 130, 2600
 
@@ -29,8 +29,8 @@ def chained(seed: int = 1) -> BlockSystem:
 
 SYSTEM = chained()
 ROOT = np.linalg.qr(SYSTEM.design.toarray())[0]
-BASIS = BasisProjection.from_design(SYSTEM.design)
-SPARSE = FactorProjection.from_design(SYSTEM.design, BlockFactor(SYSTEM))
+BASIS = BasisResidualProjector.from_design(SYSTEM.design)
+SPARSE = FactorResidualProjector.from_design(SYSTEM.design, BlockFactor(SYSTEM))
 EXTRA = np.linalg.qr(BASIS.project(stream(3, "extra").standard_normal((len(ROOT), 2))))[0]
 PAIRS = [(BASIS, ROOT), (SPARSE, ROOT)]
 PAIRS += [(p.with_removed_columns(EXTRA), np.hstack([ROOT, EXTRA])) for p, _ in PAIRS]
@@ -90,11 +90,11 @@ def test_spectra_give_back_the_blocks_of_the_hat_matrix(projection, root, groups
 
 
 def test_a_small_system_or_one_without_factor_gets_a_basis(monkeypatch):
-    assert isinstance(make_projection(SYSTEM, None), BasisProjection)
+    assert isinstance(make_residual_projector(SYSTEM, None), BasisResidualProjector)
     monkeypatch.setattr("ltsim.solve.projection.MAX_BASIS_ENTRIES", int(np.prod(SYSTEM.design.shape)))
     small = BlockSystem(SYSTEM.design, SYSTEM.whitened_residuals, SYSTEM.n_reduced)
-    assert isinstance(make_projection(small, BlockFactor(small)), BasisProjection)
+    assert isinstance(make_residual_projector(small, BlockFactor(small)), BasisResidualProjector)
     tall = BlockSystem(
         sp.csr_array(sp.vstack([SYSTEM.design] * 3)), np.tile(SYSTEM.whitened_residuals, 3), SYSTEM.n_reduced
     )
-    assert isinstance(make_projection(tall, BlockFactor(tall)), FactorProjection)
+    assert isinstance(make_residual_projector(tall, BlockFactor(tall)), FactorResidualProjector)

@@ -206,9 +206,10 @@ def read_bench(path: Path, *, probe_direction: float, length_sigma: float) -> Be
 
 
 def evaluate_bench(record: BenchReadings) -> BenchEstimates:
-    """Estimates of a bench test, with the eccentricity measured by the probe removed from the lengths.
+    """Estimates from the readings of a bench test: eccentricity of the sphere, and range errors (a,) [m] at a angles.
 
-    The scatter of the probe about its first harmonic, roundness included, gives the eccentricity's uncertainty.
+    The eccentricity is that of the first harmonic of the probe readings. Its effect on the lengths is removed, so that
+    the range errors do not contain it. The scatter of the probe about this harmonic gives its uncertainty.
     """
     angles = record.probe_angles - record.probe_direction
     design = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1)

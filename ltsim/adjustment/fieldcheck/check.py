@@ -135,7 +135,7 @@ def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple
 
 
 def write_check(check: Check, folder: Path, extra_files: Mapping[str, str]) -> Check:
-    """Check with the digests of its files, after `check.json` and `two_face.csv` are written into a folder.
+    """Writing of `check.json`, `two_face.csv` and `extra_files` to a folder; returns the check with their digests.
 
     `extra_files` are the texts of further files by file name, for example of a figure.
 
@@ -328,8 +328,8 @@ def _bump_item(
     time_interval = float(recording.time[pair[0]]), float(recording.time[pair[1]])
     rows_around_motion = int(row_numbers[pair[0]]), int(row_numbers[pair[1]])
     chance = family.corrected_p_value(occupation.p_value(fit), len(order) - 1)
-    interval = interval_text(recording, int(pair[0]), int(pair[1]), row_numbers.tolist())
-    sentence = bump_sentence(recording, interval, fit)
+    motion_interval_text = interval_text(recording, int(pair[0]), int(pair[1]), row_numbers.tolist())
+    sentence = bump_sentence(recording, motion_interval_text, fit)
     return CheckItem.from_test(name, "bump", False, sentence, chance, rows=rows_around_motion, between_s=time_interval)
 
 

@@ -101,7 +101,7 @@ class StationOccupation:
         mask = np.ones(len(recording), dtype=bool) if row_mask is None else row_mask
         weight = recording.usable & mask[:, None]
         sigma = recording.sigma() if sigma is None else sigma
-        sightings = replace(sightings_of(recording, _initial_state(recording, mask)), reflector_offsets=None)
+        sightings = replace(sightings_of(recording, _initial_state(recording, mask)), sight_vector_offsets=None)
         prior = prior_sigmas(recording, construction)[0]
         # At the mean of each target: at a gross reading, the columns of the instrument would contain its error.
         target_design, parameter_design = construction.reading_design(

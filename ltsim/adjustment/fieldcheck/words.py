@@ -106,9 +106,9 @@ def gross_sentence(occupation: StationOccupation, outliers: Sequence[int], row_n
     )
 
 
-def bump_sentence(recording: Recording, interval: str, fit: ColumnsFit) -> str:
+def bump_sentence(recording: Recording, motion_interval_text: str, fit: ColumnsFit) -> str:
     """Sentence on a sudden motion of a station, with the text of its time interval, and its size."""
-    return f"{recording.stations[0]} moved {interval}{_motion_text(fit)}"
+    return f"{recording.stations[0]} moved {motion_interval_text}{_motion_text(fit)}"
 
 
 def drift_sentence(recording: Recording, fit: ColumnsFit, passed: bool) -> str:

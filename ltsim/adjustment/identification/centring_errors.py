@@ -113,9 +113,9 @@ def _local_gain(fit: NetworkFit, place: _CentringPlace, rows: Ints) -> tuple[flo
     for _ in range(MAX_ITERATIONS):
         moved = np.zeros((len(place.occupation), 3))
         moved[rows] = displacement[of]
-        offsets = moved if sightings.reflector_offsets is None else moved + sightings.reflector_offsets
+        offsets = moved if sightings.sight_vector_offsets is None else moved + sightings.sight_vector_offsets
         residual = np.where(used, (fit.residuals - exact_target_change(sightings, moved))[rows], 0.0)
-        slope = replace(sightings, reflector_offsets=offsets).target_derivatives[rows] / sigma[:, :, None]
+        slope = replace(sightings, sight_vector_offsets=offsets).target_derivatives[rows] / sigma[:, :, None]
         slope = np.where(used[:, :, None], slope, 0.0)
         normal, score = np.zeros((len(first), 3, 3)), np.zeros((len(first), 3))
         np.add.at(normal, of, np.einsum("nki,nkj->nij", slope, slope))

@@ -33,7 +33,11 @@ class LocalShift:
 
     @classmethod
     def from_design(cls, design: Floats, residual: Floats, is_outlier: Bools) -> LocalShift:
-        """Problem of a shift from the whitened design (n, 3, q), residuals (n, 3) and outlier flags (n, 3)."""
+        """Problem of a shift with q parameters, from arrays over the three readings of n pointings.
+
+        The arrays are the whitened design (n, 3, q), the whitened residuals (n, 3) and the outlier flags (n, 3).
+        Readings that the shift does not change are omitted.
+        """
         design_matrix = design.reshape(-1, design.shape[2])
         is_changed = design_matrix.any(axis=1)
         column_norms = np.linalg.norm(design_matrix[is_changed], axis=0)

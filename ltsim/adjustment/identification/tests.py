@@ -232,8 +232,8 @@ def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
         cause = usual_smr_text(float(values[0]), float(np.sqrt(covariance[0, 0]))) or "another SMR radius"
         side = "away from" if values[0] > 0 else "towards"
         return (
-            f"At {place_names} the centres of the SMRs are displaced along the normals {side} their nests "
-            f"by {size_text}: {cause}."
+            f"At {place_names} the centres of the SMRs are displaced by {size_text} "
+            f"along the normals of their nests, {side} the nests: {cause}."
         )
     if hypothesis.kind == "station-drift":
         return f"Station {place_names} moved at a constant rate during its measurement, by {size_text} in total."
@@ -314,7 +314,7 @@ def _centring_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     cause = usual_smr_text(common.length, common.sigma) or "another SMR or adaptor"
     return (
         f"At {station} the centres of the SMRs are all displaced by {text}, {direction_text} their nests: {cause}. "
-        "Declare the normals of the nests (nest_normal), so that the displacement is estimated along the normals."
+        "Declare the normals of the nests (nest_normal), so that the displacement is estimated along these normals."
     )
 
 

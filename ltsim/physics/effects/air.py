@@ -31,13 +31,13 @@ def turbulence_variance(air: AirUncertainty, sightings: Sightings) -> Floats:
     return Turbulence().variance(sightings, np.zeros((len(sightings), 3)), parameter_values)
 
 
-def air_sigma_across_beam(air: AirUncertainty, range_: float) -> float:
+def air_point_sigma_across_beam(air: AirUncertainty, range_: float) -> float:
     """Standard deviation [m] of an observed point across the beam due to gradient and turbulence, at a range [m]."""
     bent = 0.5 * relative_index_change_per_kelvin() * air.gradient_k_per_m * range_**2
     return float(np.hypot(bent, np.sqrt(air.turbulence_um2_per_m3 * range_**3) * MICROMETRE))
 
 
-def air_sigma_along_beam(air: AirUncertainty, range_: float) -> float:
+def air_point_sigma_along_beam(air: AirUncertainty, range_: float) -> float:
     """Standard deviation [m] of the range due to the temperature along the beam, at a range [m]."""
     return relative_index_change_per_kelvin() * air.temperature_k * range_
 
@@ -47,6 +47,6 @@ def air_uncertainty_text(air: AirUncertainty, max_range: float) -> str:
     return (
         f"air: {air.temperature_k:g} K along the beams of a station, a vertical gradient of "
         f"{air.gradient_k_per_m:g} K/m and turbulence of {air.turbulence_um2_per_m3:g} um2/m3 (one sigma each), "
-        f"at {max_range:.0f} m {air_sigma_along_beam(air, max_range) / MICROMETRE:.0f} um along and "
-        f"{air_sigma_across_beam(air, max_range) / MICROMETRE:.0f} um across the beam"
+        f"at {max_range:.0f} m {air_point_sigma_along_beam(air, max_range) / MICROMETRE:.0f} um along and "
+        f"{air_point_sigma_across_beam(air, max_range) / MICROMETRE:.0f} um across the beam"
     )

@@ -20,8 +20,8 @@ class AirGradient(WarmAirEffect):
     station, so that each station has another scale.
 
     Size: 0.1 K/m in a good hall, 1 to 2 K/m in a heated one; 1 K/m bends 8 m by 3.7 urad, 30 um.
-    Like: with a sensor in the room no effect, because the residuals do not change; with a sensor on the head
-    station-weather. Bending alone: head-sag (0.92), vertical-index (0.86 / 0).
+    Like: with a sensor on the head, station-weather; with a sensor in the room no effect, because the residuals do not
+    change. Bending alone: head-sag (correlation 0.92), vertical-index (0.86 in one face, 0 in two).
     Separate by: thermometers at two heights; a length standard at the floor and at the ceiling (5.6 ppm over 6 m at 1
     K/m).
     Valid: up to some kelvin per metre; the vertical is the z axis of the network frame.

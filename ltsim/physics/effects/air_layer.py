@@ -24,12 +24,13 @@ class AirLayer(WarmAirEffect):
     """Layered air: a warm layer lies under the roof.
 
     The temperature is T(z) = D / (1 + exp(-(z - height) / width)), with z counted from the lowest target or station.
-    Along the path from the station, s = 0 to d, (D_t, D_v) = integral of (d - s) grad_perp n ds, and
-    Delta_d = -integral of (n - n_sensor) ds. Residuals show only the curvature of the profile: targets in the layer are
-    measured too near and too high.
+    Along the path from the station, s = 0 to d, the corrections to the left and upward are (D_t, D_v) = integral of
+    (d - s) grad_perp n ds, and Delta_d = -integral of (n - n_sensor) ds, with the refractive index n, which is n_sensor
+    at the sensor. Residuals show only the curvature of the profile: targets in the layer are measured too near and too
+    high.
 
     Size: 2 to 6 K across the layer; it is detected from 12 K on in one face, from 4.5 K on in two faces.
-    Like: elevation-second-order sine (0.59); a drift, if the targets at the ceiling are measured first.
+    Like: elevation-second-order sine (correlation 0.59); a drift, if the targets at the ceiling are measured first.
     Separate by: a measured temperature profile; another time of day; stations at different heights.
     Valid: steps of 1 to 10 K; the weather sensor is below the layer; height and width along the network's z
     axis.

@@ -11,7 +11,7 @@ class AzimuthDrift(Drift):
     recording equals one that restarts at every station.
 
     Size: under 2 urad/h after the warm-up; tens of urad over two hours from cold, or on an unsteady stand.
-    Like: transit-tilt (0.67 / 0) if targets are measured in the order of their heights.
+    Like: transit-tilt (correlation 0.67 in one face, 0 in two) if targets are measured in the order of their heights.
     Separate by: a random order of the targets; a repeat of the first three targets at the end of each station.
     Valid: the same drift at every station, or a drift at one station; time constants of 10 min to 4 h.
     Source: Pollack Periodica 15(3), 2020, on the warm-up of a Leica AT960 (size); Dvořáček 2016, Acta Polytechnica 56,

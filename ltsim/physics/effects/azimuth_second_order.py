@@ -10,7 +10,7 @@ class AzimuthSecondOrder(SlotEffect):
     tests do not detect it. Measured horizontal lengths vary with the azimuth, with a period of half a turn.
 
     Size: under 0.5 urad in a good tracker; 65 um in a length of 7.75 m at 7 m, about 5.5 urad, in older ones.
-    Like: bearing-wobble, radial run-out of order 3 (0.80 / 0).
+    Like: bearing-wobble, radial run-out of order 3 (correlation 0.80 in one face, 0 in two).
     Separate by: one length measured at many azimuths; another yaw at each station.
     Valid: up to 10 urad.
     Source: Muralikrishnan et al. 2010, J. Res. NIST 115, 291-301, doi:10.6028/jres.115.022 (sizes and method);

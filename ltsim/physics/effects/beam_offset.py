@@ -5,12 +5,13 @@ from ltsim.physics.effects.effect import LightPathStage, Parameter, SlotEffect, 
 class BeamOffset(SlotEffect):
     """Beam offset: the beam does not pass through the intersection of the axes.
 
-    D_t = f b_y and D_v = f b_z are constant lengths across the beam. The errors of the angles are therefore
-    proportional to 1/d, largest for the nearest targets. Both change their sign with the face.
+    The corrections are constant lengths across the beam: D_t = f b_y to the left and D_v = f b_z upward, with the
+    offset (b_y, b_z) of the beam and f = +1 on face 1 and -1 on face 2. Those of the angles are therefore proportional
+    to 1/d at the range d, largest for the nearest targets. Both change their sign with the face.
 
     Size: under 3 um in a good tracker, 20 to 100 um after a transport.
-    Like: detector-offset, exactly; beam-tilt (0.46 / 0.95) and vertical-index (0.89 / 0.95), which differ from it only
-    in their dependence on the range.
+    Like: detector-offset, exactly; beam-tilt (correlation 0.46 in one face, 0.95 in two) and vertical-index (0.89,
+    0.95), which differ from it only in their dependence on the range.
     Separate by: two faces; targets at 1 to 1.5 m and at 8 m.
     Valid: source in the rotating head; up to 0.1 mm.
     Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (x1t, x1m).

@@ -5,12 +5,13 @@ from ltsim.physics.effects.effect import LightPathStage, Parameter, SlotEffect, 
 class BeamTilt(SlotEffect):
     """Beam tilt: the beam is not perpendicular to the transit axis (horizontal collimation error).
 
-    Delta_azimuth = f c / cos(el), which is a lateral shift f c d proportional to the range. It does not depend on the
-    azimuth, is largest for steep lines of sight, and changes its sign with the face.
+    Delta_azimuth = f c / cos(el) at the elevation el, with the tilt c of the beam and f = +1 on face 1 and -1 on face
+    2. This is a lateral shift f c d proportional to the range d. It does not depend on the azimuth, is largest for
+    steep lines of sight, and changes its sign with the face.
 
     Size: under 1 urad in a good tracker, 10 to 50 urad in a bad one.
-    Like: bearing-wobble of the transit axis (0.98 / 0.82), transit-tilt (0.55 / 0), beam-offset (0.46 / 0.95). In one
-    face poses and targets absorb 99 % of it.
+    Like: bearing-wobble of the transit axis (correlation 0.98 in one face, 0.82 in two), transit-tilt (0.55, 0),
+    beam-offset (0.46, 0.95). In one face poses and targets absorb 99 % of it.
     Separate by: two faces; steep and level targets.
     Valid: source in the rotating head; up to 100 urad.
     Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (x4t); Deumlich and Staiger

@@ -34,13 +34,13 @@ class BearingWobble(Effect):
         n = 0 equals a tilt of the station, n = 1 equals vertical index and transit tilt; the other orders are not in
         other effects. For even n the error is the same on both faces.
     radial, order n: the axis shifts by r_x + i r_y = (A + i B) exp(i n x), and D = r.
-    transit, order n: the transit axis yaws by A cos(n y) + B sin(n y), y the raw elevation; Delta_azimuth = f eX /
-        cos(el).
+    transit, order n: the transit axis yaws by eX = A cos(n y) + B sin(n y), y the raw elevation;
+        Delta_azimuth = f eX / cos(el), f = +1 on face 1 and -1 on face 2.
     A tilt differs from errors of single angles because it changes both, in the ratio tan(el).
 
     Size: 0.3 to 1 urad and 0.3 to 1 um in a good bearing, 3 to 5 urad and 5 to 10 um in a bad one.
-    Like: radial 2 the azimuth-eccentricity (0.92 / 0), transit 2 the beam-tilt (0.98 / 0.82), tilt -1 the tilt 3 (0.57
-    / 0.74).
+    Like: radial, order 2: azimuth-eccentricity (correlation 0.92 in one face, 0 in two); transit, order 2: beam-tilt
+    (0.98, 0.82); tilt, order -1: tilt of order 3 (0.57, 0.74).
     Separate by: two faces (odd n), a change of yaw, an electronic level on the head during a turn.
     Valid: orders up to 3, which repeat in every turn. The passage of balls does not repeat; it is noise.
     Source: ISO 230-7:2015 (axial, radial and tilt error motion); the algebra is derived here.

@@ -32,7 +32,9 @@ class DeadPath(Effect):
     stage = LightPathStage.RANGE
     observables = ("distance",)
     covariates = ("temperature",)
-    parameters = (Parameter("dead-path", "um/K", "length missing from every range per kelvin", 3 * MICROMETRE),)
+    parameters = (
+        Parameter("dead-path", "um/K", "length by which every range is too short, per kelvin", 3 * MICROMETRE),
+    )
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:

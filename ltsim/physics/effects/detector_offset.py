@@ -13,7 +13,8 @@ def beam_deviation_basis(readings: Floats) -> Floats:
 class DetectorOffset(SlotEffect):
     """Null offset of the tracking detector: the return spot is held off centre, so the beam misses the vertex.
 
-    D_t = f eps_y / 2, D_v = f eps_z / 2, with eps the offset of the return spot. The effect equals a beam offset of
+    The corrections are lengths across the beam: D_t = f eps_y / 2 to the left and D_v = f eps_z / 2 upward, with the
+    offset (eps_y, eps_z) of the return spot and f = +1 on face 1 and -1 on face 2. The effect equals a beam offset of
     half the size.
 
     Size: under 1 um in a good tracker, 5 to 20 um in a bad one.

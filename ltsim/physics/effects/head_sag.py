@@ -11,7 +11,8 @@ class HeadSag(Effect):
     cos(el), the same on both faces.
 
     Size: under 0.5 urad in a good head, 5 urad in a bad one; normally included in the manufacturer's correction.
-    Like: elevation-eccentricity cosine, exactly for upright trackers; vertical-index (0.96 / 0).
+    Like: elevation-eccentricity cosine, exactly for upright trackers; vertical-index (correlation 0.96 in one face, 0
+    in two).
     Separate by: a tracker that lies on its side or hangs (correlation 0.84).
     Valid: any mounting; the vertical is the z axis of the network frame.
     Source: Wallace 2002, A rigorous algorithm for telescope pointing, Proc. SPIE 4848 (tube flexure follows the same

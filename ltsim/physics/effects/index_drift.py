@@ -10,8 +10,8 @@ class IndexDrift(Drift):
     In front-face values it changes its sign with the face, as the vertical index does.
 
     Size: under 2 urad/h after the warm-up; tens of urad over two hours from cold.
-    Like: vertical-index (0.63 / 0.86) and elevation-second-order cosine (0.84) if targets are measured in the order of
-    their heights; station-settling.
+    Like: vertical-index (correlation 0.63 in one face, 0.86 in two) and elevation-second-order cosine (0.84) if targets
+    are measured in the order of their heights; station-settling.
     Separate by: a random order of the targets; a repeat of the first three targets at the end of each station; two
     faces.
     Valid: the same drift at every station, or a drift at one station; time constants of 10 min to 4 h.

@@ -23,7 +23,7 @@ class MeshExpansion(TargetMotion):
 
     Size: steel and concrete grow 11 to 12 ppm/K, 69 um over 6 m and 1 K: often more than all errors of the tracker.
     Like: refractivity-drift and station-weather (uniform mode, exactly if it grows only between stations), range-drift
-    (0.955).
+    (correlation 0.955).
     Separate by: thermometers on the structure; a gauge of another material measured from each station; a repeat of the
     first station.
     Valid: growth that is linear in time. The choice of the fixed point does not matter, because poses absorb a common

@@ -29,9 +29,9 @@ def _sightings_with_displaced_targets(sightings: Sightings, displacement: Floats
     """Sightings with the reflector of each pointing displaced by (n, 3) [m]."""
     return replace(
         sightings,
-        reflector_offsets=displacement
-        if sightings.reflector_offsets is None
-        else sightings.reflector_offsets + displacement,
+        sight_vector_offsets=displacement
+        if sightings.sight_vector_offsets is None
+        else sightings.sight_vector_offsets + displacement,
     )
 
 

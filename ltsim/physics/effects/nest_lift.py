@@ -27,7 +27,7 @@ class NestLift(TargetMotion):
     of the station to the target.
 
     Size: 4 um in a clean nest, 5 to 50 um with dirt.
-    Like: outlier in one reading (0.85).
+    Like: outlier in one reading (correlation 0.85).
     Separate by: a repeat after reseating; a lift changes all three readings, in a fixed direction in space.
     Valid: 5 to 200 um; one seating per station and target, so that both faces and all repeats have the same lift.
     Source: Hughes et al. 2011, Meas. Sci. Technol. 22, 045103, doi:10.1088/0957-0233/22/4/045103 (repeatability of

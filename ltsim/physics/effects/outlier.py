@@ -24,7 +24,7 @@ class Outlier(Effect):
     The parameter is the correction of this reading, whatever the cause of its error.
 
     Size: any; an error of a range is detected from 16 um on.
-    Like: nest-lift (0.85), which changes all three readings of a pointing.
+    Like: nest-lift (correlation 0.85), which changes all three readings of a pointing.
     Separate by: a repeat of the pointing.
     Valid: any size below a millimetre; larger outliers are rejected before an adjustment. In large recordings
     `candidates` is empty, because the w-test of the residuals detects single readings.

@@ -9,7 +9,7 @@ class RangeDrift(Drift):
     Delta_d = r t (over the recording, or from the start of every station) or A exp(-t / tau) (warm-up).
 
     Size: 1 to 2 um/h after the warm-up; tenths of a millimetre over two hours from cold.
-    Like: mesh-expansion (0.955), dead-path.
+    Like: mesh-expansion (correlation 0.955), dead-path.
     Separate by: a new homing during the measurement; thermometers; one target measured every quarter of an hour.
     Valid: the same drift at every station; time constants of 10 min to 4 h.
     Source: Pollack Periodica 15(3), 2020, on the warm-up of a Leica AT960 (size); the exponential is that of a body
@@ -22,7 +22,7 @@ class RangeDrift(Drift):
     observables = ("distance",)
     slot = "range"
     rate_parameter = Parameter(
-        "range-drift", "um/h", "growth of the length missing from every range", 15 * SI_PER_UNIT["um/h"]
+        "range-drift", "um/h", "growth rate of the length by which every range is too short", 15 * SI_PER_UNIT["um/h"]
     )
     amplitude_parameter = Parameter(
         "range-drift-amplitude",

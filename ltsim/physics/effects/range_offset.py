@@ -8,8 +8,8 @@ class RangeOffset(SlotEffect):
     Delta_d = rho_0: all ranges have the same error, on both faces.
 
     Size: a current absolute meter 2.5 um, 5 um at most; a bad one 20 to 50 um.
-    Like: transit-offset (0.83 / 0), the axial part of smr-centring exactly. Stations and targets absorb 99.6 % of the
-    effect, so that it is detected from 73 um on in one face, from 13 um on in two.
+    Like: transit-offset (correlation 0.83 in one face, 0 in two), the axial part of smr-centring exactly. Stations and
+    targets absorb 99.6 % of the effect, so that it is detected from 73 um on in one face, from 13 um on in two.
     Separate by: a length measured from outside in line with its ends, and from a station between them; the difference
     is twice the zero error.
     Valid: one mode of distance measurement; absolute distance meter and interferometer have separate zeros.
@@ -22,6 +22,6 @@ class RangeOffset(SlotEffect):
     stage = LightPathStage.RANGE
     observables = ("distance",)
     parameters = (
-        Parameter("range-offset", "um", "constant missing from every range", 10 * MICROMETRE, "range_offset"),
+        Parameter("range-offset", "um", "length by which every range is too short", 10 * MICROMETRE, "range_offset"),
     )
     terms = (SlotTerm("range"),)

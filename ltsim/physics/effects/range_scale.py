@@ -10,8 +10,8 @@ class RangeScale(SlotEffect):
 
     Size: laser 0.1 ppm, absolute distance meter 0.3 ppm, air 0.3 ppm with good weather values and 3 to 5 ppm with bad
     ones; 6.6 ppm if 20 C is entered at 27 C, 26 ppm if sea-level pressure is entered at 850 m altitude.
-    Like: exactly like gauge-scale and every uniform expansion of the targets. Without a known length it equals the
-    scale of the network.
+    Like: gauge-scale and every uniform expansion of the targets, exactly. Without a known length it equals the scale of
+    the network.
     Separate by: thermometers and a barometer; a second, long length standard of another material.
     Valid: up to 100 ppm.
     Source: Ciddor 1996, Appl. Opt. 35, 1566, doi:10.1364/AO.35.001566 (sensitivities by `effects.ciddor`).

@@ -15,7 +15,8 @@ class RangeStep(Effect):
     Delta_d = rho from the time of the step to the last pointing of the station.
 
     Size: 5 um in a current tracker, 20 to 50 um in a bad one.
-    Like: for a step at the start of the station reflector-constant (exactly) and station-weather (0.965); station-bump.
+    Like: reflector-constant (exactly) and station-weather (correlation 0.965), if the step is at the start of the
+    station; station-bump.
     Separate by: near and far targets at that station; a target measured before and after the step.
     Valid: one step per station; the step does not act at the next station.
     Source: general knowledge: an interferometer is homed again after each lost beam, an absolute distance meter
@@ -31,7 +32,9 @@ class RangeStep(Effect):
     observables = ("distance",)
     covariates = ("time",)
     scope = "station"
-    parameters = (Parameter("range-step", "um", "length missing from every range after the step", 30 * MICROMETRE),)
+    parameters = (
+        Parameter("range-step", "um", "length by which every range after the step is too short", 30 * MICROMETRE),
+    )
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:

@@ -13,7 +13,7 @@ class ReflectorConstant(Effect):
     Delta_d = c for every range of one station. The position of the sphere's centre does not change.
 
     Size: 17.5 or 34.4 mm for another prism, 0.02 to 0.5 mm for the constant of another SMR.
-    Like: range-step at the station's start (exact), station-weather (0.965).
+    Like: range-step at the station's start (exactly), station-weather (correlation 0.965).
     Separate by: the reflector and the constant that were used there; near and far targets at that station.
     Valid: one reflector per station. The same error at all stations equals the range zero of the instrument.
     Source: general knowledge: constants of reflectors are entered by hand.
@@ -24,7 +24,11 @@ class ReflectorConstant(Effect):
     stage = LightPathStage.RANGE
     observables = ("distance",)
     scope = "station"
-    parameters = (Parameter("reflector-constant", "um", "length missing from every range there", 5 * MILLIMETRE),)
+    parameters = (
+        Parameter(
+            "reflector-constant", "um", "length by which every range at the station is too short", 5 * MILLIMETRE
+        ),
+    )
 
     def design(self, sightings: Sightings) -> Floats:
         return design_from_front_face_corrections(sightings, distance=self.row_weights(sightings))[:, :, None]

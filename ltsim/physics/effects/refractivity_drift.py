@@ -12,8 +12,8 @@ class RefractivityDrift(Effect):
     measure shorter ranges.
 
     Size: 0.5 to 2 K in a morning, 0.1 to 1 ppm/h.
-    Like: mesh-expansion, uniform mode (0.996, exactly if it grows only between stations); station-weather at single
-    stations.
+    Like: mesh-expansion, uniform mode (correlation 0.996, exactly if it grows only between stations); station-weather
+    at single stations.
     Separate by: a thermometer on the structure; a repeat of the first station at the end.
     Valid: linear over the recording.
     Source: Ciddor 1996, Appl. Opt. 35, 1566, doi:10.1364/AO.35.001566 (sensitivities by `effects.ciddor`).

@@ -67,7 +67,7 @@ class SmrIncidence(Effect):
 
     Size: table of the paper: about 3 um in the middle, up to 13 um at the edge of the negative side, no symmetry; a
     good reflector 1.3 um.
-    Like: beam-offset (linear form, 0.84 / 0), range zero of one station (0.51).
+    Like: beam-offset (linear form, correlation 0.84 in one face, 0 in two), range zero of one station (0.51).
     Separate by: two faces; one station with the reflectors re-aimed; a log of how each reflector was turned.
     Valid: to 30 deg; beyond, the beam is lost. One reflector carried to all nests with its mark held alike.
     Source: Sensors 2021, 21, 7479, doi:10.3390/s21227479, sections 2.2 and 3.1, fig. 9 (size, asymmetry); Sabatke et

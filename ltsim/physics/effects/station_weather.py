@@ -11,7 +11,7 @@ class StationWeather(Effect):
     -0.268 ppm for each hPa by which the used pressure is too low. All ranges of that station have this scale error.
 
     Size: 0.95 ppm for an error of 1 K, 2.7 ppm for 10 hPa, 67 ppm for mmHg in place of hPa (250 hPa).
-    Like: mesh-expansion between stations (exactly), range-step at the station's start (0.965).
+    Like: mesh-expansion between stations (exactly), range-step at the station's start (correlation 0.965).
     Separate by: the weather values used at that station; a repeat of the first station at the end.
     Valid: a refractive index that is constant at each station.
     Source: Ciddor 1996, Appl. Opt. 35, 1566, doi:10.1364/AO.35.001566 (sensitivities by `effects.ciddor`).

@@ -5,12 +5,13 @@ from ltsim.physics.effects.effect import LightPathStage, Parameter, SlotEffect, 
 class TransitTilt(SlotEffect):
     """Transit tilt: the transit axis is not perpendicular to the standing axis.
 
-    Delta_azimuth = -f kappa tan(el), which is a lateral shift -f kappa d sin(el). It has opposite signs at ceiling and
+    Delta_azimuth = -f kappa tan(el) at the elevation el, with the tilt kappa of the transit axis and f = +1 on face 1
+    and -1 on face 2. This is a lateral shift -f kappa d sin(el) at the range d. It has opposite signs at ceiling and
     floor, is zero at the height of the head, and changes its sign with the face.
 
     Size: under 1 urad in a good tracker, 5 to 20 urad in a bad one.
-    Like: azimuth-drift (0.67 / 0) if targets are measured in the order of their heights; bearing-wobble of order 1
-    exactly.
+    Like: azimuth-drift (correlation 0.67 in one face, 0 in two) if targets are measured in the order of their heights;
+    bearing-wobble of order 1 exactly.
     Separate by: two faces; a mixed order of the targets.
     Valid: source in the rotating head; up to 100 urad.
     Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (x5); Deumlich and Staiger

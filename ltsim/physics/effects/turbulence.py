@@ -9,7 +9,8 @@ from ltsim.scene.sightings import Sightings
 class Turbulence(NoiseEffect):
     """Turbulence: the refractive index fluctuates, and the scatter of readings grows with the range.
 
-    The variances of D_t and D_v increase by C d^3, that of d by C_r d. The noise changes, the mean reading does not.
+    The variances of the lengths D_t and D_v across the beam, to the left and upward, increase by C d^3 at the range d,
+    that of d by C_r d. The noise changes, the mean reading does not.
 
     Size: C of 100 um^2/m^3 on a shop floor; there a shield around a path of 2.5 m reduced the lateral scatter from 40
     to 23 um.

@@ -5,11 +5,13 @@ from ltsim.physics.effects.effect import LightPathStage, Parameter, SlotEffect, 
 class VerticalIndex(SlotEffect):
     """Vertical index error: the zero of the elevation circle is wrong, or the beam tilts upward.
 
-    Delta_elevation = f phi_0, the same for all targets on one face; it changes its sign with the face. Poses and
-    targets absorb a part of it; the residuals are a smooth function of azimuth and elevation.
+    Delta_elevation = f phi_0, with the index error phi_0 and f = +1 on face 1 and -1 on face 2. It is the same for all
+    targets on one face, and changes its sign with the face. Poses and targets absorb a part of it; the residuals are a
+    smooth function of azimuth and elevation.
 
     Size: under 1 urad in a good tracker, 10 to 50 urad in a bad one; it changes during the warm-up (index-drift).
-    Like: elevation-eccentricity cosine and head-sag (0.96 / 0), beam-offset vertical (0.89 / 0.95).
+    Like: elevation-eccentricity cosine and head-sag (correlation 0.96 in one face, 0 in two), beam-offset vertical
+    (0.89, 0.95).
     Separate by: two faces; the effect is distinguished from these from 136 urad on in one face, from 2 urad on in two.
     Valid: up to 100 urad.
     Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (x3, x4m).

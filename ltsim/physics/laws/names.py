@@ -3,14 +3,14 @@
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressors import CLOCK_COVARIATES, Regressor
 
-CATALOGUE_NAMES = {
+EFFECT_NAME_BY_RESPONSE_AND_COVARIATE = {
     **{("vertical index", clock): "index-drift" for clock in CLOCK_COVARIATES},
     **{("azimuth", clock): "azimuth-drift" for clock in CLOCK_COVARIATES},
     **{("distance", clock): "range-drift" for clock in CLOCK_COVARIATES},
     ("range scale", "time"): "refractivity-drift",
     ("distance", "incidence"): "smr-incidence",
 }
-"""Catalogue effect by changed quantity and covariate, for laws with an equivalent in the catalogue."""
+"""Name of the catalogue effect that is equivalent to a law, by the response and the covariate of the law."""
 NAMED_FUNCTIONS = ("decay", "power", "sin", "cos", "tan")
 """Functions of a covariate that have the name of the catalogue effect: the sine, cosine or tangent of an angle differ
 from its powers by less than an effect of the catalogue does from one instrument to the next.
@@ -52,7 +52,7 @@ def catalogue_name(law: EmpiricalLaw) -> str:
         and _is_step_or_creep(regressor)
     ):
         return "target-moved"
-    name = CATALOGUE_NAMES.get((response_name, "".join(regressor.covariates)), law.name)
+    name = EFFECT_NAME_BY_RESPONSE_AND_COVARIATE.get((response_name, "".join(regressor.covariates)), law.name)
     if law.instruments and name == "refractivity-drift":  # all instruments share the air
         return law.name
     return name if regressor.function in NAMED_FUNCTIONS else law.name

@@ -55,7 +55,7 @@ def _sightings_with_rotated_nests(recording: Recording, state: NetworkState, nes
         station_names=recording.stations,
         target_names=recording.targets,
         covariates=recording.regressor_covariates,
-        reflector_offsets=reflector_offsets(recording),
+        sight_vector_offsets=sight_vector_offsets(recording),
     )
 
 
@@ -92,11 +92,11 @@ def _unit_vectors(directions: list[tuple[float, float, float]]) -> Floats:
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
-def reflector_offsets(recording: Recording) -> Floats | None:
-    """Offset (n, 3) [m] of each pointing's reflector from the mark of its target; None if all offsets are 0.
+def sight_vector_offsets(recording: Recording) -> Floats | None:
+    """Offsets (n, 3) [m] of the sight vectors, network frame, as `Sightings.sight_vector_offsets`; None if all are 0.
 
-    If the instrument height of a pointing differs from that of the set-up, the difference is subtracted. The height of
-    the set-up is part of the station's position.
+    An offset is that of the reflector from the mark of its target. If the instrument height of a pointing differs from
+    that of the set-up, the difference is subtracted. The height of the set-up is part of the station's position.
     """
     instrument, target = recording.heights()
     setup_heights = [recording.station_setup(name).instrument_height_mm * MILLIMETRE for name in recording.stations]

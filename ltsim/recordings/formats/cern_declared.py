@@ -231,7 +231,8 @@ class PolarInstrument:
 
     def declare(self, words: LineWords) -> str:
         """Declaration of a kind of target with its sigmas; returns a note, or ''. Raises RecordError."""
-        name = words.first_words(5, "a target needs its name and four sigmas")[0]
+        fields = "its name and the standard deviations of azimuth, elevation, distance (constant and ppm)"
+        name = words.first_words(5, f"a target needs {fields}")[0]
         height = words.numbers(9, "height")[0] if len(words.tokens) > 9 else 0.0
         correction = words.numbers(6, "correction")[0] if len(words.tokens) > 6 else 0.0
         azimuth, elevation, distance, ppm = words.numbers(1, "sigma", "sigma", "sigma", "sigma")

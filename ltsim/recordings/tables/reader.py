@@ -13,7 +13,7 @@ from ltsim.recordings.conventions import NO_HINTS, Hints, rough_poses
 from ltsim.recordings.curvature import with_earth_curvature
 from ltsim.recordings.files import MAX_TEXT_LENGTH, quoted_text
 from ltsim.recordings.occupations import check_centring
-from ltsim.recordings.pointings import NOT_MEASURED, PointingColumns, declares_noise, recording_of_columns
+from ltsim.recordings.pointings import NOT_MEASURED, PointingColumns, declares_noise, recording_from_columns
 from ltsim.recordings.recording import HEIGHT_COLUMNS, KIND_COLUMN, OCCUPATION_COLUMNS, SIGMA_COLUMNS, Recording
 from ltsim.recordings.resolution import FOOT_STEPS, LENGTH_STEPS, default_total_station, reading_step
 from ltsim.recordings.settings import read_setup
@@ -222,7 +222,7 @@ def assemble_recording(
         printed.source,
     )
     return with_earth_curvature(
-        recording_of_columns(columns, setup, notes=[n for notes in note_groups for n in notes], file=file)
+        recording_from_columns(columns, setup, notes=[n for notes in note_groups for n in notes], file=file)
     )
 
 

@@ -66,8 +66,8 @@ class RunReader:
         Raises RecordError for an invalid cell, which need not be the first one if the run has several rows.
         """
         width = len(self.columns)
-        padded = [fields if len(fields) == width else pad_cells(fields, width) for fields in run.fields]
-        table = list(zip(*padded, strict=True))
+        padded_rows = [fields if len(fields) == width else pad_cells(fields, width) for fields in run.fields]
+        table = list(zip(*padded_rows, strict=True))
         if self.faces == (0,):
             return self._pointings_of_face(0, run, table)
         pointings = join_pointings([self._pointings_of_face(face, run, table) for face in self.faces])

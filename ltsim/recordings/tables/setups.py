@@ -362,7 +362,7 @@ def heights_not_applied(table: PointingTable, readings: Floats, height: Floats) 
     names = " and ".join(f"'{quoted_text(c.title)}'" for c in table.columns if c.role in HEIGHT_ROLES)
     return [
         f"heights in {names} are not applied: {len(closures)} lines measured in both directions close within "
-        f"{1e3 * closures[:, 0].max():.3g} mm without them, {1e3 * closures[:, 1].max():.4g} mm with them; "
-        "coordinates are those of heads and reflectors, not of the marks below them; the height of each head is an "
-        "observation (heads_sigma_mm), and plumb lines differ between stations (curved)"
+        f"{1e3 * closures[:, 0].max():.3g} mm without them, {1e3 * closures[:, 1].max():.4g} mm with them. "
+        "The coordinates are those of heads and reflectors, not of the marks below them. The height of each head is an "
+        "observation with the standard deviation heads_sigma_mm. Plumb lines follow the curved earth (key curved)"
     ]

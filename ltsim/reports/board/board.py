@@ -194,7 +194,7 @@ class MovableLayout:
         for k, t in enumerate(np.flatnonzero(visible)):
             accuracy = {"sigma_um": float(sigmas[k]) / MICROMETRE, "within_um": float(error_radii[k]) / MICROMETRE}
             tolerance = self.tolerances.tolerance_by_point.get(survey.target_names[t])
-            points[t] = accuracy | (_tolerance_use(float(error_radii[k]) / tolerance) if tolerance else {})
+            points[t] = accuracy | (_tolerance_entries(float(error_radii[k]) / tolerance) if tolerance else {})
         return evaluation | {"points": points, "rms_um": information.target_rms / MICROMETRE}
 
     def verdict(self, stations: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
@@ -232,8 +232,8 @@ class MovableLayout:
         return [folder / name for name in texts]
 
 
-def _tolerance_use(error_to_tolerance: float) -> dict[str, Any]:
-    """Entries of a point for the page: ratio of its error to its tolerance, as number, text and True if it is met."""
+def _tolerance_entries(error_to_tolerance: float) -> dict[str, Any]:
+    """Entries of a point for the page, by key: ratio of its error to its tolerance, its text, and True if it is met."""
     return {"ratio": error_to_tolerance, "used": percent_text(error_to_tolerance), "met": is_met(error_to_tolerance)}
 
 

@@ -86,7 +86,7 @@ def calibration_section(content: Calibration, context: ReportContext) -> Section
     coordinate_table = target_table(targets, note=f"Axes: {content.frame or 'those of the first station'}.")
     is_accepted = agrees and converged and all(outlier.excluded for outlier in content.outliers)
     agrees_with_constants = converged and _agrees_with_constants(content)
-    agreement_words = _constants_sentence(content) or agreement_words
+    agreement_words = _global_tests_text(content) or agreement_words
     parameter_blocks = _parameter_blocks(content, truth_in_folder(context)) if content.parameters else []
     reference_value_tables = _reference_value_blocks(content)
     first_reference_tables = reference_value_tables if any(entry.excluded for entry in content.reference_values) else []
@@ -214,8 +214,8 @@ def _agrees_with_constants(content: Calibration) -> bool:
     return agrees or (fit.p_value is not None and fit.p_value > 0.5)
 
 
-def _constants_sentence(content: Calibration) -> str:
-    """Text on the global tests with and without estimated instrument constants; empty without such a comparison."""
+def _global_tests_text(content: Calibration) -> str:
+    """Text on the global tests with and without estimated instrument constants; empty if they were not compared."""
     fit = content.with_constants
     if fit is None:
         return ""

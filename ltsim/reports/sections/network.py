@@ -205,14 +205,14 @@ def recording_section(folder: Path, *, detail: WorkshopDetail = "turn", is_brief
         answer = f"{_content_key_figures(recording)} The network could not be adjusted: {problem}."
         return Section(title, "Recording", answer, "bad", facts, last_blocks)
     agrees, agreement_text = global_test_verdict(with_parameters.chi2, with_parameters.dof, with_parameters.p_value)
-    outliers = with_parameters.flagged_readings()
-    outlier_text = f" Outliers: {count_text(len(outliers), 'reading')}." if outliers else ""
+    flagged_readings = with_parameters.flagged_readings()
+    outlier_text = f" Outliers: {count_text(len(flagged_readings), 'reading')}." if flagged_readings else ""
     facts += [
         KeyFigure(
             "sigma0", f"{np.sqrt(with_parameters.chi2 / max(with_parameters.dof, 1)):.3f}", assessment_of(agrees)
         ),
         KeyFigure("p, two-sided", p_text(two_sided(with_parameters.p_value)), assessment_of(agrees)),
-        KeyFigure("outliers", str(len(outliers)), "bad" if outliers else "plain"),
+        KeyFigure("outliers", str(len(flagged_readings)), "bad" if flagged_readings else "plain"),
     ]
     workshop = (
         workshop_from_adjustment(with_parameters, without_parameters=without_parameters) if detail != "none" else None
@@ -229,7 +229,7 @@ def recording_section(folder: Path, *, detail: WorkshopDetail = "turn", is_brief
         title,
         "Recording",
         answer,
-        assessment_of(agrees and not outliers),
+        assessment_of(agrees and not flagged_readings),
         facts,
         [*blocks, *last_blocks],
         n_open_blocks=2,

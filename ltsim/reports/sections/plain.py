@@ -51,7 +51,8 @@ UNCERTAINTY_NOTE = (
 )
 """Note below a table of expanded uncertainties."""
 UNDETECTABLE_NOTE = (
-    "One standard deviation of each error; U does not include them. A known length or thermometers exclude them."
+    "Each size is one standard deviation. The readings do not show these errors, and U does not include them. "
+    "Measure a known length or the temperature of the structure to exclude them."
 )
 """Note below a table of undetectable errors."""
 MAX_BUDGET_BARS = 40

@@ -88,7 +88,7 @@ def test_exact_form_agrees_with_first_order(kind: type[Effect]) -> None:
 )
 def test_motions_take_a_high_reflector_into_account(kind: type[Effect]) -> None:
     """Two metres above its mark it sees another turn of the station than the mark would, exactly and in first order."""
-    lifted = replace(SCENE, reflector_offsets=np.tile([0.0, 0.0, 2.0], (len(SCENE), 1)))
+    lifted = replace(SCENE, sight_vector_offsets=np.tile([0.0, 0.0, 2.0], (len(SCENE), 1)))
     for effect in samples(kind, lifted):
         values = 0.1 * prior(effect)
         np.testing.assert_allclose(effect.reading_change(lifted, 0.0 * values), 0.0, atol=1e-13)
