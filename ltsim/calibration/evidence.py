@@ -227,7 +227,7 @@ def log_sum_exp(logarithms: Floats, axis: int = 0) -> Floats:
 
 
 def size_weights_and_constants(
-    information_strength: Floats, sizes: Floats = EVIDENCE_SIZES, log_weights: Floats = LOG_SIZE_PRIOR
+    information_strength: Floats, sizes: Floats = EVIDENCE_SIZES, log_size_prior: Floats = LOG_SIZE_PRIOR
 ) -> tuple[Floats, Floats]:
     """Weights of the squared scores and additive constants in the log evidence of an effect, at each of its sizes.
 
@@ -235,7 +235,7 @@ def size_weights_and_constants(
     k, sizes), the constants (..., sizes).
     """
     scale = 1.0 + sizes**2 * np.asarray(information_strength)[..., None]
-    return 0.5 * sizes**2 / scale, log_weights - 0.5 * np.log(scale).sum(axis=-2)
+    return 0.5 * sizes**2 / scale, log_size_prior - 0.5 * np.log(scale).sum(axis=-2)
 
 
 def log_evidence_by_size(squared_scores: Floats, weights_and_constants: tuple[Floats, Floats]) -> Floats:

@@ -59,8 +59,8 @@ InjectedEffectsArgument = Annotated[
     typer.Argument(
         metavar="EFFECT...",
         help="Effects of the catalogue, or laws as 'RESPONSE ~ REGRESSOR'. After a colon, give stations, targets and "
-        "NAME=VALUE of constants and parameters, with commas between: range-step:S3,range-step=50. Parameters without "
-        "a value are drawn at random.",
+        "NAME=VALUE of constants and parameters, with commas between: range-step:S3,range-step=50. Values that are not "
+        "given are drawn at random.",
     ),
 ]
 InjectionFolderOption = Annotated[

@@ -160,16 +160,16 @@ def coefficient_posterior(
     score: Floats,
     plausible_sizes: Floats,
     sizes: Floats = EVIDENCE_SIZES,
-    log_weights: Floats = LOG_SIZE_PRIOR,
+    log_size_prior: Floats = LOG_SIZE_PRIOR,
 ) -> tuple[Floats, Floats, float]:
     """Posterior mean (k,), covariance (k, k) and log evidence of k coefficients, averaged over size factors t.
 
     The prior of the coefficients is N(0, t^2 size^2) with their plausible sizes. The factors t are `sizes`, and
-    `log_weights` are the logs of their prior weights. `gram` and `score` are as in `log_evidence_of_coefficients`.
+    `log_size_prior` are the logs of their prior weights. `gram` and `score` are as in `log_evidence_of_coefficients`.
     """
     eigenvalues, turn = _eigen_decomposition(gram, plausible_sizes)
     z = turn.T @ score
-    log_evidences = log_evidence_by_size(z**2, size_weights_and_constants(eigenvalues, sizes, log_weights))
+    log_evidences = log_evidence_by_size(z**2, size_weights_and_constants(eigenvalues, sizes, log_size_prior))
     weight = normalised_probabilities(log_evidences)
     variances = sizes[:, None] ** 2 / (1.0 + sizes[:, None] ** 2 * eigenvalues)
     means = variances * z
