@@ -81,7 +81,7 @@ def course(out: Path) -> None:
             {"parameter": p["name"], "unit": p["unit"],
              **{name: f"{v:.2f} +- {s:.2f}" for name, v, s in zip(EPOCHS, p["values"], p["sigmas"], strict=True)},
              "mean": round(p["mean"], 2), "spread": round(p["spread"], 2),
-             "p constant": f"{p['constant']['p_value']:.1e}" if "constant" in p else ""}  # of determined ones
+             "p constant": f"{p['constancy_test']['p_value']:.1e}"}
             for p in content["parameters"]
         ])  # fmt: skip
 
