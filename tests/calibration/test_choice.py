@@ -174,7 +174,7 @@ def test_an_extra_coefficient_that_contradicts_its_prior_is_said_and_estimated()
     recording = network(faces=2, seed=2, values=values, construction=built)[0]
     found = lt.calibrate(recording, construction="dh", advise=False)
     assert abs(found.estimates[0, at] - 5e-6) < 3 * found.sigma[0, at]
-    said = [note for note in found.notes if note.startswith("J1.eX_sin2 is ")]
+    said = [note for note in found.notes if note.startswith("J1.eX_sin2: ")]
     assert "contradicts its declared prior of 0.242 urad" in said[0]
     wider = lt.calibrate(with_prior(recording, J1__eX_sin2=10.0), construction="dh", advise=False)
     assert abs(wider.estimates[0, at] - 5e-6) < 3 * wider.sigma[0, at]

@@ -160,7 +160,7 @@ def test_a_range_offset_of_six_prior_sigmas_is_estimated_as_it_is_and_told(make,
         truth[at] = 60e-6
         found = calibrate_network(make(truth, faces=(1, 2), trial=seed), recommend_measurements=False)
         told = [note for note in found.notes if "contradict" in note]
-        assert told[0].startswith("range-offset is ")
+        assert told[0].startswith("range-offset: ")
         assert "declared prior of 10 um: the estimate follows the readings" in told[0]
         assert found.sigma[0, at] < 5e-6
         off.append((found.estimates[0, at] - 60e-6) / found.sigma[0, at])

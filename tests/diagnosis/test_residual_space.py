@@ -89,7 +89,7 @@ def test_all_pointings_of_a_target_from_a_set_up_are_in_one_fold():
 
 def test_held_out_readings_contradict_a_law_that_they_do_not_follow(space):
     """The same law is subtracted from readings that follow it, and from those that follow its negative."""
-    wave = space.whitened_signature(law("distance", Regressor("wave", ("azimuth",), constant=3.0)))
+    wave = space.whitened_design(law("distance", Regressor("wave", ("azimuth",), constant=3.0)))
     change, rows = 8e-6 * space.project(wave[:, 0]), np.count_nonzero(space.used_readings)
     follows, opposes = (replace(space, residuals=space.residuals + sign * change) for sign in (1.0, -1.0))
     effect = Hypothesis(law("distance", Regressor("wave", ("azimuth",), constant=3.0)), 0.0, 0.0, "unknown")
