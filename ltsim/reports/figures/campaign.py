@@ -198,8 +198,14 @@ def factor_panels_figure(
     for ax in axes.flat[max(len(panels) - n_columns, 0) : len(panels)]:
         ax.tick_params(labelbottom=True)
     figure.supxlabel(axis, fontsize=8.5)
-    figure.supylabel(textwrap.fill(label, LABEL_WIDTH_PER_PANEL_ROW * n_rows), fontsize=8.5)
+    label_lines = textwrap.fill(label, LABEL_WIDTH_PER_PANEL_ROW * n_rows)
+    if n_rows > 1:
+        figure.supylabel(label_lines, fontsize=8.5)
+    else:  # beside its panel: that of a figure is centred on panel and legend together
+        axes[0, 0].set_ylabel(label_lines, fontsize=8.5)
     style.add_legend(figure, axes.flat[: len(panels)], n_columns=2)
+    legend_labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+    figure.set_figheight(figure.get_figheight() + style.legend_height(legend_labels, 2))
     return figure
 
 
