@@ -156,6 +156,15 @@ def reference_tests(
     return tests
 
 
+def scaled_reference_tests(
+    problem: NetworkProblem, solution: Solution[NetworkState], min_residual: float = 0.0
+) -> list[ReferenceTest]:
+    """Tests of `reference_tests` with all standard deviations multiplied by the `noise_factor` of the fit."""
+    tests = reference_tests(problem, solution, min_residual)
+    factor = noise_factor(problem, solution) if tests else 1.0
+    return [test.with_noise_factor(factor) for test in tests]
+
+
 def reference_tests_with_constants(
     problem: NetworkProblem, solution: Solution[NetworkState]
 ) -> tuple[ReferenceTest, ...]:
@@ -166,13 +175,9 @@ def reference_tests_with_constants(
     """
     tested, state = problem.with_instrument_constants(solution.x)
     tested_solution = solution if tested is problem else solve(tested, state)
-    tests = reference_tests(tested, tested_solution)
-    factor = noise_factor(tested, tested_solution) if tests else 1.0
+    tests = scaled_reference_tests(tested, tested_solution)
     residuals = {(value.kind, value.name): value.residual for value in reference_values(problem, solution.x)}
-    return tuple(
-        replace(test.with_noise_factor(factor), residual=residuals.get((test.kind, test.name), test.residual))
-        for test in tests
-    )
+    return tuple(replace(test, residual=residuals.get((test.kind, test.name), test.residual)) for test in tests)
 
 
 def _reference_test(value: ReferenceValueRows, gram_matrix: Floats, residual_product: Floats) -> ReferenceTest:

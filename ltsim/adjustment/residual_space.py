@@ -121,19 +121,33 @@ class ResidualSpace:
         large compared with these lengths, not with those of the whole columns.
         """
         squares = lowest = np.sum(design_columns**2, axis=0)
-        is_used, sightings = self.used_readings, self.sightings
-        for errors in self.adjustment.problem.model.centring_errors:
-            changes = np.zeros((*is_used.shape, design_columns.shape[1]))
-            changes[is_used] = design_columns[: int(is_used.sum())]
-            place = np.flatnonzero(errors.occupation >= 0)
-            slope = np.where(is_used[:, :, None], sightings.target_derivatives / self.sigma[:, :, None], 0.0)[place]
-            normals = np.tile(np.eye(3) / errors.sigma**2, (errors.n_occupations, 1, 1))
-            scores = np.zeros((errors.n_occupations, 3, design_columns.shape[1]))
-            np.add.at(normals, errors.occupation[place], np.einsum("nki,nkj->nij", slope, slope))
-            np.add.at(scores, errors.occupation[place], np.einsum("nki,nkq->niq", slope, changes[place]))
+        if not self._centring_normals:
+            return np.sqrt(squares)
+        changes = np.zeros((*self.used_readings.shape, design_columns.shape[1]))
+        changes[self.used_readings] = design_columns[: int(self.used_readings.sum())]
+        for rows, occupation, slope, normals in self._centring_normals:
+            scores = np.zeros((len(normals), 3, design_columns.shape[1]))
+            np.add.at(scores, occupation, np.einsum("nki,nkq->niq", slope, changes[rows]))
             absorbed = np.einsum("niq,niq->q", scores, np.linalg.solve(normals, scores))
             lowest = np.minimum(lowest, squares - absorbed)
         return np.sqrt(np.maximum(lowest, 0.0))
+
+    @cached_property
+    def _centring_normals(self) -> list[tuple[Ints, Ints, Floats, Floats]]:
+        """Rows (r,) with each of the centring errors in the model, their occupations (r,), slopes and normal matrices.
+
+        The slopes (r, 3, 3) are the whitened changes of the readings per unit of the displacement. The normal matrices
+        (k, 3, 3) of k occupations include the prior of the displacements.
+        """
+        entries = []
+        for errors in self.adjustment.problem.model.centring_errors:
+            rows = np.flatnonzero(errors.occupation >= 0)
+            slope = self.sightings.target_derivatives[rows] / self.sigma[rows, :, None]
+            slope = np.where(self.used_readings[rows, :, None], slope, 0.0)
+            normals = np.tile(np.eye(3) / errors.sigma**2, (errors.n_occupations, 1, 1))
+            np.add.at(normals, errors.occupation[rows], np.einsum("nki,nkj->nij", slope, slope))
+            entries.append((rows, errors.occupation[rows], slope, normals))
+        return entries
 
     def with_design_columns(self, design_columns: Floats) -> ResidualSpace:
         """Residual space of the adjustment in which parameters with these design columns (m, q) are estimated too."""

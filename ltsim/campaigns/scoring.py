@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -302,6 +302,14 @@ def score_estimates(
         ]
         same = np.array([np.nan if k is None else reference.estimates[k] for k in places])
         ltsim_score = TrialScore(names, units, same, np.full(len(same), np.nan), true_values, standard)
-    every = () if reference is None else reference.parameter_names
-    score = TrialScore(names, units, value, sigma, true_values, standard, is_external=True, ltsim_estimates=ltsim_score)
-    return replace(score, ltsim_parameter_names=every)
+    return TrialScore(
+        names,
+        units,
+        value,
+        sigma,
+        true_values,
+        standard,
+        is_external=True,
+        ltsim_estimates=ltsim_score,
+        ltsim_parameter_names=() if reference is None else reference.parameter_names,
+    )

@@ -12,9 +12,8 @@ from ltsim.adjustment.centring import estimate_centring_errors
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.fieldcheck.result import CheckItem, HypothesisFamily, two_sided_chi2_p_value
 from ltsim.adjustment.quality import network_warnings, require_usable
-from ltsim.adjustment.reference_tests import reference_tests
+from ltsim.adjustment.reference_tests import scaled_reference_tests
 from ltsim.adjustment.reference_values import ReferenceKind
-from ltsim.adjustment.reliability import noise_factor
 from ltsim.adjustment.significance import GLOBAL_LEVEL, MIN_CHECKED_REDUNDANCY, MIN_DOF_FOR_ESTIMATED_NOISE
 from ltsim.adjustment.station_motions import FittedMotion, SuddenMotion, motion_sentences
 from ltsim.adjustment.verdict import VerdictCase, verdict_on
@@ -247,10 +246,7 @@ def _length_items(fitted: Adjustment, family: HypothesisFamily) -> list[CheckIte
     """
     if any(test.kind in ("length", "scale") for test in fitted.rejected_references):
         return []
-    factor = noise_factor(fitted.problem, fitted.solution)
-    tests = [
-        test.with_noise_factor(factor) for test in reference_tests(fitted.problem, fitted.solution, MAX_ROUNDING_ERROR)
-    ]
+    tests = scaled_reference_tests(fitted.problem, fitted.solution, MAX_ROUNDING_ERROR)
     lengths = [test for test in tests if test.kind == "length" and test.rank]
     scales = [test for test in tests if test.kind == "scale" and test.rank] or lengths[:1]
     check_items = []

@@ -175,10 +175,11 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
                 )
             drift = offset * sightings.elapsed_visit_fraction[:, None, None]
             yield ShiftFamily("constant-drift", observable, "station", drift)
+        instrument_places = shift_places(sightings, "instrument")
         for observable, offset in zip(OBSERVABLES, (distance, azimuth, elevation), strict=True):
             drifts = [
                 ReadingShift(observable, stations=place.stations, is_drift=True).design(sightings)
-                for place in shift_places(sightings, "instrument")
+                for place in instrument_places
             ]
             yield ShiftFamily("constant-drift", observable, "instrument", np.sum([0.0 * offset, *drifts], axis=0))
         yield ShiftFamily("scale-error", "distance", "station", distance * sightings.range_[:, None, None])

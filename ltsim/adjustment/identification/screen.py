@@ -378,9 +378,8 @@ def _best_noise_hypothesis(fit: NetworkFit, hypothesis: Hypothesis, reading_mask
     Some of the present outliers are none with larger noise; the number of remaining outliers maximises the gain.
     """
     within, out = reading_mask & fit.problem.used_readings, reading_mask & fit.is_outlier
-    residual_sizes = np.sort(
-        np.abs(fit.whitened_residuals[out])
-    )  # as many of the smaller ones as is best are outliers no more
+    # As many of the smaller residuals as is best are outliers no more.
+    residual_sizes = np.sort(np.abs(fit.whitened_residuals[out]))
     squares = np.sum(fit.whitened_residuals[within] ** 2) + np.append(0.0, np.cumsum(residual_sizes**2))
     redundancy = np.nansum(fit.redundancy[within]) + np.arange(len(residual_sizes) + 1)
     factor, gain = estimate_variance_factor(squares, redundancy)
