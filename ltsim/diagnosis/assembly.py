@@ -12,7 +12,6 @@ from ltsim.diagnosis.diagnosis import AveragedTargets, Diagnosis, DiagnosisArray
 from ltsim.diagnosis.findings import ExplainedRecording, noise_finding
 from ltsim.diagnosis.held_out import HeldOutErrors
 from ltsim.diagnosis.instruments import instrument_entries
-from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS
 from ltsim.diagnosis.schema import BeforeAfter, DetectableEntry, Finding, GlobalTest, Misfit
 from ltsim.diagnosis.words import MIN_PROBABLE, diagnosis_summary
 from ltsim.physics.effects.noise_level import NoiseLevel
@@ -48,9 +47,7 @@ def assemble_diagnosis(
     likely_findings = (
         (certain + [finding for finding in shifts if finding not in certain] or noises) if is_noise_only else certain
     )
-    likely_findings = sorted(likely_findings, key=lambda finding: -finding.evidence.chi2_drop)
-    room = max(MAX_MODEL_MEMBERS - len(certain_findings), 0)
-    findings = sorted([*certain_findings, *likely_findings[:room]], key=lambda finding: -finding.evidence.chi2_drop)
+    findings = sorted([*certain_findings, *likely_findings], key=lambda finding: -finding.evidence.chi2_drop)
     before = after = Misfit(chi2=baseline.chi2, dof=baseline.dof, held_out_rms=errors.before)
     if model.members or case.noise:
         dof = baseline.dof - model.basis.shape[1]
@@ -72,7 +69,7 @@ def assemble_diagnosis(
             detection.p_value,
             before,
             after,
-            n_withheld=len(model_fit.withheld_keys) + len(likely_findings[room:]),
+            n_withheld=len(model_fit.withheld_keys),
             is_contradicted=errors.log_odds_of_model < 0.0,
         ),
         global_test=GlobalTest(

@@ -17,7 +17,9 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_evidence
 from ltsim.core.arrays import Floats, Ints, Singles, batches, stack_and_release
 from ltsim.diagnosis.evidence import log_means_by_group, noise_level_factor, simulated_log_evidence
+from ltsim.diagnosis.hypotheses import Hypothesis
 from ltsim.diagnosis.null_ensemble import NullEnsemble, row_gram
+from ltsim.diagnosis.prior import log_prior_share
 from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
 from ltsim.physics.effects.effect import Effect, LightPathStage, NoiseEffect
 from ltsim.physics.effects.linear_effect import CandidateEffect
@@ -124,6 +126,17 @@ class CatalogueDesigns:
     """Names of the families, each of which has one effect of the catalogue at all its places and shapes."""
     family_of_effect: Ints
     """Index (h,) of the family of each effect."""
+
+    @property
+    def log_family_prior(self) -> float:
+        """Log prior of each effect of the catalogue, for all its places and shapes together."""
+        return log_prior_share("named", len(self.families))
+
+    def hypotheses_of(self, effects: Sequence[CandidateEffect]) -> tuple[Hypothesis, ...]:
+        """Hypotheses of effects of the catalogue; effects that are not possible in the recording are left out."""
+        n_places = np.bincount(self.family_of_effect, minlength=len(self.families))
+        prior = dict(zip(self.families, self.log_family_prior - np.log(n_places), strict=True))
+        return tuple(Hypothesis(e, float(prior[e.name]), 0.0, e.name) for e in effects if e.name in prior)
 
     @classmethod
     def from_space(cls, space: ResidualSpace, effects: Sequence[CandidateEffect]) -> CatalogueDesigns:

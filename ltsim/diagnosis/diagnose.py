@@ -1,6 +1,7 @@
 """Steps of a diagnosis: preprocess, detect, select a model, refit, report."""
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -20,11 +21,11 @@ from ltsim.diagnosis.catalogue_designs import CatalogueDesigns
 from ltsim.diagnosis.detect import detect
 from ltsim.diagnosis.detectability import detectability_report
 from ltsim.diagnosis.diagnosis import Diagnosis
-from ltsim.diagnosis.evidence import log_restricted_likelihood_ratio
+from ltsim.diagnosis.evidence import N_REFINED
 from ltsim.diagnosis.findings import ExplainedRecording
 from ltsim.diagnosis.findings_from_tests import instrument_finding
 from ltsim.diagnosis.held_out import HeldOutErrors, cross_validated_errors
-from ltsim.diagnosis.hypotheses import Model, most_probable_name, name_probabilities
+from ltsim.diagnosis.hypotheses import Hypothesis, Model, most_probable_name, name_probabilities
 from ltsim.diagnosis.instruments import (
     ConstantContradiction,
     ContradictingConstants,
@@ -32,7 +33,7 @@ from ltsim.diagnosis.instruments import (
     find_contradictions,
 )
 from ltsim.diagnosis.noise import NoiseHypothesis, most_likely_sizes
-from ltsim.diagnosis.preprocessing import adapted_baseline, is_consistent_when_omitted
+from ltsim.diagnosis.preprocessing import adapted_baseline, identified_effects, is_consistent_when_omitted
 from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS
 from ltsim.diagnosis.schema import Finding
 from ltsim.diagnosis.selection_state import SelectionState
@@ -107,7 +108,14 @@ def diagnose(
         use = baseline.problem.used_readings
     else:
         baseline, use, mistaken = adapted_baseline(recording, construction, selection)
-    case = SelectionState(baseline, use, seed, level, tests_ordinary_constants=history is None)
+    case = SelectionState(
+        baseline,
+        use,
+        seed,
+        level,
+        tests_ordinary_constants=history is None,
+        identified_effects=() if selection is None else identified_effects(selection),
+    )
     detection = detect(case.searcher, case.noise_bank)
     mismatch = detection.p_value < level
     beginning, model, fitted = _search_recording(case, comparison, mismatch=mismatch)
@@ -206,13 +214,16 @@ def _select_model(case: SelectionState, threshold: float, comparison: ConstantCo
 
     `case` is updated with the changes of the noise and the constants. The kind of hypothesis with the largest evidence
     is selected first, and the selection ends when the evidence does not increase. The order matters, because a law that
-    is selected with a wrong noise level absorbs noise, and noise that is estimated before a law absorbs the law.
+    is selected with a wrong noise level absorbs noise, and noise that is estimated before a law absorbs the law. Noise
+    is therefore estimated with the effects in the model that the simple causes of the network contain.
     """
     noise = case.ranked_noise(case.empty_model)[0][0]
     shifts = case.searcher.lower_bound_model(threshold, noise).score
     if noise >= shifts:
-        _select_noise(case, threshold, max(shifts, case.searcher.ranking(case.empty_model).log_evidence_total))
-        model = _select_effects_given_noise(case, threshold)
+        identified = case.searcher.catalogue_designs.hypotheses_of(case.identified_effects[: MAX_MODEL_MEMBERS - 1])
+        rival = max(shifts, case.searcher.ranking(case.empty_model).log_evidence_total)
+        _select_noise(case, threshold, rival, identified)
+        model = _select_effects_given_noise(case, threshold, identified)
     else:
         model = case.searcher.select_model(threshold, requires_member=True)
     contradicting = comparison(case.space.adjustment, MIN_EFFECT_LOG_EVIDENCE)
@@ -223,42 +234,42 @@ def _select_model(case: SelectionState, threshold: float, comparison: ConstantCo
     return _alternate_noise_and_effects(case, model, threshold)
 
 
-def _select_noise(case: SelectionState, threshold: float, log_evidence_of_effects: float) -> None:
-    """Forward selection of changes of the noise, which are added to `case`.
+def _select_noise(
+    case: SelectionState, threshold: float, log_evidence_of_effects: float, start: Sequence[Hypothesis]
+) -> None:
+    """Forward selection of changes of the noise, with the effects of `start` in the model, which are added to `case`.
 
     The first change is always selected, because the global test has failed. Effects with the log evidence
     `log_evidence_of_effects` count among its alternatives. Each further change must increase the log evidence by
     `threshold`.
     """
+    effects = [hypothesis.effect for hypothesis in start]
     for further in range(MAX_NOISE_CHANGES):
-        ranked = case.ranked_noise(case.empty_model)
+        ranked = case.ranked_noise(Model.from_space(start, case.space))
         if further and ranked[0][0] < threshold:
             break
-        case.add_noise(
-            most_likely_sizes(
-                case.space,
-                case.space.sigma,
-                _most_probable_noise(ranked, 0.0 if further else log_evidence_of_effects),
-            )
-        )
-        case.set_adjustment(case.estimate_variance_components(()))
+        most_probable = _most_probable_noise(ranked, 0.0 if further else log_evidence_of_effects)
+        case.add_noise(most_likely_sizes(case.space.with_effects(effects), case.space.sigma, most_probable))
+        case.set_adjustment(case.estimate_variance_components(effects))
 
 
-def _select_effects_given_noise(case: SelectionState, threshold: float) -> Model:
+def _select_effects_given_noise(case: SelectionState, threshold: float, start: Sequence[Hypothesis]) -> Model:
     """Model of effects in addition to the selected changes of the noise; the empty model if these suffice.
 
-    Noise that is estimated without an effect includes it. The noise is therefore estimated again with the best effects,
-    and both together are compared with the noise alone by their restricted likelihood.
+    The search begins with the hypotheses `start` in the model. Noise that is estimated without an effect includes it.
+    The noise is therefore estimated again with each of the best hypotheses, and the best of these together with its
+    noise is compared with the noise alone by their evidence.
     """
-    alone, sigma, adjusted = list(case.noise), case.reading_sigmas, case.space.adjustment
-    case.prune_variance_components(case.searcher.select_model(threshold, requires_member=True).effects)
-    model, space = case.searcher.select_model(threshold, requires_member=False), case.space
-    factor = (sigma / case.reading_sigmas)[space.used_readings] ** 2
-    squares, share = (rows[: len(factor)] for rows in (space.residuals**2, space.redundancy))
-    if model.members and model.score - log_restricted_likelihood_ratio(squares, share, factor).sum() > threshold:
+    alone, searcher = copy(case), case.searcher
+    model = searcher.select_model(threshold, requires_member=True, start=start)
+    leading = searcher.ranking(searcher.empty_model).best_of_each_kind()[:N_REFINED]
+    candidates = [model.members, *((h,) for h in leading)]
+    best = max(candidates[:1] if searcher.is_large_network else candidates, key=case.log_evidence_with)
+    case.prune_variance_components([h.effect for h in best])
+    model = case.searcher.select_model(threshold, requires_member=False, start=best)
+    if model.members and case.log_evidence_of_noise + model.score > alone.log_evidence_of_noise + threshold:
         return model
-    case.noise, case.reading_sigmas = alone, sigma
-    case.set_adjustment(adjusted)
+    case.replace_by(alone)
     return case.empty_model
 
 

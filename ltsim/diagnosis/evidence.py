@@ -21,6 +21,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.special import log_ndtr
 
+from ltsim.adjustment import Adjustment
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import (
     EVIDENCE_SIZES,
@@ -35,6 +36,7 @@ from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.effects.outlier import OBSERVABLE_COLUMN, Outlier
 from ltsim.recordings.recording import OBSERVABLES
+from ltsim.solve.design import to_dense
 
 
 def index_of_best(log_evidences: Floats) -> int:
@@ -102,6 +104,21 @@ def log_restricted_likelihood_ratio(squares: Floats, redundancy: Floats, varianc
     """
     ratio: Floats = 0.5 * (squares * (1.0 - 1.0 / variance_factor) - redundancy * np.log(variance_factor))
     return ratio
+
+
+def log_restricted_likelihood(adjustment: Adjustment) -> float:
+    """Log restricted likelihood of an adjustment, up to a constant that does not depend on its variances.
+
+    It is exact for the linearised model. Displacements by centring errors are random effects, whose prior contributes
+    its determinant.
+    """
+    solution, problem = adjustment.solution, adjustment.problem
+    normal_matrix = solution.system.design.T @ solution.system.design
+    _, log_determinant = np.linalg.slogdet(to_dense(normal_matrix))
+    log_sigmas = float(np.log(problem.sigma[problem.used_readings]).sum())
+    for errors in problem.model.centring_errors:
+        log_sigmas += len(errors.parameters) * float(np.log(errors.sigma))
+    return -0.5 * (solution.sum_of_squares + float(log_determinant)) - log_sigmas
 
 
 def log_evidence_of_wrong_readings(

@@ -25,7 +25,7 @@ from ltsim.diagnosis.evidence import (
 from ltsim.diagnosis.forms import response_curve
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking, name_probabilities
 from ltsim.diagnosis.noise import NoiseHypothesis
-from ltsim.diagnosis.prior import P_EVEN, log_prior_share
+from ltsim.diagnosis.prior import P_EVEN
 from ltsim.diagnosis.schema import Finding, FindingEvidence, FindingScope, ParameterEstimate
 from ltsim.diagnosis.scopes import effect_scope
 from ltsim.diagnosis.selection_state import SelectionState
@@ -163,7 +163,7 @@ class ExplainedRecording:
         if isinstance(model.members[member].effect, Outlier):
             return 0.0
         redundancy = searcher.space.redundancy - np.sum(other_model.basis**2, axis=1)
-        prior = log_prior_share("named", len(searcher.catalogue_designs.families))
+        prior = searcher.catalogue_designs.log_family_prior
         rival = log_evidence_of_wrong_readings(searcher.space, other_model.residual, redundancy, prior)
         return float(expit(rival - (model.score - other_model.score)))
 

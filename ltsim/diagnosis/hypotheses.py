@@ -9,7 +9,7 @@ from itertools import product
 
 import numpy as np
 
-from ltsim.adjustment.residual_space import orthonormal_columns
+from ltsim.adjustment.residual_space import ResidualSpace, orthonormal_columns
 from ltsim.adjustment.significance import MIN_LOG_EVIDENCE_CERTAIN, MIN_REPORTED_PROBABILITY
 from ltsim.calibration.evidence import EVIDENCE_SIZES, LOG_SIZE_PRIOR, log_sum_exp
 from ltsim.core.arrays import Floats, Ints
@@ -65,6 +65,13 @@ class Model:
     """Lengths (k,) of the design columns of each effect before the projection."""
     baseline_residual: Floats = field(repr=False)
     """Whitened residuals (m,) of the empty model."""
+
+    @classmethod
+    def from_space(cls, members: Sequence[Hypothesis], space: ResidualSpace) -> Model:
+        """Model with the given hypotheses in a residual space."""
+        designs = [space.whitened_design(h.effect) for h in members]
+        norms = (np.linalg.norm(design, axis=0) for design in designs)
+        return cls(tuple(members), tuple(map(space.project, designs)), tuple(norms), space.residuals)
 
     @property
     def effects(self) -> list[CandidateEffect]:
@@ -141,6 +148,15 @@ class Ranking:
     log_evidence_none: float = 0.0
     """Log evidence that neither a hypothesis of the ranking nor an unmodelled cause like these is the cause. It is 0,
     or larger if held-out readings contradict the model."""
+
+    def best_of_each_kind(self) -> list[Hypothesis]:
+        """Best hypothesis of each effect of the catalogue, and of the laws of each response, in their order."""
+        first: dict[tuple[str, str], Hypothesis] = {}
+        for hypothesis in self.entries:
+            first.setdefault(
+                (hypothesis.name, getattr(getattr(hypothesis.effect, "response", None), "name", "")), hypothesis
+            )
+        return list(first.values())
 
     def with_rivals(self, rivals: Sequence[Hypothesis]) -> Ranking:
         """Ranking that also contains the hypotheses `rivals`."""

@@ -46,23 +46,15 @@ def centring_hypotheses_of_occupations(space: ResidualSpace) -> list[tuple[float
 def estimate_centring(space: ResidualSpace, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
     """Hypothesis of centring errors with the estimated standard deviation of the displacements, and its uncertainty.
 
-    If the adjustment does not estimate the displacements, `chi2_drop` of the result is twice the gain of log evidence.
-    If it does, the estimate is a step of the EM algorithm: the mean of the squared displacements and their posterior
-    variances.
+    The adjustment of `space` does not contain these centring errors. `chi2_drop` of the result is twice the gain of log
+    evidence.
     """
-    effect, adjustment = hypothesis.effect, space.adjustment
+    effect = hypothesis.effect
     assert isinstance(effect, CentringVariance)
-    declared = adjustment.recording.setup.centring
-    centring_index = next((i for i, c in enumerate(declared) if c == effect.uncertainty(hypothesis.sizes[0])), None)
-    if centring_index is None:
-        occupation = target_occupations(adjustment.recording, effect.uncertainty(MILLIMETRE))
-        gain, sigma, n_effective = best_centring_sigma(space, occupation)
-        return replace(hypothesis, sizes=(sigma,), size_sigmas=(_sigma_of(sigma, n_effective),), chi2_drop=2.0 * gain)
-    columns = adjustment.problem.model.centring_columns[centring_index]
-    values, covariance = adjustment.state.extra_parameters[columns], adjustment.extra_covariance[columns, columns]
-    sigma = float(np.sqrt((values @ values + np.trace(covariance)) / len(values)))
-    n_effective = len(values) - float(np.trace(covariance)) / sigma**2
-    return replace(hypothesis, sizes=(sigma,), size_sigmas=(_sigma_of(sigma, n_effective),))
+    occupation = target_occupations(space.adjustment.recording, effect.uncertainty(MILLIMETRE))
+    gain, sigma, n_determined = best_centring_sigma(space, occupation)
+    sigma_of_estimate = float(sigma / np.sqrt(2.0 * max(n_determined, 1.0)))
+    return replace(hypothesis, sizes=(sigma,), size_sigmas=(sigma_of_estimate,), chi2_drop=2.0 * gain)
 
 
 def with_centring(recording: Recording, noise: Sequence[NoiseHypothesis]) -> Recording:
@@ -74,11 +66,6 @@ def with_centring(recording: Recording, noise: Sequence[NoiseHypothesis]) -> Rec
         return recording
     centring = (*recording.setup.centring, *further)
     return recording.replace(setup=recording.setup.model_copy(update={"centring": centring}))
-
-
-def _sigma_of(sigma: float, n_determined: float) -> float:
-    """Standard deviation of `sigma`, which was estimated from `n_determined` components of displacements."""
-    return float(sigma / np.sqrt(2.0 * max(n_determined, 1.0)))
 
 
 def _distinguished_occupations(recording: Recording) -> list[Occupation]:

@@ -40,6 +40,15 @@ class NoiseHypothesis:
         """Log prior probability of a change of the noise, in the catalogue or outside it, among all explanations."""
         return log_prior_share("scatter" if self.family.startswith("unknown") else "noise", 1)
 
+    @property
+    def log_occam_factor(self) -> float:
+        """Log of the prior times the Occam factor: log evidence minus log likelihood ratio of the estimated sizes.
+
+        It is at most the log prior. A log evidence without approximation may exceed a log likelihood ratio in the
+        diagonal form.
+        """
+        return min(self.evidence - 0.5 * self.chi2_drop, self.log_prior)
+
 
 def log_prior_of_noise_family(family: str, families: Collection[str]) -> float:
     """Log prior of a family of noise changes among `families`, in the catalogue or outside it (`unknown`).

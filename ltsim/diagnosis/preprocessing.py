@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
@@ -24,6 +26,8 @@ from ltsim.adjustment.significance import (
 from ltsim.core.arrays import Bools
 from ltsim.diagnosis.findings_from_tests import axis_finding, finding_of_test, gross_error_finding
 from ltsim.diagnosis.schema import Finding
+from ltsim.physics.effects import CATALOGUE
+from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import OBSERVABLES, Recording
 
@@ -51,6 +55,18 @@ def corrected_mistakes(selection: CauseSelection) -> list[Hypothesis]:
         largest_displacement(fit, h) > MAX_TRACKER_ERROR and fit.length_in_sigmas(h) > MIN_GROSS_SIGMAS for h in shifts
     )
     return [h for h in chosen if not isinstance(h.model_change, NoiseFactor) and (gross or h not in shifts)]
+
+
+def identified_effects(selection: CauseSelection) -> tuple[CandidateEffect, ...]:
+    """Effects of the catalogue among the simple causes that are not corrected before the search, the surest first."""
+    corrected = corrected_mistakes(selection)
+    changes = (
+        c.hypothesis.model_change
+        for c in selection.selected_hypotheses
+        if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN and c.hypothesis not in corrected
+    )
+    effects = (change.effect for change in changes if isinstance(change, ReadingShiftChange))
+    return tuple(cast(CandidateEffect, effect) for effect in effects if type(effect) in CATALOGUE)
 
 
 def is_single_error(fit: NetworkFit) -> Bools:

@@ -34,7 +34,7 @@ from ltsim.diagnosis.forms import evaluate_forms, min_promising_evidence
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking, log_odds_repeated
 from ltsim.diagnosis.law_batch import LawBatch, ScreenedLaw, score_batches
 from ltsim.diagnosis.null_ensemble import NullEnsemble
-from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS, log_prior_share
+from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS
 from ltsim.diagnosis.schema import ParameterEstimate
 from ltsim.diagnosis.shapes import are_distinct, centre_estimates, interpolate_shape, shape_posterior
 from ltsim.diagnosis.space import law_batches
@@ -149,18 +149,13 @@ class Searcher:
             else self.null_ensemble
         )
         values, chance = self.catalogue_designs.log_evidence_and_trials(probe)
-        families = self.catalogue_designs.family_evidence(values) + self._log_family_prior
+        families = self.catalogue_designs.family_evidence(values) + self.catalogue_designs.log_family_prior
         laws: list[ScreenedLaw] = []
-        statistic, null = log_sum_exp(families), log_sum_exp(chance + self._log_family_prior)
+        statistic, null = log_sum_exp(families), log_sum_exp(chance + self.catalogue_designs.log_family_prior)
         for hits_here, law_total, law_chance in score_batches(self.law_batches, probe):
             laws += hits_here
             statistic, null = np.logaddexp(statistic, law_total), np.logaddexp(null, law_chance)
         return ScreeningResult(values, families, laws, float(statistic), null)
-
-    @property
-    def _log_family_prior(self) -> float:
-        """Log prior of each effect of the catalogue, for all its places and shapes together."""
-        return log_prior_share("named", len(self.catalogue_designs.families))
 
     def _compute_ranking(self, base_model: Model) -> Ranking:
         values, families, laws, _, _ = self._screening(base_model) if base_model.members else self.empty_model_screening
@@ -184,7 +179,7 @@ class Searcher:
         designs = self.catalogue_designs
         members = np.flatnonzero(designs.family_of_effect == family)
         members = members[ranked_indices(effect_log_evidence[members], MAX_SINGLE_ROUNDING_ERROR)]
-        prior = self._log_family_prior - float(np.log(len(members)))
+        prior = self.catalogue_designs.log_family_prior - float(np.log(len(members)))
         best = Hypothesis(designs.effects[members[0]], prior, family_log_evidence, designs.families[family])
         if not refine:
             return best
@@ -317,14 +312,15 @@ class Searcher:
             self._projected_designs.popitem(last=False)
         return self._projected_designs[key]
 
-    def select_model(self, threshold: float, *, requires_member: bool) -> Model:
+    def select_model(self, threshold: float, *, requires_member: bool, start: Sequence[Hypothesis] = ()) -> Model:
         """Selected model, in which each additional effect increases the log evidence by at least `threshold`.
 
-        With `requires_member` it has at least one. If it has a curve with many coefficients, which can imitate several
-        effects, the search starts again with the best hypothesis of few. The model with the larger evidence is
-        selected.
+        The search begins with the hypotheses `start` in the model. With `requires_member` the result has
+        at least one effect. If it has a curve with many coefficients, which can imitate several effects, the search
+        starts again with the best hypothesis of few. The model with the larger evidence is selected.
         """
-        best_model = self._forward_selection(self.empty_model, threshold, requires_member=requires_member)
+        begin = self.reexamined_model(self.model_of(start))
+        best_model = self._forward_selection(begin, threshold, requires_member=requires_member)
         stiff = [h for h in self.ranking(self.empty_model).entries if len(h.plausible_sizes) <= MAX_RIGID_COEFFICIENTS]
         if (
             stiff

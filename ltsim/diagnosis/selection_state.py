@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -12,8 +13,8 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.refit import Refit, refit_with_effects
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Bools, Floats
-from ltsim.diagnosis.evidence import WIDE_PRIOR_SIZES
-from ltsim.diagnosis.hypotheses import Model
+from ltsim.diagnosis.evidence import WIDE_PRIOR_SIZES, log_restricted_likelihood
+from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.diagnosis.instruments import ConstantContradiction
 from ltsim.diagnosis.noise import NoiseBank, NoiseHypothesis, most_likely_sizes, noise_hypotheses
 from ltsim.diagnosis.noise_centring import centring_hypotheses_of_occupations, with_centring
@@ -42,6 +43,8 @@ class SelectionState:
     """False-alarm rate of the search; None for a search without p-value."""
     tests_ordinary_constants: bool = True
     """True if constants of the ordinary calibration are also hypotheses."""
+    identified_effects: tuple[CandidateEffect, ...] = ()
+    """Effects among the simple causes of the network, from which a second search starts if the noise is larger."""
     reading_sigmas: Floats = field(init=False)
     """Standard deviations (n, 3) of the readings, with the selected changes of the noise."""
     noise: list[NoiseHypothesis] = field(default_factory=list)
@@ -84,25 +87,29 @@ class SelectionState:
     @property
     def empty_model(self) -> Model:
         """Model without effects."""
-        return Model((), (), (), self.space.residuals)
+        return Model.from_space((), self.space)
 
     @property
     def recording(self) -> Recording:
         """Recording without blunders, in which centring errors that were selected are declared."""
         return with_centring(self.baseline.recording, self.noise)
 
-    def refit(self, effects: Sequence[CandidateEffect], sigma: Floats) -> Refit:
+    def refit(
+        self, effects: Sequence[CandidateEffect], sigma: Floats, noise: Sequence[NoiseHypothesis] | None = None
+    ) -> Refit:
         """Nonlinear adjustment with effects in the model, and readings with the standard deviations `sigma` (n, 3).
 
         Without effects and changes of the noise it is the ordinary adjustment. Parameters have a prior of
         `WIDE_PRIOR_SIZES` times their plausible size, because the readings may not determine some combinations.
+        Centring errors are those of the changes of the noise in `noise`, by default of all selected ones.
         """
-        if not (effects or self.noise):
+        noise = self.noise if noise is None else noise
+        if not (effects or noise):
             return Refit(self.baseline, (), ())
         old = self.baseline
         adjusted = partial(
             adjust,
-            self.recording,
+            with_centring(old.recording, noise),
             old.construction,
             sigma=sigma,
             reading_mask=self.is_used,
@@ -157,21 +164,65 @@ class SelectionState:
         for i, change in enumerate(self.noise):
             if change.effect == new_hypothesis.effect:
                 values = tuple(a + b for a, b in zip(change.sizes, new_hypothesis.sizes, strict=True))
-                self.noise[i] = replace(change, sizes=values, chi2_drop=change.chi2_drop + new_hypothesis.chi2_drop)
+                larger = replace(
+                    change,
+                    sizes=values,
+                    chi2_drop=change.chi2_drop + new_hypothesis.chi2_drop,
+                    evidence=change.evidence + new_hypothesis.evidence,
+                )
+                self.noise = [*self.noise[:i], larger, *self.noise[i + 1 :]]
                 break
         else:
-            self.noise.append(new_hypothesis)
+            self.noise = [*self.noise, new_hypothesis]
         self.reading_sigmas = self._weighted_sigmas(self.noise)
+
+    @property
+    def log_evidence_of_noise(self) -> float:
+        """Log evidence of the selected changes of the noise without effects, up to a constant of the recording.
+
+        It is the restricted log likelihood of the present adjustment, and for each change the difference of its log
+        evidence from its log likelihood ratio when it was selected.
+        """
+        return log_restricted_likelihood(self.space.adjustment) + sum(n.log_occam_factor for n in self.noise)
+
+    def log_evidence_with(self, members: Sequence[Hypothesis]) -> float:
+        """Log evidence of hypotheses together with the selected changes of the noise, estimated with them in the model.
+
+        It is comparable with `log_evidence_of_noise`, the log evidence without them.
+        """
+        state = copy(self)
+        state.space = ResidualSpace.from_adjustment(state.estimate_variance_components([h.effect for h in members]))
+        return state.log_evidence_of_noise + Model.from_space(members, state.space).score
+
+    def replace_by(self, state: SelectionState) -> None:
+        """Replacement of this state by another `state` of the same recording."""
+        vars(self).update(vars(state))
 
     def estimate_variance_components(self, effects: Sequence[CandidateEffect]) -> Adjustment:
         """Adjustment with variance components estimated by REML (Foerstner 1979), with `effects` in the model."""
         for _ in range(N_VARIANCE_ITERATIONS):
-            space = ResidualSpace.from_adjustment(self.refit((), self.reading_sigmas).adjustment).with_effects(effects)
-            for i, change in enumerate(self.noise):
-                others = self._weighted_sigmas([*self.noise[:i], *self.noise[i + 1 :]])
-                self.noise[i] = replace(most_likely_sizes(space, others, change), chi2_drop=change.chi2_drop)
+            self.noise = [
+                replace(estimate, chi2_drop=change.chi2_drop)
+                for estimate, change in zip(self._noise_estimates(effects), self.noise, strict=True)
+            ]
             self.reading_sigmas = self._weighted_sigmas(self.noise)
         return self.refit((), self.reading_sigmas).adjustment
+
+    def _noise_estimates(self, effects: Sequence[CandidateEffect]) -> list[NoiseHypothesis]:
+        """Selected changes of the noise, the sizes of each estimated given the others and `effects` in the model.
+
+        Centring errors are estimated in an adjustment without them: in one with them the displacements have absorbed
+        part of an effect.
+        """
+        space = ResidualSpace.from_adjustment(self.refit((), self.reading_sigmas).adjustment).with_effects(effects)
+        estimates = list[NoiseHypothesis]()
+        for i, change in enumerate(self.noise):
+            others, residual_space = [*estimates, *self.noise[i + 1 :]], space
+            if isinstance(change.effect, CentringVariance):
+                adjustment = self.refit((), self.reading_sigmas, others).adjustment
+                residual_space = ResidualSpace.from_adjustment(adjustment).with_effects(effects)
+            estimates.append(most_likely_sizes(residual_space, self._weighted_sigmas(others), change))
+        return estimates
 
     def expected_variance_factors(self, effects: Sequence[CandidateEffect]) -> Floats:
         """Posterior mean (n, 3) of the factors on the declared variances of the readings, with `effects` in the model.
@@ -197,14 +248,10 @@ class SelectionState:
 
         Changes of the noise without a positive log evidence are removed.
         """
-        space = ResidualSpace.from_adjustment(self.estimate_variance_components(effects)).with_effects(effects)
-        estimates = [
-            most_likely_sizes(space, self._weighted_sigmas([n for n in self.noise if n is not change]), change)
-            for change in self.noise
-        ]
+        self.estimate_variance_components(effects)
         self.noise = [
             n
-            for n, change in zip(self.noise, estimates, strict=True)
+            for n, change in zip(self.noise, self._noise_estimates(effects), strict=True)
             if 0.5 * change.chi2_drop + change.log_prior > 0.0
         ]
         self.reading_sigmas = self._weighted_sigmas(self.noise)

@@ -46,6 +46,8 @@ REFINED_CENTRE_STEPS = (0.5, 0.15)
 """Shifts of the centre, divided by the width, that a local search of a region tries."""
 REFINED_WIDTH_FACTORS = (0.5, 0.7, 1.4, 2.0)
 """Factors on the width that a local search of a region tries."""
+MIN_REGION_WIDTH = 0.005
+"""Smallest width [m] of a region in a local search: that of a tracker's beam. A narrower one touches single lines."""
 MAX_REGION_LINE_PAIRS = 300_000
 """Largest number of pairs of region and line of sight in memory at a time, some tens of MB."""
 MAX_PARALLEL_SINE_SQUARED = 1e-9
@@ -133,7 +135,8 @@ class HallRegion:
             centre[i] = round(centre[i] + sign * move * self.width, 6)
             yield replace(self, centre=tuple(centre))
         for factor in REFINED_WIDTH_FACTORS:
-            yield replace(self, width=round(self.width * factor, 6))
+            if self.width * factor >= MIN_REGION_WIDTH:
+                yield replace(self, width=round(self.width * factor, 6))
 
 
 def region_paths(sightings: Sightings, bounded_axes: str, region_centres: Floats, width: float) -> Floats:

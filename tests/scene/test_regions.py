@@ -6,11 +6,13 @@ import pytest
 from ltsim.scene.regions import (
     MAX_PASSING_FRACTION,
     MIN_PASSING_LINES,
+    MIN_REGION_WIDTH,
     MIN_TARGETS_BEHIND,
     REGION_SHAPES,
     HallRegion,
     candidate_regions,
     coordinate_extent,
+    region_paths,
 )
 from tests.physics.effects.scenes import scene
 
@@ -65,3 +67,12 @@ def test_neighbours_move_one_coordinate_or_the_width() -> None:
     for other in region.neighbours():
         changed = [a != b for a, b in zip((*other.centre, other.width), (*region.centre, region.width), strict=True)]
         assert sum(changed) == 1 and other.width > 0
+
+
+def test_a_local_search_does_not_make_a_region_thinner_than_a_beam() -> None:
+    widths, region = [], HallRegion("xy", (2.0, 3.0), 0.5)
+    for _ in range(30):
+        region = min(region.neighbours(), key=lambda other: other.width)
+        widths.append(region.width)
+    assert min(widths) >= MIN_REGION_WIDTH
+    assert np.isfinite(region_paths(SCENE, "xy", np.array([region.centre]), region.width)).all()
