@@ -19,7 +19,7 @@ from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.rows import GaugeRows
 from ltsim.core.arrays import Floats
 from ltsim.geometry.polar import wrap_angle
-from ltsim.geometry.rigid import cross_matrix, from_rotation_vector
+from ltsim.geometry.rigid import cross_matrix, matrix_from_rotation_vector
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
@@ -71,7 +71,7 @@ class DenseProblem:
         position, rotation, points = self._start
         poses = 6 * (len(position) - 1)
         pose = np.concatenate([np.zeros((1, 6)), x[:poses].reshape(-1, 6)])
-        turned = from_rotation_vector(pose[:, 3:]) @ rotation
+        turned = matrix_from_rotation_vector(pose[:, 3:]) @ rotation
         moved = points + x[poses : poses + points.size].reshape(-1, 3)
         return position + pose[:, :3], turned, moved, x[poses + points.size :]
 

@@ -22,7 +22,7 @@ from ltsim.core.errors import RecordError
 from ltsim.core.randomness import stream
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rigid import from_rotation_vector
+from ltsim.geometry.rigid import matrix_from_rotation_vector
 from ltsim.physics.effects import BASELINE_EFFECTS
 from ltsim.physics.model.construction import ideal_construction, misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
@@ -209,8 +209,8 @@ def ring(out: Path) -> None:
     """How far what each tracker leaves by distance in half of its set-ups foretells what it leaves in the others."""
     recording = read(DATA / RING)
     space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
-    left = np.full(space.used_readings.shape, np.nan)
-    left[space.used_readings] = space.residuals[: int(space.used_readings.sum())]
+    left = np.full(space.is_used_reading.shape, np.nan)
+    left[space.is_used_reading] = space.residuals[: int(space.is_used_reading.sum())]
     distance, tracker = recording.readings[:, 0], recording.instrument
     half = np.zeros(len(recording), dtype=int)
     for owner in np.unique(tracker):
@@ -310,7 +310,7 @@ def choice_of_parameters(known: bool) -> Rows:
 def fitted(recording: Recording, known: bool) -> tuple[np.ndarray, np.ndarray]:
     """Parameters and their standard deviations, to first order."""
     found = adjust(recording if known else without_points(recording), effects=FIRST_ORDER)
-    return found.state.extra_parameters / UNITS, np.sqrt(np.diag(found.extra_covariance)) / UNITS
+    return found.state.extra_parameters / UNITS, np.sqrt(np.diag(found.effect_covariance)) / UNITS
 
 
 def without_points(recording: Recording) -> Recording:
@@ -329,7 +329,7 @@ def rounded(trial: int | None) -> Recording:
     objects = {n: np.array(base.target_setup(n).known_mm) * MILLIMETRE for n in base.targets}
     moved = np.zeros((2, 2, 3)) if trial is None else stream(4, "rounding", trial).normal(0, 1e-4, (2, 2, 3))
     state = NetworkState(
-        start.station_positions + moved[0], from_rotation_vector(moved[1]) @ start.station_rotations,
+        start.station_positions + moved[0], matrix_from_rotation_vector(moved[1]) @ start.station_rotations,
         np.array(list(objects.values())),
         np.zeros((1, 0)), TRUTH * UNITS,
     )  # fmt: skip

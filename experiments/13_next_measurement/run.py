@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from experiments.common import Made, Options, Row, show_table
+from ltsim.adjustment.remedies.candidates import CandidateMeasurement
 from ltsim.adjustment.remedies.next_measurement import rank_next_measurements
-from ltsim.adjustment.remedies.remedy import Remedy
 from ltsim.core.parallel import run_parallel
 from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
@@ -24,12 +24,12 @@ from ltsim.simulation.simulator import simulate
 from ltsim.simulation.truth import Truth
 
 
-def measured(remedy: Remedy, before: Recording, truth: Truth, seed: int) -> Recording:
+def measured(candidate: CandidateMeasurement, before: Recording, truth: Truth, seed: int) -> Recording:
     """The recording with the proposed pointings made: true places, true instrument, true effect, new noise."""
-    recording, construction = remedy.network.recording, misalignment_construction()
+    recording, construction = candidate.network.recording, misalignment_construction()
     position, rotation = truth.station_positions, truth.station_rotations
-    if remedy.added_setup_on_plan is not None:
-        place, yaw = remedy.added_setup_on_plan
+    if candidate.added_setup_on_plan is not None:
+        place, yaw = candidate.added_setup_on_plan
         position = np.vstack([position, place])
         rotation = np.concatenate([rotation, rotation_about_z(yaw)[None]])
     order = [truth.target_names.index(name) for name in recording.targets]
@@ -81,11 +81,11 @@ def one(scenario_name: str, case: dict[str, Any], seed: int, number: int) -> Row
         return row | {"between": "", "proposal": ""}
     proposals = rank_next_measurements(recording, explanations=between, with_effects=beside)
     best = proposals.proposals[0]
-    second = diagnose(measured(best.remedy, recording, truth, seed + number), seed=seed)
+    second = diagnose(measured(best.candidate, recording, truth, seed + number), seed=seed)
     row |= {
         "between": " ".join(between),
-        "proposal": best.remedy.instruction,
-        "minutes": round(best.remedy.duration / 60, 1),
+        "proposal": best.candidate.instruction,
+        "minutes": round(best.candidate.duration / 60, 1),
         "evidence_before": " ".join(f"{value:.1f}" for value in proposals.present_chi2.values()),
         "evidence_after": " ".join(f"{value:.1f}" for value in best.expected_chi2.values()),
         "tells_apart": " ".join(best.distinguished_explanations),

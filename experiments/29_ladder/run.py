@@ -21,7 +21,7 @@ import pandas as pd
 import ltsim as lt
 from experiments.common import Made, Options, Row, show_table, tell, write_table
 from experiments.intervals import share
-from ltsim.adjustment.identification.tests import CauseTest
+from ltsim.adjustment.identification.cause_tests import CauseTest
 from ltsim.core.errors import LtsimError
 from ltsim.core.parallel import run_parallel
 from ltsim.diagnosis.schema import Finding

@@ -19,16 +19,16 @@ import numpy as np
 from ltsim.acceptance.files import TestEntry, make_test_entry
 from ltsim.adjustment import Adjustment
 from ltsim.adjustment.identification import CauseTest
-from ltsim.adjustment.identification.actions import cause_actions
 from ltsim.adjustment.identification.hypothesis import CauseKind
 from ltsim.adjustment.identification.reading_shifts import ReadingShift
+from ltsim.adjustment.identification.recommendations import recommendations_for_causes
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.correct import corrected_readings
 from ltsim.calibration.verbs import calibrate
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing
-from ltsim.geometry.polar import from_polar, parts_across_beam, polar_jacobian, to_polar
+from ltsim.geometry.polar import components_across_beam, from_polar, polar_jacobian, to_polar
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.motions import StationMotion, TargetMotion
 from ltsim.recordings.recording import Recording
@@ -129,7 +129,7 @@ class NetworkTests:
     def urgent_actions(self) -> tuple[str, ...]:
         """Actions without which the tests are not valid, or which separate the tracker from its surroundings."""
         unexplained = ["Run ltsim diagnose to find the cause of the scatter before you judge the tracker."]
-        actions = cause_actions((*self.uncorrected_causes, *self.tracker_causes))
+        actions = recommendations_for_causes((*self.uncorrected_causes, *self.tracker_causes))
         return (*actions, *(unexplained if self.unexplained_factor > 1.0 else []))
 
     @property
@@ -147,7 +147,7 @@ class NetworkTests:
     def further_actions(self, *, is_rejected: bool) -> tuple[str, ...]:
         """Actions after errors that do not impair the tests; outliers are measured again unless others are rejected."""
         again = [f"Measure again: {self._outlier_names}."] if self.outliers and not is_rejected else []
-        return (*cause_actions(self.corrected_causes), *again)
+        return (*recommendations_for_causes(self.corrected_causes), *again)
 
 
 def evaluate_network(recording: Recording, instrument_specification: Specification) -> NetworkTests:
@@ -269,7 +269,7 @@ class TestedNetwork:
 
     def test_entries(self, limits: Specification) -> list[TestEntry]:
         """Entries of the lengths and two-face differences of all stations, from the pointings in use."""
-        is_tested: Bools = np.asarray(self.adjustment.problem.used_readings.all(axis=1))
+        is_tested: Bools = np.asarray(self.adjustment.problem.is_used_reading.all(axis=1))
         stations = range(len(self.adjustment.recording.stations))
         return [entry for s in stations for entry in self.station_entries(s, is_tested, limits)]
 
@@ -283,7 +283,7 @@ class TestedNetwork:
         test_entries = self._length_entries(recording.stations[station], tested_rows, limits)
         front, back = map(self._mean_points, rows_by_face)
         for t in sorted(front.keys() & back.keys()):
-            error = float(np.linalg.norm(parts_across_beam((front[t] - back[t])[None], front[t][None])))
+            error = float(np.linalg.norm(components_across_beam((front[t] - back[t])[None], front[t][None])))
             limit = float(limits.two_face_limits(front[t][None])[0])
             name = f"{recording.stations[station]}: {recording.targets[t]}"
             test_entries.append(make_test_entry(name, "two-face", error, limit))
@@ -341,12 +341,12 @@ class TestedNetwork:
         every = np.arange(len(point_pairs))
         form[every, point_pairs[:, 0]], form[every, point_pairs[:, 1]] = direction, -direction
         coefficients = np.concatenate([form.reshape(len(point_pairs), -1), -length_changes[:, is_corrected]], axis=1)
-        columns = np.concatenate([unknowns.target_columns[targets].ravel(), unknowns.extra_columns[is_corrected]])
+        columns = np.concatenate([unknowns.target_columns[targets].ravel(), unknowns.effect_columns[is_corrected]])
         unit = np.zeros((unknowns.n_columns, len(columns)))
         unit[columns, np.arange(len(columns))] = 1.0
         covariance = self.adjustment.factorised_normals.covariance_columns(unit)[columns]
         adjusted = self.uncertainty_factor**2 * np.einsum("ki,ij,kj->k", coefficients, covariance, coefficients)
-        prior = self.adjustment.problem.extra_sigma[is_nuisance]
+        prior = self.adjustment.problem.effect_sigma[is_nuisance]
         return np.asarray(adjusted + np.sum((length_changes[:, is_nuisance] * prior) ** 2, axis=1))
 
     def _mean_point_changes(self, targets: list[int], row_indices: Ints) -> Floats:

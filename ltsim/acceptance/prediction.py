@@ -12,7 +12,7 @@ from ltsim.acceptance.spec import AcceptanceSettings, AcceptanceTest, envelope_p
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
-from ltsim.geometry.polar import from_polar, parts_across_beam, to_polar, unit_vectors
+from ltsim.geometry.polar import components_across_beam, from_polar, to_polar, unit_vectors
 from ltsim.geometry.rigid import remove_rigid_motion
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import noise_sigma
@@ -69,7 +69,7 @@ class AcceptancePlan:
         far_points = from_polar(self.construction.readings(second, np.where(self.is_length, 1, 2), constants))
         errors = np.zeros((len(first), 2))
         errors[:, 0] = np.linalg.norm(far_points - points, axis=1) - np.linalg.norm(second - first, axis=1)
-        errors[~self.is_length] = parts_across_beam(points - far_points, first)[~self.is_length]
+        errors[~self.is_length] = components_across_beam(points - far_points, first)[~self.is_length]
         return errors
 
     @cached_property

@@ -16,13 +16,13 @@ from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests_with_constants
 from ltsim.adjustment.reliability import (
     iterative_snooping,
-    noisy_groups,
+    noisy_groups_and_scatter,
     p_value_of_tau,
     redundancy_numbers,
     standardised_residuals,
 )
-from ltsim.adjustment.significance import FAMILY_LEVEL, MIN_DOF_FOR_ESTIMATED_NOISE
-from ltsim.adjustment.snooping import drop_undetermined, pose_defect
+from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MIN_DOF_FOR_ESTIMATED_NOISE
+from ltsim.adjustment.snooping import drop_undetermined_targets, pose_defect_sentence
 from ltsim.adjustment.stochastic_model import VarianceComponent
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
@@ -73,9 +73,9 @@ class Adjustment(Result):
     """Names of targets that the recording does not determine; their coordinates in `state` have no meaning."""
     rejected_references: tuple[ReferenceTest, ...] = ()
     """Reference values that contradict the other observations and were removed; `recording` does not contain them."""
-    axis_tests: tuple[ReferenceTest, ...] = ()
+    axes_point_tests: tuple[ReferenceTest, ...] = ()
     """Tests of the coordinates that only define the axes, including those removed from the datum."""
-    duplicate_rows: int = 0
+    n_duplicate_rows: int = 0
     """Number of rows that repeat others in every digit and are not used."""
     cause_sentences: tuple[str, ...] = ()
     """Sentences on identified errors, with which the network is consistent."""
@@ -118,8 +118,8 @@ class Adjustment(Result):
         model = MeasurementModel(recording, construction or ideal_construction(), tuple(effects))
         if len(state.extra_parameters) != model.n_extra_parameters:
             state = replace(state, extra_parameters=np.zeros(model.n_extra_parameters))
-        problem = drop_undetermined(NetworkProblem.from_model(model, prior=prior), state)
-        defect = pose_defect(problem, state)
+        problem = drop_undetermined_targets(NetworkProblem.from_model(model, prior=prior), state)
+        defect = pose_defect_sentence(problem, state)
         if defect:
             raise NetworkError(defect)
         try:
@@ -183,7 +183,7 @@ class Adjustment(Result):
         recording, problem = self.recording, self.problem
         held = problem.control_rows.declared_components[:, :2].all(axis=1).sum() + len(problem.control_rows_of_marks)
         differences = problem.difference_rows.declared_components[:, :2].any()
-        lengths = problem.used_readings[:, 0].any() or len(problem.gauge_rows) or differences
+        lengths = problem.is_used_reading[:, 0].any() or len(problem.gauge_rows) or differences
         if held < 2 and not lengths:
             cure = "approximate coordinates of two targets of the datum would"
             return f"no distance, no known length and no two known points give the network its scale; {cure}"
@@ -224,53 +224,58 @@ class Adjustment(Result):
         return standardised_residuals(self.problem, self.residuals, self.redundancy)
 
     @cached_property
-    def noisy_targets(self) -> tuple[Ints, float, float]:
+    def noisy_targets_and_scatter(self) -> tuple[Ints, float, float]:
         """Indices (k,) of targets with larger noise than others, scatter of their readings, and scatter elsewhere.
 
         Both scatters are ratios to the declared noise.
         """
-        return noisy_groups(self.normalised_residuals, self.redundancy, self.recording.target)
+        return noisy_groups_and_scatter(self.normalised_residuals, self.redundancy, self.recording.target)
 
     @cached_property
     def reference_tests(self) -> tuple[ReferenceTest, ...]:
         """Tests of the reference values, each against the other observations; removed values come first."""
         tests = reference_tests_with_constants(self.problem, self.solution)
-        return (*self.rejected_references, *tests, *self.axis_tests)
+        return (*self.rejected_references, *tests, *self.axes_point_tests)
 
     @property
     def undetermined_targets(self) -> tuple[str, ...]:
         """Names of measured targets that the readings in use do not determine and that are not adjusted."""
         targets = self.recording.targets
         measured = np.bincount(self.recording.target, self.recording.is_measured.any(axis=1), len(targets)) > 0
-        return tuple(targets[i] for i in np.flatnonzero(self.problem.structure.is_unmeasured_target & measured))
+        return tuple(
+            targets[i] for i in np.flatnonzero(self.problem.undetermined_unknowns.is_unmeasured_target & measured)
+        )
 
     @property
     def undetermined_stations(self) -> tuple[str, ...]:
         """Names of stations whose pose is partly undetermined; the undetermined components keep their start values."""
-        held = self.problem.structure.fixed_pose_components.any(axis=1)
+        held = self.problem.undetermined_unknowns.fixed_pose_components.any(axis=1)
         return tuple(self.recording.stations[s] for s in np.flatnonzero(held))
 
     @cached_property
     def is_rejected(self) -> Bools:
         """Flags (n, 3) of the rejected readings, without those to targets that no usable reading determines."""
-        determined_problem = drop_undetermined(replace(self.problem, used_readings=self.recording.usable), self.state)
-        return determined_problem.used_readings & ~self.problem.used_readings
+        determined_problem = drop_undetermined_targets(
+            replace(self.problem, is_used_reading=self.recording.usable), self.state
+        )
+        return determined_problem.is_used_reading & ~self.problem.is_used_reading
 
     def flagged_readings(
-        self, alpha: float = FAMILY_LEVEL, *, uses_estimated_noise: bool = False
+        self, alpha: float = FAMILY_WISE_LEVEL, *, uses_estimated_noise: bool = False
     ) -> list[FlaggedReading]:
         """Outliers among the readings, the most significant first.
 
         `alpha` is the false-alarm rate for the whole recording. Outliers are detected one after another, so that the
         effect of an outlier on other residuals does not count against these. Readings that no test distinguishes from
         an outlier follow this outlier. The test uses the declared noise (w-test), or with `uses_estimated_noise` the
-        noise estimated from the residuals (tau-test), separately for each target if there are `noisy_targets`.
+        noise estimated from the residuals (tau-test), separately for each target if some targets are noisy.
         """
-        use, target, count = self.problem.used_readings, self.recording.target, int(self.problem.used_readings.sum())
+        use, target = self.problem.is_used_reading, self.recording.target
+        count = int(use.sum())
         whitened = np.where(use, self.residuals / self.problem.sigma, 0.0)
         scale = np.full(use.shape, self.sigma0 if uses_estimated_noise else 1.0)
         dof = np.full(use.shape, float(self.dof) if uses_estimated_noise else np.inf)
-        if uses_estimated_noise and len(self.noisy_targets[0]):
+        if uses_estimated_noise and len(self.noisy_targets_and_scatter[0]):
             checks = np.bincount(target, np.nansum(self.redundancy, axis=1))
             group = np.where(checks >= MIN_DOF_FOR_ESTIMATED_NOISE, np.arange(len(checks)), -1)[target]
             for rows_of_group in (group == number for number in np.unique(group)):
@@ -289,7 +294,7 @@ class Adjustment(Result):
         Element (i, j) is the change of residual i by an error of reading j, in standard deviations. For more than
         `MAX_SUCCESSIVELY_TESTED_READINGS` readings the block is diagonal.
         """
-        use = self.problem.used_readings
+        use = self.problem.is_used_reading
         if len(pointing_indices) > MAX_SUCCESSIVELY_TESTED_READINGS:
             return np.diag(self.redundancy[pointing_indices, columns])
         residual_rows = (np.cumsum(use) - 1).reshape(use.shape)[pointing_indices, columns]
@@ -302,7 +307,7 @@ class Adjustment(Result):
 
         Eliminated targets are not permitted.
         """
-        covariance = self.factorised_normals.inverse_of_sets(columns)
+        covariance = self.factorised_normals.inverses_of_sets(columns)
         return covariance if self.datum is None else self.datum.transform_covariance(covariance, columns)
 
     @cached_property
@@ -328,9 +333,9 @@ class Adjustment(Result):
         return self.covariance_of(self.problem.unknowns.instrument_columns.reshape(1, -1))[0]
 
     @property
-    def extra_covariance(self) -> Floats:
+    def effect_covariance(self) -> Floats:
         """Covariance (q, q) of the q parameters of all additional effects [SI]."""
-        return self.covariance_of(self.problem.unknowns.extra_columns[None])[0]
+        return self.covariance_of(self.problem.unknowns.effect_columns[None])[0]
 
     @property
     def pose_covariance(self) -> Floats:
@@ -339,10 +344,10 @@ class Adjustment(Result):
         They are NaN for components that the readings in use do not determine.
         """
         covariance = self.covariance_of(self.problem.unknowns.pose_columns)
-        held = self.problem.structure.fixed_pose_components
+        held = self.problem.undetermined_unknowns.fixed_pose_components
         covariance[held[:, :, None] | held[:, None, :]] = np.nan
         over = self.problem.marks.target_indices
-        flat = np.flatnonzero((over >= 0) & self.undetermined_heights[over])
+        flat = np.flatnonzero((over >= 0) & self.is_height_undetermined[over])
         covariance[flat, 2] = covariance[flat, :, 2] = np.nan
         return covariance
 
@@ -352,40 +357,42 @@ class Adjustment(Result):
         unknowns = self.problem.unknowns
         covariance = np.empty((len(unknowns.target_columns), 3, 3))
         is_reduced = unknowns.target_columns[:, 0] < unknowns.n_reduced
-        covariance[is_reduced] = self.factorised_normals.inverse_of_sets(unknowns.target_columns[is_reduced])
+        covariance[is_reduced] = self.factorised_normals.inverses_of_sets(unknowns.target_columns[is_reduced])
         blocks = self.factorised_normals.block_covariance()
         covariance[~is_reduced] = blocks[(unknowns.target_columns[~is_reduced][:, 0] - unknowns.n_reduced) // 3]
         if self.datum is not None:
             covariance = self.datum.transform_covariance(covariance, unknowns.target_columns)
             diagonal = np.arange(3)  # a coordinate that the datum holds has variance 0, up to rounding of either sign
             covariance[:, diagonal, diagonal] = np.maximum(covariance[:, diagonal, diagonal], 0.0)
-        covariance[self.problem.structure.is_unmeasured_target] = np.nan
-        covariance[self.undetermined_heights, 2] = covariance[self.undetermined_heights, :, 2] = np.nan
+        covariance[self.problem.undetermined_unknowns.is_unmeasured_target] = np.nan
+        covariance[self.is_height_undetermined, 2] = covariance[self.is_height_undetermined, :, 2] = np.nan
         return covariance
 
     @cached_property
-    def undetermined_heights(self) -> Bools:
+    def is_height_undetermined(self) -> Bools:
         """Flags (T,) of the targets whose height is undetermined."""
         plan = [self.recording.target_setup(name).in_plan for name in self.recording.targets]
-        return np.asarray(self.problem.structure.height_free_targets | np.array(plan, dtype=bool))
+        return np.asarray(self.problem.undetermined_unknowns.is_height_free_target | np.array(plan, dtype=bool))
 
     @single_threaded
     def with_effects(self, effects: Sequence[LinearEffect], start_state: NetworkState) -> Adjustment:
         """Adjustment of the same readings with the same weights, and with other additional effects."""
         old, model = self.problem, replace(self.problem.model, effects=tuple(effects))
-        new_problem = NetworkProblem.from_model(model, sigma=old.sigma, reading_mask=old.used_readings, prior=old.prior)
+        new_problem = NetworkProblem.from_model(
+            model, sigma=old.sigma, reading_mask=old.is_used_reading, prior=old.prior
+        )
         problem = replace(new_problem, gauge_rows=old.gauge_rows, difference_rows=old.difference_rows)
         problem = replace(problem, level_rows=old.level_rows, yaw_rows=old.yaw_rows)
         solution = solve(problem, replace(start_state, extra_parameters=np.zeros(model.n_extra_parameters)))
         return replace(self, problem=problem, solution=solution, datum=None)
 
-    def with_inner_datum(self, names: Sequence[str] | None = None) -> Adjustment:
+    def with_inner_datum(self, datum_names: Sequence[str] | None = None) -> Adjustment:
         """Adjustment whose covariances have inner constraints over some targets as datum; its state is unchanged.
 
-        `names` are the targets, by default all determined ones. Raises ModelError for an unknown target, and for
+        `datum_names` are the targets, by default all determined ones. Raises ModelError for an unknown target, and for
         targets that do not fix the free motions.
         """
         every = [name for name in self.recording.targets if name not in self.undetermined_targets]
-        names = every if names is None else names
-        datum = InnerDatum.from_points(self.problem, self.state, self.factorised_normals, names)
+        datum_names = every if datum_names is None else datum_names
+        datum = InnerDatum.from_points(self.problem, self.state, self.factorised_normals, datum_names)
         return replace(self, datum=datum)

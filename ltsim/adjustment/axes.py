@@ -15,7 +15,7 @@ from scipy import special
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.frame import alignment_distances
-from ltsim.adjustment.significance import MIN_MISFIT_RATIO, SINGLE_LEVEL
+from ltsim.adjustment.significance import MIN_MISFIT_RATIO, SINGLE_TEST_LEVEL
 from ltsim.adjustment.start import initial_network
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, RecordError, option
@@ -31,40 +31,42 @@ MAX_RELATIVE_MISCLOSURE = 0.05
 """Median misclosure of declared coordinates, relative to the size of the network, from which they are rejected; nominal
 coordinates of a drawing differ less. The same limit applies to the scale.
 """
-NO_AXES: Mapping[str, Axes] = MappingProxyType({})
+ALL_AXES_IN_USE: Mapping[str, Axes] = MappingProxyType({})
 """Empty mapping from targets to axes: every declared coordinate is used."""
 
 
-def with_axes_of_points(recording: Recording, points: Mapping[str, Floats], source: str) -> Recording:
+def with_axes_from_points(recording: Recording, points_by_target: Mapping[str, Floats], source_text: str) -> Recording:
     """Recording whose datum is defined by declared coordinates [m] of targets.
 
-    `adjust` excludes coordinates that do not fit. `source` is the name of their file. Raises RecordError unless three
-    targets that are not collinear have coordinates, for a shape that differs from the network (mirrored, other scale),
-    and if known points already define the frame.
+    `adjust` excludes coordinates that do not fit. `source_text` is the name of their file. Raises RecordError unless
+    three targets that are not collinear have coordinates, for a shape that differs from the network (mirrored, other
+    scale), and if known points already define the frame.
     """
-    common_names = [name for name in recording.targets if name in points and np.isfinite(points[name]).all()]
-    _require_free_frame(recording, source)
+    common_names = [
+        name for name in recording.targets if name in points_by_target and np.isfinite(points_by_target[name]).all()
+    ]
+    _require_free_frame(recording, source_text)
     if len(common_names) < 3:
         message = (
             f"contains {len(common_names)} of the recording's targets, expected at least three that are not on one line"
         )
-        raise RecordError(message, file=source)
+        raise RecordError(message, file=source_text)
     (_, _, reached), _ = initial_network(recording)
     network_points = reached[[recording.targets.index(name) for name in common_names]]
-    declared_points = np.array([points[name] for name in common_names])
-    _require_network_shape(network_points, declared_points, source)
+    declared_points = np.array([points_by_target[name] for name in common_names])
+    _require_same_shape(network_points, declared_points, source_text)
     if recording.setup.curved:
         recording = _with_plumb_lines(recording, common_names, declared_points)
-    return _with_datum(recording, {name: points[name] for name in common_names}, source=source)
+    return _with_datum(recording, {name: points_by_target[name] for name in common_names}, source=source_text)
 
 
-def scale_of_declared_axes(adjustment: Adjustment) -> tuple[float, float] | None:
+def scale_error_of_declared_axes(adjustment: Adjustment) -> tuple[float, float] | None:
     """Scale error of the coordinates that define the axes of the workshop, and its standard deviation.
 
     The scale error is relative to the measured ranges. Both numbers follow from the residuals of the coordinates. None
     if the scale error is not significant.
     """
-    used_tests = [test for test in adjustment.axis_tests if not test.is_excluded and len(test.residual) == 3]
+    used_tests = [test for test in adjustment.axes_point_tests if not test.is_excluded and len(test.residual) == 3]
     if len(used_tests) < MIN_RIGID_POINTS:
         return None
     places = adjustment.state.target_points[[adjustment.recording.targets.index(test.name) for test in used_tests]]
@@ -75,7 +77,7 @@ def scale_of_declared_axes(adjustment: Adjustment) -> tuple[float, float] | None
     dof = residual.size - 7  # six motions and the scale
     variance = float(np.sum((residual - scale * column) ** 2)) / dof
     ratio = scale**2 * float(column @ column) / max(variance, np.finfo(float).tiny)
-    if special.fdtrc(1, dof, ratio) > SINGLE_LEVEL:
+    if special.fdtrc(1, dof, ratio) > SINGLE_TEST_LEVEL:
         return None
     return scale, float(np.sqrt(variance / (column @ column)))
 
@@ -99,7 +101,9 @@ def _with_plumb_lines(recording: Recording, names: Sequence[str], declared_point
     return recording.replace(setup=recording.setup.model_copy(update={"stations": stations}))
 
 
-def with_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: str) -> Recording:
+def with_axes_from_three_targets(
+    recording: Recording, origin_target: str, x_axis_target: str, xy_plane_target: str
+) -> Recording:
     """Recording in axes defined by three targets: the origin, one on the x axis, one in the plane of x and y.
 
     Raises
@@ -109,7 +113,7 @@ def with_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane:
     NetworkError
         When the recording cannot be adjusted.
     """
-    axis_names = (origin, x_axis, xy_plane)
+    axis_names = (origin_target, x_axis_target, xy_plane_target)
     for name in axis_names:
         if name not in recording.targets:
             raise RecordError(f"the axes name the target '{quoted_text(name)}', which was never measured")
@@ -123,10 +127,14 @@ def with_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane:
         raise RecordError(
             f"the targets {', '.join(axis_names)} of the axes lie on one line, expected three that do not"
         )
-    places = {origin: np.zeros(3), x_axis: np.array([distance, 0, 0]), xy_plane: np.array([cosine, sine, 0.0])}
-    datum_axes: dict[str, Axes] = {origin: "xyz", x_axis: "yz", xy_plane: "z"}
+    places = {
+        origin_target: np.zeros(3),
+        x_axis_target: np.array([distance, 0, 0]),
+        xy_plane_target: np.array([cosine, sine, 0.0]),
+    }
+    datum_axes: dict[str, Axes] = {origin_target: "xyz", x_axis_target: "yz", xy_plane_target: "z"}
     aligned = _with_datum(recording, places, datum_axes)
-    note = f"coordinates in the axes of {origin}, {x_axis} and {xy_plane}"
+    note = f"coordinates in the axes of {origin_target}, {x_axis_target} and {xy_plane_target}"
     return aligned.replace(notes=(*aligned.notes, note))
 
 
@@ -170,7 +178,7 @@ def _require_free_frame(recording: Recording, source: str | None = None) -> None
         raise RecordError(message, file=source)
 
 
-def _require_network_shape(network_points: Floats, declared_points: Floats, source: str) -> None:
+def _require_same_shape(network_points: Floats, declared_points: Floats, source: str) -> None:
     """Check that declared points (k, 3) [m] have the shape of the network; raises RecordError.
 
     Points are rejected if they are collinear, mirrored, in another scale, or far from the network points (k, 3).
@@ -201,8 +209,8 @@ def _require_network_shape(network_points: Floats, declared_points: Floats, sour
 
 def _with_datum(
     recording: Recording,
-    declared_places: Mapping[str, Floats],
-    axes_by_target: Mapping[str, Axes] = NO_AXES,
+    points_by_target: Mapping[str, Floats],
+    axes_by_target: Mapping[str, Axes] = ALL_AXES_IN_USE,
     source: str | None = None,
 ) -> Recording:
     """Recording whose datum is defined by the positions [m] of some targets.
@@ -210,7 +218,7 @@ def _with_datum(
     `axes_by_target` restricts the datum to some axes of a target; `source` is the name of the file of the positions.
     """
     targets = {name: setup.model_copy(update={"datum": False}) for name, setup in recording.setup.targets.items()}
-    for name, place in declared_places.items():
+    for name, place in points_by_target.items():
         x, y, z = (place / MILLIMETRE).tolist()
         update = {"approximate_mm": (x, y, z), "datum": True, "datum_axes": axes_by_target.get(name, "xyz")}
         targets[name] = targets.get(name, Target()).model_copy(update=update)

@@ -12,7 +12,7 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.frame import StationTargetPairs, alignment_distances
-from ltsim.adjustment.reference_tests import MAX_INCLINATION
+from ltsim.adjustment.reference_tests import MAX_HORIZONTAL_TO_VERTICAL_RATIO
 from ltsim.adjustment.significance import MAX_TRACKER_ERROR
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
@@ -42,7 +42,7 @@ tracker errors nor a single blunder cause as much.
 class IdentifiedBlunder:
     """Blunder that was identified in some pointings."""
 
-    effect: str
+    effect_name: str
     """Kind of the blunder: target-swap, wrong-unit, face-confusion or outlier."""
     rows: Ints
     """Indices of the pointings, (k,)."""
@@ -56,11 +56,11 @@ class IdentifiedBlunder:
     """Standard deviation of the size [m]; 0 if the network does not determine it."""
 
 
-CorrectedBlunder = tuple[IdentifiedBlunder, Floats, Ints]
+BlunderWithCorrection = tuple[IdentifiedBlunder, Floats, Ints]
 """Blunder, and the corrected readings (k, 3) [m, rad, rad] and targets (k,) of its k pointings."""
 
 
-def apply_corrections(recording: Recording, blunders: Sequence[CorrectedBlunder]) -> Recording:
+def apply_corrections(recording: Recording, blunders: Sequence[BlunderWithCorrection]) -> Recording:
     """Recording in which the readings and targets of blunders are corrected."""
     if not blunders:
         return recording
@@ -70,7 +70,7 @@ def apply_corrections(recording: Recording, blunders: Sequence[CorrectedBlunder]
     return recording.replace(readings=readings, target=target)
 
 
-def detect_blunders(adjustment: Adjustment) -> list[CorrectedBlunder]:
+def detect_blunders(adjustment: Adjustment) -> list[BlunderWithCorrection]:
     """Blunders that explain gross pointings of an adjustment: once corrected, the pointings agree with targets."""
     remaining, corrections = adjustment.is_gross_pointing.copy(), []
     for kind in (_swapped_targets, _wrong_heights, _unit_and_face_errors):
@@ -96,7 +96,7 @@ def _target_distances(adjustment: Adjustment, readings: Floats, rows: Ints) -> F
     return np.asarray(np.linalg.norm(_points_from_readings(adjustment, readings, rows) - goal, axis=1))
 
 
-def _swapped_targets(adjustment: Adjustment, is_gross: Bools) -> Iterator[CorrectedBlunder]:
+def _swapped_targets(adjustment: Adjustment, is_gross: Bools) -> Iterator[BlunderWithCorrection]:
     """Blunders of exchanged targets: two that were exchanged at a station, or one that was mistaken for another.
 
     `is_gross` (n,) flags the gross pointings; the same holds for the other kinds of blunders.
@@ -133,7 +133,7 @@ def _swapped_targets(adjustment: Adjustment, is_gross: Bools) -> Iterator[Correc
         yield finding, recording.readings[indices[members]], nearest_targets[members]
 
 
-def _wrong_heights(adjustment: Adjustment, is_gross: Bools) -> Iterator[CorrectedBlunder]:
+def _wrong_heights(adjustment: Adjustment, is_gross: Bools) -> Iterator[BlunderWithCorrection]:
     """Blunders of heights: pointings directly above or below their target."""
     recording = adjustment.recording
     indices = np.flatnonzero(is_gross & recording.is_measured.all(axis=1))
@@ -147,7 +147,7 @@ def _wrong_heights(adjustment: Adjustment, is_gross: Bools) -> Iterator[Correcte
     vertical_parts = np.einsum("ni,ni->n", point_deviations, plumb_lines)
     horizontal_parts = np.linalg.norm(point_deviations - vertical_parts[:, None] * plumb_lines, axis=1)
     is_vertical = horizontal_parts < np.minimum(
-        np.maximum(MAX_TRACKER_ERROR, MAX_INCLINATION * np.abs(vertical_parts)),
+        np.maximum(MAX_TRACKER_ERROR, MAX_HORIZONTAL_TO_VERTICAL_RATIO * np.abs(vertical_parts)),
         adjustment.sightings.range_[indices],
     )
     lift = np.zeros((len(recording), 3))
@@ -174,7 +174,7 @@ def _wrong_heights(adjustment: Adjustment, is_gross: Bools) -> Iterator[Correcte
         yield finding, new_readings[rows_], recording.target[rows_]
 
 
-def _unit_and_face_errors(adjustment: Adjustment, is_gross: Bools) -> Iterator[CorrectedBlunder]:
+def _unit_and_face_errors(adjustment: Adjustment, is_gross: Bools) -> Iterator[BlunderWithCorrection]:
     """Blunders of unit and face: pointings that agree with their target once the unit or face is corrected."""
     recording = adjustment.recording
     kinds = (WrongUnit.name, UNIT_ERRORS), (FaceConfusion.name, FACE_ERRORS)
@@ -207,7 +207,7 @@ def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
     findings: list[IdentifiedBlunder] = []
     suspects = np.flatnonzero(_cloud_misfits(recording) > MIN_CLOUD_MISFIT)
     if len(recording.stations) == 2:
-        return recording, _mirrored_pair(recording) if len(suspects) else findings
+        return recording, _mirror_image_blunders(recording) if len(suspects) else findings
     if len(suspects) > MAX_COMPARED_STATIONS:
         return recording, findings
     for s in suspects.tolist():
@@ -226,7 +226,7 @@ def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
     return recording, findings
 
 
-def _mirrored_pair(recording: Recording) -> list[IdentifiedBlunder]:
+def _mirror_image_blunders(recording: Recording) -> list[IdentifiedBlunder]:
     """Blunder of two stations that measured mirror images of each other; empty if they did not.
 
     One of the stations has clockwise azimuths, but the readings do not show which one.

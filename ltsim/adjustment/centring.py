@@ -13,7 +13,7 @@ from scipy import special
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.blunders import IdentifiedBlunder
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.adjustment.significance import GLOBAL_LEVEL, SINGLE_LEVEL
+from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL, SINGLE_TEST_LEVEL
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import MILLIMETRE
@@ -21,7 +21,7 @@ from ltsim.recordings.occupations import days_of_pointings
 from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import solve
 
-MAX_CENTRING_ERRORS = 6
+MAX_N_CENTRING_ERRORS = 6
 """Largest number of centring errors that are estimated. A network with more of them has to be measured again."""
 CENTRING_EFFECT_NAME = "target-moved"
 """Catalogue effect that represents a centring error: the equipment on a mark was displaced."""
@@ -62,7 +62,7 @@ class CentringErrors:
     """Names of the targets whose readings are weighted by their estimated noise."""
 
     @property
-    def sizes(self) -> list[tuple[float, float]]:
+    def shift_lengths_and_sigmas(self) -> list[tuple[float, float]]:
         """Length of each shift and its standard deviation, both in metres."""
         lengths = np.linalg.norm(self.shifts, axis=1)
         sigma = np.sqrt(np.einsum("ki,kij,kj->k", self.shifts, self.covariance, self.shifts)) / lengths
@@ -72,7 +72,9 @@ class CentringErrors:
     def descriptions(self) -> list[str]:
         """Descriptions of the centring errors: mark, role, day, size and components."""
         names = []
-        for occupation, value, (size, sigma) in zip(self.occupations, self.shifts, self.sizes, strict=True):
+        for occupation, value, (size, sigma) in zip(
+            self.occupations, self.shifts, self.shift_lengths_and_sigmas, strict=True
+        ):
             parts = ", ".join(f"{axis} {v / MILLIMETRE:+.1f}" for axis, v in zip("xyz", value, strict=False))
             size_text = with_sigma(size / MILLIMETRE, sigma / MILLIMETRE, "mm")
             names.append(f"{occupation.mark} as {occupation.role} on {occupation.day} by {size_text} ({parts})")
@@ -96,17 +98,17 @@ class CentringErrors:
         )
 
 
-def repeated_occupations(recording: Recording, station_marks: tuple[str, ...]) -> list[MarkOccupation]:
+def repeated_occupations(recording: Recording, station_mark_names: tuple[str, ...]) -> list[MarkOccupation]:
     """Occupations of all marks that were occupied on several days.
 
-    `station_marks` (S,) are the names of the marks under the S stations, empty for a station without a mark.
+    `station_mark_names` (S,) are the names of the marks under the S stations, empty for a station without a mark.
     """
     days = np.array(days_of_pointings(recording))
     if len(set(days.tolist())) < 2:
         return []
     all_occupations = []
-    from_mark, to_mark = np.array(station_marks)[recording.station], np.array(recording.targets)[recording.target]
-    for mark in dict.fromkeys(name for name in station_marks if name):
+    from_mark, to_mark = np.array(station_mark_names)[recording.station], np.array(recording.targets)[recording.target]
+    for mark in dict.fromkeys(name for name in station_mark_names if name):
         roles = (("instrument", from_mark == mark, -1.0), ("target", to_mark == mark, 1.0))
         mark_occupations = [
             MarkOccupation(mark, role, day, sign * (rows & (days == day)))
@@ -120,12 +122,12 @@ def repeated_occupations(recording: Recording, station_marks: tuple[str, ...]) -
 
 def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
     """Centring errors of a network; None if there are none, or if the global test passes without them."""
-    if not adjustment.solution.has_converged or adjustment.dof < 1 or adjustment.p_value > GLOBAL_LEVEL:
+    if not adjustment.solution.has_converged or adjustment.dof < 1 or adjustment.p_value > GLOBAL_TEST_LEVEL:
         return None
     candidates = repeated_occupations(adjustment.recording, adjustment.problem.marks.mark_names)
     if not candidates:
         return None
-    noisy = tuple(adjustment.recording.targets[t] for t in adjustment.noisy_targets[0])
+    noisy = tuple(adjustment.recording.targets[t] for t in adjustment.noisy_targets_and_scatter[0])
     adjustment = _with_noise_by_target(adjustment)
     chi2, dof = adjustment.chi2, adjustment.dof
     space = whole = ResidualSpace.from_adjustment(adjustment)
@@ -138,12 +140,16 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
         for i, occupation in enumerate(candidates)
     }
     occupations: list[int] = []
-    while len(occupations) < min(MAX_CENTRING_ERRORS, len(candidates)):
+    while len(occupations) < min(MAX_N_CENTRING_ERRORS, len(candidates)):
         chi2_drops = {i: space.chi2_drop(shift) for i, shift in shifts.items() if i not in occupations}
         best = max(chi2_drops, key=lambda i: chi2_drops[i])
         drop, rank = chi2_drops[best]
         ratio = (drop / max(rank, 1)) / max((chi2 - drop) / max(dof - rank, 1), 1e-30)
-        if rank < axes or dof <= rank or not special.fdtrc(rank, dof - rank, ratio) * len(candidates) < SINGLE_LEVEL:
+        if (
+            rank < axes
+            or dof <= rank
+            or not special.fdtrc(rank, dof - rank, ratio) * len(candidates) < SINGLE_TEST_LEVEL
+        ):
             break
         if np.linalg.norm(np.linalg.lstsq(space.project(shifts[best]), space.residuals)[0]) < height_sigma:
             break
@@ -180,7 +186,7 @@ def correct_centring(adjustment: Adjustment) -> tuple[Recording, list[Identified
     for occupation, value, (size, sigma), named in zip(
         centring_errors.occupations,
         centring_errors.shifts,
-        centring_errors.sizes,
+        centring_errors.shift_lengths_and_sigmas,
         centring_errors.descriptions,
         strict=True,
     ):
@@ -203,7 +209,7 @@ def correct_centring(adjustment: Adjustment) -> tuple[Recording, list[Identified
 
 def _with_noise_by_target(adjustment: Adjustment) -> Adjustment:
     """Adjustment in which the readings of noisy targets are weighted by their observed noise."""
-    named, noisy_scatter, rest = adjustment.noisy_targets
+    named, noisy_scatter, rest = adjustment.noisy_targets_and_scatter
     if not len(named):
         return adjustment
     factors = np.where(np.isin(adjustment.recording.target, named), noisy_scatter / rest, 1.0)

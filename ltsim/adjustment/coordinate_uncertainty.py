@@ -18,7 +18,7 @@ from ltsim.recordings.air import AirUncertainty
 from ltsim.recordings.coordinates import AXIS_NAMES, covariance_text
 from ltsim.solve.design import ROWS_PER_PIECE, DesignMatrix, to_dense, weight_rows
 
-COVARIANCE_FILE = "targets.covariance.csv"
+COVARIANCE_FILE_NAME = "targets.covariance.csv"
 """Name of the file with the joint covariance of the coordinates in `targets.csv`."""
 MAX_TARGETS_IN_FILE = 400
 """Largest number of targets with a joint covariance in a file. The file grows with the square of the number and has 20
@@ -38,21 +38,25 @@ def joint_covariance(adjustment: Adjustment) -> Floats:
     return 0.5 * (covariance + covariance.T)
 
 
-def covariance_csv(
-    adjustment: Adjustment, spread: Floats | None = None, *, factor: float = 1.0, added_covariance: Floats | None = None
+def covariance_csv_text(
+    adjustment: Adjustment,
+    shared_displacements: Floats | None = None,
+    *,
+    sigma_factor: float = 1.0,
+    added_covariance: Floats | None = None,
 ) -> str | None:
     """Content of `targets.covariance.csv`; None for more than `MAX_TARGETS_IN_FILE` targets.
 
-    `spread` (k, T, 3) [m] contains the displacements of T targets by one standard deviation of each of k errors that
-    the targets share. `factor` multiplies the standard deviations due to the readings. `added_covariance` (3 T, 3 T)
-    [m^2] is added.
+    `shared_displacements` (k, T, 3) [m] contains the displacements of T targets by one standard deviation of each of k
+    errors that the targets share. `sigma_factor` multiplies the standard deviations due to the readings.
+    `added_covariance` (3 T, 3 T) [m^2] is added.
     """
     names = adjustment.recording.targets
     if len(names) > MAX_TARGETS_IN_FILE:
         return None
-    covariance = factor**2 * joint_covariance(adjustment)
-    if spread is not None:
-        errors = spread.reshape(len(spread), -1)
+    covariance = sigma_factor**2 * joint_covariance(adjustment)
+    if shared_displacements is not None:
+        errors = shared_displacements.reshape(len(shared_displacements), -1)
         covariance = covariance + errors.T @ errors
     if added_covariance is not None:
         covariance = covariance + added_covariance
@@ -65,15 +69,15 @@ def covariance_csv(
     )
 
 
-TEMPERATURE_ERROR = "temperature of the air"
+TEMPERATURE_ERROR_NAME = "temperature of the air"
 """Name of the error of the air's temperature in a budget."""
-GRADIENT_ERROR = "gradient of the air"
+GRADIENT_ERROR_NAME = "gradient of the air"
 """Name of the error of the air's vertical gradient in a budget."""
-TURBULENCE_ERROR = "turbulence"
+TURBULENCE_ERROR_NAME = "turbulence"
 """Name of the error by turbulence in a budget."""
 
 
-def displacement_per_row(adjustment: Adjustment, columns: Ints) -> Floats:
+def displacement_per_observation(adjustment: Adjustment, columns: Ints) -> Floats:
     """Displacements (m, k) of k unknowns by a unit change of each of the m whitened observations.
 
     `columns` (k,) are the columns of the unknowns in the design matrix.
@@ -91,55 +95,58 @@ def _covariance_columns(adjustment: Adjustment, columns: Ints) -> Floats:
     return np.asarray(spread)
 
 
-def relevant_air(adjustment: Adjustment, air: AirUncertainty | None = None) -> AirUncertainty | None:
+def relevant_air_uncertainty(
+    adjustment: Adjustment, air_uncertainty: AirUncertainty | None = None
+) -> AirUncertainty | None:
     """Uncertainty of the air, by default that of the set-up; None if the ranges are too short for an influence."""
-    declared_air = air or adjustment.recording.setup.air or AirUncertainty()
-    is_used = adjustment.problem.used_readings.any(axis=1)
+    declared_air = air_uncertainty or adjustment.recording.setup.air or AirUncertainty()
+    is_used = adjustment.problem.is_used_reading.any(axis=1)
     return declared_air if declared_air.is_relevant(longest_range(adjustment)) and is_used.any() else None
 
 
 def longest_range(adjustment: Adjustment) -> float:
     """Longest range [m] of a reading in use."""
-    return float(np.max(adjustment.sightings.range_, where=adjustment.problem.used_readings.any(axis=1), initial=0.0))
+    return float(np.max(adjustment.sightings.range_, where=adjustment.problem.is_used_reading.any(axis=1), initial=0.0))
 
 
-def displacements_by_air(
-    adjustment: Adjustment, displacement_per_row: Floats, air: AirUncertainty
+def displacements_by_air_error(
+    adjustment: Adjustment, displacement_per_observation: Floats, air: AirUncertainty
 ) -> dict[str, Floats]:
     """Displacements (k, q) of k unknowns by one standard deviation of each of q independent air errors, by cause.
 
     The independent errors are a temperature and a gradient of each station, and a turbulence of each reading.
-    `displacement_per_row` (m, k) contains the displacements of these unknowns by each of m whitened observations.
+    `displacement_per_observation` (m, k) contains the displacements of these unknowns by each of m whitened
+    observations.
     """
-    readings = displacement_per_row[: int(adjustment.problem.used_readings.sum())].T
-    common, station = _temperature_and_gradient_shifts(adjustment, air)
+    readings = displacement_per_observation[: int(adjustment.problem.is_used_reading.sum())].T
+    common, station = _reading_shifts_by_shared_air_errors(adjustment, air)
     by_station = [
         np.stack([readings[:, station == s] @ shift[station == s] for s in np.unique(station)], axis=-1)
         for shift in common
     ]
-    responses = dict(zip((TEMPERATURE_ERROR, GRADIENT_ERROR), by_station, strict=True))
-    responses[TURBULENCE_ERROR] = readings * _turbulence_shifts(adjustment, air)
+    responses = dict(zip((TEMPERATURE_ERROR_NAME, GRADIENT_ERROR_NAME), by_station, strict=True))
+    responses[TURBULENCE_ERROR_NAME] = readings * _turbulence_sigma_ratios(adjustment, air)
     return {name: response for name, response in responses.items() if np.any(response)}
 
 
-def _temperature_and_gradient_shifts(adjustment: Adjustment, air: AirUncertainty) -> tuple[Floats, Ints]:
+def _reading_shifts_by_shared_air_errors(adjustment: Adjustment, air: AirUncertainty) -> tuple[Floats, Ints]:
     """Shifts (2, r) of the r readings in use by errors of temperature and gradient, and the station (r,) of each.
 
     The errors have the size of one standard deviation. The shifts are in standard deviations of the readings.
     """
-    rows, columns = np.nonzero(adjustment.problem.used_readings)
+    rows, columns = np.nonzero(adjustment.problem.is_used_reading)
     errors = reading_changes_per_sigma(air, adjustment.sightings)[rows, columns]
     return (errors / adjustment.problem.sigma[rows, columns][:, None]).T, adjustment.recording.station[rows]
 
 
-def _turbulence_shifts(adjustment: Adjustment, air: AirUncertainty) -> Floats:
+def _turbulence_sigma_ratios(adjustment: Adjustment, air: AirUncertainty) -> Floats:
     """Standard deviations (r,) of the r readings in use due to turbulence, divided by the declared ones."""
-    rows, columns = np.nonzero(adjustment.problem.used_readings)
+    rows, columns = np.nonzero(adjustment.problem.is_used_reading)
     variance = turbulence_variance(air, adjustment.sightings)[rows, columns]
     return np.asarray(np.sqrt(variance) / adjustment.problem.sigma[rows, columns])
 
 
-def shared_air_errors(air: AirUncertainty) -> tuple[str, str]:
+def shared_air_error_names(air: AirUncertainty) -> tuple[str, str]:
     """Names of the two errors of the air that all stations share: temperature and vertical gradient.
 
     Poses and targets absorb these errors, so that residuals do not show them.
@@ -151,12 +158,12 @@ def shared_air_errors(air: AirUncertainty) -> tuple[str, str]:
     )
 
 
-def displacements_by_shared_air(
-    adjustment: Adjustment, displacement_per_row: Floats, air: AirUncertainty
+def displacements_by_shared_air_error(
+    adjustment: Adjustment, displacement_per_observation: Floats, air: AirUncertainty
 ) -> dict[str, Floats]:
-    """Displacements (k,) of k unknowns by one standard deviation of each of the `shared_air_errors`, by name."""
-    shifts, _ = _temperature_and_gradient_shifts(adjustment, air)
-    return dict(zip(shared_air_errors(air), shifts @ displacement_per_row[: shifts.shape[1]], strict=True))
+    """Displacements (k,) of k unknowns by one standard deviation of each of the `shared_air_error_names`, by name."""
+    shifts, _ = _reading_shifts_by_shared_air_errors(adjustment, air)
+    return dict(zip(shared_air_error_names(air), shifts @ displacement_per_observation[: shifts.shape[1]], strict=True))
 
 
 def air_covariance(adjustment: Adjustment, columns: Ints, air: AirUncertainty | None = None) -> Floats:
@@ -165,7 +172,7 @@ def air_covariance(adjustment: Adjustment, columns: Ints, air: AirUncertainty | 
     `columns` (c, k) are the columns of the unknowns in the design matrix A. With the covariance C of the unknowns and
     the covariance S of the whitened observations due to the air, the result is C A' S A C.
     """
-    counted, size = relevant_air(adjustment, air), columns.shape[1]
+    counted, size = relevant_air_uncertainty(adjustment, air), columns.shape[1]
     added_covariance = np.zeros((*columns.shape, size))
     if counted is None:
         return added_covariance
@@ -188,8 +195,8 @@ def _air_right_hand_sides(adjustment: Adjustment, air: AirUncertainty) -> tuple[
     s are the shifts of the whitened observations by temperature and gradient of each station, S is their covariance due
     to turbulence, A the design matrix of u unknowns.
     """
-    common, station = _temperature_and_gradient_shifts(adjustment, air)
-    turbulence, design = _turbulence_shifts(adjustment, air), adjustment.solution.system.design[: len(station)]
+    common, station = _reading_shifts_by_shared_air_errors(adjustment, air)
+    turbulence, design = _turbulence_sigma_ratios(adjustment, air), adjustment.solution.system.design[: len(station)]
     stations, place = np.unique(station, return_inverse=True)
     columns, rows = np.stack([place, len(stations) + place]).ravel(), np.tile(np.arange(len(station)), 2)
     shifts = sp.csr_array((common.ravel(), (rows, columns)), (len(station), 2 * len(stations)))
@@ -201,23 +208,27 @@ def _air_right_hand_sides(adjustment: Adjustment, air: AirUncertainty) -> tuple[
     return to_dense(design.T @ shifts), sum(normal_matrix_parts)
 
 
-def joint_air_covariance(adjustment: Adjustment, air: AirUncertainty | None = None) -> Floats:
+def joint_covariance_due_to_air(adjustment: Adjustment, air: AirUncertainty | None = None) -> Floats:
     """Joint covariance (3 T, 3 T) [m^2] of the T targets due to the air; zero for short ranges."""
     columns = adjustment.problem.unknowns.target_columns.reshape(1, -1)
     return air_covariance(adjustment, columns, air)[0]
 
 
-def hidden_displacements(adjustment: Adjustment, air: AirUncertainty | None = None) -> dict[str, float]:
-    """Rms displacements [m] of the targets by one standard deviation of each of the `shared_air_errors`, by name.
+def rms_displacements_by_shared_air_error(
+    adjustment: Adjustment, air: AirUncertainty | None = None
+) -> dict[str, float]:
+    """Rms displacements [m] of the targets by one standard deviation of each of the `shared_air_error_names`, by name.
 
     A best rigid motion of the targets is removed. Residuals do not show these errors, so that no adjustment reports
     them.
     """
     chosen = air or adjustment.recording.setup.air or AirUncertainty()
-    targets = np.flatnonzero(~adjustment.problem.structure.is_unmeasured_target & ~adjustment.undetermined_heights)
+    targets = np.flatnonzero(
+        ~adjustment.problem.undetermined_unknowns.is_unmeasured_target & ~adjustment.is_height_undetermined
+    )
     columns, (shifts, _) = (
         adjustment.problem.unknowns.target_columns[targets].ravel(),
-        _temperature_and_gradient_shifts(adjustment, chosen),
+        _reading_shifts_by_shared_air_errors(adjustment, chosen),
     )
     normal_side = np.asarray(adjustment.solution.system.design[: shifts.shape[1]].T @ shifts.T)
     displacements = adjustment.factorised_normals.covariance_columns(normal_side)
@@ -227,7 +238,7 @@ def hidden_displacements(adjustment: Adjustment, air: AirUncertainty | None = No
         )
     motion = rigid_motion_design(adjustment.state.target_points[targets])
     size_by_target = {}
-    for name, response in zip(shared_air_errors(chosen), displacements[columns].T, strict=True):
+    for name, response in zip(shared_air_error_names(chosen), displacements[columns].T, strict=True):
         rest = response - motion @ np.linalg.lstsq(motion, response, rcond=None)[0]
         size_by_target[name] = float(np.sqrt(3.0 * np.mean(rest**2))) if len(rest) else 0.0
     return size_by_target

@@ -16,7 +16,7 @@ from ltsim.adjustment.problem import NetworkProblem
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, unknown_name
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.rigid import from_rotation_vector, rigid_motion_design
+from ltsim.geometry.rigid import matrix_from_rotation_vector, rigid_motion_design
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.design import NORMAL_RANK_TOLERANCE, scale_to_unit_diagonal
 from ltsim.solve.elimination import BlockFactor
@@ -80,14 +80,14 @@ def move_to_datum(problem: NetworkProblem, state: NetworkState, names: Sequence[
         if not has_goal.any():
             break
         centre = tied.points[has_goal.any(axis=1)].mean(axis=0)
-        free, grown = motions_about_centre(problem.free_motions, centre), _scale_displacement(problem)
+        free, grown = motions_about_centre(problem.free_motions, centre), _scale_displacement_function(problem)
         motion = np.hstack([rigid_motion_design(tied.points, centre) @ free, grown(tied.points - centre)])[
             has_goal.ravel()
         ]
         gap = (tied.approximate_points - tied.points)[has_goal]
         amount = np.linalg.lstsq(motion, gap, rcond=1e-9)[0]
         shift, turn = (free @ amount[: free.shape[1]]).reshape(2, 3)
-        rotation, more = from_rotation_vector(turn), amount[free.shape[1] :]
+        rotation, more = matrix_from_rotation_vector(turn), amount[free.shape[1] :]
         position, points = (
             arm @ rotation.T + (grown(arm) @ more).reshape(-1, 3) + centre + shift
             for arm in (state.station_positions - centre, state.target_points - centre)
@@ -128,21 +128,23 @@ class InnerDatum:
     """Names of the datum points."""
 
     @classmethod
-    def from_columns(cls, motion: Floats, columns: Ints, multiply_covariance: Callable[[Floats], Floats]) -> InnerDatum:
+    def from_columns(
+        cls, free_motions: Floats, columns: Ints, multiply_covariance: Callable[[Floats], Floats]
+    ) -> InnerDatum:
         """Datum in which the unknowns `columns` fix the free motions.
 
-        `motion` (u, f) contains the changes of all u unknowns by the f motions. `multiply_covariance` multiplies a
-        matrix from the left by the covariance (u, u) of the unknowns. Raises ModelError if these unknowns do not fix
+        `free_motions` (u, f) contains the changes of all u unknowns by the f motions. `multiply_covariance` multiplies
+        a matrix from the left by the covariance (u, u) of the unknowns. Raises ModelError if these unknowns do not fix
         the motions.
         """
-        constraints = np.zeros_like(motion)
-        constraints[columns.ravel()] = motion[columns.ravel()]
-        square = constraints.T @ motion
+        constraints = np.zeros_like(free_motions)
+        constraints[columns.ravel()] = free_motions[columns.ravel()]
+        square = constraints.T @ free_motions
         if not np.linalg.eigvalsh(scale_to_unit_diagonal(square, np.diag(square))[0])[0] > NORMAL_RANK_TOLERANCE:
             raise ModelError("these targets do not define a datum: choose at least three that are not on one line")
         inverse = np.linalg.inv(square)
         response = multiply_covariance(constraints)
-        return cls(motion, response @ inverse.T, inverse @ (constraints.T @ response) @ inverse.T)
+        return cls(free_motions, response @ inverse.T, inverse @ (constraints.T @ response) @ inverse.T)
 
     @classmethod
     def from_points(
@@ -156,8 +158,8 @@ class InnerDatum:
             return None
         tied, unknowns = DatumPoints.from_names(problem, state, names), problem.unknowns
         centre = tied.points.mean(axis=0)
-        free, grown = motions_about_centre(problem.free_motions, centre), _scale_displacement(problem)
-        turn = np.hstack([free[3:], np.zeros((3, len(problem.structure.scale_target)))])
+        free, grown = motions_about_centre(problem.free_motions, centre), _scale_displacement_function(problem)
+        turn = np.hstack([free[3:], np.zeros((3, len(problem.undetermined_unknowns.scale_target)))])
         motion = np.zeros((unknowns.n_columns, turn.shape[1]))
         motion[unknowns.pose_columns[:, 3:].ravel()] = np.tile(turn, (len(unknowns.pose_columns), 1))
         for columns, places in (
@@ -181,14 +183,14 @@ class InnerDatum:
         return transformed
 
 
-def _scale_displacement(problem: NetworkProblem) -> Callable[[Floats], Floats]:
+def _scale_displacement_function(problem: NetworkProblem) -> Callable[[Floats], Floats]:
     """Function for the displacements of k places by a unit change of scale, from their vectors (k, 3) from the centre.
 
     The displacements have shape (3 k, 1), or (3 k, 0) if the observations determine the scale. Heights of a network in
     plan do not change.
     """
-    axes = np.array([1.0, 1.0, float(problem.used_readings[:, 2].any())])
-    return lambda arm: np.tile((arm * axes).reshape(-1, 1), (1, len(problem.structure.scale_target)))
+    axes = np.array([1.0, 1.0, float(problem.is_used_reading[:, 2].any())])
+    return lambda arm: np.tile((arm * axes).reshape(-1, 1), (1, len(problem.undetermined_unknowns.scale_target)))
 
 
 def motions_about_centre(free_motions: Floats, centre: Floats) -> Floats:

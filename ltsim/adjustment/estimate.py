@@ -17,13 +17,18 @@ from ltsim.adjustment.reference_tests import TESTED_REFERENCE_KINDS, ReferenceTe
 from ltsim.adjustment.reference_values import ReferenceKind
 from ltsim.adjustment.reliability import noise_factor
 from ltsim.adjustment.significance import (
-    FAMILY_LEVEL,
+    FAMILY_WISE_LEVEL,
     MAX_TRACKER_ERROR,
     MIN_CLEAR_SIGMAS,
     MIN_FAULTY_FRACTION_OF_PLACE,
     MIN_MISFIT_RATIO,
 )
-from ltsim.adjustment.snooping import drop_undetermined, screen_gross_errors, snoop_readings, without_copied_rows
+from ltsim.adjustment.snooping import (
+    drop_undetermined_targets,
+    screen_gross_errors,
+    snoop_readings,
+    without_copied_rows,
+)
 from ltsim.adjustment.stochastic_model import NoiseGrouping, VarianceComponent, estimate_variance_components
 from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.core.arrays import Bools, Floats
@@ -50,12 +55,12 @@ def adjust(
     sigma: Floats | None = None,
     reading_mask: Bools | None = None,
     start_state: NetworkState | None = None,
-    datum: Sequence[str] | None = None,
+    datum_names: Sequence[str] | None = None,
     robust: bool = False,
-    variance_components: NoiseGrouping | None = None,
+    noise_grouping: NoiseGrouping | None = None,
     effect_prior_sigma: float = WEAK_PRIOR_FACTOR,
     prior: ParameterPrior | None = None,
-    tested_kinds: Collection[ReferenceKind] = TESTED_REFERENCE_KINDS,
+    tested_reference_kinds: Collection[ReferenceKind] = TESTED_REFERENCE_KINDS,
 ) -> Adjustment:
     """Network adjustment: targets, poses, and the parameters of `construction` and `effects`.
 
@@ -73,18 +78,18 @@ def adjust(
     start_state : NetworkState, optional
         State from which the adjustment starts; default from the recording alone. With a start state no pointing is
         rejected before the adjustment.
-    datum : sequence of str, optional
+    datum_names : sequence of str, optional
         Targets that define the datum by inner constraints; default those that the set-up selects.
     robust : bool
         Reject outliers by reweighting and data snooping. Each rejected reading is tested again at the end.
-    variance_components : str, optional
+    noise_grouping : str, optional
         Estimate the noise of each ``observable``, or of each observable of each ``instrument``, and of the levels.
     effect_prior_sigma : float
         Standard deviation of a prior on each parameter of `effects`, in units of its plausible size. It limits
         parameters that the readings hardly determine.
     prior : ParameterPrior, optional
         Prior of the instrument parameters; default that of the set-up.
-    tested_kinds : collection of str
+    tested_reference_kinds : collection of str
         Kinds of reference values that are excluded if they contradict the other observations; none is excluded with a
         `start_state`.
 
@@ -102,7 +107,7 @@ def adjust(
         have several radii and no observation fixes the frame of the normals of their nests, or when there are more than
         `MAX_ADJUSTED_POINTINGS` pointings.
     ModelError
-        When `datum` contains an unknown target or too few targets.
+        When `datum_names` contains an unknown target or too few targets.
     """
     recording.require_at_most(MAX_ADJUSTED_POINTINGS, "an adjustment")
     built = construction or ideal_construction()
@@ -130,12 +135,14 @@ def adjust(
         start_state,
         station_positions=whole.marks.positions_on_marks(start_state.station_positions, start_state.target_points),
     )
-    whole = drop_undetermined(whole, start_state)
+    whole = drop_undetermined_targets(whole, start_state)
     wrong: tuple[ReferenceTest, ...] = ()
     if needs_start and not (robust and whole.has_no_references):
-        sound = replace(whole, used_readings=whole.used_readings & ~gross[:, None]) if robust and gross.any() else whole
+        sound = (
+            replace(whole, is_used_reading=whole.is_used_reading & ~gross[:, None]) if robust and gross.any() else whole
+        )
         tested, tested_state = sound.with_instrument_constants(start_state)
-        problem, solution, wrong = snoop_references(tested, solve(tested, tested_state), tested_kinds)
+        problem, solution, wrong = snoop_references(tested, solve(tested, tested_state), tested_reference_kinds)
         if tested is not sound:
             problem = (
                 sound.with_model(replace(measurement_model, recording=problem.model.recording)) if wrong else sound
@@ -148,14 +155,14 @@ def adjust(
     if robust or not needs_start:
         problem, solution = find(whole, start_state)
     components: tuple[VarianceComponent, ...] = ()
-    if variance_components is not None:
+    if noise_grouping is not None:
         problem, solution, components = estimate_variance_components(
-            problem, solution, variance_components, find, whole.used_readings
+            problem, solution, noise_grouping, find, whole.is_used_reading
         )
     unconnected = tuple(recording.targets[i] for i in np.flatnonzero(lost))
-    gross &= ~problem.used_readings.any(axis=1)
-    adjustment = Adjustment(problem, solution, gross, components, unconnected, wrong, duplicate_rows=n_copied_rows)
-    return _transform_to_datum(adjustment, datum)
+    gross &= ~problem.is_used_reading.any(axis=1)
+    adjustment = Adjustment(problem, solution, gross, components, unconnected, wrong, n_duplicate_rows=n_copied_rows)
+    return _transform_to_datum(adjustment, datum_names)
 
 
 def _require_unoccupied_targets(recording: Recording) -> None:
@@ -220,9 +227,12 @@ def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | Non
     if not names or solution.factor is None or not problem.free_motions.shape[1]:
         return adjustment
     if adjustment.recording.setup.axes and datum_names is None and len(names) >= MIN_RIGID_POINTS:
-        fitted, tests = fit_axes(adjustment, names)
+        fitted, tests = select_axes_points(adjustment, names)
         problem = replace(problem, model=replace(problem.model, recording=fitted))
-        adjustment, names = replace(adjustment, problem=problem, axis_tests=tests), list(selected_datum_names(problem))
+        adjustment, names = (
+            replace(adjustment, problem=problem, axes_point_tests=tests),
+            list(selected_datum_names(problem)),
+        )
     state, turned = move_to_datum(problem, solution.x, names)
     solution = replace(solution, x=state)
     if turned > MAX_ROUNDING_ERROR:  # The factor belongs to the frame it was computed in.
@@ -232,7 +242,7 @@ def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | Non
     return replace(adjustment, solution=solution, datum=datum)
 
 
-def fit_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, tuple[ReferenceTest, ...]]:
+def select_axes_points(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, tuple[ReferenceTest, ...]]:
     """Recording whose datum consists of the points that agree about the axes, and the test of each point.
 
     Each point is tested against the other points: its misclosure in their axes is compared with the uncertainty of the
@@ -250,7 +260,7 @@ def fit_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, t
     use |= use.sum() <= len(names) / 2
     factor = noise_factor(adjustment.problem, adjustment.solution)
     for _ in range(2 * len(names)):
-        tests = _axes_tests(adjustment, names, declared_points, use, factor)
+        tests = _axes_point_tests(adjustment, names, declared_points, use, factor)
         ratio = np.array([test.normalised_error / test.critical_value for test in tests])
         if (~use & (ratio <= 1.0)).any():
             k = int(np.argmin(np.where(use, np.inf, ratio)))
@@ -269,7 +279,7 @@ def fit_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, t
     return recording.replace(setup=recording.setup.model_copy(update={"targets": targets})), tuple(tests)
 
 
-def _axes_tests(
+def _axes_point_tests(
     adjustment: Adjustment, names: Sequence[str], declared_points: Floats, used_mask: Bools, factor: float
 ) -> list[ReferenceTest]:
     """Tests of k points with declared coordinates (k, 3) [m], each against the points that `used_mask` (k,) flags.
@@ -289,34 +299,36 @@ def _axes_tests(
     leverages = motion @ np.linalg.inv(np.linalg.qr(motion[used_mask].reshape(-1, motion.shape[2]))[1])
     hat_blocks = leverages @ np.swapaxes(leverages, 1, 2)
     square = float(np.sum(gap[used_mask] ** 2)) - float(np.trace(covariance[used_mask].sum(axis=0)))
-    test_values = square, 3 * int(used_mask.sum()) - motion.shape[2], FAMILY_LEVEL / len(names)
+    test_values = square, 3 * int(used_mask.sum()) - motion.shape[2], FAMILY_WISE_LEVEL / len(names)
     return [
-        _axis_point_test(name, gap[k], covariance[k], hat_blocks[k], is_used=bool(used_mask[k]), scatter=test_values)
+        _axes_point_test(
+            name, gap[k], covariance[k], hat_blocks[k], is_used=bool(used_mask[k]), scatter_dof_and_level=test_values
+        )
         for k, name in enumerate(names)
     ]
 
 
-def _axis_point_test(
-    name: str,
+def _axes_point_test(
+    target_name: str,
     misclosure: Floats,
     covariance: Floats,
     hat_block: Floats,
     *,
     is_used: bool,
-    scatter: tuple[float, int, float],
+    scatter_dof_and_level: tuple[float, int, float],
 ) -> ReferenceTest:
     """Test of one of the points that define the axes.
 
     `misclosure` (3,) [m] is declared minus adjusted coordinates, `covariance` (3, 3) that of the adjusted point.
     `hat_block` (3, 3) is the block of the hat matrix of the alignment for this point. The residual of a point in use is
-    R = 1 - `hat_block` times its error; that of another point is its full error. `scatter` contains the sum of squared
-    misclosures of the points in use, its degrees of freedom, and the significance level of this test.
+    R = 1 - `hat_block` times its error; that of another point is its full error. `scatter_dof_and_level` contains the
+    sum of squared misclosures of the points in use, its degrees of freedom, and the significance level of this test.
     """
     share, turned = np.linalg.eigh(np.eye(3) - hat_block if is_used else np.eye(3) + hat_block)
     is_checked = share > MAX_SOLUTION_ROUNDING_ERROR
     turned, share = turned[:, is_checked], share[is_checked]
     redundancy = share if is_used else np.ones(len(share))
-    square, dof, level = scatter
+    square, dof, level = scatter_dof_and_level
     error = turned.T @ misclosure / redundancy
     if is_used:
         square, dof = square - float(share @ error**2) + float(np.trace(covariance)), dof - len(share)
@@ -326,7 +338,7 @@ def _axis_point_test(
     limit = len(share) * special.fdtri(len(share), max(dof, 1), 1.0 - level)
     return ReferenceTest(
         kind="axes",
-        name=name,
+        name=target_name,
         declared_components="xyz",
         sigma=np.sqrt(np.diag(covariance) + variance_factor),
         residual=misclosure,

@@ -12,11 +12,11 @@ from itertools import product
 
 import numpy as np
 
-from ltsim.adjustment.sight import FitReadings
+from ltsim.adjustment.fit_readings import FitReadings
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rigid import cross_matrix, from_rotation_vector, rotation_about_z
+from ltsim.geometry.rigid import cross_matrix, matrix_from_rotation_vector, rotation_about_z
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 MAX_SOLUTION_DISTANCE = 1e-3
@@ -31,9 +31,9 @@ MAX_STARTS = 400
 """Largest number of start values of a point (computing time)."""
 EIGHT_AZIMUTHS = np.arange(8) * np.pi / 4
 """Azimuths [rad] of eight directions, evenly spaced."""
-START_COORDINATES = np.geomspace(0.3, 300.0, 12), EIGHT_AZIMUTHS, np.array([-1.0, -0.3, 0.3, 1.0])
+START_COORDINATE_GRIDS = np.geomspace(0.3, 300.0, 12), EIGHT_AZIMUTHS, np.array([-1.0, -0.3, 0.3, 1.0])
 """Grids of start values for unmeasured coordinates of a point: range [m], azimuth, elevation [rad]."""
-MIN_RANGE_TARGETS = 10
+MIN_TARGETS_OF_RANGE_NETWORK = 10
 """Smallest number of targets for a network of ranges only: their differences determine nine coefficients of a frame."""
 
 ResidualFunction = Callable[[Floats, Floats], tuple[Floats, Floats]]
@@ -43,7 +43,7 @@ residuals (b, m) of m readings and their derivatives (b, m, q) with respect to t
 
 
 def fit_pose(
-    sight: FitReadings, points: Floats, *, is_levelled: bool = False, position: Floats | None = None
+    fit_readings: FitReadings, points: Floats, *, is_levelled: bool = False, position: Floats | None = None
 ) -> tuple[Floats, Floats] | None:
     """Position (3,) [m] and rotation (3, 3) of a station that measured known points; None if they are not unique.
 
@@ -56,14 +56,14 @@ def fit_pose(
     position : (3,) float, optional, [m]
         Position of the station, if known.
     """
-    rows, sight = sight.thin_rows()
-    points = points[rows] + sight.sight_vector_offsets
-    azimuth, elevation = (bool(np.isfinite(sight.readings[:, i]).any()) for i in (1, 2))
+    rows, fit_readings = fit_readings.thin_rows()
+    points = points[rows] + fit_readings.sight_vector_offsets
+    azimuth, elevation = (bool(np.isfinite(fit_readings.readings[:, i]).any()) for i in (1, 2))
     is_tilted = not is_levelled and (azimuth or elevation)
-    slope = bool(np.isfinite(sight.readings[~sight.is_horizontal, 0]).any())
+    slope = bool(np.isfinite(fit_readings.readings[~fit_readings.is_horizontal, 0]).any())
     height_free = position is None and (slope or elevation or not is_levelled)
     is_free = np.array([position is None] * 2 + [height_free] + [is_tilted] * 2 + [azimuth])
-    if sight.n_readings < is_free.sum():
+    if fit_readings.n_readings < is_free.sum():
         return None
     places = _candidate_positions(points) if position is None else position[None]
     turns = _candidate_rotations(not is_tilted) if azimuth or is_tilted else np.eye(3)[None]
@@ -71,35 +71,35 @@ def fit_pose(
 
     def evaluate(x: Floats, rotation: Floats) -> tuple[Floats, Floats]:
         arm = points[None] - x[:, None]
-        gap, by_local = sight.residuals(arm @ rotation)
+        gap, by_local = fit_readings.residuals(arm @ rotation)
         turned = by_local @ np.swapaxes(rotation, 1, 2)
         by_turn = (turned.reshape(len(x), -1, 3, 3) @ cross_matrix(arm)).reshape(len(x), -1, 3)
         return gap, np.concatenate([-turned, by_turn], axis=2)[:, :, is_free]
 
     starts = np.repeat(places, len(turns), axis=0), np.tile(turns, (len(places), 1, 1))
-    return _unique_solution(sight.n_readings, points, _iterate_best_starts(evaluate, is_free, *starts))
+    return _unique_solution(fit_readings.n_readings, points, _iterate_best_starts(evaluate, is_free, *starts))
 
 
-def fit_point(sight: FitReadings, position: Floats, rotation: Floats) -> Floats | None:
+def fit_point(fit_readings: FitReadings, position: Floats, rotation: Floats) -> Floats | None:
     """Point (3,) [m] measured by k pointings from known stations; None if it is not unique.
 
-    `sight` contains the readings, `position` (k, 3) and `rotation` (k, 3, 3) the pose of the station of each pointing.
+    `position` (k, 3) [m] and `rotation` (k, 3, 3) are the pose of the station of each pointing.
     """
-    rows, sight = sight.thin_rows()
-    rotation, lifted = rotation[rows], position[rows] - sight.sight_vector_offsets
-    if sight.n_readings < 3:
+    rows, fit_readings = fit_readings.thin_rows()
+    rotation, lifted = rotation[rows], position[rows] - fit_readings.sight_vector_offsets
+    if fit_readings.n_readings < 3:
         return None
 
     def evaluate(x: Floats, _: Floats) -> tuple[Floats, Floats]:
         local_points = np.einsum("kji,bkj->bki", rotation, x[:, None] - lifted[None])
-        gap, by_local = sight.residuals(local_points)
+        gap, by_local = fit_readings.residuals(local_points)
         point_derivatives = by_local.reshape(len(x), -1, 3, 3) @ np.swapaxes(rotation, 1, 2)[None]
         return gap, point_derivatives.reshape(len(x), -1, 3)
 
-    starts = _start_points(sight.readings, lifted, rotation)
+    starts = _start_points(fit_readings.readings, lifted, rotation)
     is_free = np.arange(6) < 3
     pose = _unique_solution(
-        sight.n_readings,
+        fit_readings.n_readings,
         lifted,
         _iterate_best_starts(evaluate, is_free, starts, np.tile(np.eye(3), (len(starts), 1, 1))),
     )
@@ -143,7 +143,7 @@ def _iterate_best_starts(
             lifted = normal + weight[:, :, None] * np.eye(normal.shape[1])
             right = np.nan_to_num(np.einsum("bmi,bm->bi", by, gap), posinf=0.0)
             step[:, free_unknowns] = np.linalg.solve(lifted, right[..., None])[..., 0]
-            there = start_positions + step[:, :3], from_rotation_vector(step[:, 3:]) @ rotation
+            there = start_positions + step[:, :3], matrix_from_rotation_vector(step[:, 3:]) @ rotation
             ahead = *there, *evaluate(*there)
             new_cost = _sum_of_squares(ahead[2])
             better = new_cost < cost
@@ -174,12 +174,12 @@ def _candidate_positions(points: Floats) -> Floats:
     return np.concatenate([[centre], centre + 0.4 * circle, centre + 1.5 * circle, centre + axis_points])
 
 
-def _candidate_rotations(is_level: bool) -> Floats:
+def _candidate_rotations(is_levelled: bool) -> Floats:
     yaws = np.stack([rotation_about_z(a) for a in EIGHT_AZIMUTHS])
-    if is_level:
+    if is_levelled:
         return yaws
     euler_quarters = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [2, 0, 0], [0, 1, 0], [0, -1, 0]])
-    return np.concatenate([tilt @ yaws for tilt in from_rotation_vector(0.5 * np.pi * euler_quarters)])
+    return np.concatenate([tilt @ yaws for tilt in matrix_from_rotation_vector(0.5 * np.pi * euler_quarters)])
 
 
 def _start_points(readings: Floats, position: Floats, rotation: Floats) -> Floats:
@@ -189,7 +189,7 @@ def _start_points(readings: Floats, position: Floats, rotation: Floats) -> Float
         if np.isfinite(reading).any():
             ways = (
                 [value] if np.isfinite(value) else guess
-                for value, guess in zip(reading, START_COORDINATES, strict=True)
+                for value, guess in zip(reading, START_COORDINATE_GRIDS, strict=True)
             )
             starts.append(from_polar(np.array(list(product(*ways)))) @ turn.T + place)
     return np.concatenate(starts)[:MAX_STARTS]
@@ -206,7 +206,7 @@ def multilaterate(ranges: Floats) -> tuple[Floats, Floats] | None:
     matrix has rank three and gives stations and targets up to an affine transformation. The squared ranges from the
     first station are linear in the coefficients of this transformation.
     """
-    if ranges.shape[0] < 4 or ranges.shape[1] < MIN_RANGE_TARGETS:
+    if ranges.shape[0] < 4 or ranges.shape[1] < MIN_TARGETS_OF_RANGE_NETWORK:
         return None
     squares = ranges**2
     product = -0.5 * (squares - squares[:1] - squares[:, :1] + squares[0, 0])
@@ -226,21 +226,21 @@ def multilaterate(ranges: Floats) -> tuple[Floats, Floats] | None:
     return stations @ np.linalg.inv(root), targets @ root.T + shift
 
 
-MIN_BEAM_INTERSECTION = 1e-5
+MIN_BEAM_PROJECTOR_EIGENVALUE = 1e-5
 """Smallest eigenvalue of the mean projector perpendicular to the beams, below which beams count as parallel."""
 
 
-def meeting_point(origin: Floats, beam: Floats) -> Floats | None:
-    """Point (3,) [m] nearest to k beams from `origin` (k, 3) along unit vectors `beam` (k, 3); None if parallel."""
-    projector = np.eye(3) - beam[:, :, None] * beam[:, None, :]
+def beam_intersection(origin: Floats, beam_directions: Floats) -> Floats | None:
+    """Point (3,) [m] nearest to k beams from `origin` (k, 3) along unit vectors (k, 3); None if they are parallel."""
+    projector = np.eye(3) - beam_directions[:, :, None] * beam_directions[:, None, :]
     normal = projector.sum(axis=0)
-    if np.linalg.eigvalsh(normal)[0] < MIN_BEAM_INTERSECTION * len(beam):
+    if np.linalg.eigvalsh(normal)[0] < MIN_BEAM_PROJECTOR_EIGENVALUE * len(beam_directions):
         return None
     return np.linalg.solve(normal, np.einsum("kij,kj->i", projector, origin))
 
 
 @dataclass(frozen=True)
-class PlanLengths:
+class HorizontalLengths:
     """Measured horizontal lengths (k,) [m] of k lines, and the places (k,) at the start and the end of each line."""
 
     start_indices: Ints
@@ -249,7 +249,12 @@ class PlanLengths:
 
 
 def fit_plan(
-    setup: Ints, starts: Ints, ends: Ints, azimuths: Floats, control: Floats, lines: PlanLengths
+    setup_indices: Ints,
+    start_places: Ints,
+    end_places: Ints,
+    azimuths: Floats,
+    control_coordinates: Floats,
+    lengths: HorizontalLengths,
 ) -> tuple[Floats, Floats, bool] | None:
     """Plan of P places from horizontal directions and lengths: coordinates (P, 2) [m], yaws (S,) [rad] of S set-ups.
 
@@ -259,38 +264,38 @@ def fit_plan(
 
     Parameters
     ----------
-    setup, starts, ends : (n,) int
+    setup_indices, start_places, end_places : (n,) int
         Upright set-up of each direction, its place, and the place of its target.
     azimuths : (n,) float, [rad]
         Reading of the horizontal circle in each direction.
-    control : (P, 2) float, [m]
+    control_coordinates : (P, 2) float, [m]
         Known coordinates of the places; NaN for other places.
-    lines : PlanLengths
+    lengths : HorizontalLengths
         Measured lengths. A length is used if the direction of its line was measured from one end.
     """
-    yaw = _setup_yaws(setup, starts, ends, azimuths)
-    is_oriented = np.isfinite(yaw[setup])
-    bearing = (yaw[setup] + azimuths)[is_oriented]
-    used, at = np.unique(np.concatenate([starts[is_oriented], ends[is_oriented]]), return_inverse=True)
+    yaw = _setup_yaws(setup_indices, start_places, end_places, azimuths)
+    is_oriented = np.isfinite(yaw[setup_indices])
+    bearing = (yaw[setup_indices] + azimuths)[is_oriented]
+    used, at = np.unique(np.concatenate([start_places[is_oriented], end_places[is_oriented]]), return_inverse=True)
     first, second = at.reshape(2, -1)
-    along, length = _measured_lengths_of_directions(lines, starts[is_oriented], ends[is_oriented])
-    has_control = np.isfinite(control[used]).all(axis=1)
+    along, length = _measured_lengths_of_directions(lengths, start_places[is_oriented], end_places[is_oriented])
+    has_control = np.isfinite(control_coordinates[used]).all(axis=1)
     if has_control.sum() < 2 and not len(along):
         return None
     shape = _plan_shape(first, second, bearing, along, length, len(used))
     if shape is None:
         return None
-    places, is_in_frame = np.full(control.shape, np.nan), bool(has_control.sum() > 1)
+    places, is_in_frame = np.full(control_coordinates.shape, np.nan), bool(has_control.sum() > 1)
     turned = 1.0 + 0.0j
     if is_in_frame:
         basis = np.stack([shape, np.ones(len(shape))], axis=1)
-        fitted = np.linalg.lstsq(basis[has_control], control[used][has_control] @ [1.0, 1j], rcond=None)[0]
+        fitted = np.linalg.lstsq(basis[has_control], control_coordinates[used][has_control] @ [1.0, 1j], rcond=None)[0]
         shape, turned = basis @ fitted, fitted[0]
     places[used] = np.stack([shape.real, shape.imag], axis=1)
     return places, yaw + float(np.angle(turned)), is_in_frame
 
 
-def _measured_lengths_of_directions(lines: PlanLengths, starts: Ints, ends: Ints) -> tuple[Ints, Floats]:
+def _measured_lengths_of_directions(lines: HorizontalLengths, starts: Ints, ends: Ints) -> tuple[Ints, Floats]:
     """Indices (k,) of directions along lines with a measured length, and these lengths (k,) [m]."""
     lengths: dict[tuple[int, int], float] = {}
     for start_place, end_place, length in zip(
@@ -303,8 +308,8 @@ def _measured_lengths_of_directions(lines: PlanLengths, starts: Ints, ends: Ints
     return measured_indices, np.array([lengths[measured_pairs[i]] for i in measured_indices])
 
 
-def lines_without_length(
-    setup: Ints, starts: Ints, end_places: Ints, azimuths: Floats, lines: PlanLengths
+def lines_of_undetermined_length(
+    setup: Ints, starts: Ints, end_places: Ints, azimuths: Floats, lines: HorizontalLengths
 ) -> list[tuple[int, int]]:
     """Lines (pairs of places) whose lengths a plan leaves undetermined, although all its set-ups are oriented.
 
@@ -334,16 +339,16 @@ def lines_without_length(
     return sorted(ends)
 
 
-def _plan_design(start_places: Ints, end_places: Ints, bearing: Floats, length_rows: Ints, n_places: int) -> Floats:
+def _plan_design(start_places: Ints, end_places: Ints, bearings: Floats, length_rows: Ints, n_places: int) -> Floats:
     """Design matrix of the equations for x and y of all places except the first.
 
     Each direction gives an equation perpendicular to its bearing. The directions `length_rows` give a second equation
     along it. Zero rows are added so that the matrix has at least as many rows as columns.
     """
-    design = np.zeros((len(bearing) + len(length_rows), n_places, 2))
-    transverse = np.stack([-np.sin(bearing), np.cos(bearing)], axis=1)
-    radial = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)[length_rows]
-    every, behind = np.arange(len(bearing)), len(bearing) + np.arange(len(length_rows))
+    design = np.zeros((len(bearings) + len(length_rows), n_places, 2))
+    transverse = np.stack([-np.sin(bearings), np.cos(bearings)], axis=1)
+    radial = np.stack([np.cos(bearings), np.sin(bearings)], axis=1)[length_rows]
+    every, behind = np.arange(len(bearings)), len(bearings) + np.arange(len(length_rows))
     np.add.at(design, (every, end_places), transverse)
     np.add.at(design, (every, start_places), -transverse)
     np.add.at(design, (behind, end_places[length_rows]), radial)
@@ -355,22 +360,22 @@ def _plan_design(start_places: Ints, end_places: Ints, bearing: Floats, length_r
 
 
 def _plan_shape(
-    start_places: Ints, end_places: Ints, bearing: Floats, length_rows: Ints, length: Floats, n_places: int
+    start_places: Ints, end_places: Ints, bearings: Floats, length_rows: Ints, lengths: Floats, n_places: int
 ) -> np.ndarray[tuple[int], np.dtype[np.complex128]] | None:
     """Coordinates of places in plan as complex numbers x + iy, the first at 0; None if the shape is undetermined.
 
-    `length_rows` are the indices of the directions along lines with a measured length, `length` these lengths [m].
+    `length_rows` are the indices of the directions along lines with a measured length, `lengths` these lengths [m].
     Without lengths the scale is arbitrary.
     """
-    design = _plan_design(start_places, end_places, bearing, length_rows, n_places)
+    design = _plan_design(start_places, end_places, bearings, length_rows, n_places)
     right_side = np.zeros(len(design))
-    right_side[len(bearing) : len(bearing) + len(length_rows)] = length
+    right_side[len(bearings) : len(bearings) + len(length_rows)] = lengths
     u, size, rows = np.linalg.svd(design, full_matrices=False)
     if size[-1 if len(length_rows) else -2] < MAX_SOLUTION_ROUNDING_ERROR * size[0]:
         return None
     plan = rows.T @ ((u.T @ right_side) / size) if len(length_rows) else rows[-1]
     shape = np.concatenate([[0.0], plan.reshape(-1, 2) @ [1.0, 1j]])
-    forward = np.real((shape[end_places] - shape[start_places]) * np.exp(-1j * bearing))
+    forward = np.real((shape[end_places] - shape[start_places]) * np.exp(-1j * bearings))
     return np.asarray(shape if np.sum(np.sign(forward)) > 0.0 else -shape)
 
 

@@ -34,7 +34,7 @@ class DeclaredFrame:
 
     declared_points: Floats
     """Coordinates (T, 3) [m] of targets that define the frame: known ones, and approximate ones of the datum."""
-    declared_stations: Floats
+    declared_station_positions: Floats
     """Positions (S, 3) [m] of instruments over marks that are no targets, from known or approximate coordinates."""
     is_levelled: Bools
     """Flags of the levelled stations, (S,)."""
@@ -77,49 +77,52 @@ class DeclaredFrame:
         )
 
     @property
-    def has_places(self) -> bool:
+    def has_approximate_positions(self) -> bool:
         """True if approximate coordinates of a station or target are given."""
         return any(
             bool(np.isfinite(places).any())
-            for places in (self.declared_points, self.declared_stations, self.plan_points)
+            for places in (self.declared_points, self.declared_station_positions, self.plan_points)
         )
 
-    def common_places(self, position: Floats, points: Floats) -> tuple[Floats, Floats]:
+    def network_and_declared_points(self, position: Floats, points: Floats) -> tuple[Floats, Floats]:
         """Coordinates (k, 3) [m] of k stations and targets in a network, and their declared coordinates (k, 3).
 
         `position` (S, 3) and `points` (T, 3) are those of the network; those without declared coordinates are left out.
         """
-        here, there = np.concatenate([position, points]), np.concatenate([self.declared_stations, self.declared_points])
+        here, there = (
+            np.concatenate([position, points]),
+            np.concatenate([self.declared_station_positions, self.declared_points]),
+        )
         is_common = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
         return here[is_common], there[is_common]
 
     def motion_into_frame(
-        self, position: Floats, points: Floats, turn: Floats, heading: Floats | None = None
+        self, position: Floats, points: Floats, levelling_rotation: Floats, heading_rotation: Floats | None = None
     ) -> tuple[Floats, Floats] | None:
         """Rotation (3, 3) and translation (3,) [m] of a network into the declared frame; None if undetermined.
 
-        `turn` (3, 3) is the rotation that makes levelled stations upright, `heading` (3, 3) the subsequent rotation
-        about the vertical that brings stations to their known yaws.
+        `levelling_rotation` (3, 3) is the rotation that makes levelled stations upright, `rotation_to_known_yaws` (3,
+        3) the subsequent rotation about the vertical that brings stations to their known yaws.
         """
-        here, there = self.common_places(position, points)
+        here, there = self.network_and_declared_points(position, points)
         if len(here) >= 3 and not are_collinear(there):
             return align_robustly(here, there)
-        height = float(np.mean(there[:, 2] - (here @ turn.T)[:, 2])) if len(here) else 0.0
+        height = float(np.mean(there[:, 2] - (here @ levelling_rotation.T)[:, 2])) if len(here) else 0.0
         if len(here) < 2:
             both = np.isfinite(points).all(axis=1) & np.isfinite(self.plan_points).all(axis=1)
             here, there = points[both], self.plan_points[both]
-        if heading is not None and len(here) == 1:
-            shift = there[0] - heading @ turn @ here[0]
-            return heading @ turn, np.array([*shift[:2], height])
+        if heading_rotation is not None and len(here) == 1:
+            shift = there[0] - heading_rotation @ levelling_rotation @ here[0]
+            return heading_rotation @ levelling_rotation, np.array([*shift[:2], height])
         if not self.is_levelled.any() or len(here) < 2:
             return None
         try:
-            rotation, translation = upright_alignment(here @ turn.T, there)
+            rotation, translation = upright_alignment(here @ levelling_rotation.T, there)
         except NetworkError:
             return None
-        return rotation @ turn, np.array([*translation[:2], height])
+        return rotation @ levelling_rotation, np.array([*translation[:2], height])
 
-    def plan_motion(self, position: Floats, rotation: Floats) -> tuple[Floats, Floats] | None:
+    def motion_to_floor_plan(self, position: Floats, rotation: Floats) -> tuple[Floats, Floats] | None:
         """Rotation about the vertical (3, 3) and translation (3,) [m] of a free network to the floor plan.
 
         They follow from the approximate positions of two or more stations, or from position and yaw of one station. The
@@ -196,14 +199,14 @@ class DeclaredFrame:
         rotation, shift = align_rigidly(here[has_place], there[has_place])
         return points @ rotation.T + shift, True
 
-    def is_on_plan(self, position: Floats, rotation: Floats) -> bool:
+    def agrees_with_floor_plan(self, position: Floats, rotation: Floats) -> bool:
         """True if a network agrees with the floor plan as well as the approximate coordinates permit."""
-        motion = self.plan_motion(position, rotation)
+        motion = self.motion_to_floor_plan(position, rotation)
         return motion is not None and bool(alignment_distances(position, position, motion).max() < MAX_FLOOR_PLAN_ERROR)
 
-    def heading_rotation(self, rotation: Floats, joined_stations: Bools) -> Floats | None:
+    def rotation_to_known_yaws(self, rotation: Floats, is_joined: Bools) -> Floats | None:
         """Rotation (3, 3) about z that brings upright stations to their known yaws; None without known yaws."""
-        mask = self.has_declared_yaw & joined_stations
+        mask = self.has_declared_yaw & is_joined
         if not mask.any():
             return None
         headings = rotation[mask, :, 0]
@@ -263,8 +266,8 @@ def _declared_plan_coordinates(target: Target) -> tuple[float, ...]:
     return *target.known_mm[:2], 0.0
 
 
-def _points_in_metres(places: list[tuple[float, ...]]) -> Floats:
-    return np.array(places, dtype=np.float64).reshape(-1, 3) * MILLIMETRE
+def _points_in_metres(coordinates_mm: list[tuple[float, ...]]) -> Floats:
+    return np.array(coordinates_mm, dtype=np.float64).reshape(-1, 3) * MILLIMETRE
 
 
 def _rms_distance_from_plane(points: Floats) -> float:

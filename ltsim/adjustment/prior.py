@@ -11,7 +11,7 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 
-CORRECTED_SIGMA_FRACTION = 0.3
+CORRECTED_INSTRUMENT_SIGMA_FRACTION = 0.3
 """Prior standard deviation of a constant of a corrected instrument, relative to its specification, unless it is
 declared. It lies between the uncertainty of an ordinary calibration (0.1: a beam tilt of 10 urad is determined to about
 1 urad) and the observed scatter: in real halls constants of corrected instruments scatter by half of the specification
@@ -38,9 +38,9 @@ class ParameterPrior:
         covariance = np.where(np.eye(sigma.shape[1], dtype=bool), sigma[:, :, None] ** 2, 0.0)
         return cls(np.zeros(sigma.shape), covariance, np.zeros(sigma.shape, dtype=bool))
 
-    def with_free_parameters(self, freed_mask: Bools) -> ParameterPrior:
+    def with_widened_sigmas(self, widened_mask: Bools) -> ParameterPrior:
         """Prior with `WIDENED_SIGMA_FACTOR` times larger standard deviations of the flagged parameters (I, p)."""
-        factor = np.where(freed_mask, WIDENED_SIGMA_FACTOR, 1.0)
+        factor = np.where(widened_mask, WIDENED_SIGMA_FACTOR, 1.0)
         return ParameterPrior(self.mean, self.covariance * factor[:, :, None] * factor[:, None, :], self.is_fixed)
 
     @property
@@ -77,15 +77,17 @@ def prior_sigmas(recording: Recording, construction: GeometricErrorModel) -> Flo
     return np.array(sigma_rows, dtype=np.float64).reshape(len(priors), construction.n_parameters)
 
 
-def expected_sigmas(recording: Recording, construction: GeometricErrorModel) -> Floats:
+def expected_error_sigmas(recording: Recording, construction: GeometricErrorModel) -> Floats:
     """Expected standard deviations (I, p) [SI] of the instrument errors that are present in the readings.
 
-    They are those of `prior_sigmas`, and for a corrected instrument `CORRECTED_SIGMA_FRACTION` of these unless the
-    prior of a parameter is declared.
+    They are those of `prior_sigmas`, and for a corrected instrument `CORRECTED_INSTRUMENT_SIGMA_FRACTION` of these
+    unless the prior of a parameter is declared.
     """
     sigma, names = prior_sigmas(recording, construction), construction.parameter_names
     instruments = map(recording.setup.instrument_named, recording.instruments)
     for of_instrument, instrument in zip(sigma, instruments, strict=True):
         if instrument.corrected:
-            of_instrument[[name not in instrument.prior.parameters for name in names]] *= CORRECTED_SIGMA_FRACTION
+            of_instrument[[name not in instrument.prior.parameters for name in names]] *= (
+                CORRECTED_INSTRUMENT_SIGMA_FRACTION
+            )
     return sigma

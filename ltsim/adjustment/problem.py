@@ -50,7 +50,7 @@ class NetworkProblem(NetworkRows):
     """Standard deviations of the readings, (n, 3)."""
     prior: ParameterPrior
     """Prior of the instrument parameters."""
-    extra_sigma: Floats
+    effect_sigma: Floats
     """Standard deviations (q,) [SI] of the weak priors of the q parameters of additional effects; infinite for none."""
     free_motions: Floats
     """The f rigid motions that only the datum fixes, as columns (6, f) of translation and rotation."""
@@ -88,9 +88,9 @@ class NetworkProblem(NetworkRows):
             model=model,
             sigma=recording.sigma() if sigma is None else sigma,
             prior=prior or ParameterPrior.independent(prior_sigmas(recording, model.construction)),
-            extra_sigma=np.array(effect_sigmas, dtype=np.float64),
+            effect_sigma=np.array(effect_sigmas, dtype=np.float64),
             free_motions=free_motions(control, mark_control, differences, levels, yaws),
-            used_readings=is_used,
+            is_used_reading=is_used,
             gauge_rows=gauge,
             control_rows=control,
             level_rows=levels,
@@ -104,12 +104,12 @@ class NetworkProblem(NetworkRows):
     def with_model(self, model: MeasurementModel) -> NetworkProblem:
         """Problem with another model for the same pointings; reference values and weights are unchanged."""
         new_problem = NetworkProblem.from_model(
-            model, sigma=self.sigma, reading_mask=self.used_readings, prior=self.prior
+            model, sigma=self.sigma, reading_mask=self.is_used_reading, prior=self.prior
         )
         differences = new_problem.difference_rows.subset(
             np.isin(new_problem.difference_rows.names, self.difference_rows.names)
         )
-        return replace(new_problem, extra_sigma=self.extra_sigma, difference_rows=differences)
+        return replace(new_problem, effect_sigma=self.effect_sigma, difference_rows=differences)
 
     def with_instrument_constants(self, state: NetworkState) -> tuple[NetworkProblem, NetworkState]:
         """Problem and state for tests of known lengths: with the constants of the instruments and their priors.
@@ -133,21 +133,21 @@ class NetworkProblem(NetworkRows):
         """Problem of the same set-up and pointings, in any order, with stations and targets at other positions."""
         moved, mine, theirs = replace(self, model=model), self.model.recording, model.recording
         moved = replace(moved, sigma=theirs.sigma())
-        vars(moved)["structure"] = self.structure
+        vars(moved)["structure"] = self.undetermined_unknowns
         if np.array_equal(mine.station, theirs.station) and np.array_equal(mine.target, theirs.target):
             vars(moved)["_pattern"] = self._sparsity_pattern
         return moved
 
-    def is_open_difference(self, undetermined_targets: Bools) -> Bools:
+    def is_undetermined_difference(self, is_undetermined_target: Bools) -> Bools:
         """Flags (k,) of the known differences that have an undetermined end, and thus give no information.
 
         An end is undetermined as a target, as a station without readings, or by its height.
         """
-        structure, stations = self.structure, len(self.unknowns.pose_columns)
+        structure, stations = self.undetermined_unknowns, len(self.unknowns.pose_columns)
         stands, heights = np.zeros((2, stations + 1), dtype=bool)
         stands[structure.unread_stations], heights[structure.height_free_stations] = True, True
-        is_undetermined = np.concatenate([undetermined_targets, stands])[self.difference_rows.ends].any(axis=0)
-        open_ = np.concatenate([structure.height_free_targets, heights])[self.difference_rows.ends].any(axis=0)
+        is_undetermined = np.concatenate([is_undetermined_target, stands])[self.difference_rows.ends].any(axis=0)
+        open_ = np.concatenate([structure.is_height_free_target, heights])[self.difference_rows.ends].any(axis=0)
         return np.asarray(is_undetermined | (open_ & self.difference_rows.declared_components[:, 2]))
 
     def reading_residuals(self, readings: Floats) -> Floats:
@@ -161,7 +161,7 @@ class NetworkProblem(NetworkRows):
         return self._whitened_residuals_of(state, self.model.predict(state))
 
     def _whitened_residuals_of(self, state: NetworkState, readings: Floats) -> Floats:
-        pointings = (self.reading_residuals(readings) / self.sigma)[self.used_readings]
+        pointings = (self.reading_residuals(readings) / self.sigma)[self.is_used_reading]
         gauge = self.gauge_rows.decorrelate(self.length_residuals(state))
         control = self.control_rows.whitened_residuals(state.target_points[self.control_rows.place_indices])
         marks = self.control_rows_of_marks.whitened_residuals(
@@ -172,9 +172,9 @@ class NetworkProblem(NetworkRows):
         )
         levels = -self.level_rows.axis_tilts(state.station_rotations) / self.level_rows.sigma[:, None]
         yaws = self.yaw_rows.yaw_residuals(state.station_rotations) / self.yaw_rows.sigma
-        fixed_residuals = np.zeros(self.structure.n_fixed)
+        fixed_residuals = np.zeros(self.undetermined_unknowns.n_fixed)
         prior = self.prior.whitened_residuals(state.instrument_parameters)
-        effect_residuals = -(state.extra_parameters / self.extra_sigma)[np.isfinite(self.extra_sigma)]
+        effect_residuals = -(state.extra_parameters / self.effect_sigma)[np.isfinite(self.effect_sigma)]
         datum = np.zeros(self.free_motions.shape[1])
         references = pointings, gauge, control, marks, differences, levels.ravel(), yaws
         return np.concatenate([*references, fixed_residuals, prior, effect_residuals, datum])
@@ -194,7 +194,7 @@ class NetworkProblem(NetworkRows):
             step[unknowns.pose_columns],
             step[unknowns.target_columns],
             step[unknowns.instrument_columns],
-            step[unknowns.extra_columns],
+            step[unknowns.effect_columns],
         )
 
     def linearise(self, state: NetworkState) -> BlockSystem:
@@ -215,7 +215,7 @@ class NetworkProblem(NetworkRows):
 
     def _decorrelate_lengths(self, design: DesignMatrix) -> DesignMatrix:
         """Design matrix in which the rows of lengths with shared errors are decorrelated."""
-        first_length_row = int(self.used_readings.sum())
+        first_length_row = int(self.is_used_reading.sum())
         end_row = first_length_row + len(self.gauge_rows)
         lengths = self.gauge_rows.decorrelate_scaled(to_dense(design[first_length_row:end_row]))
         if isinstance(design, np.ndarray):
@@ -235,15 +235,15 @@ class NetworkProblem(NetworkRows):
             at.target_columns[recording.target],
             at.instrument_columns[recording.instrument],
         )
-        pointings = np.concatenate([*blocks, np.tile(at.extra_columns, (len(recording), 1))], axis=1)
+        pointings = np.concatenate([*blocks, np.tile(at.effect_columns, (len(recording), 1))], axis=1)
         target_columns = (
             at.target_columns[gauge.first_targets],
             at.target_columns[gauge.second_targets],
-            np.tile(at.extra_columns, (len(gauge), 1)),
+            np.tile(at.effect_columns, (len(gauge), 1)),
         )
-        anchors = at.pose_columns[self.structure.datum_stations].ravel()
+        anchors = at.pose_columns[self.undetermined_unknowns.datum_stations].ravel()
         return [
-            pointings[np.nonzero(self.used_readings)[0]],
+            pointings[np.nonzero(self.is_used_reading)[0]],
             np.concatenate(target_columns, axis=1),
             np.repeat(
                 at.target_columns[self.control_rows.place_indices],
@@ -262,9 +262,9 @@ class NetworkProblem(NetworkRows):
             ),
             np.repeat(at.pose_columns[self.level_rows.station_indices, 3:], 2, axis=0),
             at.pose_columns[self.yaw_rows.station_indices, 3:],
-            self.structure.fixed_columns,
+            self.undetermined_unknowns.fixed_columns,
             self._prior_row_columns(),
-            at.extra_columns[np.isfinite(self.extra_sigma)][:, None],
+            at.effect_columns[np.isfinite(self.effect_sigma)][:, None],
             np.tile(anchors, (self.free_motions.shape[1], 1)),
         ]
 
@@ -277,15 +277,15 @@ class NetworkProblem(NetworkRows):
         yield self.control_rows.derivatives()
         yield self.control_rows_of_marks.derivatives()
         yield self.difference_rows.derivatives()
-        yield self.level_rows.derivative(state.station_rotations) / self.level_rows.sigma[:, None, None]
+        yield self.level_rows.tilt_derivatives(state.station_rotations) / self.level_rows.sigma[:, None, None]
         yield self.yaw_rows.derivative(state.station_rotations) / self.yaw_rows.sigma[:, None]
-        yield self.structure.fixed_directions(state) / DATUM_SIGMA[0]
+        yield self.undetermined_unknowns.fixed_directions(state) / DATUM_SIGMA[0]
         yield (
             self.prior.whitening_matrices
             if self.prior.has_correlations
             else 1.0 / self.prior.sigma[np.isfinite(self.prior.sigma)]
         )
-        yield 1.0 / self.extra_sigma[np.isfinite(self.extra_sigma)]
+        yield 1.0 / self.effect_sigma[np.isfinite(self.effect_sigma)]
         yield self._datum_rows(state)
 
     def _reading_derivatives(self, prediction: Prediction) -> Iterator[Floats]:
@@ -298,12 +298,12 @@ class NetworkProblem(NetworkRows):
         ]
         held = self.prior.is_fixed[self.model.recording.instrument][:, None]
         step = ROWS_PER_PIECE // 3
-        for first in range(0, len(self.used_readings), step):
+        for first in range(0, len(self.is_used_reading), step):
             piece = slice(first, first + step)
             parts = [part[piece] for part in derivatives]
             if held.any():  # a held parameter meets its own prior alone, which leaves it at its mean
                 parts[2] = np.where(held[piece], 0.0, parts[2])
-            use = self.used_readings[piece]
+            use = self.is_used_reading[piece]
             yield np.concatenate(parts, axis=2)[use] / self.sigma[piece][use][:, None]
 
     def _prior_row_columns(self) -> Ints:
@@ -321,13 +321,13 @@ class NetworkProblem(NetworkRows):
 
     def _datum_rows(self, state: NetworkState) -> Floats:
         """Whitened equations (f, 6 a) that fix the f free rigid motions at the a `datum_stations`."""
-        anchors = self.structure.datum_stations
+        anchors = self.undetermined_unknowns.datum_stations
         motion = self.free_motions / np.linalg.norm(self.free_motions, axis=0)
         turn = np.broadcast_to(motion[3:].T[:, None, :], (motion.shape[1], len(anchors), 3))
         rotation_part = (cross_matrix(turn) @ state.station_positions[anchors][:, :, None])[..., 0]
         shift = motion[:3].T[:, None, :] + rotation_part
         datum_rows = np.concatenate(
-            [shift, turn if self.structure.fixes_datum_rotations else np.zeros_like(shift)], axis=2
+            [shift, turn if self.undetermined_unknowns.fixes_datum_rotations else np.zeros_like(shift)], axis=2
         )
         return datum_rows.reshape(len(datum_rows), 6 * len(anchors)) / np.tile(DATUM_SIGMA, len(anchors))
 
@@ -335,7 +335,7 @@ class NetworkProblem(NetworkRows):
     def level_row_slice(self) -> slice:
         """Slice of the equations that are levels, two per station."""
         first_level_row = (
-            int(self.used_readings.sum())
+            int(self.is_used_reading.sum())
             + len(self.gauge_rows)
             + self.control_rows.n_coordinates
             + self.control_rows_of_marks.n_coordinates
@@ -359,8 +359,11 @@ class NetworkProblem(NetworkRows):
             + self.difference_rows.n_coordinates
         )
         references += n_lengths + 2 * len(self.level_rows) + len(self.yaw_rows) + n_priors + nuisances
-        n_free_motions = self.free_motions.shape[1] - self.structure.fixes_heights
+        n_free_motions = self.free_motions.shape[1] - self.undetermined_unknowns.fixes_heights
         unknown = (
-            self.unknowns.n_columns - n_free_motions - self.structure.n_fixed + self.structure.constraints_on_unseen
+            self.unknowns.n_columns
+            - n_free_motions
+            - self.undetermined_unknowns.n_fixed
+            + self.undetermined_unknowns.n_coordinates_of_unmeasured_targets
         )
-        return int(self.used_readings.sum()) + references - unknown
+        return int(self.is_used_reading.sum()) + references - unknown

@@ -131,7 +131,7 @@ def _is_unused(adjustment: Adjustment) -> Bools:
     """Flags (m,) of the measured pointings without a used reading."""
     measured, used = (
         np.asarray(adjustment.recording.is_measured.any(axis=1)),
-        adjustment.problem.used_readings.any(axis=1),
+        adjustment.problem.is_used_reading.any(axis=1),
     )
     return ~np.asarray(used)[measured]
 
@@ -182,7 +182,7 @@ def network_warnings(adjustment: Adjustment) -> tuple[str, ...]:
 
 def _reference_sentences(adjustment: Adjustment) -> Iterator[str]:
     """Sentences on reference values that contradict the other observations."""
-    candidates = (*adjustment.rejected_references, *adjustment.axis_tests)
+    candidates = (*adjustment.rejected_references, *adjustment.axes_point_tests)
     sentences = [
         test.sentence for test in candidates if test.is_excluded or test.indistinguishable_from or test.kind == "scale"
     ]
@@ -234,7 +234,7 @@ def _undecided_target_sentences(adjustment: Adjustment) -> Iterator[str]:
     """Sentences on targets that two stations measured and of which the pointings of one or both were rejected."""
     recording = adjustment.recording
     measured_pairs, used_pairs = np.zeros((2, len(recording.stations), len(recording.targets)), dtype=bool)
-    for table, readings in ((measured_pairs, recording.is_measured), (used_pairs, adjustment.problem.used_readings)):
+    for table, readings in ((measured_pairs, recording.is_measured), (used_pairs, adjustment.problem.is_used_reading)):
         rows = readings.any(axis=1)
         table[recording.station[rows], recording.target[rows]] = True
     is_paired = measured_pairs.sum(axis=0) == 2
@@ -263,7 +263,7 @@ def _duplicate_target_sentences(adjustment: Adjustment) -> Iterator[str]:
     """Sentences on two targets at one position that no set-up measures both, possibly one target under two names."""
     recording, points = adjustment.recording, adjustment.state.target_points
     is_sighted = np.zeros((len(recording.targets), len(recording.stations)), dtype=bool)
-    placed = adjustment.problem.used_readings.all(axis=1)
+    placed = adjustment.problem.is_used_reading.all(axis=1)
     is_sighted[recording.target[placed], recording.station[placed]] = True
     placed_targets = np.flatnonzero(is_sighted.any(axis=1))
     for a, b in KDTree(points[placed_targets]).query_pairs(MAX_TRACKER_ERROR, output_type="ndarray"):
@@ -285,7 +285,7 @@ def _sparse_station_sentences(adjustment: Adjustment) -> Iterator[str]:
     recording, measured = adjustment.recording, adjustment.recording.is_measured.any(axis=1)
     n_stations = len(recording.stations)
     n_complete = np.bincount(recording.station[measured], minlength=n_stations)
-    n_used = np.bincount(recording.station[adjustment.problem.used_readings.any(axis=1)], minlength=n_stations)
+    n_used = np.bincount(recording.station[adjustment.problem.is_used_reading.any(axis=1)], minlength=n_stations)
     for s in np.flatnonzero((n_used > 0) & (n_used < MIN_FAULTY_FRACTION_OF_PLACE * n_complete)):
         yield (
             f"station {recording.stations[s]} has {n_used[s]} of its {n_complete[s]} pointings in use: its position is "
@@ -317,8 +317,8 @@ def _unreliable_sigma_sentences(adjustment: Adjustment) -> Iterator[str]:
 
 
 def _duplicate_row_sentences(adjustment: Adjustment) -> Iterator[str]:
-    if adjustment.duplicate_rows:
-        yield f"{adjustment.duplicate_rows} rows are exact copies of other rows: the copies are not used"
+    if adjustment.n_duplicate_rows:
+        yield f"{adjustment.n_duplicate_rows} rows are exact copies of other rows: the copies are not used"
 
 
 def pose_curvatures(adjustment: Adjustment) -> Floats:
@@ -337,7 +337,7 @@ def pose_curvatures(adjustment: Adjustment) -> Floats:
     problem, state, spread = adjustment.problem, adjustment.state, adjustment.pose_covariance
     range_, station = adjustment.sightings.range_, adjustment.recording.station
     sigma_lengths = problem.sigma * np.stack([np.ones_like(range_), range_, range_], axis=1)
-    min_sigmas = np.min(np.where(problem.used_readings, sigma_lengths, np.inf), axis=1)
+    min_sigmas = np.min(np.where(problem.is_used_reading, sigma_lengths, np.inf), axis=1)
     steepest, has_readings = np.zeros(len(spread)), np.isfinite(min_sigmas)
     np.maximum.at(steepest, station[has_readings], (range_ / min_sigmas)[has_readings])
     bend = np.where(np.isnan(spread).any(axis=(1, 2)), np.nan, 0.0)
@@ -353,5 +353,5 @@ def pose_curvatures(adjustment: Adjustment) -> Floats:
         gaps = [gap - problem.model.predict(state) for gap in gaps]
         for gap in gaps:
             gap[:, 1:] = wrap_angle(gap[:, 1:])
-        bend[s] = 0.5 * float(np.linalg.norm((sum(gaps) / problem.sigma)[problem.used_readings]))
+        bend[s] = 0.5 * float(np.linalg.norm((sum(gaps) / problem.sigma)[problem.is_used_reading]))
     return bend

@@ -19,7 +19,7 @@ from ltsim.adjustment.reference_tests import (
 )
 from ltsim.adjustment.reference_values import (
     ReferenceKind,
-    common_scale,
+    common_scale_reference,
     drop_reference,
     reference_values,
     relax_exact_references,
@@ -29,22 +29,27 @@ from ltsim.adjustment.reliability import (
     level_of_single_test,
     neg_log_p_chi2,
     noise_factor,
-    noise_scale,
+    noise_factor_from_residuals,
     redundancy_numbers,
     standardised_residuals,
 )
-from ltsim.adjustment.significance import FAMILY_LEVEL, MIN_CLEAR_SIGMAS, MIN_GROSS_SIGMAS, MIN_REPORTED_PROBABILITY
+from ltsim.adjustment.significance import (
+    FAMILY_WISE_LEVEL,
+    MIN_CLEAR_SIGMAS,
+    MIN_GROSS_SIGMAS,
+    MIN_REPORTED_PROBABILITY,
+)
 from ltsim.adjustment.snooping import snoop_readings
 from ltsim.core.arrays import Bools
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.gauss_newton import Solution, solve
 
-MIN_RESIDUAL = MIN_CLEAR_SIGMAS * float(np.sqrt(MIN_TESTED_REDUNDANCY))
+MIN_TESTED_RESIDUAL = MIN_CLEAR_SIGMAS * float(np.sqrt(MIN_TESTED_REDUNDANCY))
 """Whitened residual below which a reference value is not tested: an error of `MIN_CLEAR_SIGMAS` causes a larger one."""
 MIN_VALUES_FOR_TYPICAL_ERROR = 3
 """Number of other values of the same kind below which a wrong value is not identified if another one contradicts too.
 """
-MAX_CHI2_FRACTION = 1e-6
+MAX_CHI2_FRACTION_AFTER_EXCLUSION = 1e-6
 """Ratio of chi-square after and before the exclusion of reference values, below which they are certainly wrong."""
 MAX_EXCLUDED_FRACTION = 1 / 3
 """Fraction of wrong reference values of one kind above which all of that kind are inconsistent and none is excluded."""
@@ -53,14 +58,14 @@ MAX_EXCLUDED_FRACTION = 1 / 3
 def snoop_references(
     problem: NetworkProblem,
     solution: Solution[NetworkState],
-    kinds: Collection[ReferenceKind] = TESTED_REFERENCE_KINDS,
+    reference_kinds: Collection[ReferenceKind] = TESTED_REFERENCE_KINDS,
     exempt_values: frozenset[tuple[ReferenceKind, str]] = frozenset(),
 ) -> tuple[NetworkProblem, Solution[NetworkState], tuple[ReferenceTest, ...]]:
     """Problem without contradicting reference values, its solution, and the tests of these values.
 
     The values are excluded one at a time, that with the smallest p-value first. A single reading that explains the
-    misfit better is left out during the tests. `kinds` restricts the exclusion; `exempt_values` (kind and name) stay in
-    use.
+    misfit better is left out during the tests. `reference_kinds` restricts the exclusion; `exempt_values` (kind and
+    name) stay in use.
     """
     given, aside = (problem, solution), relax_exact_references(problem, solution.x)
     out: list[ReferenceTest] = []
@@ -68,7 +73,7 @@ def snoop_references(
     if solution.factor is not None and aside is not problem:
         solution = solve(aside, solution.x)
     while solution.factor is not None and len(out) < len(problem.model.recording.targets):
-        suspect = _largest_error(aside, solution, kinds, exempt_values)
+        suspect = _most_contradicting_observation(aside, solution, reference_kinds, exempt_values)
         if suspect is None:
             break
         if isinstance(suspect, ReferenceTest):
@@ -78,17 +83,17 @@ def snoop_references(
             model = replace(aside.model, recording=drop_reference(aside.model.recording, suspect))
             aside = relax_exact_references(aside.with_model(model), solution.x)
         else:
-            aside = replace(aside, used_readings=aside.used_readings & ~suspect)
+            aside = replace(aside, is_used_reading=aside.is_used_reading & ~suspect)
         solution = solve(aside, solution.x)
-        enough = solution.sum_of_squares < MAX_CHI2_FRACTION * given[1].sum_of_squares
+        enough = solution.sum_of_squares < MAX_CHI2_FRACTION_AFTER_EXCLUSION * given[1].sum_of_squares
         if by_far is None and out and enough and not _exclude_inconsistent_kind(*given, out):
             by_far = problem.with_model(aside.model), solution, len(out)
     gone = [test for test in out if test.is_excluded]
     too_many = solution.factor is None or _exclude_inconsistent_kind(*given, gone)
     if too_many and by_far is not None:
         reduced, near, count = by_far
-        reduced, ended, more = snoop_references(reduced, solve(reduced, near.x), kinds, exempt_values)
-        return reduced, ended, (*_with_final_errors(out[:count], problem, (reduced, ended)), *more)
+        reduced, ended, more = snoop_references(reduced, solve(reduced, near.x), reference_kinds, exempt_values)
+        return reduced, ended, (*_tests_with_final_errors(out[:count], problem, (reduced, ended)), *more)
     if too_many:
         return *given, _contradicting_group(gone, reference_tests(*given))
     if not gone:
@@ -101,20 +106,25 @@ def snoop_references(
     if weak:
         contradictory = _contradicting_group(weak, [*weak, *(test for group in others.values() for test in group)])
         again = exempt_values | {(test.kind, test.name) for test in weak}
-        return (*given, contradictory) if contradictory else snoop_references(*given, kinds, again)
+        return (*given, contradictory) if contradictory else snoop_references(*given, reference_kinds, again)
     doubtful = min(test.normalised_error for test in gone) < MIN_GROSS_SIGMAS
     if doubtful and _penalised_chi2(reduced, ended, gone) >= _penalised_chi2(problem, given[1], ()):
         return *given, ()
-    return reduced, ended, tuple(_with_final_errors(out, problem, (reduced, ended)))
+    return reduced, ended, tuple(_tests_with_final_errors(out, problem, (reduced, ended)))
 
 
-def _with_final_errors(
-    tests: Sequence[ReferenceTest], problem: NetworkProblem, final: tuple[NetworkProblem, Solution[NetworkState]]
+def _tests_with_final_errors(
+    tests: Sequence[ReferenceTest],
+    problem: NetworkProblem,
+    final_problem_and_solution: tuple[NetworkProblem, Solution[NetworkState]],
 ) -> Iterator[ReferenceTest]:
     """Tests of values of `problem`, in which errors of excluded values and noise are those of the final solution."""
-    state, factor = final[1].x, noise_factor(*final)
+    state, factor = final_problem_and_solution[1].x, noise_factor(*final_problem_and_solution)
     names, marks = problem.model.recording.stations, problem.marks
-    off = {(v.kind, v.name): v.residual for v in (*reference_values(problem, state), *common_scale(problem, state))}
+    off = {
+        (v.kind, v.name): v.residual
+        for v in (*reference_values(problem, state), *common_scale_reference(problem, state))
+    }
     for test in (each.with_noise_factor(factor) for each in tests):
         if test.is_excluded and test.kind == "mark":
             station = names.index(test.name)
@@ -147,7 +157,7 @@ def _typical_error(tests: Sequence[ReferenceTest]) -> float:
 
 
 def _penalised_chi2(
-    problem: NetworkProblem, solution: Solution[NetworkState], excluded_values: Sequence[ReferenceTest]
+    problem: NetworkProblem, solution: Solution[NetworkState], excluded_tests: Sequence[ReferenceTest]
 ) -> float:
     """Chi-square without outliers, plus a penalty for each outlier and for each excluded reference value.
 
@@ -155,27 +165,29 @@ def _penalised_chi2(
     test of the outlier or reference value.
     """
     accepted, ended = snoop_readings(problem, solution.x)
-    readings = int(problem.used_readings.sum())
-    count = len(list(reference_values(problem, solution.x))) + len(excluded_values)
-    paid = sum(float(special.chdtri(test.rank, level_of_single_test(count, FAMILY_LEVEL))) for test in excluded_values)
-    return ended.sum_of_squares + paid + critical_w(readings) ** 2 * (readings - int(accepted.used_readings.sum()))
+    readings = int(problem.is_used_reading.sum())
+    count = len(list(reference_values(problem, solution.x))) + len(excluded_tests)
+    paid = sum(
+        float(special.chdtri(test.rank, level_of_single_test(count, FAMILY_WISE_LEVEL))) for test in excluded_tests
+    )
+    return ended.sum_of_squares + paid + critical_w(readings) ** 2 * (readings - int(accepted.is_used_reading.sum()))
 
 
-def _largest_error(
+def _most_contradicting_observation(
     problem: NetworkProblem,
     solution: Solution[NetworkState],
     kinds: Collection[ReferenceKind],
     exempt_values: Collection[tuple[ReferenceKind, str]],
 ) -> ReferenceTest | Bools | None:
     """Test of the most contradicting reference value, or flag (n, 3) of a reading that contradicts more; else None."""
-    tests = [test for test in reference_tests(problem, solution, MIN_RESIDUAL) if test.rank]
+    tests = [test for test in reference_tests(problem, solution, MIN_TESTED_RESIDUAL) if test.rank]
     tests = [test for test in tests if test.kind in {*kinds, "scale"} and (test.kind, test.name) not in exempt_values]
     if not tests or problem.dof < 2:
         return None
     assert solution.factor is not None
     redundancy = redundancy_numbers(problem, solution.factor)
     w = standardised_residuals(problem, problem.reading_residuals(problem.model.predict(solution.x)), redundancy)
-    shown = noise_scale(w, redundancy)
+    shown = noise_factor_from_residuals(w, redundancy)
 
     def noise(test: ReferenceTest) -> float:
         healed = np.sqrt(max(solution.sum_of_squares - test.chi2_drop, 0.0) / max(problem.dof - test.rank, 1))
@@ -189,11 +201,11 @@ def _largest_error(
     best = int(np.argmax(chances))
     chance, scatter = chances[best], noise(tests[best])
     scaled = tests[best].chi2_drop / scatter**2
-    if scaled < max(MIN_CLEAR_SIGMAS, critical_w(count)) ** 2 or chance < -np.log(FAMILY_LEVEL):
+    if scaled < max(MIN_CLEAR_SIGMAS, critical_w(count)) ** 2 or chance < -np.log(FAMILY_WISE_LEVEL):
         return None
     worst = int(np.argmax(np.nan_to_num(np.abs(w))))
     reading = float(np.nan_to_num(w).flat[worst]) / scatter  # two causes are weighed by one noise
-    if neg_log_corrected_p(reading**2, 1, int(problem.used_readings.sum())) <= chance:
+    if neg_log_corrected_p(reading**2, 1, int(problem.is_used_reading.sum())) <= chance:
         second = _second_setup_over_mark(problem, tests[best])
         likely = [
             k

@@ -10,12 +10,12 @@ from ltsim.adjustment.reference_values import (
     ReferenceKind,
     ReferenceValue,
     ReferenceValueRows,
-    common_scale,
+    common_scale_reference,
     reference_values,
     relax_exact_references,
 )
 from ltsim.adjustment.reliability import noise_factor, noncentrality
-from ltsim.adjustment.significance import FAMILY_LEVEL, MIN_CLEAR_SIGMAS
+from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MIN_CLEAR_SIGMAS
 from ltsim.core.arrays import Floats, batches
 from ltsim.core.notation import with_sigma
 from ltsim.core.rounding import MAX_ROUNDING_ERROR
@@ -43,7 +43,7 @@ SCALE_DEPENDENT_KINDS: tuple[ReferenceKind, ...] = TESTED_REFERENCE_KINDS[:-1]
 """Kinds of values that may be excluded if lengths determine the scale; a common scale error is then only reported."""
 MIN_TESTED_REDUNDANCY = 1e-3
 """Redundancy up to which the other observations do not test a component of a reference value."""
-MAX_INCLINATION = 0.01
+MAX_HORIZONTAL_TO_VERTICAL_RATIO = 0.01
 """Ratio of horizontal to vertical error up to which an error of a point counts as a height error."""
 
 
@@ -72,10 +72,12 @@ class ReferenceTest(ReferenceValue):
         return float(np.sqrt(self.chi2_drop))
 
     @property
-    def is_height(self) -> bool:
+    def is_height_error(self) -> bool:
         """True if the error is significant in the height and not in the horizontal coordinates."""
         *plan, height = np.abs(self.error).tolist()
-        small = [max(MIN_CLEAR_SIGMAS * sigma, MAX_INCLINATION * height) for sigma in self.sigma_error[:-1]]
+        small = [
+            max(MIN_CLEAR_SIGMAS * sigma, MAX_HORIZONTAL_TO_VERTICAL_RATIO * height) for sigma in self.sigma_error[:-1]
+        ]
         is_significant = height > MIN_CLEAR_SIGMAS * self.sigma_error[-1]
         return bool(plan) and is_significant and all(map(float.__lt__, plan, small))
 
@@ -96,7 +98,9 @@ class ReferenceTest(ReferenceValue):
             others = ", ".join(self.indistinguishable_from)
             mark = f"the mark of {others}" if others else "its mark"
             where, cause = ("above", "low") if self.error[-1] < 0 else ("below", "high")
-            where, cause = (where, f" (its height is declared too {cause})") if self.is_height else ("away from", "")
+            where, cause = (
+                (where, f" (its height is declared too {cause})") if self.is_height_error else ("away from", "")
+            )
             end = f"{mark}{cause} (w = {self.normalised_error:.3g}): its position is estimated separately"
             return f"set-up {self.name} is {self.error_text} {where} {end}"
         if self.kind == "scale":
@@ -109,7 +113,7 @@ class ReferenceTest(ReferenceValue):
             both = f"{', '.join((self.name, *self.indistinguishable_from))} are inconsistent"
             return f"{both} ({what} by {self.error_text}); the data do not show which one is wrong"
         note = "by the other points: excluded from the datum" if self.kind == "axes" else "not its readings: excluded"
-        if self.occupied_by and self.is_height:
+        if self.occupied_by and self.is_height_error:
             note = f"or the height of set-up {self.occupied_by} over it: excluded"
         verb = "are" if self.kind in ("point", "axes") else "is"
         return f"{what} {verb} off by {self.error_text} (w = {self.normalised_error:.3g}), {note}"
@@ -125,9 +129,9 @@ class ReferenceTest(ReferenceValue):
         return np.where(self.sigma_error > 0, np.minimum((self.sigma / self.sigma_error) ** 2, 1.0), 0.0)
 
     @property
-    def minimal_detectable(self) -> Floats:
+    def minimal_detectable_errors(self) -> Floats:
         """Minimal detectable errors (q,) of the components at a power of 80 %; infinite for untested components."""
-        return np.sqrt(noncentrality(alpha=FAMILY_LEVEL)) * self.sigma_error
+        return np.sqrt(noncentrality(alpha=FAMILY_WISE_LEVEL)) * self.sigma_error
 
 
 def reference_tests(
@@ -145,7 +149,7 @@ def reference_tests(
     residual, tests = problem.whitened_residuals(solution.x), []
     declared = reference_values(problem, solution.x)
     values = [v for v in declared if float(np.linalg.norm(residual[v.rows])) >= min_residual]
-    values += common_scale(problem, solution.x) if min_residual else []
+    values += common_scale_reference(problem, solution.x) if min_residual else []
     for batch in (values[part] for part in batches(len(values), 3 * solution.system.design.shape[1])):
         inside = np.hstack([to_dense(solution.system.design[value.rows]).T @ value.design_columns for value in batch])
         response, first = solution.factor.covariance_columns(inside), 0
@@ -180,7 +184,7 @@ def reference_tests_with_constants(
     return tuple(replace(test, residual=residuals.get((test.kind, test.name), test.residual)) for test in tests)
 
 
-def _reference_test(value: ReferenceValueRows, gram_matrix: Floats, residual_product: Floats) -> ReferenceTest:
+def _reference_test(value: ReferenceValueRows, gram_matrix: Floats, residual_inner_products: Floats) -> ReferenceTest:
     """Test of a value with q components, from inner products of the changes of residuals by unit errors of each."""
     norms = np.linalg.norm(value.design_columns, axis=0)
     is_active = norms > MAX_ROUNDING_ERROR * norms.max()  # readings in plan do not depend on heights
@@ -188,7 +192,7 @@ def _reference_test(value: ReferenceValueRows, gram_matrix: Floats, residual_pro
     redundancies, eigenvectors = np.linalg.eigh(gram_matrix / np.outer(norms, norms))
     checked = redundancies > MIN_TESTED_REDUNDANCY
     redundancies, eigenvectors = redundancies[checked], eigenvectors[:, checked]
-    eigen_products, eigen_errors = eigenvectors.T @ (residual_product / norms), eigenvectors / norms[:, None]
+    eigen_products, eigen_errors = eigenvectors.T @ (residual_inner_products / norms), eigenvectors / norms[:, None]
     is_determined = np.sum(eigenvectors**2, axis=1) > 0.5
     return ReferenceTest(
         value.kind,

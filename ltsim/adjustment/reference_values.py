@@ -17,7 +17,7 @@ ReferenceKind = Literal["point", "difference", "length", "level", "yaw", "mark",
 """Kind of reference value."""
 MIN_RELATIVE_SIGMA = 0.3
 """Smallest standard deviation with which a reference value is tested, relative to the median one of the readings."""
-REMOVED_SETTINGS: dict[str, dict[str, object]] = {
+REMOVING_SETTINGS_BY_KIND: dict[str, dict[str, object]] = {
     "level": {"levelled": False, "yaw_sigma_arcsec": None},
     "yaw": {"yaw_sigma_arcsec": None},
     "mark": {"over": None},
@@ -54,7 +54,7 @@ class ReferenceValueRows(ReferenceValue):
 
 def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceValueRows]:
     """Reference values of a problem, in the order of its rows."""
-    recording, first, gauge = problem.model.recording, int(problem.used_readings.sum()), problem.gauge_rows
+    recording, first, gauge = problem.model.recording, int(problem.is_used_reading.sum()), problem.gauge_rows
     shown, gap = gauge.decorrelate(np.eye(len(gauge))), problem.length_residuals(state)
     for i in np.flatnonzero(np.isfinite(gauge.sigma)).tolist():
         name = f"{recording.targets[gauge.first_targets[i]]}-{recording.targets[gauge.second_targets[i]]}"
@@ -99,7 +99,7 @@ def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[R
     yield from _centring_declarations(problem, state)
 
 
-def common_scale(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceValueRows]:
+def common_scale_reference(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceValueRows]:
     """Common scale of all reference lengths as a reference value; empty for a single length.
 
     An error of their temperature or of their calibration standard changes all lengths in proportion.
@@ -108,7 +108,7 @@ def common_scale(problem: NetworkProblem, state: NetworkState) -> Iterator[Refer
     if felt.sum() > 1:
         shown = gauge.decorrelate(np.where(felt, gauge.lengths, 0.0)[:, None])
         weight, gap = float(np.sum(shown**2)), gauge.decorrelate(np.where(felt, problem.length_residuals(state), 0.0))
-        rows, sigma = int(problem.used_readings.sum()) + np.arange(len(gauge)), np.array([weight**-0.5])
+        rows, sigma = int(problem.is_used_reading.sum()) + np.arange(len(gauge)), np.array([weight**-0.5])
         yield ReferenceValueRows("scale", "all known lengths", "", sigma, gap @ shown / weight, rows, shown)
 
 
@@ -123,10 +123,10 @@ def _centring_declarations(problem: NetworkProblem, state: NetworkState) -> Iter
     )
     if not shared.any():
         return
-    number = np.cumsum(problem.used_readings).reshape(problem.used_readings.shape) - 1
+    number = np.cumsum(problem.is_used_reading).reshape(problem.is_used_reading.shape) - 1
     by_place = problem.model.linearise(state).pose_derivatives[:, :, :3] / problem.sigma[:, :, None]
     for s in np.flatnonzero(shared).tolist():
-        readings = problem.used_readings & (recording.station == s)[:, None]
+        readings = problem.is_used_reading & (recording.station == s)[:, None]
         if readings.any():
             name = recording.stations[s]
             yield ReferenceValueRows(
@@ -145,8 +145,8 @@ def drop_reference(recording: Recording, reference_value: ReferenceValue) -> Rec
         change: dict[str, object] = {"gauge": recording.gauge.model_copy(update=cleared)}
     elif reference_value.kind == "difference":
         change = {"differences": tuple(difference for difference in setup.differences if difference.label != name)}
-    elif reference_value.kind in REMOVED_SETTINGS:
-        cleared = REMOVED_SETTINGS[reference_value.kind]
+    elif reference_value.kind in REMOVING_SETTINGS_BY_KIND:
+        cleared = REMOVING_SETTINGS_BY_KIND[reference_value.kind]
         change = {"stations": setup.stations | {name: setup.stations[name].model_copy(update=cleared)}}
     else:
         cleared = {"known_mm": None, "approximate_mm": setup.targets[name].known_mm}
@@ -154,7 +154,7 @@ def drop_reference(recording: Recording, reference_value: ReferenceValue) -> Rec
     return recording.replace(setup=setup.model_copy(update=change))
 
 
-COORDINATE_KEYS = ("known_mm", "known_sigma_mm", "known_covariance_mm2", "known_axes")
+REFERENCE_COORDINATE_KEYS = ("known_mm", "known_sigma_mm", "known_covariance_mm2", "known_axes")
 """Keys of the reference coordinates of a target."""
 
 
@@ -168,19 +168,19 @@ def exchange_coordinates(recording: Recording, first_name: str, second_name: str
     """Recording with the reference coordinates of two targets exchanged."""
     targets = dict(recording.setup.targets)
     for here, there in ((first_name, second_name), (second_name, first_name)):
-        coordinates = {key: getattr(recording.setup.targets[there], key) for key in COORDINATE_KEYS}
+        coordinates = {key: getattr(recording.setup.targets[there], key) for key in REFERENCE_COORDINATE_KEYS}
         targets[here] = recording.setup.targets[here].model_copy(update=coordinates)
     return recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
 
 
 def relax_exact_references(problem: NetworkProblem, state: NetworkState) -> NetworkProblem:
     """Problem in which exact reference values have a small standard deviation, so that a test of them is possible."""
-    if not problem.used_readings.any():
+    if not problem.is_used_reading.any():
         return problem
     range_ = problem.model.geometry(state).range_
     sigma_lengths = problem.sigma * np.stack([np.ones_like(range_), range_, range_], axis=1)
-    floor = MIN_RELATIVE_SIGMA * float(np.median(sigma_lengths[problem.used_readings]))
-    turn = floor / float(np.median(range_[problem.used_readings.any(axis=1)]))
+    floor = MIN_RELATIVE_SIGMA * float(np.median(sigma_lengths[problem.is_used_reading]))
+    turn = floor / float(np.median(range_[problem.is_used_reading.any(axis=1)]))
     floors = {
         "control_rows": floor,
         "control_rows_of_marks": floor,

@@ -17,13 +17,13 @@ from ltsim.physics.model.measurement import NetworkState
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.gauss_newton import MAX_ALTERNATIONS
 
-MAX_LINEAR_CHANGE = 1e-5
+SHAPE_CHANGE_TOLERANCE = 1e-5
 """Relative change of a shape constant that is used for numerical derivatives, and below which the iteration ends.
 Readings are linear over it: a range of 20 m contains a thousand short waves.
 """
 MAX_HALVINGS = 4
 """Largest number of halvings of a step that increases chi-square, for constants with poor start values."""
-MIN_SHAPE_CHANGE = 1e-3
+MIN_SHAPE_INFLUENCE = 1e-3
 """Largest change of a reading per relative change of a shape constant, relative to the largest change by the effect,
 above which the constant is estimated.
 """
@@ -51,9 +51,9 @@ class ShapeDirection(LinearEffect):
         now, values = self.present_value, np.array(self.parameter_values)
         up, down = (
             self.effect.with_constants(**{self.shape_parameter.name: now * (1 + s)}).design(sightings) @ values
-            for s in (MAX_LINEAR_CHANGE, -MAX_LINEAR_CHANGE)
+            for s in (SHAPE_CHANGE_TOLERANCE, -SHAPE_CHANGE_TOLERANCE)
         )
-        change: Floats = ((up - down) / (2 * MAX_LINEAR_CHANGE))[:, :, None]
+        change: Floats = ((up - down) / (2 * SHAPE_CHANGE_TOLERANCE))[:, :, None]
         return change
 
     @property
@@ -117,7 +117,7 @@ def _shape_directions(
         if shape.name in fixed_constants or not isinstance(now, float) or now == 0.0 or shape.n_grid_values < 2:
             continue
         direction = ShapeDirection(effect, tuple(parameter_values), shape)
-        if float(np.abs(direction.design(sightings)).max()) > MIN_SHAPE_CHANGE * largest_change:
+        if float(np.abs(direction.design(sightings)).max()) > MIN_SHAPE_INFLUENCE * largest_change:
             directions.append(direction)
     return directions
 
@@ -186,7 +186,7 @@ def refit_with_effects(
             break
         first = sum(len(effect.parameters) for effect in current)
         changes = joint.state.extra_parameters[first : first + len(flat)]
-        if np.all(np.abs(changes) < MAX_LINEAR_CHANGE):
+        if np.all(np.abs(changes) < SHAPE_CHANGE_TOLERANCE):
             break
         step = _damped_step(adjustment, current, directions, changes, fitted)
         if step is None:
@@ -246,7 +246,7 @@ def _estimates_with_uncertainty(
     source = joint_adjustment if has_shape_estimates else adjustment
     if not (effects and source.solution.has_converged):
         return tuple(() for _ in effects)
-    sigma = _values_by_effect(source.effects, np.sqrt(np.maximum(np.diag(source.extra_covariance), 0.0)))
+    sigma = _values_by_effect(source.effects, np.sqrt(np.maximum(np.diag(source.effect_covariance), 0.0)))
     relative = iter(sigma[len(effects) :]) if has_shape_estimates else repeat(np.full(1, np.inf))
     estimates = []
     for i, (effect, values) in enumerate(

@@ -7,11 +7,11 @@ from scipy import special
 
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.significance import (
-    FAMILY_LEVEL,
+    FAMILY_WISE_LEVEL,
     MIN_CHECKED_REDUNDANCY,
     MIN_DOF_FOR_ESTIMATED_NOISE,
     MIN_EQUIVALENT_CORRELATION,
-    SINGLE_LEVEL,
+    SINGLE_TEST_LEVEL,
     TEST_POWER,
 )
 from ltsim.core.arrays import Bools, Floats, Ints
@@ -33,8 +33,8 @@ def redundancy_numbers(problem: NetworkProblem, factor: BlockFactor) -> Floats:
 
     A redundancy number is the derivative of a residual with respect to an error of its reading.
     """
-    share = np.full(problem.used_readings.shape, np.nan)
-    share[problem.used_readings] = 1.0 - factor.leverage()[: int(problem.used_readings.sum())]
+    share = np.full(problem.is_used_reading.shape, np.nan)
+    share[problem.is_used_reading] = 1.0 - factor.leverage()[: int(problem.is_used_reading.sum())]
     return share
 
 
@@ -43,13 +43,13 @@ def standardised_residuals(problem: NetworkProblem, residuals: Floats, redundanc
 
     They are 0 for readings that no other observation checks, and NaN for unused readings.
     """
-    is_checked = problem.used_readings & (redundancy > MAX_SOLUTION_ROUNDING_ERROR)
-    w = np.where(problem.used_readings, 0.0, np.nan)
+    is_checked = problem.is_used_reading & (redundancy > MAX_SOLUTION_ROUNDING_ERROR)
+    w = np.where(problem.is_used_reading, 0.0, np.nan)
     w[is_checked] = residuals[is_checked] / (problem.sigma[is_checked] * np.sqrt(redundancy[is_checked]))
     return w
 
 
-def noise_scale(normalised_residuals: Floats, redundancy: Floats) -> float:
+def noise_factor_from_residuals(normalised_residuals: Floats, redundancy: Floats) -> float:
     """Factor on the declared noise, estimated from the normalised residuals (n, 3); 1 if it is at most 1.25.
 
     The noise is never reduced, so that a reading that the declared noise permits is no outlier.
@@ -61,19 +61,22 @@ def noise_scale(normalised_residuals: Floats, redundancy: Floats) -> float:
 def noise_factor(problem: NetworkProblem, solution: Solution[NetworkState]) -> float:
     """Factor on the declared noise with which all tests of a fit are made, at least 1.
 
-    It is 1 if the global test accepts the fit, or if only single readings contradict it: then `noise_scale` is 1.
-    Otherwise it is sigma0, at most `noise_scale`, which single errors do not enlarge.
+    It is 1 if the global test accepts the fit, or if only single readings contradict it: then
+    `noise_factor_from_residuals` is 1. Otherwise it is sigma0, at most `noise_factor_from_residuals`, which single
+    errors do not enlarge.
     """
     dof, chi2 = problem.dof, solution.sum_of_squares
     if solution.factor is None or dof <= 0 or special.chdtrc(dof, chi2) >= AGREEMENT_LEVEL / 2:
         return 1.0
     redundancy = redundancy_numbers(problem, solution.factor)
     residuals = problem.reading_residuals(problem.model.predict(solution.x))
-    scale = noise_scale(standardised_residuals(problem, residuals, redundancy), redundancy)
+    scale = noise_factor_from_residuals(standardised_residuals(problem, residuals, redundancy), redundancy)
     return max(1.0, min(scale, float(np.sqrt(chi2 / dof))))
 
 
-def noisy_groups(normalised_residuals: Floats, redundancy: Floats, target: Ints) -> tuple[Ints, float, float]:
+def noisy_groups_and_scatter(
+    normalised_residuals: Floats, redundancy: Floats, target: Ints
+) -> tuple[Ints, float, float]:
     """Indices (k,) of noisy targets, the scatter of their readings, and that of all other readings.
 
     A target is noisy if its readings scatter `MIN_NOISY_SCATTER_RATIO` times more than those of the other targets.
@@ -95,7 +98,7 @@ def noisy_groups(normalised_residuals: Floats, redundancy: Floats, target: Ints)
     return np.array(named, dtype=np.int64), noise(is_member) if named else 1.0, noise(~is_member)
 
 
-def critical_w(n_readings: int, alpha: float = FAMILY_LEVEL) -> float:
+def critical_w(n_readings: int, alpha: float = FAMILY_WISE_LEVEL) -> float:
     """Critical value of the absolute normalised residual |w|, if `n_readings` readings are tested together (Sidak)."""
     return float(-special.ndtri(0.5 * level_of_single_test(n_readings, alpha)))
 
@@ -159,7 +162,7 @@ def level_of_single_test(n_tests: int, joint_alpha: float) -> float:
 
 
 @lru_cache
-def noncentrality(dof: int = 1, *, alpha: float = SINGLE_LEVEL, n_tests: int = 1) -> float:
+def noncentrality(dof: int = 1, *, alpha: float = SINGLE_TEST_LEVEL, n_tests: int = 1) -> float:
     """Noncentrality of chi-square at which a test detects an error with the probability `TEST_POWER`.
 
     It is the squared length of the whitened residuals that the error causes.

@@ -50,9 +50,9 @@ class ResidualSpace:
         return self.adjustment.sightings
 
     @property
-    def used_readings(self) -> Bools:
+    def is_used_reading(self) -> Bools:
         """Flags (n, 3) of the readings in use, which are the first equations."""
-        return self.adjustment.problem.used_readings
+        return self.adjustment.problem.is_used_reading
 
     @property
     def sigma(self) -> Floats:
@@ -72,10 +72,10 @@ class ResidualSpace:
     @cached_property
     def _used_reading_weights(self) -> tuple[Ints, Floats]:
         """Indices (r,) of the readings in use, and their inverse standard deviations (r, 1)."""
-        place = np.flatnonzero(self.used_readings)
+        place = np.flatnonzero(self.is_used_reading)
         return place, 1.0 / self.sigma.reshape(-1)[place, None]
 
-    def whiten(self, design: Floats, gauge: Floats | None = None) -> Floats:
+    def whiten(self, design: Floats, gauge_changes: Floats | None = None) -> Floats:
         """Whitened design columns (m, q) from the changes of readings (n, 3, q) and of reference lengths (g, q).
 
         Each of the q columns is the change by one parameter; equations other than readings and lengths are 0.
@@ -83,22 +83,28 @@ class ResidualSpace:
         whitened_rows = np.zeros((self.n_rows, design.shape[2]))
         place, weight = self._used_reading_weights
         readings = design.reshape(-1, design.shape[2])
-        np.multiply(readings if self.used_readings.all() else readings[place], weight, out=whitened_rows[: len(place)])
-        if gauge is not None and len(gauge):
-            whitened_rows[len(place) : len(place) + len(gauge)] = self.adjustment.problem.gauge_rows.decorrelate(gauge)
+        np.multiply(
+            readings if self.is_used_reading.all() else readings[place], weight, out=whitened_rows[: len(place)]
+        )
+        if gauge_changes is not None and len(gauge_changes):
+            whitened_rows[len(place) : len(place) + len(gauge_changes)] = (
+                self.adjustment.problem.gauge_rows.decorrelate(gauge_changes)
+            )
         return whitened_rows
 
-    def unwhiten(self, change: Floats) -> Floats:
+    def unwhiten(self, whitened_change: Floats) -> Floats:
         """Changes (n, 3) [m, rad, rad] of the readings from whitened changes (m,); 0 for readings not in use."""
-        readings = np.zeros(self.used_readings.shape)
-        readings[self.used_readings] = change[: int(self.used_readings.sum())] * self.sigma[self.used_readings]
+        readings = np.zeros(self.is_used_reading.shape)
+        readings[self.is_used_reading] = (
+            whitened_change[: int(self.is_used_reading.sum())] * self.sigma[self.is_used_reading]
+        )
         return readings
 
-    def whitened_design(self, law: LinearEffect) -> Floats:
+    def whitened_design(self, effect: LinearEffect) -> Floats:
         """Whitened design matrix (m, q) of an effect or empirical law with q parameters, before projection."""
         gauge = self.adjustment.problem.gauge_rows
-        lengths = law.gauge_design(gauge.first_targets, gauge.second_targets, self.adjustment.state.target_points)
-        return self.whiten(law.design(self.sightings), lengths)
+        lengths = effect.gauge_design(gauge.first_targets, gauge.second_targets, self.adjustment.state.target_points)
+        return self.whiten(effect.design(self.sightings), lengths)
 
     def project(self, design_columns: Floats) -> Floats:
         """Part of whitened design columns (m, q), or of one vector (m,), that remains in the residuals."""
@@ -112,9 +118,9 @@ class ResidualSpace:
         return float(scores @ scores), len(scores)
 
     def _projected_basis(self, design_columns: Floats) -> Floats:
-        return orthonormal_columns(self.project(design_columns), self.norms_beyond_centring(design_columns))
+        return orthonormal_columns(self.project(design_columns), self.norms_without_centring(design_columns))
 
-    def norms_beyond_centring(self, design_columns: Floats) -> Floats:
+    def norms_without_centring(self, design_columns: Floats) -> Floats:
         """Lengths (q,) of design columns (m, q) without the part that centring errors in the model absorb.
 
         Displacements with a large standard deviation absorb nearly all of an effect. What remains is visible if it is
@@ -123,8 +129,8 @@ class ResidualSpace:
         squares = lowest = np.sum(design_columns**2, axis=0)
         if not self._centring_normals:
             return np.sqrt(squares)
-        changes = np.zeros((*self.used_readings.shape, design_columns.shape[1]))
-        changes[self.used_readings] = design_columns[: int(self.used_readings.sum())]
+        changes = np.zeros((*self.is_used_reading.shape, design_columns.shape[1]))
+        changes[self.is_used_reading] = design_columns[: int(self.is_used_reading.sum())]
         for rows, occupation, slope, normals in self._centring_normals:
             scores = np.zeros((len(normals), 3, design_columns.shape[1]))
             np.add.at(scores, occupation, np.einsum("nki,nkq->niq", slope, changes[rows]))
@@ -143,7 +149,7 @@ class ResidualSpace:
         for errors in self.adjustment.problem.model.centring_errors:
             rows = np.flatnonzero(errors.occupation >= 0)
             slope = self.sightings.target_derivatives[rows] / self.sigma[rows, :, None]
-            slope = np.where(self.used_readings[rows, :, None], slope, 0.0)
+            slope = np.where(self.is_used_reading[rows, :, None], slope, 0.0)
             normals = np.tile(np.eye(3) / errors.sigma**2, (errors.n_occupations, 1, 1))
             np.add.at(normals, errors.occupation[rows], np.einsum("nki,nkj->nij", slope, slope))
             entries.append((rows, errors.occupation[rows], slope, normals))
@@ -155,9 +161,9 @@ class ResidualSpace:
         residual = self.residuals - basis @ (basis.T @ self.residuals)
         return ResidualSpace(self.projector.with_removed_columns(basis), residual, self.adjustment)
 
-    def with_effects(self, laws: Sequence[LinearEffect]) -> ResidualSpace:
+    def with_effects(self, effects: Sequence[LinearEffect]) -> ResidualSpace:
         """Residual space of the adjustment in which the parameters of effects or laws are estimated too."""
-        return self.with_design_columns(np.hstack([self.whitened_design(law) for law in laws])) if laws else self
+        return self.with_design_columns(np.hstack([self.whitened_design(law) for law in effects])) if effects else self
 
     def target_shifts(self, design_columns: Floats) -> Floats:
         """Shifts (T, 3) [m] of the T adjusted targets by a whitened change (m,) of the observations."""

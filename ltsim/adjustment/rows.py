@@ -52,12 +52,12 @@ class GaugeRows(ReferenceLengths):
         scaled_values = length_changes / (self.sigma if length_changes.ndim == 1 else self.sigma[:, None])
         return self.decorrelate_scaled(scaled_values)
 
-    def decorrelate_scaled(self, length_values: Floats) -> Floats:
+    def decorrelate_scaled(self, scaled_changes: Floats) -> Floats:
         """Changes (g,) or (g, q), in standard deviations of the lengths, transformed to independent errors."""
         return (
-            length_values
+            scaled_changes
             if self.correlation_root is None
-            else scipy.linalg.solve_triangular(self.correlation_root, length_values, lower=True)
+            else scipy.linalg.solve_triangular(self.correlation_root, scaled_changes, lower=True)
         )
 
     def __len__(self) -> int:
@@ -241,7 +241,7 @@ class DifferenceRows(ControlRows):
         signs = np.where(self.ends == self.origin_index, 0.0, [[-1.0], [1.0]])[:, :, None, None]
         return np.concatenate([*(signs * self.whitening_matrices)], axis=2)[self.declared_components]
 
-    def undetermined_heights(self, is_undetermined: Bools) -> Bools:
+    def is_height_undetermined(self, is_undetermined: Bools) -> Bools:
         """Flags (T + S + 1,) of the places whose heights remain undetermined with the known differences.
 
         `is_undetermined` (T + S + 1,) flags those that are undetermined without differences.
@@ -284,9 +284,9 @@ class LevelRows:
     """Two horizontal unit vectors at each station, (l, 2, 3)."""
 
     @classmethod
-    def from_recording(cls, recording: Recording, used_readings: Bools) -> LevelRows:
+    def from_recording(cls, recording: Recording, is_used_reading: Bools) -> LevelRows:
         """Equations of those levelled stations whose readings in use (n, 3) contain angles."""
-        angles = np.bincount(recording.station, used_readings[:, 1:].any(axis=1), len(recording.stations)) > 0
+        angles = np.bincount(recording.station, is_used_reading[:, 1:].any(axis=1), len(recording.stations)) > 0
         setups = [(i, recording.station_setup(name)) for i, name in enumerate(recording.stations)]
         levelled_setups = [(i, s) for i, s in setups if s.levelled and angles[i]]
         station = np.array([i for i, _ in levelled_setups], dtype=np.int64)
@@ -307,7 +307,7 @@ class LevelRows:
         axis = rotation[self.station_indices] @ VERTICAL
         return np.einsum("lij,lj->li", self.horizontal_axes, axis)
 
-    def derivative(self, rotation: Floats) -> Floats:
+    def tilt_derivatives(self, rotation: Floats) -> Floats:
         """Derivatives (l, 2, 3) of the tilts with respect to the rotation vector in the network frame."""
         return -self.horizontal_axes @ cross_matrix(rotation[self.station_indices] @ VERTICAL)
 
@@ -320,13 +320,13 @@ class YawRows:
     """Index of each oriented station, (y,)."""
     sigma: Floats
     """Standard deviation of each yaw, (y,) [rad]."""
-    yaw: Floats
+    yaws: Floats
     """Known yaws, counter-clockwise from x, (y,) [rad]."""
 
     @classmethod
-    def from_recording(cls, recording: Recording, used_readings: Bools) -> YawRows:
+    def from_recording(cls, recording: Recording, is_used_reading: Bools) -> YawRows:
         """Equations of those stations with a known yaw whose readings in use (n, 3) contain azimuths."""
-        n_azimuths = np.bincount(recording.station, used_readings[:, 1], len(recording.stations)) > 0
+        n_azimuths = np.bincount(recording.station, is_used_reading[:, 1], len(recording.stations)) > 0
         setups = [(i, recording.station_setup(name)) for i, name in enumerate(recording.stations)]
         yaw_setups = [(i, s.yaw_sigma_arcsec, s.yaw_deg) for i, s in setups if s.yaw_sigma_arcsec and n_azimuths[i]]
         station, sigma, yaw = (np.array([row[k] for row in yaw_setups], dtype=np.float64) for k in range(3))
@@ -342,7 +342,7 @@ class YawRows:
     def yaw_residuals(self, rotation: Floats) -> Floats:
         """Declared minus adjusted yaws (y,) [rad]."""
         headings = rotation[self.station_indices, :, 0]
-        return wrap_angle(self.yaw - np.arctan2(headings[:, 1], headings[:, 0]))
+        return wrap_angle(self.yaws - np.arctan2(headings[:, 1], headings[:, 0]))
 
     def derivative(self, rotation: Floats) -> Floats:
         """Derivatives (y, 3) of the adjusted yaws with respect to the rotation vector in the network frame."""
@@ -356,7 +356,7 @@ MAX_PARALLEL_PLUMB_ANGLE = 1e-2
 
 
 def free_motions(
-    control: ControlRows, marks: ControlRows, differences: DifferenceRows, levels: LevelRows, yaws: YawRows
+    control: ControlRows, marks: ControlRows, differences: DifferenceRows, level_rows: LevelRows, yaw_rows: YawRows
 ) -> Floats:
     """Rigid motions (6, f) that no known point, difference, level or yaw fixes, as columns of translation and rotation.
 
@@ -373,12 +373,12 @@ def free_motions(
     ]
     if len(differences):
         constraint_rows.append(differences.motion_derivatives(centre, radius))
-    if len(levels):
-        mean = levels.plumb_directions.mean(axis=0)
-        is_parallel = float(np.linalg.norm(levels.plumb_directions - mean, axis=1).max()) < MAX_PARALLEL_PLUMB_ANGLE
-        across = levels.horizontal_axes[:1] if is_parallel else levels.horizontal_axes
+    if len(level_rows):
+        mean = level_rows.plumb_directions.mean(axis=0)
+        is_parallel = float(np.linalg.norm(level_rows.plumb_directions - mean, axis=1).max()) < MAX_PARALLEL_PLUMB_ANGLE
+        across = level_rows.horizontal_axes[:1] if is_parallel else level_rows.horizontal_axes
         constraint_rows.append(np.concatenate([np.zeros((2 * len(across), 3)), across.reshape(-1, 3)], axis=1))
-    if len(yaws):
+    if len(yaw_rows):
         constraint_rows.append(np.eye(6)[5:])
     if not constraint_rows:
         return np.eye(6)

@@ -11,12 +11,12 @@ Kass and Raftery, Bayes factors, JASA 90 (1995) 773: odds of 20 to 1 are strong,
 
 import numpy as np
 
-GLOBAL_LEVEL = 0.05
+GLOBAL_TEST_LEVEL = 0.05
 """Significance level of the test of a whole model, for example of chi-square of a network."""
-FAMILY_LEVEL = 0.01
+FAMILY_WISE_LEVEL = 0.01
 """Probability that a recording without errors fails any test of a family of single hypotheses (Sidak, Bonferroni or
 Holm over the family)."""
-SINGLE_LEVEL = 0.001
+SINGLE_TEST_LEVEL = 0.001
 """Significance level of a test of one hypothesis that was selected in advance."""
 TEST_POWER = 0.8
 """Power: probability that an error of the minimal detectable size is detected."""
@@ -43,7 +43,7 @@ MAX_TRACKER_ERROR = 1e-3
 """
 MAX_WORKSHOP_RANGE = 10.0
 """Range [m] above which the limit `MAX_TRACKER_ERROR` grows in proportion to the range."""
-MIN_FAR_RESIDUAL = 50.0
+MIN_RESIDUAL_BEYOND_NOISE = 50.0
 """Residual, in standard deviations, above which noise is no explanation, even if it is ten times as large as declared.
 """
 MIN_CHECKED_REDUNDANCY = 0.05
@@ -83,7 +83,7 @@ MIN_REPORTED_PROBABILITY = 0.01
 """Posterior probability above which an alternative hypothesis is reported."""
 MIN_LOG_EVIDENCE_GAIN = 3.0
 """Smallest gain of log evidence of a selected hypothesis: odds of 20 to 1, strong on the scale of Kass and Raftery."""
-MIN_LOG_EVIDENCE_CERTAIN = -float(np.log(SINGLE_LEVEL))
+MIN_LOG_EVIDENCE_CERTAIN = -float(np.log(SINGLE_TEST_LEVEL))
 """Gain of log evidence above which a hypothesis counts as certain, and the deficit below which it is negligible: odds
-of 1 to `SINGLE_LEVEL`.
+of 1 to `SINGLE_TEST_LEVEL`.
 """

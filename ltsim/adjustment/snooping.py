@@ -9,7 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.adjustment.reliability import critical_w, noise_scale, redundancy_numbers, standardised_residuals
+from ltsim.adjustment.reliability import (
+    critical_w,
+    noise_factor_from_residuals,
+    redundancy_numbers,
+    standardised_residuals,
+)
 from ltsim.adjustment.significance import (
     MAX_TRACKER_ERROR,
     MAX_WORKSHOP_RANGE,
@@ -84,7 +89,7 @@ def _equals_earlier_row(array_rows: np.ndarray) -> Bools:
 # --- what the readings in use do not place ------------------------------------------------------------------------
 
 
-def drop_undetermined(problem: NetworkProblem, state: NetworkState) -> NetworkProblem:
+def drop_undetermined_targets(problem: NetworkProblem, state: NetworkState) -> NetworkProblem:
     """Problem without the readings and known differences of undetermined targets.
 
     Reference lengths to these targets lose their weight.
@@ -92,12 +97,12 @@ def drop_undetermined(problem: NetworkProblem, state: NetworkState) -> NetworkPr
     while True:
         loose = is_undetermined_target(problem, state)
         gauge = problem.gauge_rows
-        reached = problem.structure.is_unmeasured_target | loose
+        reached = problem.undetermined_unknowns.is_unmeasured_target | loose
         idle = (reached[gauge.first_targets] | reached[gauge.second_targets]) & np.isfinite(gauge.sigma)
-        use = problem.used_readings & ~loose[problem.model.recording.target][:, None]
-        differences = problem.difference_rows.subset(~problem.is_open_difference(reached))
+        use = problem.is_used_reading & ~loose[problem.model.recording.target][:, None]
+        differences = problem.difference_rows.subset(~problem.is_undetermined_difference(reached))
         if (
-            np.array_equal(use, problem.used_readings)
+            np.array_equal(use, problem.is_used_reading)
             and not idle.any()
             and len(differences) == len(problem.difference_rows)
         ):
@@ -105,7 +110,7 @@ def drop_undetermined(problem: NetworkProblem, state: NetworkState) -> NetworkPr
         problem = replace(
             problem,
             gauge_rows=replace(gauge, is_unweighted=gauge.is_unweighted | idle),
-            used_readings=use,
+            is_used_reading=use,
             difference_rows=differences,
         )
 
@@ -113,14 +118,14 @@ def drop_undetermined(problem: NetworkProblem, state: NetworkState) -> NetworkPr
 def is_undetermined_target(problem: NetworkProblem, state: NetworkState) -> Bools:
     """Flags (T,) of the targets whose position the observations in use do not determine, for known stations."""
     recording, count = problem.model.recording, len(problem.model.recording.targets)
-    n_complete = np.bincount(recording.target, problem.used_readings.all(axis=1), count) > 0
-    is_doubtful = ~n_complete & ~problem.structure.is_unmeasured_target
+    n_complete = np.bincount(recording.target, problem.is_used_reading.all(axis=1), count) > 0
+    is_doubtful = ~n_complete & ~problem.undetermined_unknowns.is_unmeasured_target
     is_doubtful[problem.marks.target_indices[problem.marks.target_indices >= 0]] = False
     if not is_doubtful.any():
         return is_doubtful
-    weights = np.where(problem.used_readings, 1.0 / problem.sigma, 0.0)[:, :, None]
+    weights = np.where(problem.is_used_reading, 1.0 / problem.sigma, 0.0)[:, :, None]
     whitened_rows = np.where(
-        problem.used_readings[:, :, None], problem.model.linearise(state).target_derivatives * weights, 0.0
+        problem.is_used_reading[:, :, None], problem.model.linearise(state).target_derivatives * weights, 0.0
     )
     normal = np.zeros((count, 3, 3))
     np.add.at(normal, recording.target, np.swapaxes(whitened_rows, 1, 2) @ whitened_rows)
@@ -134,22 +139,22 @@ def is_undetermined_target(problem: NetworkProblem, state: NetworkState) -> Bool
         np.add.at(
             normal, end[end < count], np.swapaxes(rows_at_end.whitening_matrices, 1, 2) @ rows_at_end.whitening_matrices
         )
-    normal[problem.structure.height_free_targets, 2, 2] += np.trace(
-        normal[problem.structure.height_free_targets], axis1=1, axis2=2
+    normal[problem.undetermined_unknowns.is_height_free_target, 2, 2] += np.trace(
+        normal[problem.undetermined_unknowns.is_height_free_target], axis1=1, axis2=2
     )
     # In each axis' own unit: a coordinate that is known to a micrometre leaves one that is read to a metre known.
     scaled, _ = scale_to_unit_diagonal(normal, np.diagonal(normal, axis1=1, axis2=2))
     return is_doubtful & (np.linalg.eigvalsh(scaled)[:, 0] <= POINT_RANK_TOLERANCE)
 
 
-def pose_defect(problem: NetworkProblem, state: NetworkState) -> str:
+def pose_defect_sentence(problem: NetworkProblem, state: NetworkState) -> str:
     """Sentence on a station whose targets do not determine its pose; empty if there is no such station.
 
     Set-ups over marks and stations without readings are not considered.
     """
     recording, marks = problem.model.recording, problem.marks
     is_sighted = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
-    is_used = problem.used_readings.any(axis=1)
+    is_used = problem.is_used_reading.any(axis=1)
     is_sighted[recording.station[is_used], recording.target[is_used]] = True
     vertical = np.full((len(is_sighted), 3), np.nan)
     vertical[problem.level_rows.station_indices] = problem.level_rows.plumb_directions
@@ -170,7 +175,7 @@ class ScreenedNetwork(NamedTuple):
 
     recording: Recording
     """Recording without the readings to unconnected targets."""
-    start_network: tuple[Floats, Floats, Floats]
+    start_coordinates: tuple[Floats, Floats, Floats]
     """Positions (S, 3) [m] and rotations (S, 3, 3) of S stations, and positions (T, 3) [m] of T targets."""
     is_gross_pointing: Bools
     """Flags (n,) of the pointings with errors beyond any tracker error."""
@@ -193,7 +198,7 @@ def screen_gross_errors(recording: Recording) -> ScreenedNetwork:
     state = NetworkState(*reached, np.zeros((len(recording.instruments), 0)), np.zeros(model.n_extra_parameters))
     excess = _relative_misclosure(model, state)
     for _ in range(MAX_ITERATIONS if np.any(excess > 1.0) else 0):
-        problem = drop_undetermined(NetworkProblem.from_model(model), state)
+        problem = drop_undetermined_targets(NetworkProblem.from_model(model), state)
         state, length = _relaxed_step(problem, state, model.linearise(state), np.maximum(excess, 1.0)[:, None])
         before, excess = excess, _relative_misclosure(model, state)
         if not length or not np.any((excess > 1.0) & (excess < MAX_CONVERGENCE_RATIO * before)):
@@ -245,26 +250,28 @@ def snoop_readings(
     Reweighted least squares gives a network that many outliers do not distort. Readings that contradict this network
     are rejected. Data snooping follows, in which rejected readings are tested again against the network without them.
     """
-    limit = critical_w(int(problem.used_readings.sum()))
+    limit = critical_w(int(problem.is_used_reading.sum()))
     state, _ = iterate_reweighted(
-        problem, state, int(problem.used_readings.sum()), min_scale=1e-3, max_steps=MAX_REWEIGHTINGS
+        problem, state, int(problem.is_used_reading.sum()), min_scale=1e-3, max_steps=MAX_REWEIGHTINGS
     )
     try:
-        rejected = _reject_readings(problem, state, limit)
+        rejected = _is_newly_rejected(problem, state, limit)
     except SingularSystemError:
         return problem, solve(problem, state)
     tried_sets: set[bytes] = set()
     placed, target = state.target_points, problem.model.recording.target
     while True:
-        reduced = drop_undetermined(replace(problem, used_readings=problem.used_readings & ~rejected), state)
+        reduced = drop_undetermined_targets(
+            replace(problem, is_used_reading=problem.is_used_reading & ~rejected), state
+        )
         solution = solve(reduced, state, max_iterations=MAX_INTERMEDIATE_STEPS)
         tried_sets.add(rejected.tobytes())
         if solution.factor is None:  # Too much at once: what is left does not hold the network.
             if not rejected.any():
                 return reduced, solution
             whole = rejected | (
-                _mostly_rejected_setups(rejected, problem)[problem.model.recording.station][:, None]
-                & problem.used_readings
+                _is_mostly_rejected_setup(rejected, problem)[problem.model.recording.station][:, None]
+                & problem.is_used_reading
             )
             if not np.array_equal(whole, rejected):  # a set-up of which little is left holds its pose by nothing
                 rejected = whole
@@ -280,17 +287,19 @@ def snoop_readings(
         if (
             new.tobytes() in tried_sets or len(tried_sets) >= max_passes
         ):  # On the edge: what is out in either stays out.
-            last = drop_undetermined(replace(problem, used_readings=problem.used_readings & ~(new | rejected)), state)
+            last = drop_undetermined_targets(
+                replace(problem, is_used_reading=problem.is_used_reading & ~(new | rejected)), state
+            )
             ended = solve(last, state)
             return (reduced, solve(reduced, state)) if ended.factor is None else (last, ended)
         rejected = new
-        held = np.bincount(target, (problem.used_readings & ~rejected).any(axis=1), len(placed)) > 0
+        held = np.bincount(target, (problem.is_used_reading & ~rejected).any(axis=1), len(placed)) > 0
         state = replace(
             state, target_points=np.where(held[:, None], state.target_points, placed)
         )  # misses are told from there
 
 
-def _reject_readings(problem: NetworkProblem, state: NetworkState, limit: float) -> Bools:
+def _is_newly_rejected(problem: NetworkProblem, state: NetworkState, limit: float) -> Bools:
     """Flags (n, 3) of readings in use whose normalised residual exceeds `limit` times the noise factor.
 
     Raises SingularSystemError if unknowns are undetermined.
@@ -302,12 +311,12 @@ def _reject_readings(problem: NetworkProblem, state: NetworkState, limit: float)
     return np.asarray(w > limit * scale)
 
 
-def _mostly_rejected_setups(is_rejected: Bools, problem: NetworkProblem) -> Bools:
+def _is_mostly_rejected_setup(is_rejected: Bools, problem: NetworkProblem) -> Bools:
     """Flags (S,) of the set-ups with more than half of their readings (n, 3) rejected."""
     recording = problem.model.recording
     out, used = (
         np.bincount(recording.station, rows.sum(axis=1), len(recording.stations))
-        for rows in (is_rejected, problem.used_readings)
+        for rows in (is_rejected, problem.is_used_reading)
     )
     return np.asarray(out > MIN_FAULTY_FRACTION_OF_PLACE * used)
 
@@ -332,21 +341,21 @@ def prediction_sigmas(
     """
     assert solution.factor is not None
     system = problem.linear_system(solution.x, prediction or problem.model.linearise(solution.x))
-    omitted_rows = to_dense(system.design[np.flatnonzero(is_omitted[problem.used_readings])])
+    omitted_rows = to_dense(system.design[np.flatnonzero(is_omitted[problem.is_used_reading])])
     response = solution.factor.covariance_columns(np.ascontiguousarray(omitted_rows.T))
     return np.asarray(np.sqrt(1.0 + np.maximum(np.sum(omitted_rows * response.T, axis=1), 0.0)))
 
 
 def _test_readings(
-    problem: NetworkProblem, reduced: NetworkProblem, readings: Floats, factor: BlockFactor
+    problem: NetworkProblem, reduced_problem: NetworkProblem, readings: Floats, factor: BlockFactor
 ) -> tuple[Floats, float, Floats]:
-    """Absolute normalised residuals (n, 3) of readings in `reduced`, noise factor, and redundancy numbers (n, 3).
+    """Absolute normalised residuals (n, 3) of readings of `reduced_problem`, noise factor, redundancy numbers (n, 3).
 
     `readings` (n, 3) are the predicted readings, `factor` the factorised normal equations at the same state.
     """
-    redundancy = redundancy_numbers(reduced, factor)
-    w = standardised_residuals(reduced, problem.reading_residuals(readings), redundancy)
-    return np.nan_to_num(np.abs(w)), noise_scale(w, redundancy), redundancy
+    redundancy = redundancy_numbers(reduced_problem, factor)
+    w = standardised_residuals(reduced_problem, problem.reading_residuals(readings), redundancy)
+    return np.nan_to_num(np.abs(w)), noise_factor_from_residuals(w, redundancy), redundancy
 
 
 def _test_rejected_again(
@@ -354,7 +363,7 @@ def _test_rejected_again(
 ) -> Bools:
     """Flags (n, 3) of the rejected readings after a test of all rejected and used readings."""
     assert solution.factor is not None
-    out = is_rejected & problem.used_readings
+    out = is_rejected & problem.is_used_reading
     targets, stations = problem.model.recording.target, problem.model.recording.station
     prediction = problem.model.linearise(solution.x) if out.any() else None
     readings = problem.model.predict(solution.x) if prediction is None else prediction.readings
@@ -364,11 +373,14 @@ def _test_rejected_again(
         new &= w > 0.5 * w.max()
     if prediction is not None:
         spread = prediction_sigmas(problem, solution, out, prediction)
-        still, alone = np.zeros_like(is_rejected), np.zeros(len(reduced.structure.is_unmeasured_target), dtype=bool)
+        still, alone = (
+            np.zeros_like(is_rejected),
+            np.zeros(len(reduced.undetermined_unknowns.is_unmeasured_target), dtype=bool),
+        )
         lost = np.zeros(len(problem.model.recording.stations), dtype=bool)
         still[out] = _whitened_residuals_of(problem, readings)[out] / spread > limit * scale
         unpredicted = np.argwhere(out)[spread > MAX_PREDICTION_SIGMA, 0]
-        is_open = _mostly_rejected_setups(out, problem)[
+        is_open = _is_mostly_rejected_setup(out, problem)[
             stations[unpredicted]
         ]  # what is left of such a set-up holds no pose
         alone[targets[unpredicted[~is_open]]] = True
@@ -376,8 +388,8 @@ def _test_rejected_again(
         # A target that is left out by now cannot speak for its readings, nor can one that is as good as that.
         new |= (
             still
-            | (is_rejected & reduced.structure.is_unmeasured_target[targets][:, None])
-            | (problem.used_readings & alone[targets][:, None])
+            | (is_rejected & reduced.undetermined_unknowns.is_unmeasured_target[targets][:, None])
+            | (problem.is_used_reading & alone[targets][:, None])
         )
-        new |= problem.used_readings & lost[stations][:, None]
+        new |= problem.is_used_reading & lost[stations][:, None]
     return new

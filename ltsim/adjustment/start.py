@@ -4,17 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from ltsim.adjustment.fit_readings import FitReadings
 from ltsim.adjustment.fitting import (
-    PlanLengths,
+    HorizontalLengths,
+    beam_intersection,
     fit_plan,
     fit_point,
     fit_pose,
-    lines_without_length,
-    meeting_point,
+    lines_of_undetermined_length,
     multilaterate,
 )
 from ltsim.adjustment.frame import DeclaredFrame, StationTargetPairs, points_with_slope_distances, upright_alignment
-from ltsim.adjustment.sight import FitReadings
 from ltsim.adjustment.start_errors import require_connected_stations, require_located_target
 from ltsim.core.arrays import Bools, Floats, Ints, group_rows
 from ltsim.core.errors import NetworkError
@@ -43,7 +43,7 @@ def initial_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats]
     pairs = StationTargetPairs.from_recording(recording, points_with_slope_distances(recording))
     frame = DeclaredFrame.from_recording(recording)
     grown = []
-    for beginning in INITIALISATION_METHODS if frame.has_places else INITIALISATION_METHODS[1:]:
+    for beginning in INITIALISATION_METHODS if frame.has_approximate_positions else INITIALISATION_METHODS[1:]:
         grown.append(NetworkInitialiser(recording, pairs, frame))
         grown[-1].run(beginning)
         if grown[-1].is_complete:
@@ -87,7 +87,7 @@ class NetworkInitialiser:
             self._locate_targets_and_marks,
             self._join_by_fit,
             self._to_declared_frame,
-            self._resect,
+            self._resect_in_plan,
         )
         while not self.is_complete and any(step() for step in steps):
             pass
@@ -148,7 +148,7 @@ class NetworkInitialiser:
                 continue
             pairs = np.arange(len(self._pairs))[self._pairs.slice_of_station(station)]
             pairs = pairs[have[self._pairs.target_indices[pairs]]]
-            goal = self._targets_with_coordinates(self._pairs.target_indices[pairs]) + self._pair_offsets[pairs]
+            goal = self._target_coordinates(self._pairs.target_indices[pairs]) + self._pair_offsets[pairs]
             fit = align_robustly if shared[station] >= 3 else upright_alignment
             try:
                 rotation, position = fit(self._pairs.local_points[pairs], goal)
@@ -168,13 +168,13 @@ class NetworkInitialiser:
                 return True
         return False
 
-    def _targets_with_coordinates(self, targets: Ints) -> Floats:
+    def _target_coordinates(self, targets: Ints) -> Floats:
         """Approximate positions (k, 3) [m] of the targets with the indices `targets` (k,)."""
         placed = self._pairs.medians_by_target(self._pair_points, targets)
         return np.where(np.isnan(placed), self._located_targets[targets], placed)
 
     def _locate_targets_and_marks(self) -> bool:
-        """True if new targets got coordinates from incomplete readings of joined stations."""
+        """Location of targets and marks by incomplete readings of joined stations; True if a target got coordinates."""
         recording, has_new = self._recording, False
         usable = self._is_joined[recording.station] & ~self._has_coordinates[recording.target]
         for target, rows in group_rows(recording.target, np.flatnonzero(usable)):
@@ -201,7 +201,7 @@ class NetworkInitialiser:
         if beams.sum() >= 2:
             rays = from_polar(np.column_stack([np.ones(beams.sum()), front[beams, 1:]]))
             origin = position[beams] - sight.sight_vector_offsets[beams]
-            point = meeting_point(origin, np.einsum("nij,nj->ni", rotation[beams], rays))
+            point = beam_intersection(origin, np.einsum("nij,nj->ni", rotation[beams], rays))
             if point is not None:
                 return point
         return fit_point(replace(sight, readings=front), position, rotation)
@@ -225,7 +225,7 @@ class NetworkInitialiser:
                 return True
         return False
 
-    def _resect(self) -> bool:
+    def _resect_in_plan(self) -> bool:
         """True if a levelled station was joined by intersection in plan of beams to and from other stations."""
         recording, over = self._recording, self._frame.marks.target_indices
         places, ahead, turn = self._target_points(), self._rotations[:, :, 0], self._front_readings[:, 1]
@@ -242,7 +242,7 @@ class NetworkInitialiser:
                 yaw = float(bearing + np.pi - zero[0])
                 angle = turn[rows] + yaw
                 rays = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
-                place = meeting_point(places[recording.target[rows]], rays)
+                place = beam_intersection(places[recording.target[rows]], rays)
                 if place is not None:
                     position = place + self._frame.marks.instrument_offsets[station]
                     self._join_station(station, position, rotation_about_z(yaw))
@@ -259,10 +259,10 @@ class NetworkInitialiser:
 
     def _to_declared_frame(self) -> bool:
         """True if the network was transformed to the declared frame, for which it needs enough declared points."""
-        if self._is_in_frame or not self._frame.has_places:
+        if self._is_in_frame or not self._frame.has_approximate_positions:
             return False
         turn = self._frame.levelling_rotation(self._rotations, self._is_joined)
-        heading = self._frame.heading_rotation(turn @ self._rotations, self._is_joined)
+        heading = self._frame.rotation_to_known_yaws(turn @ self._rotations, self._is_joined)
         motion = self._frame.motion_into_frame(self._positions, self._target_points(), turn, heading)
         if motion is None:
             return False
@@ -280,15 +280,16 @@ class NetworkInitialiser:
         first = int(np.argmax(self._is_joined))
         self._transform(self._rotations[first].T.copy(), -self._rotations[first].T @ self._positions[first])
         turn = self._frame.levelling_rotation(self._rotations, self._is_joined)
-        heading = self._frame.heading_rotation(turn @ self._rotations, self._is_joined)
+        heading = self._frame.rotation_to_known_yaws(turn @ self._rotations, self._is_joined)
         turn = turn if heading is None else heading @ turn
         if not np.array_equal(turn, np.eye(3)):
             self._transform(turn, np.zeros(3))
-        here, there = self._frame.common_places(self._positions, self._target_points())
+        here, there = self._frame.network_and_declared_points(self._positions, self._target_points())
         if len(here):
             self._transform(np.eye(3), (there - here).mean(axis=0))
             return
-        motion = None if self._frame.has_places else self._frame.plan_motion(self._positions, self._rotations)
+        has_places = self._frame.has_approximate_positions
+        motion = None if has_places else self._frame.motion_to_floor_plan(self._positions, self._rotations)
         if motion is not None:
             self._transform(*motion)
 
@@ -312,8 +313,8 @@ class NetworkInitialiser:
     def _begin_with_frame(self) -> None:
         """Start with the known points."""
         self._located_targets = self._frame.declared_points.copy()
-        self._positions = self._frame.declared_stations.copy()
-        self._is_in_frame = self._is_levelled = self._frame.has_places
+        self._positions = self._frame.declared_station_positions.copy()
+        self._is_in_frame = self._is_levelled = self._frame.has_approximate_positions
 
     def _begin_with_cloud(self) -> None:
         """Start with a station that measured targets completely."""
@@ -343,7 +344,7 @@ class NetworkInitialiser:
         self._begin_with_frame()
         self._located_targets, marks = self._frame.approximate_points.copy(), self._frame.marks
         on_marks = self._located_targets[marks.target_indices] + marks.instrument_offsets
-        declared = np.where((marks.target_indices >= 0)[:, None], on_marks, self._frame.declared_stations)
+        declared = np.where((marks.target_indices >= 0)[:, None], on_marks, self._frame.declared_station_positions)
         declared = np.where(np.isnan(declared), self._frame.plan_positions, declared)
         for station in np.flatnonzero(np.isfinite(declared).all(axis=1)).tolist():
             rows = np.flatnonzero(self._recording.station == station)
@@ -359,14 +360,14 @@ class NetworkInitialiser:
             return
         over, extra = marks.target_indices, len(self._located_targets) + marks.first_setup_on_mark
         stands = np.where(over >= 0, over, extra)
-        control = np.concatenate([frame.plan_points, frame.declared_stations])[:, :2]
+        control = np.concatenate([frame.plan_points, frame.declared_station_positions])[:, :2]
         ranged_indices = np.flatnonzero(np.isfinite(self._front_readings[:, 0]))
         starts, ends = stands[recording.station[ranged_indices]], recording.target[ranged_indices]
-        lines = PlanLengths(starts, ends, self._front_readings[ranged_indices, 0])
+        lines = HorizontalLengths(starts, ends, self._front_readings[ranged_indices, 0])
         station, end = recording.station[bearing_rows], recording.target[bearing_rows]
         plan = fit_plan(station, stands[station], end, self._front_readings[bearing_rows, 1], control, lines)
         if plan is None:
-            self._open_lines = lines_without_length(
+            self._open_lines = lines_of_undetermined_length(
                 station, stands[station], end, self._front_readings[bearing_rows, 1], lines
             )
             return
@@ -386,13 +387,13 @@ class NetworkInitialiser:
         lines = listing([f"{ends[a]}-{ends[b]}" for a, b in self._open_lines])
         return f"; no reading determines the horizontal length of the lines {lines}" if lines else ""
 
-    def result(self, undetermined_lines: str = "") -> tuple[tuple[Floats, Floats, Floats], Bools]:
+    def result(self, undetermined_lines_text: str = "") -> tuple[tuple[Floats, Floats, Floats], Bools]:
         """Result of `initial_network`: positions, rotations and targets, flags of unconnected targets."""
         points = self._target_points()
         nearest = int(np.argmax(np.where(self._is_joined, -1, self._shared_target_counts())))
         targets = self._pairs.target_indices[self._pairs.slice_of_station(nearest)]
         shared = points[targets[self._has_coordinates[targets]]]
-        require_connected_stations(self._recording, self._is_joined, shared, undetermined_lines)
+        require_connected_stations(self._recording, self._is_joined, shared, undetermined_lines_text)
         require_located_target(self._recording, self._has_coordinates)
         is_lost = np.asarray(np.isnan(points).any(axis=1))
         points = np.where(is_lost[:, None], points[~is_lost].mean(axis=0), points)

@@ -63,7 +63,7 @@ def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[FittedMotion, str
     for effect in adjustment.effects:
         columns = slice(first_column, first_column := first_column + len(effect.parameters))
         if isinstance(effect, FittedMotion):
-            values, spread = adjustment.state.extra_parameters[columns], adjustment.extra_covariance[columns, columns]
+            values, spread = adjustment.state.extra_parameters[columns], adjustment.effect_covariance[columns, columns]
             sizes = (("um", MICROMETRE, slice(0, 3)), ("urad", MICRORADIAN, slice(3, 6)))
             parts = " and ".join(
                 _length_text(values[at] / factor, spread[at, at] / factor**2, unit) for unit, factor, at in sizes

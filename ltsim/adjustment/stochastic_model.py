@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.adjustment.significance import MIN_FAR_RESIDUAL
+from ltsim.adjustment.significance import MIN_RESIDUAL_BEYOND_NOISE
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import OBSERVABLES, Recording
@@ -24,9 +24,9 @@ HUBER_LIMIT = 2.0
 CAUCHY_LIMIT = 2.385
 """Residual, in robust standard deviations, at which Cauchy's weights are one half; the efficiency for normal residuals
 is 95 %."""
-MAX_FAR_FRACTION = 0.02
-"""Fraction of residuals above `MIN_FAR_RESIDUAL` declared standard deviations, above which Cauchy's weights are tried
-too: more than single errors explain.
+MAX_FRACTION_BEYOND_NOISE = 0.02
+"""Fraction of residuals above `MIN_RESIDUAL_BEYOND_NOISE` declared standard deviations, above which Cauchy's weights
+are tried too: more than single errors explain.
 """
 MAX_ROBUST_STEPS = 25
 """Largest number of reweightings, each with a linear step. It bounds how far many large errors of one target can pull
@@ -42,7 +42,7 @@ ROBUST_TOLERANCE = 1e-2
 """Squared length of a step, in standard deviations, below which the reweighting ends."""
 
 
-def noise_settings(recording: Recording, observable: str, factor: float) -> list[str]:
+def noise_setting_texts(recording: Recording, observable: str, factor: float) -> list[str]:
     """Texts of the settings that declare the noise of an observable of the only instrument times a factor."""
     noise = recording.setup.instrument_named(recording.instruments[0]).noise
     return [f"{key} to {factor * getattr(noise, key):.2g}" for key in NOISE_KEYS[observable] if getattr(noise, key)]
@@ -82,24 +82,24 @@ def iterate_reweighted(
     """
     search, reading = (
         partial(_iterate_weights, problem, state, n_observations, min_scale, max_steps),
-        int(problem.used_readings.sum()),
+        int(problem.is_used_reading.sum()),
     )
     solutions = [search(huber_weights)]
-    if are_many_far(solutions[0][1][:reading]):
+    if are_many_beyond_noise(solutions[0][1][:reading]):
         solutions.append(search(cauchy_weights))
-    return solutions[best_end_index([residual[:reading] for _, residual in solutions])]
+    return solutions[best_solution_index([residual[:reading] for _, residual in solutions])]
 
 
-def are_many_far(whitened_residuals: Floats) -> bool:
-    """True if more than `MAX_FAR_FRACTION` of the whitened residuals (m,) exceed `MIN_FAR_RESIDUAL`."""
-    return bool(np.mean(np.abs(whitened_residuals) > MIN_FAR_RESIDUAL) > MAX_FAR_FRACTION)
+def are_many_beyond_noise(whitened_residuals: Floats) -> bool:
+    """True if so many whitened residuals (m,) exceed `MIN_RESIDUAL_BEYOND_NOISE` that Cauchy's weights are tried."""
+    return bool(np.mean(np.abs(whitened_residuals) > MIN_RESIDUAL_BEYOND_NOISE) > MAX_FRACTION_BEYOND_NOISE)
 
 
-def best_end_index(residuals_of_ends: Sequence[Floats]) -> int:
+def best_solution_index(residuals_of_solutions: Sequence[Floats]) -> int:
     """Index of the solution with the smallest Cauchy objective at a common scale, from the residuals (m,) of each."""
-    scale = max(min(robust_sigma(whitened) for whitened in residuals_of_ends), 1.0)
+    scale = max(min(robust_sigma(whitened) for whitened in residuals_of_solutions), 1.0)
     return int(
-        np.argmin([np.sum(np.log1p((whitened / (CAUCHY_LIMIT * scale)) ** 2)) for whitened in residuals_of_ends])
+        np.argmin([np.sum(np.log1p((whitened / (CAUCHY_LIMIT * scale)) ** 2)) for whitened in residuals_of_solutions])
     )
 
 
@@ -126,7 +126,7 @@ def _iterate_weights(
     The scale of the residuals never increases: otherwise a large error would gain weight by distorting the network
     (Huber 1981, Robust statistics, section 7.8: with a fixed scale each step lowers the objective).
     """
-    reading, scale = int(problem.used_readings.sum()), np.inf
+    reading, scale = int(problem.is_used_reading.sum()), np.inf
     for _ in range(max_steps):
         system = problem.linearise(state)
         scale = min(scale, max(robust_sigma(system.whitened_residuals[:reading]), min_scale))
@@ -192,7 +192,7 @@ def estimate_variance_components(
     group = np.arange(3) + 3 * several * recording.instrument[:, None]
     names = recording.instruments if several else ("",)
     factor, redundancy = np.ones(3 * len(names) + 1), np.zeros(3 * len(names) + 1)
-    declared, available = problem, problem.used_readings if reading_mask is None else reading_mask
+    declared, available = problem, problem.is_used_reading if reading_mask is None else reading_mask
     for _ in range(MAX_ALTERNATIONS):
         last_change, last_step = np.zeros(len(factor)), np.zeros(len(factor))
         for _ in range(MAX_ITERATIONS):
@@ -204,13 +204,13 @@ def estimate_variance_components(
             log_change = np.log(np.maximum(change, 0.1))
             last_change, last_step = log_change, _secant_step(log_change, last_change, last_step)
             factor = factor * np.exp(last_step)
-            problem = _scale_sigmas(declared, factor, group, problem.used_readings)
+            problem = _scale_sigmas(declared, factor, group, problem.is_used_reading)
             solution = solve(problem, solution.x)
             if np.max(np.abs(change - 1.0)) < VARIANCE_FACTOR_TOLERANCE:
                 break
-        before = problem.used_readings
+        before = problem.is_used_reading
         problem, solution = reject_outliers(_scale_sigmas(declared, factor, group, available), solution.x)
-        if np.array_equal(problem.used_readings, before):
+        if np.array_equal(problem.is_used_reading, before):
             break
     sigma = np.where(
         redundancy > MIN_GROUP_REDUNDANCY, factor / np.sqrt(2 * np.maximum(redundancy, MIN_GROUP_REDUNDANCY)), np.inf
@@ -234,7 +234,9 @@ def _secant_step(change: Floats, last_change: Floats, last_step: Floats) -> Floa
 def _scale_sigmas(problem: NetworkProblem, factor: Floats, group_indices: Ints, reading_mask: Bools) -> NetworkProblem:
     """Problem whose standard deviations are multiplied by the factor of each group; the last group are the levels."""
     levels = replace(problem.level_rows, sigma=problem.level_rows.sigma * factor[-1])
-    return replace(problem, sigma=problem.sigma * factor[group_indices], level_rows=levels, used_readings=reading_mask)
+    return replace(
+        problem, sigma=problem.sigma * factor[group_indices], level_rows=levels, is_used_reading=reading_mask
+    )
 
 
 def _sums_by_group(
@@ -244,9 +246,10 @@ def _sums_by_group(
     assert solution.factor is not None
     share = 1.0 - solution.factor.leverage()
     residual = problem.whitened_residuals(solution.x)
-    readings, rows = slice(0, int(problem.used_readings.sum())), problem.level_row_slice
+    readings, rows = slice(0, int(problem.is_used_reading.sum())), problem.level_row_slice
     square, redundancy = (
-        np.bincount(group_indices[problem.used_readings], values[readings], n_groups) for values in (residual**2, share)
+        np.bincount(group_indices[problem.is_used_reading], values[readings], n_groups)
+        for values in (residual**2, share)
     )
     square[-1], redundancy[-1] = float(np.sum(residual[rows] ** 2)), float(np.sum(share[rows]))
     return square.astype(np.float64), redundancy.astype(np.float64)

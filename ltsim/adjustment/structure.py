@@ -34,7 +34,7 @@ class UnknownColumns:
     """
     instrument_columns: Ints
     """Columns of the p parameters of each of I instruments, (I, p)."""
-    extra_columns: Ints
+    effect_columns: Ints
     """Columns of the q parameters of additional effects, (q,)."""
     n_reduced: int
     """Number K of columns of the unknowns that are not eliminated."""
@@ -58,7 +58,7 @@ class UnknownColumns:
         stations, targets = len(recording.stations), len(recording.targets)
         size = 0
 
-        def fresh(n_rows: int, width: int) -> Ints:
+        def next_columns(n_rows: int, width: int) -> Ints:
             nonlocal size
             first, size = size, size + n_rows * width
             return np.arange(first, size).reshape(n_rows, width)
@@ -71,14 +71,14 @@ class UnknownColumns:
             np.concatenate([gauge.first_targets, gauge.second_targets, marks.target_indices[over], difference_ends])
         ] = True
         pose, target = np.full((stations, 6), -1), np.empty((targets, 3), dtype=np.int64)
-        pose[has_columns] = fresh(int(has_columns.sum()), 1)[:, 0]
-        target[keep] = fresh(int(keep.sum()), 3)
+        pose[has_columns] = next_columns(int(has_columns.sum()), 1)[:, 0]
+        target[keep] = next_columns(int(keep.sum()), 3)
         instrument, extra = (
-            fresh(len(recording.instruments), model.construction.n_parameters),
-            fresh(1, model.n_extra_parameters)[0],
+            next_columns(len(recording.instruments), model.construction.n_parameters),
+            next_columns(1, model.n_extra_parameters)[0],
         )
         n_reduced = size
-        target[~keep] = fresh(int((~keep).sum()), 3)
+        target[~keep] = next_columns(int((~keep).sum()), 3)
         pose[over, :3] = target[marks.target_indices[over]]
         pose[:, :3] = np.where(pose[:, :3] < 0, pose[marks.first_setup_on_mark, :3], pose[:, :3])
         return cls(pose, target, instrument, extra, n_reduced, size)
@@ -96,7 +96,7 @@ class NetworkRows:
 
     model: MeasurementModel
     """Forward model of the readings."""
-    used_readings: Bools
+    is_used_reading: Bools
     """Flags of the readings in use, (n, 3)."""
     gauge_rows: GaugeRows
     """Rows of the reference lengths."""
@@ -116,7 +116,7 @@ class NetworkRows:
     """Columns of the unknowns."""
 
     @cached_property
-    def structure(self) -> UndeterminedUnknowns:
+    def undetermined_unknowns(self) -> UndeterminedUnknowns:
         """Unknowns that the observations leave undetermined, whatever the geometry."""
         return UndeterminedUnknowns.from_rows(self)
 
@@ -152,13 +152,13 @@ class UndeterminedUnknowns:
     """Stations without any reading."""
     is_unmeasured_target: Bools
     """Flags (T,) of the targets without a reading in use, without known coordinates and without a set-up on them."""
-    height_free_targets: Bools
+    is_height_free_target: Bools
     """Flags (T,) of the targets with undetermined height: levelled set-ups measured only azimuths and horizontal
     distances to them.
     """
     oriented_stations: Ints
     """Stations with azimuths, whose yaw is determined."""
-    constraints_on_unseen: int
+    n_coordinates_of_unmeasured_targets: int
     """Number of known coordinates of unmeasured targets; they do not count as observations."""
     scale_target: Ints
     """Target (one or none) whose distance from the first station is fixed, because directions alone leave the scale
@@ -173,7 +173,7 @@ class UndeterminedUnknowns:
         """Undetermined unknowns of a network, from the kinds of its observations."""
         recording, use, marks, levels = (
             network.model.recording,
-            network.used_readings,
+            network.is_used_reading,
             network.marks,
             network.level_rows,
         )
@@ -200,13 +200,13 @@ class UndeterminedUnknowns:
         n_rows[marks.target_indices[on & (feels | ~upright)]] = False
         n_rows[network.control_rows.place_indices[network.control_rows.declared_components[:, 2]]] = False
         n_rows[np.concatenate([network.gauge_rows.first_targets, network.gauge_rows.second_targets])] = False
-        height_free = network.difference_rows.undetermined_heights(np.concatenate([n_rows, height, [False]]))
+        height_free = network.difference_rows.is_height_undetermined(np.concatenate([n_rows, height, [False]]))
         has_height = np.concatenate(
             [network.control_rows.declared_components[:, 2], network.control_rows_of_marks.declared_components[:, 2]]
         )
         stands = np.where(marks.target_indices >= 0, height_free[marks.target_indices], height_free[len(n_rows) : -1])
         return cls(
-            constraints_on_unseen=int(
+            n_coordinates_of_unmeasured_targets=int(
                 network.control_rows.declared_components[~is_read[network.control_rows.place_indices]].sum()
             ),
             unknowns=network.unknowns,
@@ -215,7 +215,7 @@ class UndeterminedUnknowns:
             height_free_stations=np.flatnonzero(height_free[len(n_rows) : -1]),
             unread_stations=np.flatnonzero(alone & ~range_ & ~azimuth & ~elevation),
             is_unmeasured_target=~is_read,
-            height_free_targets=height_free[: len(n_rows)],
+            is_height_free_target=height_free[: len(n_rows)],
             oriented_stations=np.flatnonzero(azimuth),
             scale_target=_scale_target(network) if _has_approximate_scale(network) else np.zeros(0, dtype=np.int64),
             fixes_heights=bool(stands.all() and (height_free[: len(n_rows)] | ~is_read).all() and not has_height.any()),
@@ -228,7 +228,7 @@ class UndeterminedUnknowns:
         single = [unknowns.target_columns[self.is_unmeasured_target], unknowns.pose_columns[self.unread_stations, :3]]
         single += [
             unknowns.pose_columns[self.height_free_stations, 2:3],
-            unknowns.target_columns[self.height_free_targets, 2:3],
+            unknowns.target_columns[self.is_height_free_target, 2:3],
         ]
         column_groups = [
             unknowns.pose_columns[self.yaw_free_stations, 3:],
@@ -273,7 +273,7 @@ class UndeterminedUnknowns:
             + len(self.height_free_stations)
             + 3 * len(self.unread_stations)
         )
-        return n_tilts + int(self.height_free_targets.sum()) + 3 * int(self.is_unmeasured_target.sum())
+        return n_tilts + int(self.is_height_free_target.sum()) + 3 * int(self.is_unmeasured_target.sum())
 
     @property
     def datum_stations(self) -> Ints:
@@ -289,7 +289,7 @@ class UndeterminedUnknowns:
 def _has_approximate_scale(network: NetworkRows) -> bool:
     """True if the scale follows from approximate coordinates, and not from measurements or reference values."""
     use, recording, control_axes = (
-        network.used_readings,
+        network.is_used_reading,
         network.model.recording,
         network.control_rows.declared_components,
     )
@@ -309,7 +309,7 @@ def _has_approximate_scale(network: NetworkRows) -> bool:
 
 def _scale_target(network: NetworkRows) -> Ints:
     """Index (1,) of a target with an azimuth from the first station that has azimuths."""
-    recording, rows = network.model.recording, np.flatnonzero(network.used_readings[:, 1])
+    recording, rows = network.model.recording, np.flatnonzero(network.is_used_reading[:, 1])
     first_row = rows[np.argsort(recording.station[rows], kind="stable")][:1]
     return recording.target[first_row]
 
@@ -324,7 +324,7 @@ def raise_for_singular_network(
     """Decorator for functions of a recording: raises NetworkError in place of numpy's error for singular matrices."""
 
     @wraps(function)
-    def refusing(
+    def wrapper(
         recording: Recording, /, *args: DecoratedParameters.args, **kwargs: DecoratedParameters.kwargs
     ) -> DecoratedReturn:
         try:
@@ -332,7 +332,7 @@ def raise_for_singular_network(
         except np.linalg.LinAlgError:
             raise NetworkError(_sparsest_measurement_sentence(recording)) from None
 
-    return refusing
+    return wrapper
 
 
 def _sparsest_measurement_sentence(recording: Recording) -> str:

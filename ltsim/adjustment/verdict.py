@@ -8,8 +8,8 @@ from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.quality import adjustment_warnings
-from ltsim.adjustment.significance import GLOBAL_LEVEL, MAX_SINGLE_ERROR_FRACTION, MIN_DOF_FOR_ESTIMATED_NOISE
-from ltsim.adjustment.stochastic_model import noise_settings
+from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL, MAX_SINGLE_ERROR_FRACTION, MIN_DOF_FOR_ESTIMATED_NOISE
+from ltsim.adjustment.stochastic_model import noise_setting_texts
 from ltsim.core.notation import listing
 from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
 
@@ -31,7 +31,7 @@ class VerdictCase(Enum):
 class Verdict:
     """Verdict on an adjustment: conclusion from the tests, its reason, and the noise to use."""
 
-    agreement: VerdictCase
+    case: VerdictCase
     """Conclusion from the tests."""
     sentence: str
     """Sentence with the verdict and its reason."""
@@ -40,7 +40,7 @@ class Verdict:
 
 
 def verdict_on(
-    adjustment: Adjustment, alpha: float = GLOBAL_LEVEL, fit_with_constants: tuple[float, int] | None = None
+    adjustment: Adjustment, alpha: float = GLOBAL_TEST_LEVEL, fit_with_constants: tuple[float, int] | None = None
 ) -> Verdict:
     """Verdict on an adjustment, with `alpha` as the two-sided significance level of the global test.
 
@@ -52,8 +52,8 @@ def verdict_on(
     if not open_:
         return judged
     sentence = " ".join(f"{doubt[0].upper()}{doubt[1:]}." for doubt in open_)
-    case = VerdictCase.IN_DOUBT if judged.agreement is VerdictCase.CLEAN else judged.agreement
-    return replace(judged, agreement=case, sentence=f"{sentence} {judged.sentence}")
+    case = VerdictCase.IN_DOUBT if judged.case is VerdictCase.CLEAN else judged.case
+    return replace(judged, case=case, sentence=f"{sentence} {judged.sentence}")
 
 
 def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants: tuple[float, int] | None) -> Verdict:
@@ -90,7 +90,7 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants
         f"of the {by_w} readings that the w-test flags {by_tau or 'none'} are outliers at the observed noise level"
     )
     if adjustment.noise_sentences:
-        noise, constants = " ".join(adjustment.noise_sentences), _constants_text(fit_with_constants, alpha)
+        noise, constants = " ".join(adjustment.noise_sentences), _sigma0_with_constants_text(fit_with_constants, alpha)
         sentence = f"{noise} Until then trust the estimated sigma0: {phrase}{constants}; {outlier_text}."
         return Verdict(VerdictCase.LARGER_NOISE, sentence, True)
     chi2_rest = chi2 - sum(o.normalised_residual**2 for o in outliers)
@@ -98,7 +98,7 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants
     if (
         by_w
         and is_explained
-        and by_w <= max(1, MAX_SINGLE_ERROR_FRACTION * int(adjustment.problem.used_readings.sum()))
+        and by_w <= max(1, MAX_SINGLE_ERROR_FRACTION * int(adjustment.problem.is_used_reading.sum()))
     ):
         rest_text = "the other readings agree with the declared noise."
         if adjustment.cause_sentences:
@@ -126,7 +126,7 @@ def _sigma0_limits(dof: int, alpha: float) -> tuple[float, float]:
     return low, high
 
 
-def _constants_text(fit_with_constants: tuple[float, int] | None, alpha: float) -> str:
+def _sigma0_with_constants_text(fit_with_constants: tuple[float, int] | None, alpha: float) -> str:
     """Text on sigma0 with the instrument's constants estimated, after a semicolon; empty without such a fit."""
     if fit_with_constants is None or fit_with_constants[1] <= 0:
         return ""
@@ -162,7 +162,7 @@ def _rejection_reasons(adjustment: Adjustment, alpha: float, fit_with_constants:
     )
 
 
-def noise_declaration_advice(adjustment: Adjustment, alpha: float = GLOBAL_LEVEL) -> str:
+def noise_declaration_advice(adjustment: Adjustment, alpha: float = GLOBAL_TEST_LEVEL) -> str:
     """Sentence on the noise to declare if readings scatter less than declared; empty otherwise.
 
     Observables are tested separately, by the sum of their squared residuals (chi-square with their redundancy as
@@ -171,7 +171,7 @@ def noise_declaration_advice(adjustment: Adjustment, alpha: float = GLOBAL_LEVEL
     problem, recording = adjustment.problem, adjustment.recording
     scaled, advice, by_row = adjustment.residuals / problem.sigma, [], []
     for k, observable in enumerate(OBSERVABLES):
-        use = problem.used_readings[:, k]
+        use = problem.is_used_reading[:, k]
         redundancy = float(adjustment.redundancy[use, k].sum())
         square = float(np.sum(scaled[use, k] ** 2))
         if redundancy < MIN_DOF_FOR_ESTIMATED_NOISE or special.gammainc(0.5 * redundancy, 0.5 * square) > alpha / 2:
@@ -180,7 +180,7 @@ def noise_declaration_advice(adjustment: Adjustment, alpha: float = GLOBAL_LEVEL
         if np.isfinite(recording.covariates.get(SIGMA_COLUMNS[k], np.full(len(recording), np.nan))[use]).all():
             by_row.append(f"the sigmas of {observable} by {factor:.2g}")
         elif len(recording.instruments) == 1:
-            advice += noise_settings(recording, observable, float(factor))
+            advice += noise_setting_texts(recording, observable, float(factor))
         else:
             by_row.append(f"the noise of {observable} by {factor:.2g}")
     sentences = [f"Set {listing(advice, len(advice))} in [instrument.noise]." if advice else ""]
@@ -190,7 +190,7 @@ def noise_declaration_advice(adjustment: Adjustment, alpha: float = GLOBAL_LEVEL
 
 def _noisy_targets_text(adjustment: Adjustment) -> str:
     """Text on the targets whose readings scatter far more than those to other targets; empty if there are none."""
-    named, scatter, rest = adjustment.noisy_targets
+    named, scatter, rest = adjustment.noisy_targets_and_scatter
     if not len(named):
         return ""
     names = ", ".join(adjustment.recording.targets[t] for t in named)

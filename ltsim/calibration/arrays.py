@@ -101,7 +101,10 @@ class CalibrationArrays(ValueEquality):
 
 
 def arrays_from_file_rows(
-    construction: str, parameter_entries: Sequence[ParameterEntry], covariance: Sequence[Sequence[float]], file: object
+    construction_name: str,
+    parameter_entries: Sequence[ParameterEntry],
+    covariance: Sequence[Sequence[float]],
+    file_path: object,
 ) -> tuple[CalibrationArrays, list[str]]:
     """Arrays of the parameters in a calibration file, and the names of the parameters that the file lacks.
 
@@ -114,21 +117,23 @@ def arrays_from_file_rows(
         One sentence: key, value, expected value.
     """
     try:
-        built = construction_for_parameters(construction, [row.name for row in parameter_entries])
+        built = construction_for_parameters(construction_name, [row.name for row in parameter_entries])
     except ModelError as problem:
-        raise RecordError(str(problem), file=file) from None
+        raise RecordError(str(problem), file=file_path) from None
     instruments = tuple(dict.fromkeys(row.instrument for row in parameter_entries)) or ("",)
     place = {(i, name): k for k, (i, name) in enumerate((i, n) for i in instruments for n in built.parameter_names)}
-    flat_indices = _flat_parameter_indices(construction, parameter_entries, place, built.parameter_names, file)
+    flat_indices = _flat_parameter_indices(
+        construction_name, parameter_entries, place, built.parameter_names, file_path
+    )
     factor = np.array([SI_PER_UNIT[row.unit] for row in parameter_entries])
 
-    def with_file_values(default: Floats, file_values: Sequence[float | None]) -> Floats:
+    def with_file_values(default_values: Floats, file_values: Sequence[float | None]) -> Floats:
         """Parameters [SI] of all instruments: the values of the file, and the defaults where the file has none."""
         prior_covariance, given = (
-            default.copy(),
+            default_values.copy(),
             np.array([np.nan if cell is None else cell for cell in file_values]) * factor,
         )
-        prior_covariance[flat_indices] = np.where(np.isnan(given), default[flat_indices], given)
+        prior_covariance[flat_indices] = np.where(np.isnan(given), default_values[flat_indices], given)
         return prior_covariance
 
     nominal_sigmas = np.array([p.prior_sigma for _ in instruments for p in built.parameters])
@@ -199,15 +204,27 @@ def residuals_table(adjustment: Adjustment) -> Table:
     """Table of residuals with one row for each observation in use; row numbers of the recording start at 1."""
     recording = adjustment.recording
 
-    def table_row(i: int, k: int) -> list[object]:
-        unit, factor = DISPLAY_UNITS[k]
-        names = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
-        residual_entries = (
-            adjustment.residuals[i, k] / factor,
-            unit,
-            adjustment.redundancy[i, k],
-            adjustment.normalised_residuals[i, k],
+    def table_row(pointing_index: int, observable_index: int) -> list[object]:
+        unit, factor = DISPLAY_UNITS[observable_index]
+        names = (
+            recording.stations[recording.station[pointing_index]],
+            recording.targets[recording.target[pointing_index]],
         )
-        return [i + 1, *names, recording.face[i], recording.repeat[i], OBSERVABLES[k], *residual_entries]
+        residual_entries = (
+            adjustment.residuals[pointing_index, observable_index] / factor,
+            unit,
+            adjustment.redundancy[pointing_index, observable_index],
+            adjustment.normalised_residuals[pointing_index, observable_index],
+        )
+        return [
+            pointing_index + 1,
+            *names,
+            recording.face[pointing_index],
+            recording.repeat[pointing_index],
+            OBSERVABLES[observable_index],
+            *residual_entries,
+        ]
 
-    return RESIDUALS_TABLE.with_rows(table_row(i, k) for i, k in np.argwhere(adjustment.problem.used_readings).tolist())
+    return RESIDUALS_TABLE.with_rows(
+        table_row(i, k) for i, k in np.argwhere(adjustment.problem.is_used_reading).tolist()
+    )

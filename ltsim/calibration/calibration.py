@@ -12,10 +12,10 @@ from pydantic import BeforeValidator, Field, PrivateAttr, field_serializer, mode
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.evaluation.criteria import CriteriaEntry
-from ltsim.adjustment.identification.tests import CauseTest
+from ltsim.adjustment.identification.cause_tests import CauseTest
 from ltsim.calibration.arrays import CalibrationArrays, arrays_from_file_rows, residuals_table, targets_table
 from ltsim.calibration.combinations import DeterminedEntry, UndeterminedEntry
-from ltsim.calibration.evidence import determined_combinations, harmonic_entries, with_plausible_priors
+from ltsim.calibration.evidence import determined_combinations, estimates_with_plausible_priors, harmonic_entries
 from ltsim.calibration.schema import (
     NOISE_TABLE,
     OUTLIERS_TABLE,
@@ -48,7 +48,7 @@ from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import Finite, ResultFile
 
-EntryType = TypeVar("EntryType", DeterminedEntry, HarmonicEntry)
+EntryT = TypeVar("EntryT", DeterminedEntry, HarmonicEntry)
 MAX_SIGMA_RATIO_DETERMINED = 0.975
 """Ratio of sigma to prior sigma below which the readings determine a parameter: they removed at least 5 % of the prior
 variance (0.975 squared is 0.95)."""
@@ -153,7 +153,7 @@ class Calibration(UncertaintyEntry, ResultFile):
         fields = {name: value for name, value in defaults.items() if name not in FIELDS_NOT_COPIED} | fields
         bayes = fields["method"] == "network" and not fields["history_prior"]
         applied_values = arrays.estimates if fields["correction"] is None else arrays.applied_values
-        prior = with_plausible_priors if bayes else None
+        prior = estimates_with_plausible_priors if bayes else None
         derived_fields = {
             "construction_name": arrays.construction.name,
             "parameters": _parameter_entries(arrays, arrays.estimates if applied_values is None else applied_values),
@@ -285,7 +285,7 @@ class Calibration(UncertaintyEntry, ResultFile):
         if self.criteria is not None:
             lines.append(f"stations disagree in distances by {self.criteria.distance.text}")
         if self.correction is not None and self.correction.uncorrected_um > 0:
-            lines += [*([] if self.is_rejected else [self.correction.error_text]), *self.correction.sentences]
+            lines += [*([] if self.is_rejected else [self.correction.point_error_text]), *self.correction.sentences]
         return [*lines, *uncertainty_sentences(self), *self.notes, *self.warnings]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
@@ -330,7 +330,7 @@ class Calibration(UncertaintyEntry, ResultFile):
         """Calibration of one instrument and of its parameters with the given indices, without `correction`."""
         return self._with_arrays_and_fields(self.arrays.for_instrument(instrument, parameter_indices), correction=None)
 
-    def values_for(self, recording: Recording) -> Floats:
+    def applied_values_for(self, recording: Recording) -> Floats:
         """Parameters [SI] to remove from a recording, shape (parameters,), or (pointings, parameters) by pointing.
 
         Parameters of a single instrument apply to any recording, those of several to instruments of the same names.
@@ -375,12 +375,12 @@ def _parameter_entries(arrays: CalibrationArrays, applied_values: Floats) -> tup
 
 def _entries_per_instrument(
     arrays: CalibrationArrays,
-    make_entries: Callable[[Sequence[Parameter], Floats, Floats], list[EntryType]],
+    make_entries: Callable[[Sequence[Parameter], Floats, Floats], list[EntryT]],
     transform: Callable[[Sequence[Parameter], Floats, Floats, Floats], tuple[Floats, Floats]] | None = None,
-) -> tuple[EntryType, ...]:
+) -> tuple[EntryT, ...]:
     """Entries of each instrument, from its estimates and covariance after the optional `transform`."""
     several, size = len(arrays.instruments) > 1, arrays.construction.n_parameters
-    flat_entries: list[EntryType] = []
+    flat_entries: list[EntryT] = []
     parameters = arrays.construction.parameters
     for i, (name, values) in enumerate(zip(arrays.instruments, arrays.estimates, strict=True)):
         covariance = arrays.covariance[i * size : (i + 1) * size, i * size : (i + 1) * size]

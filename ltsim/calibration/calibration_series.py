@@ -18,7 +18,7 @@ from pydantic import Field
 from scipy import linalg, special
 
 from ltsim.adjustment.remedies.undetermined import MAX_UNINFORMATIVE_GAIN
-from ltsim.adjustment.significance import FAMILY_LEVEL
+from ltsim.adjustment.significance import FAMILY_WISE_LEVEL
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.evidence import LikelihoodInformation, likelihood_information
 from ltsim.core.arrays import Floats
@@ -86,7 +86,7 @@ class ParameterPopulation(ValueEquality):
     """Mean of each parameter over the calibrations, shape (parameters,) [SI]."""
     covariance: Floats
     """Covariance of the mean, shape (parameters, parameters) [SI]."""
-    spread: Floats
+    between_calibration_sigma: Floats
     """Standard deviation of each parameter from calibration to calibration, without estimation errors, (parameters,)
     [SI]."""
 
@@ -205,27 +205,27 @@ class CalibrationSeries(ValueEquality):
             covariance[i, :, i] += pull[i] @ remaining[i]
         return covariance
 
-    def change(self, first_number: int, second_number: int) -> ChangeEntry:
+    def change(self, earlier_index: int, later_index: int) -> ChangeEntry:
         """Change from one calibration of the series to another: later minus earlier estimates, with p-values.
 
-        `first_number` and `second_number` count from 0. Parameters that changed are selected by Holm's procedure at
-        `FAMILY_LEVEL`. Undetermined parameters have a p-value of 1.
+        `earlier_index` and `later_index` count from 0. Parameters that changed are selected by Holm's procedure at
+        `FAMILY_WISE_LEVEL`. Undetermined parameters have a p-value of 1.
         """
         contrast, parameters = np.zeros((1, len(self))), self.construction.parameters
-        contrast[0, [first_number, second_number]] = -1.0, 1.0
+        contrast[0, [earlier_index, later_index]] = -1.0, 1.0
         gap, spread = self._contrasts_and_covariance(contrast, np.eye(len(parameters)))
         sigma = np.sqrt(np.where(self._mean_variance_reduction > MAX_UNINFORMATIVE_GAIN, np.diag(spread), 0.0))
         z = np.divide(gap, sigma, out=np.zeros_like(sigma), where=sigma > 0)
         chances = 2.0 * special.ndtr(-np.abs(z))
         order = np.argsort(chances)
-        holds = chances[order] > FAMILY_LEVEL / np.arange(len(order), 0, -1)
+        holds = chances[order] > FAMILY_WISE_LEVEL / np.arange(len(order), 0, -1)
         changed_indices = np.sort(order[: int(np.argmax(holds)) if holds.any() else len(order)])
         unit = self.prior_sigma / [p.si_per_display_unit for p in parameters]
         test: dict[str, Any] = _chi_square_test(
             *self._contrasts_and_covariance(contrast, self._informative_combinations)
         ).model_dump()
         return ChangeEntry(
-            **test | {"from": self.labels[first_number], "to": self.labels[second_number]},
+            **test | {"from": self.labels[earlier_index], "to": self.labels[later_index]},
             changed=tuple(parameters[k].name for k in changed_indices),
             parameters=tuple(
                 DifferenceEntry(
@@ -311,7 +311,7 @@ class CalibrationSeries(ValueEquality):
         """
         population, unit = self.population, self.prior_sigma
         input_calibration = single_instrument(calibration, None, "the calibration")
-        spread = population.spread / unit
+        spread = population.between_calibration_sigma / unit
         likelihood = likelihood_information(
             input_calibration.estimates[0],
             input_calibration.covariance,
@@ -323,7 +323,7 @@ class CalibrationSeries(ValueEquality):
         return input_calibration.with_changes(
             estimates=(posterior_means * unit)[None],
             covariance=covariance * np.outer(unit, unit),
-            prior_sigma=population.spread[None],
+            prior_sigma=population.between_calibration_sigma[None],
             correction=None,
         )
 

@@ -62,8 +62,8 @@ def correct(
             "and another cause may be in its parameters: run ltsim diagnose on its recording and calibrate again "
             f"without that cause, or give {option('allow_rejected=True')} to use it nevertheless"
         )
-    parameter_values = corrections.values_for(source)
-    uncorrected = source.with_readings(source.readings - incidence_correction_change(source, corrections))
+    parameter_values = corrections.applied_values_for(source)
+    uncorrected = source.with_readings(source.readings - incidence_reading_changes(source, corrections))
     readings = corrected_readings(uncorrected, corrections.construction, parameter_values)
     setup, mark = source.setup, {"corrected": True}
     instruments = {name: i.model_copy(update=mark) for name, i in setup.instruments.items()}
@@ -71,7 +71,7 @@ def correct(
     return source.replace(setup=setup.model_copy(update=marked_setup), readings=readings)
 
 
-def incidence_correction_change(recording: Recording, calibration: Calibration) -> Floats:
+def incidence_reading_changes(recording: Recording, calibration: Calibration) -> Floats:
     """Change of the readings by the estimated incidence errors of the reflectors, shape (pointings, 3).
 
     It needs the directions of the nests and an approximate network. It is zero if one of them is missing.
@@ -120,8 +120,8 @@ def _replacement_readings(recording: Recording) -> Floats:
     return model.predict(NetworkState(position, rotation, points, np.zeros((1, 0))))
 
 
-def _undetermined_rows_error(is_undetermined: Bools, reason: str) -> NetworkError:
+def _undetermined_rows_error(is_undetermined: Bools, reason_text: str) -> NetworkError:
     return NetworkError(
         f"row {int(np.argmax(is_undetermined)) + 1} lacks a range or an angle, "
-        f"and its target has no coordinates: {reason}"
+        f"and its target has no coordinates: {reason_text}"
     )

@@ -34,7 +34,7 @@ from ltsim.recordings.reflectors import require_equal_radii
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.design import to_dense
 
-DISTANCE_METHODS: dict[str, ObjectiveNorm] = {
+NORM_BY_DISTANCE_METHOD: dict[str, ObjectiveNorm] = {
     "distance": "squares",
     "distance-l1": "absolute",
     "equation-9": "squares",
@@ -65,7 +65,7 @@ def calibrate_distance(
     recording, _, gross, _ = screen_gross_errors(recording)
     usable = recording.with_readings(np.where(gross[:, None], np.nan, recording.readings))
     start_values = np.where(held, parameter_prior.mean / prior, 0.0).ravel()
-    problem, norm, notes = DistanceProblem(usable, model, prior), DISTANCE_METHODS[method], tuple[str, ...]()
+    problem, norm, notes = DistanceProblem(usable, model, prior), NORM_BY_DISTANCE_METHOD[method], tuple[str, ...]()
     if method.startswith("equation-9"):
         estimate = solve_equation_9(
             problem,
@@ -112,10 +112,10 @@ def calibrate_distance(
         undetermined=_undetermined_entries(adjustment, model, estimate, recommend_measurements=advise),
         frame=result.frame_text(adjustment),
         stations=result.station_poses(adjustment, pose),
-        criteria=result.criteria_table(recording, adjustment, model, parameter_values, reflectors=False),
+        criteria=result.criteria_table(recording, adjustment, model, parameter_values, corrects_reflectors=False),
         outliers=result.outlier_rows(adjustment),
         undetermined_targets=tuple(
-            recording.targets[i] for i in np.flatnonzero(adjustment.problem.structure.is_unmeasured_target)
+            recording.targets[i] for i in np.flatnonzero(adjustment.problem.undetermined_unknowns.is_unmeasured_target)
         ),
         recording=source,
         notes=(*result.range_zero_notes(adjustment), *notes),
@@ -135,7 +135,7 @@ def _fit_entry(propagation: ErrorPropagation) -> FitEntry:
         chi2=chi2,
         dof=expected_chi2,
         sigma0=float(np.sqrt(chi2 / expected_chi2)) if redundant else None,
-        p_value=propagation.chi2_tail(chi2) if redundant else None,
+        p_value=propagation.chi2_p_value(chi2) if redundant else None,
         iterations=estimate.n_iterations,
         status=status[0],
         sentence=status[1],
@@ -192,7 +192,7 @@ class ErrorPropagation:
     @cached_property
     def _used_rows(self) -> Ints:
         """Indices of the readings in use, in the flattened array of all readings."""
-        return np.flatnonzero(self.adjustment.problem.used_readings.ravel())
+        return np.flatnonzero(self.adjustment.problem.is_used_reading.ravel())
 
     @cached_property
     def _whitened_design(self) -> Floats:
@@ -228,7 +228,7 @@ class ErrorPropagation:
     def _noise_parameter_covariance(self) -> Floats:
         """Covariance of the whitened noise with the error of the parameters, shape (observations, parameters)."""
         readings = 3 * len(self.recording)
-        noise = self.estimate.noise_covariance
+        noise = self.estimate.covariance_with_observations
         return np.concatenate([noise[:, self._used_rows], noise[:, readings:]], axis=1).T
 
     def added_covariance(self) -> Floats:
@@ -237,9 +237,9 @@ class ErrorPropagation:
         cross_covariance = (self._adjustment_response @ self._noise_parameter_covariance) @ through.T
         return through @ self.estimate.covariance @ through.T - cross_covariance - cross_covariance.T
 
-    def _residual_part(self, columns: Floats) -> Floats:
+    def _residual_part(self, observation_vectors: Floats) -> Floats:
         """Part of observation vectors, one per column, that remains in the residuals of the adjustment."""
-        return columns - self._whitened_design @ (self._adjustment_response @ columns)
+        return observation_vectors - self._whitened_design @ (self._adjustment_response @ observation_vectors)
 
     def chi2_moments(self) -> tuple[float, float]:
         """Expected value and variance of the adjustment's chi-square, for a correct model and the declared noise."""
@@ -257,7 +257,7 @@ class ErrorPropagation:
             n_free + 2 * float(np.trace(block_matrix)) + float(np.sum(block_matrix * block_matrix.T))
         )
 
-    def chi2_tail(self, chi2: float) -> float:
+    def chi2_p_value(self, chi2: float) -> float:
         """Probability of a larger chi-square, by Satterthwaite's approximation with a scaled chi-square."""
         mean, variance = self.chi2_moments()
         scale = variance / (2 * mean)

@@ -23,12 +23,12 @@ import scipy.sparse as sp
 from scipy.optimize import linprog, lsq_linear
 
 from ltsim.adjustment.remedies.undetermined import MIN_DETERMINED_GAIN, ParameterCombination
-from ltsim.calibration.objective import DistanceProblem, SetDistances, centring_matrix, set_pairs
+from ltsim.calibration.objective import DistanceProblem, SetDistances, mean_removal_matrix, set_pairs
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError
 from ltsim.core.rounding import MAX_ROUNDING_ERROR
-from ltsim.solve.absolute import solve_least_absolute
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
+from ltsim.solve.least_absolute import solve_least_absolute
 
 ObjectiveNorm = Literal["squares", "absolute"]
 """Norm of the objective: sum of squares, or sum of absolute values."""
@@ -62,7 +62,7 @@ class DistanceEstimate:
     covariance: Floats
     """Covariance of the estimates, shape (unknowns, unknowns). Combinations fixed at zero contribute their prior
     variance."""
-    noise_covariance: Floats
+    covariance_with_observations: Floats
     """Covariance of the estimates with the whitened readings and gauge lengths, shape (unknowns, 3 pointings + gauge
     lengths)."""
     undetermined_combinations: tuple[ParameterCombination, ...]
@@ -75,14 +75,14 @@ class DistanceEstimate:
     """True if the last step was below the tolerance."""
 
 
-def mean_deviation_rows(problem: DistanceProblem, distances: SetDistances) -> ComparedDistances:
+def mean_deviation_comparisons(problem: DistanceProblem, distances: SetDistances) -> ComparedDistances:
     """Comparisons whose sum of squares is the objective of eq. 9: weighted deviations from the mean over the sets."""
-    centre, count = centring_matrix(distances)
+    centre, count = mean_removal_matrix(distances)
     scaled_centring = sp.diags_array(np.sqrt(count)) @ centre
     return _append_gauge_rows(problem, distances, sp.csr_array(scaled_centring))
 
 
-def pair_difference_rows(problem: DistanceProblem, distances: SetDistances) -> ComparedDistances:
+def pair_difference_comparisons(problem: DistanceProblem, distances: SetDistances) -> ComparedDistances:
     """Comparisons that are the single terms of eq. 9: differences of two sets, and deviations from gauge lengths."""
     first, second = set_pairs(distances)
     problem._check_matrix_size(len(first))
@@ -100,18 +100,18 @@ def _selection_matrix(row_indices: Ints, n_columns: int) -> sp.csr_array:
 
 
 def _append_gauge_rows(
-    problem: DistanceProblem, distances: SetDistances, comparison_matrix: sp.csr_array
+    problem: DistanceProblem, distances: SetDistances, set_comparison_matrix: sp.csr_array
 ) -> ComparedDistances:
     """Comparisons between sets, followed by the deviations of distances from their gauge lengths."""
-    at, which = problem.gauge_matches(distances)
+    at, which = problem.gauge_match_indices(distances)
     n_lengths = len(problem.reference_lengths)
     selection = _selection_matrix(at, len(distances.lengths))
     # The error of a gauge length shifts all rows that compare with it.
     spread = sp.csr_array(-problem.reference_lengths.covariance_root[which])
-    matrix = sp.vstack([comparison_matrix, selection], format="csr")
+    matrix = sp.vstack([set_comparison_matrix, selection], format="csr")
     residual = matrix @ distances.lengths
-    residual[comparison_matrix.shape[0] :] -= problem.reference_lengths.lengths[which]
-    length_noise = sp.vstack([sp.csr_array((comparison_matrix.shape[0], n_lengths)), spread], format="csr")
+    residual[set_comparison_matrix.shape[0] :] -= problem.reference_lengths.lengths[which]
+    length_noise = sp.vstack([sp.csr_array((set_comparison_matrix.shape[0], n_lengths)), spread], format="csr")
     noise = sp.hstack([matrix @ distances.reading_derivatives, length_noise], format="csr")
     return ComparedDistances(
         sp.csr_array(matrix), residual, matrix @ distances.parameter_derivatives, sp.csr_array(noise)
@@ -136,13 +136,13 @@ def solve_distances(
         If no pair of targets was measured from two stations (or faces), and there is no gauge.
     """
     unknowns, free = _start_values(problem, start_values, fixed_mask)
-    deviation_rows = mean_deviation_rows(problem, problem.distances_at(unknowns))
+    deviation_rows = mean_deviation_comparisons(problem, problem.distances_at(unknowns))
     _require_compared_distances(deviation_rows, np.ones_like(free))
     estimated, undetermined = determined_combinations(deviation_rows, free)
     moved, iterations = np.inf, 0
     while iterations < MAX_ITERATIONS and not moved < MAX_ROUNDING_ERROR:
         iterations += 1
-        deviation_rows = compared_rows(problem, unknowns, norm)
+        deviation_rows = compared_distances_at(problem, unknowns, norm)
         step = estimated @ _unbounded_step(
             deviation_rows.unknown_derivatives @ estimated, deviation_rows.residuals, norm
         )
@@ -176,7 +176,7 @@ def solve_equation_9(
             f"the bound on the parameters (box) is {bound_in_prior_sigmas}; expected a positive number of prior sigmas"
         )
     unknowns, free = _start_values(problem, start_values, fixed_mask)
-    rows, iterations, moved = compared_rows(problem, unknowns, norm), 0, np.inf
+    rows, iterations, moved = compared_distances_at(problem, unknowns, norm), 0, np.inf
     _require_compared_distances(rows, free)
     while iterations < MAX_ITERATIONS and not moved < MAX_ROUNDING_ERROR:
         iterations += 1
@@ -230,10 +230,11 @@ def _make_estimate(
     )
 
 
-def compared_rows(problem: DistanceProblem, unknowns: Floats, norm: ObjectiveNorm) -> ComparedDistances:
+def compared_distances_at(problem: DistanceProblem, unknowns: Floats, norm: ObjectiveNorm) -> ComparedDistances:
     """Comparisons whose sum of squares, or of absolute values, is the objective of eq. 9."""
     distances = problem.distances_at(unknowns)
-    return mean_deviation_rows(problem, distances) if norm == "squares" else pair_difference_rows(problem, distances)
+    comparisons_of = mean_deviation_comparisons if norm == "squares" else pair_difference_comparisons
+    return comparisons_of(problem, distances)
 
 
 def objective_of(compared_distances: ComparedDistances, norm: ObjectiveNorm) -> float:
@@ -346,7 +347,7 @@ def _line_search(
     before, share = objective_of(compared_distances, norm), 1.0
     while share > 1e-3:
         there = unknowns + share * step
-        rows_there = compared_rows(problem, there, norm)
+        rows_there = compared_distances_at(problem, there, norm)
         fallen = 1.0 - objective_of(rows_there, norm) / before
         if fallen > 0.0:
             return there, rows_there, fallen

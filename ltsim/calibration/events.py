@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field
 from scipy import special
 
-from ltsim.adjustment.significance import FAMILY_LEVEL
+from ltsim.adjustment.significance import FAMILY_WISE_LEVEL
 from ltsim.calibration.calibration_series import CalibrationSeries
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
@@ -21,7 +21,7 @@ from ltsim.recordings.result_file import Entry, Finite, NotNegative
 
 MIN_STEPS_FOR_TEST = 3
 """Number of steps between calibrations from which events are tested: the t-test then has two degrees of freedom."""
-MIN_STEPS_FOR_USUAL = 5
+MIN_STEPS_TO_CALL_USUAL = 5
 """Number of steps from which a report calls a step usual if it is no event: their variance then has four degrees of
 freedom."""
 TIME_GROWTH_FRACTIONS = np.linspace(0.0, 1.0, 5)
@@ -51,33 +51,34 @@ class EventEntry(Entry):
     """p-value of the step, corrected for all steps and parameters."""
 
 
-def has_enough_steps(history: CalibrationSeries) -> bool:
+def has_enough_steps(series: CalibrationSeries) -> bool:
     """True if the history has enough steps (`MIN_STEPS_FOR_TEST`) to test them for events."""
-    return len(history) > MIN_STEPS_FOR_TEST
+    return len(series) > MIN_STEPS_FOR_TEST
 
 
-def significant_steps(history: CalibrationSeries) -> tuple[EventEntry, ...]:
+def significant_steps(series: CalibrationSeries) -> tuple[EventEntry, ...]:
     """Significant steps of all parameters in chronological order; empty if there are too few steps for a test.
 
     p-values are corrected for the number of steps and parameters (Bonferroni).
     """
-    if not has_enough_steps(history):
+    if not has_enough_steps(series):
         return ()
-    steps = [change.parameters for change in history.changes()]
+    steps = [change.parameters for change in series.changes()]
     difference, sigma = (
         np.array([[getattr(p, key) for p in entries] for entries in steps]) for key in ("difference", "sigma")
     )
     tested_parameters = np.flatnonzero((sigma > 0).all(axis=0)).tolist()
-    growth, looks = _relative_step_durations(history), len(steps) * max(len(tested_parameters), 1)
+    growth, looks = _relative_step_durations(series), len(steps) * max(len(tested_parameters), 1)
     steps_by_parameter = {
-        k: _significant_steps_of(difference[:, k], sigma[:, k], growth, FAMILY_LEVEL / looks) for k in tested_parameters
+        k: _significant_steps_of(difference[:, k], sigma[:, k], growth, FAMILY_WISE_LEVEL / looks)
+        for k in tested_parameters
     }
     significant = sorted((i, k, usual, p) for k, entries in steps_by_parameter.items() for i, usual, p in entries)
     return tuple(
         EventEntry(
-            **{"from": history.labels[i], "to": history.labels[i + 1]},
-            name=history.construction.parameter_names[k],
-            unit=history.construction.parameters[k].unit,
+            **{"from": series.labels[i], "to": series.labels[i + 1]},
+            name=series.construction.parameter_names[k],
+            unit=series.construction.parameters[k].unit,
             difference=difference[i, k],
             sigma=sigma[i, k],
             usual_step_sigma=usual,

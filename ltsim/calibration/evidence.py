@@ -22,13 +22,13 @@ is reported: the recording then determines it four times better than its members
 MAX_TRUNCATION_SIGMA_RATIO = 1.2
 """Largest permitted increase of the standard deviation of a combination when its smallest members are omitted, as a
 ratio."""
-MIN_LEADING_WEIGHT = 0.5
+MIN_REFERENCE_COEFFICIENT = 0.5
 """Coefficient, relative to the largest of a combination, above which a member can be the reference with coefficient 1.
 The first such member is used: the vertical index before the harmonics of the circle, in the order of the model."""
-EVIDENCE_SIZES = np.array(list(probability.SIZE_PRIOR))
+RELATIVE_EFFECT_SIZES = np.array(list(probability.SIZE_PRIOR))
 """Sizes of an effect over which the evidence is averaged, relative to its plausible size."""
 LOG_SIZE_PRIOR = np.log(np.array(list(probability.SIZE_PRIOR.values())))
-"""Logarithms of the prior probabilities of `EVIDENCE_SIZES`."""
+"""Logarithms of the prior probabilities of `RELATIVE_EFFECT_SIZES`."""
 MAX_SINGLE_CALL_ENTRIES = 100
 """Number of array entries up to which one NumPy call computes a log-sum-exp; several vectorised calls are faster above
 it."""
@@ -80,37 +80,39 @@ def score_test(information: Floats, score: Floats, prior_covariance: Floats) -> 
     return keeps @ score, keeps @ information
 
 
-def log_marginal_likelihood(likelihood: LikelihoodInformation, mean: Floats, prior_covariance: Floats) -> float:
+def log_marginal_likelihood(
+    likelihood_information: LikelihoodInformation, mean: Floats, prior_covariance: Floats
+) -> float:
     """Log marginal likelihood of a calibration for parameters with a normal prior, up to a constant.
 
     The likelihood exp(b'x - x'N x / 2), with the information matrix N and the information vector b, is averaged over x
     ~ N(`mean`, `prior_covariance`).
     """
-    information, vector = likelihood.information, likelihood.information_vector
+    information, vector = likelihood_information.information, likelihood_information.information_vector
     score = vector - information @ mean
     keeps = np.eye(len(score)) + information @ prior_covariance
     gain = score @ prior_covariance @ np.linalg.solve(keeps, score)
     return float(vector @ mean + 0.5 * (gain - mean @ information @ mean - np.linalg.slogdet(keeps)[1]))
 
 
-def forward_select(scores: Callable[[Collection[int]], Floats], min_score: float) -> dict[int, Floats]:
+def forward_select(score_function: Callable[[Collection[int]], Floats], min_score: float) -> dict[int, Floats]:
     """Changes selected by forward selection with exchange: the scores at the selection of each change, by its index.
 
-    `scores` returns the score of each of h candidate changes given the indices of selected ones. The best change is
-    added while its score exceeds `min_score`. After each addition, every earlier change is exchanged for the best
-    change given the others.
+    `score_function` returns the score of each of h candidate changes given the indices of selected ones. The best
+    change is added while its score exceeds `min_score`. After each addition, every earlier change is exchanged for the
+    best change given the others.
     """
     odds_by_index: dict[int, Floats] = {}
-    while (values := scores(odds_by_index)).max(initial=-np.inf) > min_score:
+    while (values := score_function(odds_by_index)).max(initial=-np.inf) > min_score:
         odds_by_index[int(np.argmax(values))] = values
         for previous in list(odds_by_index)[:-1]:
-            values = scores([k for k in odds_by_index if k != previous])
+            values = score_function([k for k in odds_by_index if k != previous])
             del odds_by_index[previous]
             odds_by_index[int(np.argmax(values))] = values
     return odds_by_index
 
 
-def with_plausible_priors(
+def estimates_with_plausible_priors(
     parameters: Sequence[Parameter], estimates: Floats, covariance: Floats, prior_sigma: Floats
 ) -> tuple[Floats, Floats]:
     """Estimates (p,) and covariance (p, p) [SI] that the plausible priors of the parameters would give.
@@ -159,7 +161,7 @@ def determined_combinations(
                     break
             if count < 2 or sigma > MAX_SIGMA_RATIO_COMBINATION * float(np.linalg.norm(weights * alone[members])):
                 continue
-            first = int(np.flatnonzero(np.abs(weights) > MIN_LEADING_WEIGHT * np.abs(weights).max())[0])
+            first = int(np.flatnonzero(np.abs(weights) > MIN_REFERENCE_COEFFICIENT * np.abs(weights).max())[0])
             order, unit_of_first = [first, *np.delete(np.arange(count), first)], weights[first] * factor
             combination = {parameters[at[members[i]]].name: float(weights[i] / weights[first]) for i in order}
             value, sigma = float(weights @ estimates[at[members]]) / unit_of_first, sigma / abs(unit_of_first)
@@ -227,7 +229,7 @@ def log_sum_exp(logarithms: Floats, axis: int = 0) -> Floats:
 
 
 def size_weights_and_constants(
-    information_strength: Floats, sizes: Floats = EVIDENCE_SIZES, log_size_prior: Floats = LOG_SIZE_PRIOR
+    information_strength: Floats, sizes: Floats = RELATIVE_EFFECT_SIZES, log_size_prior: Floats = LOG_SIZE_PRIOR
 ) -> tuple[Floats, Floats]:
     """Weights of the squared scores and additive constants in the log evidence of an effect, at each of its sizes.
 

@@ -150,7 +150,7 @@ def _law_size_entries(law: EmpiricalLaw, adjustment: Adjustment) -> tuple[Fitted
         law,
         adjustment.sightings,
         adjustment.state.extra_parameters[columns],
-        adjustment.extra_covariance[columns, columns],
+        adjustment.effect_covariance[columns, columns],
     )
     return tuple(FittedParameterEntry(**size._asdict()) for size in component_sizes)
 

@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from ltsim.adjustment.coordinate_uncertainty import COVARIANCE_FILE
+from ltsim.adjustment.coordinate_uncertainty import COVARIANCE_FILE_NAME
 from ltsim.calibration.arrays import arrays_from_file_rows
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.reported import joint_covariance_csv
+from ltsim.calibration.reported_uncertainty import joint_covariance_csv_text
 from ltsim.calibration.schema import RESIDUALS_TABLE, TARGETS_TABLE
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError, unknown_name
@@ -32,8 +32,8 @@ def write_calibration(calibration: Calibration, folder: Path) -> Calibration:
     texts = {TARGETS_TABLE.file: calibration.table("targets").csv()}
     if calibration.adjustment is not None:
         texts[RESIDUALS_TABLE.file] = calibration.table("residuals").csv()
-        covariance = joint_covariance_csv(calibration)
-        texts |= {} if covariance is None else {COVARIANCE_FILE: covariance}
+        covariance = joint_covariance_csv_text(calibration)
+        texts |= {} if covariance is None else {COVARIANCE_FILE_NAME: covariance}
     return write_result(folder, calibration, texts)
 
 
@@ -76,10 +76,10 @@ def read_calibration(path: Path) -> Calibration:
     )
 
 
-def _check_reflector_parameters(content: Calibration, file: Path) -> None:
+def _check_reflector_parameters(calibration: Calibration, file: Path) -> None:
     """Check of the names and units of reflector parameters against `smr-incidence`; raises RecordError."""
     unit_by_name = {parameter.name: parameter.unit for parameter in SmrIncidence.parameters}
-    for entry in content.reflectors:
+    for entry in calibration.reflectors:
         for row in entry.parameters:
             if row.name not in unit_by_name:
                 unknown = unknown_name("parameter of smr-incidence", quoted_text(row.name), tuple(unit_by_name))

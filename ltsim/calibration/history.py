@@ -6,7 +6,7 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, PrivateAttr, model_validator
 
-from ltsim.adjustment.significance import FAMILY_LEVEL
+from ltsim.adjustment.significance import FAMILY_WISE_LEVEL
 from ltsim.calibration.calibration_series import CalibrationSeries, ChangeEntry, ChiSquareEntry
 from ltsim.calibration.events import EventEntry, significant_steps
 from ltsim.calibration.schema import FitEntry
@@ -17,7 +17,7 @@ from ltsim.core.results import Column, ColumnValues, Table, columns_of, text_col
 from ltsim.recordings.result_file import Entry, Finite, NotNegative, OptionalFloat, ResultFile
 
 
-class ParameterCourse(Entry):
+class ParameterHistory(Entry):
     """Values of one parameter in successive calibrations, in its display unit."""
 
     name: str
@@ -57,7 +57,7 @@ INSTRUMENT_CHANGES_TABLE = Table(
         Column("p_value", "p-value of such differences without a change", "chance", title="p"),
     ),
 )
-COURSES_TABLE = Table(
+PARAMETER_HISTORIES_TABLE = Table(
     "parameters.csv",
     "parameters that the calibrations determine",
     (
@@ -105,7 +105,7 @@ class History(ResultFile):
     """Model of the instrument: `misalignment`, `dh` or `ideal`."""
     calibrations: tuple[HistoryCalibration, ...] = Field(min_length=1)
     """Calibrations in chronological order."""
-    parameters: tuple[ParameterCourse, ...] = ()
+    parameters: tuple[ParameterHistory, ...] = ()
     """Values of each parameter over the calibrations."""
     mean_covariance: tuple[tuple[Finite, ...], ...] = ()
     """Covariance of the mean parameters, in their units. Combinations that no calibration determines have their prior
@@ -130,7 +130,7 @@ class History(ResultFile):
                 HistoryCalibration(label=label, fit=FitEntry(chi2=c.fit.chi2, dof=c.fit.dof, sigma0=c.fit.sigma0))
                 for label, c in zip(series.labels, series.calibrations, strict=True)
             ),
-            parameters=tuple(_parameter_course(series, k) for k in range(series.construction.n_parameters)),
+            parameters=tuple(_parameter_history(series, k) for k in range(series.construction.n_parameters)),
             mean_covariance=(series.population.covariance / np.outer(factors, factors)).tolist(),
             constant=series.constancy_test(),
             changes=tuple(series.changes()),
@@ -153,7 +153,7 @@ class History(ResultFile):
         return [calibration.label for calibration in self.calibrations]
 
     @property
-    def determined_parameters(self) -> list[ParameterCourse]:
+    def determined_parameters(self) -> list[ParameterHistory]:
         """Parameters that at least one calibration determines."""
         return [course for course in self.parameters if course.constancy_test.dof]
 
@@ -190,7 +190,7 @@ class History(ResultFile):
             [
                 c.from_,
                 c.to,
-                listing(c.changed) or ("no single one" if c.p_value < FAMILY_LEVEL else ""),
+                listing(c.changed) or ("no single one" if c.p_value < FAMILY_WISE_LEVEL else ""),
                 c.chi2,
                 c.dof,
                 c.p_value,
@@ -199,7 +199,7 @@ class History(ResultFile):
         )
 
     def _parameters_table(self) -> Table:
-        return COURSES_TABLE.with_rows(
+        return PARAMETER_HISTORIES_TABLE.with_rows(
             [p.name, p.values[-1], p.sigmas[-1], p.unit, p.mean, p.spread, p.constancy_test.p_value]
             for p in self.determined_parameters
         )
@@ -213,16 +213,16 @@ class History(ResultFile):
         return self
 
 
-def _parameter_course(series: CalibrationSeries, parameter_index: int) -> ParameterCourse:
+def _parameter_history(series: CalibrationSeries, parameter_index: int) -> ParameterHistory:
     """Values of one parameter over the calibrations of a series, in its display unit."""
     parameter, population = series.construction.parameters[parameter_index], series.population
-    return ParameterCourse(
+    return ParameterHistory(
         name=parameter.name,
         unit=parameter.unit,
         values=(series.estimates[:, parameter_index] / parameter.si_per_display_unit).tolist(),
         sigmas=(series.sigma[:, parameter_index] / parameter.si_per_display_unit).tolist(),
         prior_sigma=series.prior_sigma[parameter_index] / parameter.si_per_display_unit,
         mean=population.mean[parameter_index] / parameter.si_per_display_unit,
-        spread=population.spread[parameter_index] / parameter.si_per_display_unit,
+        spread=population.between_calibration_sigma[parameter_index] / parameter.si_per_display_unit,
         constancy_test=series.constancy_test(parameter_index),
     )

@@ -9,8 +9,8 @@ import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust as adjusted_network
 from ltsim.adjustment.identification import CauseSelection, adjust_with_causes, cause_tests, identify_causes
-from ltsim.adjustment.identification.tests import cause_sentence
-from ltsim.adjustment.prior import ParameterPrior, expected_sigmas, prior_sigmas
+from ltsim.adjustment.identification.cause_tests import cause_sentence
+from ltsim.adjustment.prior import ParameterPrior, expected_error_sigmas, prior_sigmas
 from ltsim.adjustment.quality import require_usable
 from ltsim.adjustment.reference_tests import SCALE_DEPENDENT_KINDS, TESTED_REFERENCE_KINDS
 from ltsim.adjustment.stochastic_model import NoiseGrouping
@@ -25,7 +25,7 @@ from ltsim.calibration.prior_conflict import (
     prior_conflict_sentences,
 )
 from ltsim.calibration.prior_information import NO_PRIOR_SIGMA_FACTOR, ParameterSelection
-from ltsim.calibration.reported import uncertainty_factor, with_reported_uncertainty
+from ltsim.calibration.reported_uncertainty import uncertainty_factor, with_reported_uncertainty
 from ltsim.calibration.schema import FitEntry, VerdictEntry
 from ltsim.calibration.shrinkage import recommend_correction
 from ltsim.core.errors import ConvergenceError, LtsimError, NetworkError
@@ -71,7 +71,7 @@ def calibrate_network(
     for wanted in extra_effects:
         wanted.require_estimable(recording, model)
     modes = [RangeMode()] if model.n_parameters and MODE_COLUMN in recording.regressor_covariates else []
-    expected_prior = expected_sigmas(recording, model) if choose_correction else prior_sigmas(recording, model)
+    expected_prior = expected_error_sigmas(recording, model) if choose_correction else prior_sigmas(recording, model)
     prior, history_prior = (
         chosen.prior_with_sigma(expected_prior, recording, model),
         chosen.earlier_calibrations is not None,
@@ -88,7 +88,7 @@ def calibrate_network(
             robust,
             grouping,
             datum,
-            prior.with_free_parameters(freed),
+            prior.with_widened_sigmas(freed),
             selection,
         )
         try:
@@ -208,7 +208,7 @@ def _fit_with_constants(adjustment: Adjustment) -> FitEntry | None:
         how: dict[str, Any] = {
             "effects": adjustment.effects,
             "sigma": problem.sigma,
-            "reading_mask": problem.used_readings,
+            "reading_mask": problem.is_used_reading,
         }
         fitted = adjusted_network(recording, built, **how)
     except LtsimError:
@@ -240,7 +240,7 @@ def _adjust_with_options(
 ) -> Adjustment:
     """Adjustment with the options of a calibration, with extra effects, and with the selected causes of a misfit."""
     how: dict[str, Any] = {"robust": robust, "variance_components": grouping, "datum": datum, "prior": prior}
-    if selection is not None and selection.requires_initial_causes:
+    if selection is not None and selection.requires_adjustment_with_causes:
         fit = selection.fit
         how["reading_mask"] = ~(fit.is_outlier & fit.is_gross_reading)
         adjustment = adjust_with_causes(fit, recording, construction, fit.hypotheses, effects=effects, **how)
@@ -249,7 +249,7 @@ def _adjust_with_options(
         return _require_available_datum(adjustment, datum)
     how["tested_kinds"] = TESTED_REFERENCE_KINDS if prior is None or prior.is_fixed.all() else SCALE_DEPENDENT_KINDS
     if selection is not None:
-        effects = (*effects, *selection.certain_motions, *selection.certain_target_motions)
+        effects = (*effects, *selection.certain_station_motions, *selection.certain_target_motions)
     adjustment = adjusted_network(recording, construction, effects=effects, **how)
     if adjustment.sigma0 >= MAX_SIGMA0_FOR_WIDENING and any(
         test.kind == "scale" for test in adjustment.rejected_references
@@ -262,7 +262,7 @@ def _adjust_with_options(
     if selection is not None and selection.is_consistent and selection.has_shifts_other_than_motions:
         adjustment = replace(adjustment, cause_sentences=_cause_sentences(selection))
     if selection is not None and grouping is None:
-        noise_sentences = tuple(cause_sentence(selection.fit, h) for h in selection.larger_noise)
+        noise_sentences = tuple(cause_sentence(selection.fit, h) for h in selection.larger_noise_hypotheses)
         adjustment = replace(adjustment, noise_sentences=noise_sentences)
     return _require_available_datum(adjustment, datum)
 
@@ -291,7 +291,10 @@ def _make_calibration(
         is_free[:, None] & is_free, adjustment.reduced_covariance[columns_of_free[:, None], columns_of_free], 0.0
     )
     prior = adjustment.problem.prior.sigma
-    values, directions = adjustment.state.instrument_parameters, result.undetermined_directions(covariance, prior)
+    values, directions = (
+        adjustment.state.instrument_parameters,
+        result.undetermined_by_instrument(covariance, prior),
+    )
     arrays = CalibrationArrays(
         construction=construction,
         instruments=recording.instruments,

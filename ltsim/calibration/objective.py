@@ -53,7 +53,7 @@ class DistanceProblem:
         return GaugeRows.from_recording(self.recording)
 
     @cached_property
-    def set_numbers(self) -> Ints:
+    def set_indices(self) -> Ints:
         """Index of the set (station and face) of each pointing, from 0, shape (pointings,)."""
         _, number = np.unique(2 * self.recording.station + self.recording.face - 1, return_inverse=True)
         return number.astype(np.int64)
@@ -65,7 +65,7 @@ class DistanceProblem:
         The indices are the set and the target of each mean point.
         """
         n_targets = len(self.recording.targets)
-        key = self.set_numbers * n_targets + self.recording.target
+        key = self.set_indices * n_targets + self.recording.target
         complete_rows = np.flatnonzero(self.recording.is_measured.all(axis=1))
         keys, inverse, repeats = np.unique(key[complete_rows], return_inverse=True, return_counts=True)
         entries = (1.0 / repeats[inverse], (inverse, complete_rows))
@@ -77,7 +77,7 @@ class DistanceProblem:
         """Indices of the first and second mean point of each distance, and the index of its pair of targets."""
         sets, target = self._averaging_matrix[1].T
         a, b = _index_pairs(
-            np.flatnonzero(sets == number) for number in range(int(self.set_numbers.max(initial=-1)) + 1)
+            np.flatnonzero(sets == number) for number in range(int(self.set_indices.max(initial=-1)) + 1)
         )
         self._check_matrix_size(len(a))
         return a, b, target[a] * len(self.recording.targets) + target[b]
@@ -89,14 +89,14 @@ class DistanceProblem:
 
     def distances_at(self, unknowns: Floats) -> SetDistances:
         """Distances within all sets, for parameters of all instruments in units of their prior standard deviations."""
-        point, by_reading, by_value = self._points(self.recording.readings, unknowns)
+        point, by_reading, by_value = self._points_and_derivatives(self.recording.readings, unknowns)
         group = self._distance_ends[2]
         length, unit, by_parameter = self._distances_and_derivatives(point, by_value)
         return SetDistances(length, group, by_parameter, self._reading_derivatives(unit, by_reading))
 
     def parameter_derivatives(self, readings: Floats, unknowns: Floats) -> Floats:
         """Derivative (distances, unknowns) of the distances with respect to the parameters, at other readings."""
-        point, _, by_value = self._points(readings, unknowns)
+        point, _, by_value = self._points_and_derivatives(readings, unknowns)
         return self._distances_and_derivatives(point, by_value)[2]
 
     def _distances_and_derivatives(self, point: Floats, point_derivatives: Floats) -> tuple[Floats, Floats, Floats]:
@@ -117,7 +117,7 @@ class DistanceProblem:
         means = (averaging @ points.reshape(len(points), -1)).reshape(-1, *points.shape[1:])
         return np.linalg.norm(means[a] - means[b], axis=1)
 
-    def _points(self, readings: Floats, unknowns: Floats) -> tuple[Floats, Floats, Floats]:
+    def _points_and_derivatives(self, readings: Floats, unknowns: Floats) -> tuple[Floats, Floats, Floats]:
         """Measured points (n, 3) of n pointings, and their derivatives.
 
         The derivatives are with respect to the whitened readings, shape (n, 3, 3), and to the q parameters of all
@@ -148,7 +148,7 @@ class DistanceProblem:
             total = total + along[i] @ (point_rows @ block)
         return sp.csr_array(total)
 
-    def gauge_matches(self, distances: SetDistances) -> tuple[Ints, Ints]:
+    def gauge_match_indices(self, distances: SetDistances) -> tuple[Ints, Ints]:
         """Indices of the distances that have a reference length, and the index of this length for each."""
         n_targets = len(self.recording.targets)
         lower_targets = np.minimum(self.reference_lengths.first_targets, self.reference_lengths.second_targets)
@@ -159,7 +159,7 @@ class DistanceProblem:
         return matched_rows, gauge_indices[matched_rows]
 
 
-def centring_matrix(distances: SetDistances) -> tuple[sp.csr_array, Floats]:
+def mean_removal_matrix(distances: SetDistances) -> tuple[sp.csr_array, Floats]:
     """Matrix that subtracts from each distance the mean over all sets, and the number of sets with this distance.
 
     The matrix has the shape (distances, distances).

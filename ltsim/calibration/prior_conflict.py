@@ -8,7 +8,7 @@ from scipy import special
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.prior import WIDENED_SIGMA_FACTOR, ParameterPrior
 from ltsim.adjustment.remedies.undetermined import MAX_UNINFORMATIVE_GAIN, ParameterCombination
-from ltsim.adjustment.significance import FAMILY_LEVEL, MIN_DOF_FOR_ESTIMATED_NOISE, SINGLE_LEVEL
+from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MIN_DOF_FOR_ESTIMATED_NOISE, SINGLE_TEST_LEVEL
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.evidence import forward_select, likelihood_information, log_evidence, score_test
 from ltsim.core.arrays import Bools, Floats
@@ -35,7 +35,7 @@ def sigma0_of_readings(adjustment: Adjustment) -> float:
 def is_noise_overstated(adjustment: Adjustment) -> bool:
     """True if readings scatter significantly less than declared, so that the declared noise is too large."""
     testable = adjustment.dof >= MIN_DOF_FOR_ESTIMATED_NOISE and sigma0_of_readings(adjustment) > MAX_NOISE_FREE_SIGMA0
-    return testable and bool(special.chdtr(adjustment.dof, adjustment.chi2) < SINGLE_LEVEL)
+    return testable and bool(special.chdtr(adjustment.dof, adjustment.chi2) < SINGLE_TEST_LEVEL)
 
 
 def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bools:
@@ -55,17 +55,17 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
     common_changes = np.tile(np.eye(size), len(rejected))[~prior.is_fixed.any(axis=0) & (len(rejected) > 1)]
     directions = np.concatenate([np.eye(rejected.size)[free], common_changes])[:, free]
 
-    def log_odds_given(other_changes: Collection[int]) -> Floats:
+    def log_odds_given(selected_changes: Collection[int]) -> Floats:
         """Log odds of each candidate contradiction given the selected ones, rounded to 0.1.
 
         Of candidates that the readings do not distinguish, the first is then selected.
         """
-        given_changes = WIDENED_SIGMA_FACTOR * directions[list(other_changes)]
+        given_changes = WIDENED_SIGMA_FACTOR * directions[list(selected_changes)]
         score, weight = score_test(
             likelihood.information, likelihood.information_vector, np.eye(len(free)) + given_changes.T @ given_changes
         )
         strength = np.einsum("hi,ij,hj->h", directions, weight, directions)
-        informative = (strength > MAX_UNINFORMATIVE_GAIN) & ~np.isin(np.arange(len(directions)), list(other_changes))
+        informative = (strength > MAX_UNINFORMATIVE_GAIN) & ~np.isin(np.arange(len(directions)), list(selected_changes))
         estimate = directions @ score / np.where(informative, strength, np.inf)
         odds = np.round(log_odds_of_errors(estimate * np.sqrt(np.abs(strength)) / scale, strength, len(directions)), 1)
         return np.where(informative & (np.abs(estimate) < WIDENED_SIGMA_FACTOR), odds, -np.inf)
@@ -158,7 +158,7 @@ def _combination_sentence(calibration: Calibration, prior: ParameterPrior, scale
         deviation = vectors.T @ prior_whitening @ (calibration.estimates[i] - prior.mean[i])[free_parameters]
         w = _normalised_deviations(deviation, gain) / scale
         k = int(np.argmax(np.abs(w)))
-        if abs(w[k]) > -special.ndtri(FAMILY_LEVEL / (4 * max(int(np.count_nonzero(w)), 1))):
+        if abs(w[k]) > -special.ndtri(FAMILY_WISE_LEVEL / (4 * max(int(np.count_nonzero(w)), 1))):
             combination = ParameterCombination(vectors[:, k], float(gain[k])).coefficients(
                 [calibration.instrument_parameter_names[i * n_parameters + j] for j in free_parameters]
             )

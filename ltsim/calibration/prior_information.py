@@ -25,7 +25,7 @@ which the linearisation is still valid."""
 
 
 @dataclass(frozen=True)
-class EarlierCalibrations:
+class EarlierCalibrationPrior:
     """Prior from earlier calibrations: means and covariance, by names of instruments and parameters."""
 
     construction: str
@@ -44,9 +44,11 @@ class EarlierCalibrations:
     """Number of calibrations."""
 
     @classmethod
-    def from_source(cls, source: Calibration | History | EarlierCalibrations | str | Path) -> EarlierCalibrations:
+    def from_source(
+        cls, source: Calibration | History | EarlierCalibrationPrior | str | Path
+    ) -> EarlierCalibrationPrior:
         """Prior from a calibration, a history, or the file of one of these; raises RecordError for other files."""
-        if isinstance(source, EarlierCalibrations):
+        if isinstance(source, EarlierCalibrationPrior):
             return source
         if isinstance(source, Calibration):
             return cls._from_calibration(source)
@@ -61,7 +63,7 @@ class EarlierCalibrations:
         return cls._from_calibration(read_calibration(file))
 
     @classmethod
-    def _from_calibration(cls, calibration: Calibration) -> EarlierCalibrations:
+    def _from_calibration(cls, calibration: Calibration) -> EarlierCalibrationPrior:
         """Prior from a calibration, without its fixed parameters."""
         free_indices = np.flatnonzero(~calibration.is_fixed.any(axis=0) & (calibration.sigma > 0).all(axis=0))
         count, size = calibration.estimates.shape
@@ -78,7 +80,7 @@ class EarlierCalibrations:
         )
 
     @classmethod
-    def _from_history(cls, content: History, file: Path | None = None) -> EarlierCalibrations:
+    def _from_history(cls, content: History, file: Path | None = None) -> EarlierCalibrationPrior:
         """Prior from a history: mean parameters, their covariance, and standard deviations between calibrations."""
         courses = content.parameters
         unsupported = next((course for course in courses if course.unit not in SI_PER_UNIT), None)
@@ -137,7 +139,7 @@ class ParameterSelection:
     """Names of the parameters that are fixed at zero."""
     fixed_values: Mapping[str, float] = field(default_factory=dict)
     """Value of each parameter that is fixed at a value, by its name, in the parameter's display unit."""
-    earlier_calibrations: EarlierCalibrations | None = None
+    earlier_calibrations: EarlierCalibrationPrior | None = None
     """Prior from earlier calibrations that replaces the prior of the set-up."""
     has_no_prior: bool = False
     """True if the parameters have no prior: their prior standard deviations are then `NO_PRIOR_SIGMA_FACTOR` times

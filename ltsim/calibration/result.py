@@ -5,15 +5,15 @@ from typing import Any
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.axes import scale_of_declared_axes
+from ltsim.adjustment.axes import scale_error_of_declared_axes
 from ltsim.adjustment.datum import motions_about_centre
 from ltsim.adjustment.evaluation.criteria import CriteriaEntry, evaluate_criteria
 from ltsim.adjustment.frame import DeclaredFrame
 from ltsim.adjustment.reference_tests import ERROR_UNITS
 from ltsim.adjustment.remedies.undetermined import (
-    DeterminingMeasurement,
+    MeasurementForCombination,
     ParameterCombination,
-    determining_measurements,
+    measurements_for_undetermined,
     undetermined_combinations,
 )
 from ltsim.adjustment.significance import MAX_CHANCE_SIGMAS
@@ -65,7 +65,7 @@ def fit_entry(adjustment: Adjustment) -> FitEntry:
 
 def reflector_entries(adjustment: Adjustment) -> tuple[ReflectorEntry, ...]:
     """Entries of the estimated incidence errors of reflectors in fixed nests."""
-    model, covariance = adjustment.problem.model, adjustment.extra_covariance
+    model, covariance = adjustment.problem.model, adjustment.effect_covariance
     values, units = model.incidence_parameters_by_reflector(adjustment.state.extra_parameters), SmrIncidence.parameters
     reflector_list = []
     for error, at in zip(model.incidence_errors, model.incidence_columns, strict=True):
@@ -86,7 +86,7 @@ def station_poses(adjustment: Adjustment, covariance: Floats | None = None) -> t
     spread = adjustment.pose_covariance if covariance is None else covariance
     sigma = np.sqrt(np.maximum(np.einsum("sii->si", spread), 0.0))
     state, over = adjustment.state, adjustment.problem.marks.target_indices
-    flat = (over >= 0) & adjustment.undetermined_heights[over]
+    flat = (over >= 0) & adjustment.is_height_undetermined[over]
     return tuple(
         StationPose(
             name=name,
@@ -156,7 +156,7 @@ def noise_rows(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
             unit, factor = DISPLAY_UNITS[column]
             names = np.array(recording.instruments)[recording.instrument]
             sigmas = problem.sigma[
-                problem.used_readings[:, column] & ((names == c.instrument) | (c.instrument == "")), column
+                problem.is_used_reading[:, column] & ((names == c.instrument) | (c.instrument == "")), column
             ]
         if len(sigmas):
             typical = float(np.median(sigmas)) / factor
@@ -190,7 +190,7 @@ def reference_value_entries(adjustment: Adjustment) -> tuple[ReferenceValueEntry
             residual=float(test.residual[k]) / factor,
             error=float(test.error[k]) / factor,
             sigma_error=float(test.sigma_error[k]) / factor if is_tested else None,
-            minimal_detectable=float(test.minimal_detectable[k]) / factor if is_tested else None,
+            minimal_detectable=float(test.minimal_detectable_errors[k]) / factor if is_tested else None,
             unit=unit,
             redundancy=float(test.redundancy[k]),
             w=test.normalised_error,
@@ -205,7 +205,7 @@ def axes_entry(adjustment: Adjustment) -> AxesEntry | None:
 
     None if no coordinates are declared.
     """
-    accepted_tests = [test for test in adjustment.axis_tests if not test.is_excluded]
+    accepted_tests = [test for test in adjustment.axes_point_tests if not test.is_excluded]
     if not accepted_tests:
         return None
     places = adjustment.state.target_points[[adjustment.recording.targets.index(test.name) for test in accepted_tests]]
@@ -230,13 +230,13 @@ def network_notes(adjustment: Adjustment) -> tuple[str, ...]:
 
 def _axes_notes(adjustment: Adjustment) -> tuple[str, ...]:
     """Note on how well declared coordinates define the axes; empty if no coordinates define only the axes."""
-    accepted_tests = [test for test in adjustment.axis_tests if not test.is_excluded]
+    accepted_tests = [test for test in adjustment.axes_point_tests if not test.is_excluded]
     fitted = axes_entry(adjustment)
     if fitted is None:
         return ()
     within = max(float(np.linalg.norm(test.residual)) for test in accepted_tests) / MILLIMETRE
     source = adjustment.recording.setup.axes
-    out = [f"{test.name} ({test.error_text})" for test in adjustment.axis_tests if test.is_excluded]
+    out = [f"{test.name} ({test.error_text})" for test in adjustment.axes_point_tests if test.is_excluded]
     place, turn = (
         " ".join(f"{v:.2g}" for v in values) for values in (fitted.sigma_position_mm, fitted.sigma_rotation_arcsec)
     )
@@ -244,7 +244,7 @@ def _axes_notes(adjustment: Adjustment) -> tuple[str, ...]:
         f"coordinates in the axes of {source}: {len(accepted_tests)} targets fit it within {within:.3g} mm, "
         f"which leaves the axes uncertain by {place} mm (x y z, at the centroid) and {turn} arcsec (1 sigma)"
     )
-    scale = scale_of_declared_axes(adjustment)
+    scale = scale_error_of_declared_axes(adjustment)
     if scale is not None:
         amount = with_sigma(scale[0] / PPM, scale[1] / PPM)
         sentence += f"; the coordinates are on a scale that differs by {amount} ppm from the measured lengths: check it"
@@ -256,7 +256,7 @@ def frame_text(adjustment: Adjustment) -> str:
     problem, recording = adjustment.problem, adjustment.recording
     free = problem.free_motions.shape[1]
     first_station = recording.stations[0]
-    control_rows, flat = problem.control_rows, adjustment.undetermined_heights[problem.control_rows.place_indices]
+    control_rows, flat = problem.control_rows, adjustment.is_height_undetermined[problem.control_rows.place_indices]
     control = [
         recording.targets[i]
         for i in control_rows.place_indices[control_rows.declared_components[:, :2].any(axis=1) | ~flat]
@@ -274,7 +274,7 @@ def frame_text(adjustment: Adjustment) -> str:
     definition = f"is {_free_frame_text(adjustment, first_station)}"
     if adjustment.datum is not None:
         definition += f", standard deviations by inner constraints over {listing(adjustment.datum.point_names)}"
-    if free == 6 or not (points or zeros or not adjustment.undetermined_heights.all()):
+    if free == 6 or not (points or zeros or not adjustment.is_height_undetermined.all()):
         return definition.removeprefix("is ")
     if not control and not problem.difference_rows.names:
         return f"{', x '.join([f'z is defined by the levels of {listing(levelled)}', *zeros])}; the rest {definition}"
@@ -287,9 +287,9 @@ def _free_frame_text(adjustment: Adjustment, station: str) -> str:
     state, frame = adjustment.state, DeclaredFrame.from_recording(adjustment.recording)
     if adjustment.datum is not None and _has_declared_datum_points(adjustment):
         source = adjustment.recording.setup.axes
-        axes = "the axes and the scale" if len(adjustment.problem.structure.scale_target) else "the axes"
+        axes = "the axes and the scale" if len(adjustment.problem.undetermined_unknowns.scale_target) else "the axes"
         return f"{axes} of {source}" if source else f"{axes} of the declared coordinates of the datum's targets"
-    if adjustment.datum is None and frame.is_on_plan(state.station_positions, state.station_rotations):
+    if adjustment.datum is None and frame.agrees_with_floor_plan(state.station_positions, state.station_rotations):
         return f"the frame of the floor plan, by the approximate positions of the stations, fixed at station {station}"
     return f"the frame of station {station}"
 
@@ -304,17 +304,17 @@ def _has_declared_datum_points(adjustment: Adjustment) -> bool:
 def undetermined_entries(
     adjustment: Adjustment,
     construction: GeometricErrorModel,
-    undetermined_directions: list[list[ParameterCombination]],
+    undetermined_by_instrument: list[list[ParameterCombination]],
     *,
     recommend_measurements: bool,
 ) -> tuple[UndeterminedEntry, ...]:
     """Entries of each instrument's undetermined combinations, on request with the measurements that determine them."""
     instruments = adjustment.recording.instruments
-    measurements = [[DeterminingMeasurement()] * len(group) for group in undetermined_directions]
+    measurements = [[MeasurementForCombination()] * len(group) for group in undetermined_by_instrument]
     if recommend_measurements:
-        measurements = determining_measurements(adjustment, construction, undetermined_directions)
+        measurements = measurements_for_undetermined(adjustment, construction, undetermined_by_instrument)
     combinations = []
-    for i, group in enumerate(undetermined_directions):
+    for i, group in enumerate(undetermined_by_instrument):
         names = construction.instrument_parameter_names(instruments)[i * construction.n_parameters :]
         for direction, (instruction, sentence) in zip(group, measurements[i], strict=True):
             terms = direction.coefficients(names)
@@ -323,7 +323,7 @@ def undetermined_entries(
     return tuple(combinations)
 
 
-def undetermined_directions(covariance: Floats, prior_sigma: Floats) -> list[list[ParameterCombination]]:
+def undetermined_by_instrument(covariance: Floats, prior_sigma: Floats) -> list[list[ParameterCombination]]:
     """Undetermined combinations of each instrument; covariance (I p, I p) and prior sigmas (I, p) of I instruments."""
     n_instruments, n_parameters = prior_sigma.shape
     if not n_parameters:
@@ -338,12 +338,12 @@ def criteria_table(
     construction: GeometricErrorModel,
     parameter_values: Floats,
     *,
-    reflectors: bool = True,
+    corrects_reflectors: bool = True,
 ) -> CriteriaEntry | None:
     """Disagreement of the stations before and after correction, without excluded pointings; None for a single station.
 
-    The correction removes the estimated effects and the incidence errors of `reflectors`, as in `correct`. Other
-    estimated errors remain.
+    The correction removes the estimated effects and, if `corrects_reflectors` is set, the incidence errors of the
+    reflectors, as in `correct`. Other estimated errors remain.
     """
     use: Bools = np.asarray(~adjustment.is_rejected.any(axis=1))
     recording = _recording_with_reference_smr(recording, adjustment)
@@ -353,7 +353,7 @@ def criteria_table(
         applied = parameter_values[0] if len(parameter_values) == 1 else parameter_values[recording.instrument]
         model, state = adjustment.problem.model, adjustment.state
         shift = model.effects_change(adjustment.sightings, state.extra_parameters)
-        if reflectors and np.any(parameter_values):
+        if corrects_reflectors and np.any(parameter_values):
             shift += model.incidence_change(adjustment.sightings, state.extra_parameters)
         return evaluate_criteria(recording, construction, applied, reading_changes=shift, row_mask=use)
     except NetworkError:
@@ -384,7 +384,7 @@ def _handedness_notes(adjustment: Adjustment) -> tuple[str, ...]:
 
 def _undetermined_height_notes(adjustment: Adjustment) -> tuple[str, ...]:
     """Note on the targets whose height is undetermined."""
-    names = [adjustment.recording.targets[t] for t in np.flatnonzero(adjustment.undetermined_heights)]
+    names = [adjustment.recording.targets[t] for t in np.flatnonzero(adjustment.is_height_undetermined)]
     return (f"adjusted in plan only, as no reading determines their height: {listing(names)}",) if names else ()
 
 
@@ -394,6 +394,6 @@ def range_zero_notes(adjustment: Adjustment) -> tuple[str, ...]:
         return ()
     if not any(isinstance(effect, RangeMode) for effect in adjustment.effects):
         return ("two distance meters were used with one range zero assumed for both; method network estimates both",)
-    value, sigma = adjustment.state.extra_parameters[0], np.sqrt(adjustment.extra_covariance[0, 0])
+    value, sigma = adjustment.state.extra_parameters[0], np.sqrt(adjustment.effect_covariance[0, 0])
     zero = with_sigma(value / MICROMETRE, sigma / MICROMETRE, "um")
     return (f"the interferometer's range zero less the absolute meter's, was estimated: {zero} (range-mode)",)

@@ -251,9 +251,7 @@ class VerdictEntry(Entry):
     @classmethod
     def from_verdict(cls, verdict: Verdict) -> Self:
         """Entry of the file for a verdict."""
-        return cls(
-            case=verdict.agreement.value, sentence=verdict.sentence, scale_by_sigma0=verdict.uses_estimated_noise
-        )
+        return cls(case=verdict.case.value, sentence=verdict.sentence, scale_by_sigma0=verdict.uses_estimated_noise)
 
 
 class RecommendedCorrection(Entry):
@@ -281,7 +279,7 @@ class RecommendedCorrection(Entry):
         return math.hypot(self.uncorrected_um, self.noise_um), math.hypot(self.corrected_um, self.noise_um)
 
     @property
-    def error_text(self) -> str:
+    def point_error_text(self) -> str:
         """Text of the error of a new point without and with the correction."""
         before, after = (number_text(error, 3) for error in self.point_errors_um)
         noise = f"{number_text(self.noise_um, 3)} um of it is the measurement noise of that point"

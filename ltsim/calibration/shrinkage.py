@@ -24,7 +24,7 @@ from scipy.linalg import block_diag
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.remedies.detectability import MAX_EXAMINED_PLACES
 from ltsim.adjustment.remedies.undetermined import MAX_UNINFORMATIVE_GAIN
-from ltsim.adjustment.significance import FAMILY_LEVEL, GLOBAL_LEVEL
+from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, GLOBAL_TEST_LEVEL
 from ltsim.calibration.evidence import cosine_sine_pairs
 from ltsim.calibration.prior_conflict import MAX_SIGMA0_FOR_WIDENING, sigma0_of_readings
 from ltsim.calibration.schema import RecommendedCorrection
@@ -38,10 +38,10 @@ from ltsim.solve.design import to_dense
 
 PRIOR_SCALES = np.geomspace(1e-4, 1e4, 161)
 """Tested scales of the prior (factors on the declared standard deviations), in steps of 12 %."""
-MIN_LOG_LIKELIHOOD_EXCESS_REJECTED = 0.5 * float(special.chdtri(1, FAMILY_LEVEL))
+MIN_LOG_LIKELIHOOD_EXCESS_REJECTED = 0.5 * float(special.chdtri(1, FAMILY_WISE_LEVEL))
 """Excess of the maximum log-likelihood over that of the declared scale (1) from which the declared scale is rejected
 (likelihood ratio test)."""
-MAX_LOG_LIKELIHOOD_DEFICIT_PLAUSIBLE = 0.5 * float(special.chdtri(1, 2.0 * GLOBAL_LEVEL))
+MAX_LOG_LIKELIHOOD_DEFICIT_PLAUSIBLE = 0.5 * float(special.chdtri(1, 2.0 * GLOBAL_TEST_LEVEL))
 """Largest deficit of the log-likelihood of a plausible scale (one-sided likelihood ratio test)."""
 MAX_PRIOR_SCALE = 30.0
 """Largest plausible scale of the prior: no instrument exceeds its whole specification by more; a larger misfit has
@@ -76,7 +76,7 @@ def recommend_correction(
     prior = adjustment.problem.prior
     held, mean = prior.is_fixed.ravel(), prior.mean.ravel()
     free_indices = np.flatnonzero(~held)
-    dropped_terms = np.zeros(0, dtype=np.int64) if history_prior else terms_to_drop(adjustment, noise_factor)
+    dropped_terms = np.zeros(0, dtype=np.int64) if history_prior else parameters_to_drop(adjustment, noise_factor)
     used_terms = np.setdiff1d(free_indices, dropped_terms)
     root = block_diag(*prior.whitening_matrices)[np.ix_(free_indices, free_indices)]
     columns_of_free = adjustment.problem.unknowns.instrument_columns.ravel()[free_indices]
@@ -95,7 +95,7 @@ def recommend_correction(
         is_scale_estimated=is_scale_estimated,
         sigma0=sigma0,
     )
-    by_unit = spread.T @ point_error_form(adjustment)[np.ix_(used_terms, used_terms)] @ spread
+    by_unit = spread.T @ point_error_matrix(adjustment)[np.ix_(used_terms, used_terms)] @ spread
     weighted_mean: Floats = np.asarray(np.linalg.solve(spread, mean[used_terms]), dtype=np.float64)
     applied, note = evidence.shrunk_correction(by_unit, weighted_mean)
     before, after = evidence.point_errors(by_unit, applied, weighted_mean)
@@ -215,10 +215,10 @@ class ScaledPrior:
         """Estimate of the parameters (q,) in prior standard deviations, for a scale of the prior."""
         return self._basis @ (self._information_vector / (self._strength + prior_scale**-2))
 
-    def shrunk_correction(self, point_error_form: Floats, prior_mean: Floats | float = 0.0) -> tuple[Floats, str]:
-        """Parameters (q,) to apply, which increase errors under no plausible scale, and a sentence if they are shrunk.
+    def shrunk_correction(self, point_error_matrix: Floats, prior_mean: Floats | float = 0.0) -> tuple[Floats, str]:
+        """Parameters (q,) to apply, shrunk towards the prior mean where necessary, and a sentence if they are shrunk.
 
-        The mean square error of a new point is the quadratic form `point_error_form` (q, q) of the errors of the
+        The mean square error of a new point is the quadratic form `point_error_matrix` (q, q) of the errors of the
         parameters. `prior_mean` (q,) is the mean of the prior.
         """
         if self._exceeds_plausible_scale:
@@ -227,25 +227,25 @@ class ScaledPrior:
             prior_mean + self.estimate(self.scale_of_applied_values),
             prior_mean + self.estimate(self.plausible_scale_limits[0]),
         )
-        if full @ point_error_form @ (full - 2.0 * cautious) <= 0.0:
+        if full @ point_error_matrix @ (full - 2.0 * cautious) <= 0.0:
             return full, ""
-        share = float(np.sqrt((cautious @ point_error_form @ cautious) / (full @ point_error_form @ full)))
+        share = float(np.sqrt((cautious @ point_error_matrix @ cautious) / (full @ point_error_matrix @ full)))
         if share < MIN_RELATIVE_CORRECTION:
             return np.zeros_like(full), "no correction is applied: it is likely to increase the errors of new points"
         limit = "more is likely to increase the errors of new points"
         return cautious, f"{100 * share:.0f} % of the correction is applied: {limit}"
 
     def point_errors(
-        self, point_error_form: Floats, applied_values: Floats, prior_mean: Floats | float = 0.0
+        self, point_error_matrix: Floats, applied_values: Floats, prior_mean: Floats | float = 0.0
     ) -> tuple[float, float]:
         """Expected rms error [m] of a new point from the constants, uncorrected and with the applied parameters."""
         scale = self.scale_of_applied_values
         posterior_mean = prior_mean + self.estimate(scale)
         spread = (self._basis / (self._strength + scale**-2)) @ self._basis.T
-        remaining_variance = float(np.sum(spread * point_error_form))
+        remaining_variance = float(np.sum(spread * point_error_matrix))
         bias = posterior_mean - applied_values
-        return float(np.sqrt(posterior_mean @ point_error_form @ posterior_mean + remaining_variance)), float(
-            np.sqrt(bias @ point_error_form @ bias + remaining_variance)
+        return float(np.sqrt(posterior_mean @ point_error_matrix @ posterior_mean + remaining_variance)), float(
+            np.sqrt(bias @ point_error_matrix @ bias + remaining_variance)
         )
 
 
@@ -259,7 +259,7 @@ def point_noise_rms(recording: Recording, sigma: Floats) -> float:
     return float(np.sqrt(np.mean(along**2 + transverse_noise**2 + (range_ * above) ** 2)))
 
 
-def point_error_form(adjustment: Adjustment) -> Floats:
+def point_error_matrix(adjustment: Adjustment) -> Floats:
     """Mean square error of a new point as a quadratic form (q, q) of the errors of the parameters [m^2 / SI^2].
 
     The mean is over the pointings of each set-up, in the frame of the instrument. The part that a rigid motion of the
@@ -316,7 +316,7 @@ class HeldOutTarget:
         return float(residual @ residual)
 
 
-def terms_to_drop(adjustment: Adjustment, noise_factor: float = 1.0) -> Ints:
+def parameters_to_drop(adjustment: Adjustment, noise_factor: float = 1.0) -> Ints:
     """Indices of the parameters without which held-out targets are predicted better, in the vector of all instruments.
 
     Parameters are eliminated one after the other, the worst first. None is eliminated in a large network or one with
@@ -331,7 +331,7 @@ def terms_to_drop(adjustment: Adjustment, noise_factor: float = 1.0) -> Ints:
         return none
     parameter_values = adjustment.state.instrument_parameters.ravel()
     gone, now = none, sum(t.sum_of_squares(parameter_values, none) for t in targets)
-    candidates = _informative_terms(adjustment)
+    candidates = _informative_parameter_groups(adjustment)
     while candidates:
         tried = [np.concatenate([gone, term]) for term in candidates]
         after = [sum(t.sum_of_squares(parameter_values, fixed) for t in targets) for fixed in tried]
@@ -343,7 +343,7 @@ def terms_to_drop(adjustment: Adjustment, noise_factor: float = 1.0) -> Ints:
     return np.sort(gone)
 
 
-def _informative_terms(adjustment: Adjustment) -> list[Ints]:
+def _informative_parameter_groups(adjustment: Adjustment) -> list[Ints]:
     """Indices of each estimated parameter with information; a cosine and its sine form one group."""
     prior, at = adjustment.problem.prior, adjustment.problem.unknowns.instrument_columns.ravel()
     remaining = np.diag(adjustment.reduced_covariance)[at] / prior.sigma.ravel() ** 2
@@ -367,7 +367,7 @@ def held_out_targets(adjustment: Adjustment) -> list[HeldOutTarget]:
     )
     lengths = np.full(len(problem.gauge_rows), -1)
     row_target = np.concatenate(
-        [adjustment.recording.target[np.nonzero(problem.used_readings)[0]], lengths, control_targets]
+        [adjustment.recording.target[np.nonzero(problem.is_used_reading)[0]], lengths, control_targets]
     )
     target_indices = np.flatnonzero(unknowns.target_columns[:, 0] >= n_reduced)
     target_indices = target_indices[:: max(1, -(-len(target_indices) // MAX_EXAMINED_PLACES))]

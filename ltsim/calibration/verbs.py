@@ -14,14 +14,14 @@ from ltsim.adjustment.evaluation import (
 from ltsim.adjustment.snooping import screen_gross_errors
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.calibration_series import CalibrationSeries
-from ltsim.calibration.correct import incidence_correction_change
-from ltsim.calibration.distance import DISTANCE_METHODS, calibrate_distance
+from ltsim.calibration.correct import incidence_reading_changes
+from ltsim.calibration.distance import NORM_BY_DISTANCE_METHOD, calibrate_distance
 from ltsim.calibration.extra_effects import RequestedEffect
 from ltsim.calibration.files import CalibrationSource, load_calibration, read_calibration
 from ltsim.calibration.history import History
 from ltsim.calibration.network import calibrate_network
-from ltsim.calibration.prior_information import EarlierCalibrations, ParameterSelection
-from ltsim.calibration.reported import with_reported_uncertainty
+from ltsim.calibration.prior_information import EarlierCalibrationPrior, ParameterSelection
+from ltsim.calibration.reported_uncertainty import with_reported_uncertainty
 from ltsim.core.arguments import check_mapping
 from ltsim.core.errors import LtsimError, ModelError, RecordError, option, unknown_name
 from ltsim.physics.effects.effect import Effect
@@ -111,8 +111,8 @@ def calibrate(
     ['parameter', 'instrument', 'value', 'sigma', 'unit', 'prior_sigma', 'held', 'applied']
     """
     check_mapping("hold", hold)
-    if method not in ("network", *DISTANCE_METHODS):
-        raise unknown_name("method", method, ("network", *DISTANCE_METHODS))
+    if method not in ("network", *NORM_BY_DISTANCE_METHOD):
+        raise unknown_name("method", method, ("network", *NORM_BY_DISTANCE_METHOD))
     if isinstance(construction, GeometricErrorModel):
         if harmonics is not None or degree is not None:
             raise ModelError("harmonics and degree can be set only if construction is a name, such as 'dh'")
@@ -120,7 +120,7 @@ def calibrate(
     else:
         built = _named_construction(construction, harmonics, degree)
     has_no_prior = isinstance(prior, str) and prior == NO_PRIOR_OPTION
-    earlier_calibrations = None if prior is None or has_no_prior else EarlierCalibrations.from_source(prior)
+    earlier_calibrations = None if prior is None or has_no_prior else EarlierCalibrationPrior.from_source(prior)
     parameter_names = None if parameters is None else name_tuple(parameters)
     choice = ParameterSelection(
         parameter_names, name_tuple(without), dict(hold or {}), earlier_calibrations, has_no_prior
@@ -231,8 +231,8 @@ def evaluate(recording: RecordingSource, calibration: CalibrationSource | None =
     if calibration is None:
         return Criteria.from_criteria(source, criteria_of(source, row_mask=use))
     corrections = load_calibration(calibration)
-    change = incidence_correction_change(source, corrections)
-    parameter_values = corrections.values_for(source)
+    change = incidence_reading_changes(source, corrections)
+    parameter_values = corrections.applied_values_for(source)
     return Criteria.from_criteria(
         source, criteria_of(source, corrections.construction, parameter_values, reading_changes=change, row_mask=use)
     )
@@ -260,8 +260,8 @@ def verify(recording: RecordingSource, nominal: str | Path, calibration: Calibra
     ['distance', 'coordinate']
     """
     source, corrections = load_recording(recording), load_calibration(calibration)
-    change = incidence_correction_change(source, corrections)
-    parameter_values = corrections.values_for(source)
+    change = incidence_reading_changes(source, corrections)
+    parameter_values = corrections.applied_values_for(source)
     points = read_nominal(Path(nominal))
     return Criteria.from_criteria(
         source, verified(source, points, corrections.construction, parameter_values, reading_changes=change)

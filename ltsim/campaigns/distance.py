@@ -16,12 +16,12 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.adjustment.prior import prior_sigmas
-from ltsim.calibration.distance import DISTANCE_METHODS
+from ltsim.calibration.distance import NORM_BY_DISTANCE_METHOD
 from ltsim.calibration.distance_solver import (
     ComparedDistances,
     DistanceEstimate,
-    mean_deviation_rows,
-    pair_difference_rows,
+    mean_deviation_comparisons,
+    pair_difference_comparisons,
     solve_distances,
     solve_equation_9,
 )
@@ -34,7 +34,7 @@ from ltsim.campaigns.program import ChainProgram
 from ltsim.campaigns.truth import TrialBatch
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap_angle
-from ltsim.solve.absolute import solve_least_absolute
+from ltsim.solve.least_absolute import solve_least_absolute
 
 MAX_DISTANCE_STEPS = 10
 """Largest number of Gauss-Newton steps of a trial."""
@@ -76,7 +76,7 @@ class BatchDistance(BatchCalibrator):
         """Estimate at nominal readings, which is zero, with its covariance and the combinations not estimated."""
         if self.estimates_all_combinations:
             return solve_equation_9(self.distance_problem, "absolute" if self.uses_absolute_deviations else "squares")
-        return solve_distances(self.distance_problem, DISTANCE_METHODS[self.method])
+        return solve_distances(self.distance_problem, NORM_BY_DISTANCE_METHOD[self.method])
 
     @cached_property
     def _nominal_distances(self) -> SetDistances:
@@ -104,11 +104,11 @@ class BatchDistance(BatchCalibrator):
 
     @cached_property
     def _mean_deviation_rows(self) -> ComparedDistances:
-        return mean_deviation_rows(self.distance_problem, self._nominal_distances)
+        return mean_deviation_comparisons(self.distance_problem, self._nominal_distances)
 
     @cached_property
     def _pair_difference_rows(self) -> ComparedDistances:
-        return pair_difference_rows(self.distance_problem, self._nominal_distances)
+        return pair_difference_comparisons(self.distance_problem, self._nominal_distances)
 
     @property
     def _chain_program(self) -> ChainProgram:
@@ -121,7 +121,7 @@ class BatchDistance(BatchCalibrator):
         A set is a station and face; a weight is the share of a pointing in the mean point of its set and target; the
         pairs have reference lengths.
         """
-        gauge, sets = self.distance_problem.reference_lengths, self.distance_problem.set_numbers
+        gauge, sets = self.distance_problem.reference_lengths, self.distance_problem.set_indices
         visible, share = set_membership(self.truth, sets)
         return sets, visible, share, np.stack([gauge.first_targets, gauge.second_targets], axis=1).reshape(-1, 2)
 

@@ -213,7 +213,7 @@ class SerialCalibrator(TrialCalibrator):
             calibrated.instrument_values[:, :, trial], calibrated.instrument_sigmas[:, :, trial] = values, sigma
             n_extra = len(calibrated.effect_values)
             calibrated.effect_values[:, trial] = adjustment.state.extra_parameters[:n_extra]
-            calibrated.effect_sigmas[:, trial] = np.sqrt(np.diag(adjustment.extra_covariance)[:n_extra])
+            calibrated.effect_sigmas[:, trial] = np.sqrt(np.diag(adjustment.effect_covariance)[:n_extra])
             if self.method == "network":
                 for name, parameters in adjustment.problem.model.incidence_parameters_by_reflector(
                     adjustment.state.extra_parameters

@@ -110,7 +110,7 @@ class BatchNetwork:
         pose = unknowns.pose_columns.size
         targets = pose + unknowns.target_columns.size
         end_of_parameters = targets + unknowns.instrument_columns.size
-        return pose, targets, end_of_parameters, end_of_parameters + unknowns.extra_columns.size
+        return pose, targets, end_of_parameters, end_of_parameters + unknowns.effect_columns.size
 
     @cached_property
     def column_order(self) -> Ints:
@@ -122,7 +122,7 @@ class BatchNetwork:
             unknowns.pose_columns,
             unknowns.target_columns,
             unknowns.instrument_columns,
-            unknowns.extra_columns,
+            unknowns.effect_columns,
         )
         order = np.concatenate([part.ravel() for part in column_groups])
         if len(np.unique(order)) != unknowns.n_columns:
@@ -133,7 +133,7 @@ class BatchNetwork:
     def _non_reading_design(self) -> tuple[Floats, Floats]:
         """Whitened design (r, K) of the r observations other than readings, and their nominal residuals (r, 1)."""
         design, residual = self._whitened_design_and_residuals
-        n_readings = int(self.problem.used_readings.sum())
+        n_readings = int(self.problem.is_used_reading.sum())
         return design[n_readings:, self.column_order], residual[n_readings:, None]
 
     @cached_property
@@ -229,7 +229,7 @@ class BatchNetwork:
     def _extra_sightings(self) -> Sightings:
         """Sightings in the frame of the floor plan, in which the directions of nests are declared."""
         state = self.nominal_state
-        motion = self._network_frame.plan_motion(state.station_positions, state.station_rotations)
+        motion = self._network_frame.motion_to_floor_plan(state.station_positions, state.station_rotations)
         if motion is not None:
             turn, shift = motion
             places = {
@@ -262,7 +262,7 @@ class BatchNetwork:
     @cached_property
     def reading_sigmas(self) -> Floats:
         """Standard deviation (n, 3) of the readings; infinite for unmeasured ones."""
-        return np.where(self.problem.used_readings, self.problem.sigma, np.inf)
+        return np.where(self.problem.is_used_reading, self.problem.sigma, np.inf)
 
     def split_unknowns(self, unknowns: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Views of unknowns (K, B): poses (S, 6, B), targets (T, 3, B), instruments (I, p, B), effects (q, B)."""
@@ -323,7 +323,7 @@ class BatchNetwork:
         The first step is the first matrix times the deviations of readings plus the second times the residuals of the r
         other observations. K' excludes effects, whose changes are subtracted from the measured readings.
         """
-        use, design = self.problem.used_readings, np.zeros((3 * len(self.recording), self.end_indices[-1]))
+        use, design = self.problem.is_used_reading, np.zeros((3 * len(self.recording), self.end_indices[-1]))
         design[use.ravel()] = self._whitened_design_and_residuals[0][
             : int(use.sum()), self.column_order
         ]  # whitened; zero where nothing is measured

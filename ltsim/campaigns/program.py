@@ -54,12 +54,16 @@ class ChainProgram(NamedTuple):
         """Arrays of a geometric error model, linearised at readings (n, 3), without motions that are always zero."""
         slots = [term.slot for term in construction.terms]
         motions_by_slot = {
-            m.slot: [k for k, slot in enumerate(slots) if slot == m.slot]
+            m.error_slot: [k for k, slot in enumerate(slots) if slot == m.error_slot]
             for m in construction.kinematic_chain
-            if m.slot
+            if m.error_slot
         }
-        motions = [m for m in construction.kinematic_chain if m.nominal is not None or motions_by_slot.get(m.slot)]
-        feeds = [motions_by_slot.get(m.slot, []) for m in motions]
+        motions = [
+            m
+            for m in construction.kinematic_chain
+            if m.nominal_function is not None or motions_by_slot.get(m.error_slot)
+        ]
+        feeds = [motions_by_slot.get(m.error_slot, []) for m in motions]
         slope = _basis_derivatives(construction, readings)
         return cls(
             is_rotation=np.array([isinstance(m, RotationStep) for m in motions], dtype=np.int64),
@@ -98,16 +102,18 @@ def _reading_index(motion: ElementaryMotion) -> int:
 
     A motion is constant, or a reading plus a constant.
     """
-    if motion.nominal is None:
+    if motion.nominal_function is None:
         return -1
     probe = np.vstack([np.zeros(3), np.eye(3)])
-    probed_amounts = np.asarray(motion.nominal(probe))
+    probed_amounts = np.asarray(motion.nominal_function(probe))
     return next((c for c in range(3) if probed_amounts[c + 1] != probed_amounts[0]), -1)
 
 
 def _nominal_amount(motion: ElementaryMotion, readings: Floats) -> Floats:
     """Size of a motion at readings (n, 3): translation and 0, or cosine and sine of a rotation, (n, 2)."""
-    nominal_amounts = np.zeros(len(readings)) if motion.nominal is None else motion.sign * motion.nominal(readings)
+    nominal_amounts = (
+        np.zeros(len(readings)) if motion.nominal_function is None else motion.sign * motion.nominal_function(readings)
+    )
     if isinstance(motion, RotationStep):
         return np.stack([np.cos(nominal_amounts), np.sin(nominal_amounts)], axis=1)
     return np.stack([nominal_amounts, np.zeros_like(nominal_amounts)], axis=1)

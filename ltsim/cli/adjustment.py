@@ -188,13 +188,13 @@ def _run_estimation(
 
     Without --force each command replaces only earlier results of the same command.
     """
-    from ltsim.adjustment.coordinate_uncertainty import COVARIANCE_FILE
+    from ltsim.adjustment.coordinate_uncertainty import COVARIANCE_FILE_NAME
     from ltsim.calibration.calibration import Calibration
     from ltsim.calibration.files import write_calibration
     from ltsim.calibration.schema import RESIDUALS_TABLE, TARGETS_TABLE
 
     is_adjustment = estimator is lt.adjust
-    companion_names = (TARGETS_TABLE.file, COVARIANCE_FILE, RESIDUALS_TABLE.file)
+    companion_names = (TARGETS_TABLE.file, COVARIANCE_FILE_NAME, RESIDUALS_TABLE.file)
     terminal.check_overwrite(
         Calibration,
         *companion_names,

@@ -380,20 +380,21 @@ def _documented_parameters(docstring: str) -> Iterator[tuple[str, tuple[str, str
 
 
 def with_axes_of_frame(recording: Recording, frame: Path) -> Recording:
-    """The recording with its datum in the axes of a file or of a built-in scenario; raises RecordError, SetupError."""
-    from ltsim.adjustment.axes import with_axes_of_points, with_axes_of_three
+    """Recording with its datum in the axes of a file or of a built-in scenario; raises RecordError, SetupError."""
+    from ltsim.adjustment.axes import with_axes_from_points, with_axes_from_three_targets
     from ltsim.recordings.coordinates import read_points
     from ltsim.recordings.settings import read_toml
     from ltsim.simulation.builtin import builtin_names
 
     if frame.exists() and str(frame) not in builtin_names():
         if frame.suffix.lower() != ".toml":
-            return with_axes_of_points(recording, read_points(frame, requires_all=False).by_name, str(frame))
+            return with_axes_from_points(recording, read_points(frame, requires_all=False).by_name, str(frame))
         frame_table = read_toml(frame, "frame")
-        if {"origin", "x_axis", "xy_plane"} <= frame_table.keys():
-            return with_axes_of_three(recording, *(str(frame_table[key]) for key in ("origin", "x_axis", "xy_plane")))
+        keys = ("origin", "x_axis", "xy_plane")
+        if set(keys) <= frame_table.keys():
+            return with_axes_from_three_targets(recording, *(str(frame_table[key]) for key in keys))
     from ltsim.simulation.scenario import load_scenario
     from ltsim.simulation.workshop import planned_layout
 
-    layout = planned_layout(load_scenario(str(frame)))
-    return with_axes_of_points(recording, dict(zip(layout.target_names, layout.target_points, strict=True)), str(frame))
+    plan = planned_layout(load_scenario(str(frame)))
+    return with_axes_from_points(recording, dict(zip(plan.target_names, plan.target_points, strict=True)), str(frame))

@@ -144,12 +144,12 @@ class CatalogueDesigns:
         touching: list[CandidateEffect] = []
         sparse_designs: dict[int, list[tuple[int, Ints, Singles]]] = {}
         dense_designs: dict[tuple[int, tuple[bool, ...]], tuple[list[int], list[Singles]]] = {}
-        used_readings = np.nonzero(space.used_readings)
+        is_used_reading = np.nonzero(space.is_used_reading)
         other = np.ones(
-            space.n_rows - len(used_readings[0]), dtype=np.int64
+            space.n_rows - len(is_used_reading[0]), dtype=np.int64
         )  # rows of no reading: one more pointing, and kind
         pointing, kind = (
-            np.append(of, n * other) for of, n in zip(used_readings, space.used_readings.shape, strict=True)
+            np.append(of, n * other) for of, n in zip(is_used_reading, space.is_used_reading.shape, strict=True)
         )
         for effect in effects:
             design_columns = space.whitened_design(effect)
@@ -190,7 +190,7 @@ class CatalogueDesigns:
         The geometry is not updated, because other weights move a network by far less than its lengths.
         """
         ratio = np.ones(new_space.n_rows, dtype=np.float32)
-        ratio[: int(new_space.used_readings.sum())] = (old_space.sigma / new_space.sigma)[new_space.used_readings]
+        ratio[: int(new_space.is_used_reading.sum())] = (old_space.sigma / new_space.sigma)[new_space.is_used_reading]
         return replace(self, groups=[group.scaled_rows(ratio) for group in self.groups])
 
     def log_evidence_and_trials(self, null_ensemble: NullEnsemble) -> tuple[Floats, Floats]:

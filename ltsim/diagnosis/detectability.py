@@ -6,15 +6,15 @@ from itertools import groupby, repeat
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.remedies.candidates import advice_sentence
 from ltsim.adjustment.remedies.detectability import (
     EffectDetectability,
     MinimalSize,
     effect_detectability,
-    select_places,
+    subsample_evenly,
     visible_information,
 )
 from ltsim.adjustment.remedies.next_measurement import best_explanation, rank_deciding_measurements, residual_space_of
-from ltsim.adjustment.remedies.remedy import advice_sentence
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats, batches
 from ltsim.core.errors import ModelError
@@ -45,7 +45,7 @@ def detectability_report(space: ResidualSpace, catalogue_designs: CatalogueDesig
     detectable, undetectable = [], []
     for effects in catalogue_designs.effects_by_family():
         rows = _detectability_of_effects(space, effects).table()
-        size_ratios = np.array([row.median_size / row.prior_sigma for row in rows])
+        size_ratios = np.array([row.median_size / row.plausible_size for row in rows])
         best = int(np.flatnonzero(size_ratios <= size_ratios.min() * (1.0 + MAX_SOLUTION_ROUNDING_ERROR))[0])
         if size_ratios[best] < MAX_DETECTABLE_SIZE_RATIO:
             detectable.append(rows[best])
@@ -60,7 +60,7 @@ def _detectability_of_effects(space: ResidualSpace, effects: Sequence[Effect]) -
     `effects` are the effect at all its places and shapes.
     """
     visible_effects: list[tuple[Effect, Floats, float, int, Floats]] = []
-    for size, same in groupby(select_places(effects), key=lambda effect: len(effect.parameters)):
+    for size, same in groupby(subsample_evenly(effects), key=lambda effect: len(effect.parameters)):
         sample = list(same)
         for batch in (sample[part] for part in batches(len(sample), space.n_rows * size)):
             designs = np.hstack([space.whitened_design(effect) for effect in batch])

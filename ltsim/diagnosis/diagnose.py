@@ -10,10 +10,10 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.identification import identify_causes
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.adjustment.significance import SINGLE_LEVEL
+from ltsim.adjustment.significance import SINGLE_TEST_LEVEL
 from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.calibration.evidence import log_sum_exp
-from ltsim.calibration.prior_information import EarlierCalibrations
+from ltsim.calibration.prior_information import EarlierCalibrationPrior
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_DIAGNOSED_POINTINGS
 from ltsim.diagnosis.assembly import assemble_diagnosis
@@ -63,7 +63,7 @@ def diagnose(
     *,
     seed: int = 0,
     level: float = 0.05,
-    history: EarlierCalibrations | None = None,
+    history: EarlierCalibrationPrior | None = None,
     held_out: bool | None = False,
 ) -> Diagnosis:
     """Diagnosis of a recording: its agreement with the model, and otherwise the probable causes.
@@ -74,8 +74,8 @@ def diagnose(
     seed : int
         Root of the random draws of simulated recordings.
     level : float
-        False-alarm rate of the whole search, at least `SINGLE_LEVEL`.
-    history : EarlierCalibrations, optional
+        False-alarm rate of the whole search, at least `SINGLE_TEST_LEVEL`.
+    history : EarlierCalibrationPrior, optional
         Earlier calibrations with which each constant of the instruments is compared.
     held_out : bool, optional
         True for 5-fold cross-validation. The search is repeated without each fold of the readings, which is then
@@ -93,8 +93,8 @@ def diagnose(
         RecordError When the history is of other instruments or of another geometric error model, or `level` is not a
         false-alarm rate.
     """
-    if not SINGLE_LEVEL <= level < 1.0:
-        raise RecordError(f"the level is {level:g}; expected a false-alarm rate from {SINGLE_LEVEL:g} to 1")
+    if not SINGLE_TEST_LEVEL <= level < 1.0:
+        raise RecordError(f"the level is {level:g}; expected a false-alarm rate from {SINGLE_TEST_LEVEL:g} to 1")
     recording.require_at_most(MAX_DIAGNOSED_POINTINGS, "a diagnosis")
     construction = declared_construction(recording)
     comparison = (
@@ -105,7 +105,7 @@ def diagnose(
     selection = identify_causes(recording, construction)
     if selection is None:
         baseline, mistaken = adjust(recording, construction), list[Finding]()
-        use = baseline.problem.used_readings
+        use = baseline.problem.is_used_reading
     else:
         baseline, use, mistaken = adapted_baseline(recording, construction, selection)
     case = SelectionState(

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import PrivateAttr
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.identification.tests import CauseTest
+from ltsim.adjustment.identification.cause_tests import CauseTest
 from ltsim.calibration.arrays import residuals_table
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError

@@ -24,8 +24,8 @@ from scipy.special import log_ndtr
 from ltsim.adjustment import Adjustment
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import (
-    EVIDENCE_SIZES,
     LOG_SIZE_PRIOR,
+    RELATIVE_EFFECT_SIZES,
     log_evidence,
     log_evidence_by_size,
     log_sum_exp,
@@ -136,7 +136,7 @@ def log_evidence_of_wrong_readings(
         Log prior probability that any reading is wrong. It is divided equally among all readings.
     """
     plausible_sizes = np.concatenate([Outlier(observable=name).size_scales for name in OBSERVABLE_COLUMN])
-    scale = (plausible_sizes / space.sigma)[space.used_readings]
+    scale = (plausible_sizes / space.sigma)[space.is_used_reading]
     score, eigenvalues = residual[: len(scale)] * scale, np.maximum(redundancy[: len(scale)], 0.0) * scale**2
     log_evidences = log_evidence((score**2)[:, None], eigenvalues[:, None]) + log_prior - np.log(len(scale))
     return float(np.maximum(log_evidences, 0.0).sum())
@@ -176,7 +176,7 @@ def coefficient_posterior(
     gram: Floats,
     score: Floats,
     plausible_sizes: Floats,
-    sizes: Floats = EVIDENCE_SIZES,
+    sizes: Floats = RELATIVE_EFFECT_SIZES,
     log_size_prior: Floats = LOG_SIZE_PRIOR,
 ) -> tuple[Floats, Floats, float]:
     """Posterior mean (k,), covariance (k, k) and log evidence of k coefficients, averaged over size factors t.
@@ -309,7 +309,7 @@ def log_bayes_factor_discrepancy(space: ResidualSpace, shift: Floats, residual: 
     residual, redundancy : (m,) float
         Whitened residuals with the hypothesis modelled, and their redundancy numbers.
     """
-    kind = np.nonzero(space.used_readings)[1]
+    kind = np.nonzero(space.is_used_reading)[1]
     rows = np.flatnonzero(shift[: len(kind)])
     kind, square, share = kind[rows], residual[rows] ** 2, redundancy[rows]
     n_by_kind = np.maximum(np.bincount(kind, minlength=3), 1)

@@ -39,7 +39,7 @@ class EvidenceCalculator:
 
     def __init__(self, space: ResidualSpace) -> None:
         self.space = space
-        self._pointing = np.nonzero(space.used_readings)[0]
+        self._pointing = np.nonzero(space.is_used_reading)[0]
         self._grams: dict[CandidateEffect, Floats] = {}
         self._changes_by_response: dict[str, Floats] = {}
         self._rows: dict[PlaceKey, ResidualRows] = {}

@@ -2,7 +2,11 @@
 
 from pathlib import Path
 
-from ltsim.adjustment.coordinate_uncertainty import COVARIANCE_FILE, covariance_csv, joint_air_covariance
+from ltsim.adjustment.coordinate_uncertainty import (
+    COVARIANCE_FILE_NAME,
+    covariance_csv_text,
+    joint_covariance_due_to_air,
+)
 from ltsim.calibration.schema import RESIDUALS_TABLE
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import DIAGNOSED_TARGETS_TABLE, RESIDUALS_BEFORE_TABLE
@@ -14,7 +18,7 @@ RECORDING_FOLDER = "recording"
 """Name of the folder with the recording, within the folder of a diagnosis."""
 COMPANION_FILES = (
     DIAGNOSED_TARGETS_TABLE.file,
-    COVARIANCE_FILE,
+    COVARIANCE_FILE_NAME,
     RESIDUALS_TABLE.file,
     RESIDUALS_BEFORE_TABLE.file,
     f"{RECORDING_FOLDER}/{OBSERVATIONS_FILE}",
@@ -39,11 +43,11 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | N
         RESIDUALS_TABLE.file: diagnosis.table("residuals").csv(),
         RESIDUALS_BEFORE_TABLE.file: diagnosis.table("residuals_before").csv(),
     }
-    air_covariance = joint_air_covariance(diagnosis.final_adjustment)
-    covariance = covariance_csv(
+    air_covariance = joint_covariance_due_to_air(diagnosis.final_adjustment)
+    covariance = covariance_csv_text(
         diagnosis.final_adjustment, diagnosis.targets.explanation_deviations, added_covariance=air_covariance
     )
-    texts |= {} if covariance is None else {COVARIANCE_FILE: covariance}
+    texts |= {} if covariance is None else {COVARIANCE_FILE_NAME: covariance}
     if recording is not None:
         copied = recording_texts(recording, folder / RECORDING_FOLDER)
         texts |= {f"{RECORDING_FOLDER}/{name}": text for name, text in copied.items()}

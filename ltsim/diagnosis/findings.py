@@ -10,7 +10,7 @@ from scipy.special import expit
 
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.refit import Refit
-from ltsim.adjustment.significance import FAMILY_LEVEL, MIN_SIGNIFICANT_SIGMAS
+from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MIN_SIGNIFICANT_SIGMAS
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import MAX_LISTED_ITEMS, number_text, with_sigma
 from ltsim.core.rounding import MAX_ROUNDING_ERROR
@@ -131,7 +131,7 @@ class ExplainedRecording:
         members, gains = self.model.members, [gain.sum() for gain in self.squared_residual_decreases]
         is_doubtful = [
             self.p_real(i) < MIN_PROBABLE
-            and (gains[i] < max(gains) or (self.has_test_findings and self.p_any(i) < 1.0 - FAMILY_LEVEL))
+            and (gains[i] < max(gains) or (self.has_test_findings and self.p_any(i) < 1.0 - FAMILY_WISE_LEVEL))
             for i in range(len(members))
         ]
         return tuple(member.key for member, doubt in zip(members, is_doubtful, strict=True) if doubt)
@@ -179,10 +179,10 @@ class ExplainedRecording:
         coefficient_means = coefficient_posterior(
             *searcher.evidence_calculator.gram_and_score([effect], others)[0], hypothesis.plausible_sizes
         )[0]
-        design_columns, rows = space.whitened_design(effect), int(space.used_readings.sum())
+        design_columns, rows = space.whitened_design(effect), int(space.is_used_reading.sum())
         shift = design_columns @ coefficient_means
         projected_design = searcher.model_of([hypothesis]).projected_designs[0] @ coefficient_means
-        scope = self._scope(effect, active_observables(space.used_readings, shift[:rows], projected_design[:rows]))
+        scope = self._scope(effect, active_observables(space.is_used_reading, shift[:rows], projected_design[:rows]))
         estimates = self._estimates_of(member, hypothesis, others)
         extra_fields: dict[str, Any] = {}
         sentence = ""
@@ -226,7 +226,7 @@ class ExplainedRecording:
 
     def _readings_sentence(self, chi2_decreases: Floats) -> str:
         """Sentence on the readings with most of the decrease of chi-square (m,) by row; empty for many readings."""
-        use, recording = self.state.searcher.space.used_readings, self.state.recording
+        use, recording = self.state.searcher.space.is_used_reading, self.state.recording
         reading_gain = chi2_decreases[: int(use.sum())]
         order = np.argsort(-reading_gain)
         min_sum = MIN_LISTED_CHI2_FRACTION * max(float(chi2_decreases.sum()), MAX_ROUNDING_ERROR)

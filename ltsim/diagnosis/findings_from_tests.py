@@ -24,7 +24,7 @@ DECLARED_COORDINATES_TEXT = "declared coordinates"
 def gross_error_finding(blunder: IdentifiedBlunder) -> Finding:
     """Finding of a blunder whose size the network determines."""
     return Finding(
-        effect=blunder.effect,
+        effect=blunder.effect_name,
         known=True,
         where=confined_scope(observables=blunder.observables, stations=blunder.stations, targets=blunder.targets),
         parameters=(ParameterEstimate(name="size", value=1e3 * blunder.size, sigma=1e3 * blunder.sigma, unit="mm"),),

@@ -70,7 +70,7 @@ def cross_validated_errors(
         Smallest log evidence by which a further effect in a model increases it.
     """
     before, after, count = np.zeros(len(space.sightings)), np.zeros(len(space.sightings)), 0
-    groups, pointing = fold_rows(space, seed), np.nonzero(space.used_readings)[0]
+    groups, pointing = fold_rows(space, seed), np.nonzero(space.is_used_reading)[0]
     for rows, (values, vectors) in zip(groups, space.projector.hat_matrix_spectra(groups), strict=True):
         np.add.at(before, pointing[rows], _normalised_errors_on_fold(space.residuals[rows], values, vectors) ** 2)
         count += len(rows) - int(np.sum(values >= 1.0 - MAX_SOLUTION_ROUNDING_ERROR))
@@ -90,7 +90,7 @@ def cross_validated_errors(
 
 def fold_rows(space: ResidualSpace, seed: int) -> list[Ints]:
     """Rows of the used readings of each fold, drawn at random: all pointings of a target from a set-up together."""
-    pointing, sightings = np.nonzero(space.used_readings)[0], space.sightings
+    pointing, sightings = np.nonzero(space.is_used_reading)[0], space.sightings
     pair = np.unique(np.stack([sightings.station, sightings.target]), axis=1, return_inverse=True)[1]
     fold_of_pair = stream(seed, "diagnose", "folds").permutation(int(pair.max(initial=-1)) + 1) % N_FOLDS
     row_folds = (np.flatnonzero(fold_of_pair[pair][pointing] == fold) for fold in range(N_FOLDS))

@@ -11,7 +11,7 @@ import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace, orthonormal_columns
 from ltsim.adjustment.significance import MIN_LOG_EVIDENCE_CERTAIN, MIN_REPORTED_PROBABILITY
-from ltsim.calibration.evidence import EVIDENCE_SIZES, LOG_SIZE_PRIOR, log_sum_exp
+from ltsim.calibration.evidence import LOG_SIZE_PRIOR, RELATIVE_EFFECT_SIZES, log_sum_exp
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.evidence import index_of_best
@@ -260,19 +260,22 @@ def _log_evidence_over_sizes(model: Model) -> float:
     unit_prior = np.diag(np.append(np.ones(len(score)), 0.0))
 
     def evidence(sizes: Ints) -> Floats:
-        """Log evidence (b,) with prior for b sets of sizes. `sizes` (b, effects) are indices in `EVIDENCE_SIZES`."""
-        scale = np.pad(EVIDENCE_SIZES[sizes][:, owner] * spread, ((0, 0), (0, 1)), constant_values=1.0)
+        """Log evidence (b,) with prior for b sets of sizes (b, effects), as indices in `RELATIVE_EFFECT_SIZES`."""
+        scale = np.pad(RELATIVE_EFFECT_SIZES[sizes][:, owner] * spread, ((0, 0), (0, 1)), constant_values=1.0)
         factor = np.linalg.cholesky(bordered_matrix * scale[:, :, None] * scale[:, None, :] + unit_prior)
         fit = 0.5 * np.sum(factor[:, -1, :-1] ** 2, axis=1)  # the last row of the factor holds the solved residual
         half_log_determinants = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)[:, :-1]), axis=1)
         value: Floats = fit - half_log_determinants + LOG_SIZE_PRIOR[sizes].sum(axis=1)
         return value
 
-    best, every = np.full(count, int(np.flatnonzero(EVIDENCE_SIZES == 1.0)[0])), np.arange(len(EVIDENCE_SIZES))
+    best, every = (
+        np.full(count, int(np.flatnonzero(RELATIVE_EFFECT_SIZES == 1.0)[0])),
+        np.arange(len(RELATIVE_EFFECT_SIZES)),
+    )
     neighbours = [every] * count
     for _ in range(2 if count > 1 else 0):
         for i in range(count):
-            tried = np.tile(best, (len(EVIDENCE_SIZES), 1))
+            tried = np.tile(best, (len(RELATIVE_EFFECT_SIZES), 1))
             tried[:, i] = every
             values = evidence(tried)
             best[i] = index_of_best(values)

@@ -10,19 +10,19 @@ from scipy import linalg
 from scipy.special import erfc
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.prior import CORRECTED_SIGMA_FRACTION, ParameterPrior, prior_sigmas
+from ltsim.adjustment.prior import CORRECTED_INSTRUMENT_SIGMA_FRACTION, ParameterPrior, prior_sigmas
 from ltsim.adjustment.significance import MIN_REPORTED_PROBABILITY
 from ltsim.calibration.evidence import (
     determined_combinations,
+    estimates_with_plausible_priors,
     forward_select,
     likelihood_information,
     log_evidence,
     log_marginal_likelihood,
     log_sum_exp,
     score_test,
-    with_plausible_priors,
 )
-from ltsim.calibration.prior_information import EarlierCalibrations
+from ltsim.calibration.prior_information import EarlierCalibrationPrior
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
 from ltsim.core.probability import SIZE_PRIOR
@@ -57,7 +57,9 @@ def _instrument_entry(adjustment: Adjustment, instrument: int) -> InstrumentEntr
             ParameterEstimate.from_si(p, v, s) for p, v, s in zip(parameters, constants, sigma, strict=True)
         ),
         determined=tuple(
-            determined_combinations(parameters, *with_plausible_priors(parameters, constants, covariance, prior))
+            determined_combinations(
+                parameters, *estimates_with_plausible_priors(parameters, constants, covariance, prior)
+            )
         ),
     )
 
@@ -141,7 +143,7 @@ def find_contradictions(adjustment: Adjustment, min_log_evidence: float) -> Cont
         np.outer(is_compared, is_compared)[:, :, None], np.minimum(unit[:, None], unit) ** 2, 0.0
     )
     common_variance /= unit[:, None] * unit  # what all have in common is within the least of their guarantees
-    separate_variance = np.where(is_corrected, CORRECTED_SIGMA_FRACTION**2, np.where(is_compared, 0.0, 1.0))
+    separate_variance = np.where(is_corrected, CORRECTED_INSTRUMENT_SIGMA_FRACTION**2, np.where(is_compared, 0.0, 1.0))
     blocks = common_variance + (np.eye(len(unit)) * separate_variance)[:, :, None]
     covariance = np.einsum("ijp,pq->ipjq", blocks, np.eye(unit.shape[1])).reshape(unit.size, unit.size)
     corrected_indices = tuple(np.flatnonzero(is_corrected).tolist())
@@ -288,7 +290,7 @@ correspond to standard deviations that mostly agree within a factor of two."""
 class HistoryExpectation:
     """Expected constants of a recording's instruments, from earlier calibrations."""
 
-    earlier: EarlierCalibrations
+    earlier: EarlierCalibrationPrior
     """Earlier calibrations."""
     expected: ParameterPrior
     """Mean and covariance of the constants [SI], with their spread between calibrations."""
@@ -298,7 +300,7 @@ class HistoryExpectation:
 
     @classmethod
     def from_calibrations(
-        cls, calibrations: EarlierCalibrations, recording: Recording, construction: GeometricErrorModel
+        cls, calibrations: EarlierCalibrationPrior, recording: Recording, construction: GeometricErrorModel
     ) -> HistoryExpectation:
         """Expectation from earlier calibrations; raises RecordError for other instruments or another error model."""
         names = recording.instruments

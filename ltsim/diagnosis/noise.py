@@ -113,11 +113,11 @@ class NoiseBank:
         """Noise hypotheses on a residual space. The noise level may be less than declared only if `allows_quieter`."""
         repeat_patterns = [repeat_means(space, faces) for faces in REPETITION_KINDS]
         means = sp.csr_array(sp.vstack(repeat_patterns))
-        pattern_counts = space.n_rows - int(space.used_readings.sum()), *(m.shape[0] for m in repeat_patterns)
+        pattern_counts = space.n_rows - int(space.is_used_reading.sum()), *(m.shape[0] for m in repeat_patterns)
         other_groups = [np.full(size, len(OBSERVABLES) + i) for i, size in enumerate(pattern_counts)]
         factors = NoiseFactors.from_patterns(
             _noise_patterns(space, hypotheses, repeat_patterns),
-            np.concatenate([np.nonzero(space.used_readings)[1], *other_groups]),
+            np.concatenate([np.nonzero(space.is_used_reading)[1], *other_groups]),
         )
         names = tuple(dict.fromkeys(h.family for h in hypotheses))
         index = {name: i for i, name in enumerate(names)}
@@ -236,11 +236,11 @@ class NoiseBank:
             sizes = np.array(most_likely_sizes(space, space.sigma, hypothesis).sizes)
             values.append(value)
             factors.append(hypothesis.effect.variance(space.sightings, space.sigma, sizes) / space.sigma**2)
-        n_readings = np.count_nonzero(space.used_readings)
+        n_readings = np.count_nonzero(space.is_used_reading)
         for change, value in self.ranked_group_noise(residual, redundancy, max(values)):
             values.append(value)
             factors.append(np.ones(space.sigma.shape))
-            factors[-1][space.used_readings] = change.expected_factors(residual, redundancy)[:n_readings]
+            factors[-1][space.is_used_reading] = change.expected_factors(residual, redundancy)[:n_readings]
         mean_factors = np.einsum("k,kij->ij", normalised_probabilities(np.array(values)), np.stack(factors))
         return np.nan_to_num(mean_factors, nan=1.0)
 
@@ -290,7 +290,7 @@ def _noise_patterns(
     (`mean_patterns`). A variance function has one pattern, because it is linear in its size. A catalogue effect has one
     pattern for each size.
     """
-    used, variance = space.used_readings, space.sigma**2
+    used, variance = space.is_used_reading, space.sigma**2
     for effect, same in groupby(hypotheses, key=lambda h: h.effect):
         sizes = [h.sizes for h in same]
         linear = isinstance(effect, VarianceFunction)
@@ -313,7 +313,7 @@ def reml_gain_function(
     Each reading depends on one parameter at most. The effect changes the standard deviations `sigma` (n, 3), while the
     residuals (m,) are whitened by the standard deviations of the space.
     """
-    faces, used, scale = getattr(effect, "repetition", ""), space.used_readings, effect.size_scales
+    faces, used, scale = getattr(effect, "repetition", ""), space.is_used_reading, effect.size_scales
     means = repeat_means(space, faces) if faces else None
     share = redundancy[: int(used.sum())] if means is None else redundancy_of_means(means, redundancy)
     squares = residual[: len(share)] ** 2 if means is None else (means @ residual) ** 2

@@ -32,7 +32,7 @@ columns in the residual space."""
 
 def centring_hypotheses_of_occupations(space: ResidualSpace) -> list[tuple[float, NoiseHypothesis]]:
     """Pairs of log evidence, without prior, and a hypothesis of centring errors, one for each kind of occupation."""
-    recording, used = space.adjustment.recording, np.asarray(space.used_readings.any(axis=1))
+    recording, used = space.adjustment.recording, np.asarray(space.is_used_reading.any(axis=1))
     hypotheses = []
     for kind in _distinguished_occupations(recording):
         effect = CentringVariance(occupation=kind)

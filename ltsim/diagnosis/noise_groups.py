@@ -106,7 +106,7 @@ class RecordingNoiseLevel(GroupNoise):
     @classmethod
     def from_space(cls, space: ResidualSpace, *, allows_quieter: bool) -> RecordingNoiseLevel:
         """Noise level in a residual space. It may be below the declared one only if `allows_quieter`."""
-        level, kind = NoiseLevel(), np.nonzero(space.used_readings)[1]
+        level, kind = NoiseLevel(), np.nonzero(space.is_used_reading)[1]
         members = sp.csr_array((np.ones(len(kind)), (kind, np.arange(len(kind)))), (len(OBSERVABLES), space.n_rows))
         return cls(
             level,
@@ -166,7 +166,7 @@ class NoiseByGroup(GroupNoise):
             if len(names) < MIN_REPEATS_FOR_VARIANCE:
                 continue
             key = of[:, None] * kinds + np.arange(kinds) if per_observable else np.repeat(of[:, None], kinds, axis=1)
-            rows = key[space.used_readings]
+            rows = key[space.is_used_reading]
             shape = len(names) * (kinds if per_observable else 1), space.n_rows
             members = sp.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), shape)
             banks.append(
@@ -183,7 +183,7 @@ class NoiseByGroup(GroupNoise):
     @classmethod
     def _heavy_tail(cls, space: ResidualSpace, observables: tuple[str, ...]) -> NoiseByGroup:
         """Hypothesis of a heavy tail: a fraction of the readings of `observables` has larger noise than declared."""
-        pointing, kind = np.nonzero(space.used_readings)
+        pointing, kind = np.nonzero(space.is_used_reading)
         column = np.array([observables.index(o) if o in observables else -1 for o in OBSERVABLES])[kind]
         places = np.flatnonzero(column >= 0)
         reading_indices = pointing[places] * len(observables) + column[places]

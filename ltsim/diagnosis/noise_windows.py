@@ -57,7 +57,7 @@ class NoiseWindows(GroupNoise):
     @classmethod
     def from_space(cls, space: ResidualSpace) -> tuple[NoiseWindows, ...]:
         """Hypothesis of windows in a residual space; empty for few readings, and for a recording without times."""
-        time, (pointing, kind) = space.sightings.time, np.nonzero(space.used_readings)
+        time, (pointing, kind) = space.sightings.time, np.nonzero(space.is_used_reading)
         distinct = np.unique(time)
         if space.n_rows < MIN_TAIL_READINGS or len(distinct) < 2:
             return ()
@@ -173,7 +173,7 @@ class NoiseWindows(GroupNoise):
             index_of_best(np.array([self._log_evidence_of(effect, residual, redundancy) for effect in places]))
         ]
         whole = replace(place, observables=OBSERVABLES, covariate_band=(self.times[0], self.times[-1]))
-        is_noisy = (whole.variance(s, self.space.sigma, np.ones(1)) > self.space.sigma**2)[self.space.used_readings]
+        is_noisy = (whole.variance(s, self.space.sigma, np.ones(1)) > self.space.sigma**2)[self.space.is_used_reading]
         noisy_rows = np.pad(is_noisy, (0, len(residual) - len(is_noisy))).astype(np.float64)
         members = sp.csr_array(self.members @ sp.diags_array(noisy_rows))
         return (replace(self, effect=whole, members=members, n_places=len(places)),)
@@ -181,7 +181,9 @@ class NoiseWindows(GroupNoise):
     def _log_evidence_of(self, effect: VarianceFunction, residual: Floats, redundancy: Floats) -> float:
         """Log evidence of a change of the noise with given windows and place, averaged over variance factors."""
         space = self.space
-        added = (effect.variance(space.sightings, space.sigma, np.ones(1)) / space.sigma**2)[space.used_readings] - 1.0
+        added = (effect.variance(space.sightings, space.sigma, np.ones(1)) / space.sigma**2)[
+            space.is_used_reading
+        ] - 1.0
         noisy_rows = np.flatnonzero(added)
         factors = 1.0 + (self.factors[:, None] - 1.0) * added[noisy_rows]
         log_likelihood_ratios = log_restricted_likelihood_ratio(

@@ -84,7 +84,7 @@ class NullEnsemble:
     @cached_property
     def _row_of_reading(self) -> Ints:
         """Row (n, 3) of the residual space of each reading; 0 for readings that are not used, whose weight is zero."""
-        use = self.space.used_readings
+        use = self.space.is_used_reading
         row_of_reading = np.zeros(use.shape, dtype=np.int64)
         row_of_reading[use] = np.arange(int(use.sum()))
         return row_of_reading

@@ -10,13 +10,13 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.centring import correct_centring
 from ltsim.adjustment.identification import CauseSelection, NetworkFit, adjust_with_causes, cause_tests
 from ltsim.adjustment.identification.cause_selection import largest_displacement
+from ltsim.adjustment.identification.cause_tests import reported_kind
 from ltsim.adjustment.identification.hypothesis import (
     CentringChange,
     Hypothesis,
     NoiseFactor,
     ReadingShiftChange,
 )
-from ltsim.adjustment.identification.tests import reported_kind
 from ltsim.adjustment.significance import (
     MAX_CHANCE_SIGMAS,
     MAX_TRACKER_ERROR,
@@ -52,7 +52,8 @@ def corrected_mistakes(selection: CauseSelection) -> list[Hypothesis]:
     )
     shifts = [h for h in chosen if isinstance(h.model_change, ReadingShiftChange | CentringChange)]
     gross = any(
-        largest_displacement(fit, h) > MAX_TRACKER_ERROR and fit.length_in_sigmas(h) > MIN_GROSS_SIGMAS for h in shifts
+        largest_displacement(fit, h) > MAX_TRACKER_ERROR and fit.estimate_length_in_sigmas(h) > MIN_GROSS_SIGMAS
+        for h in shifts
     )
     return [h for h in chosen if not isinstance(h.model_change, NoiseFactor) and (gross or h not in shifts)]
 
@@ -104,7 +105,7 @@ def adapted_baseline(
     errors = is_single_error(fit)
     if is_restored is not None:
         errors &= ~is_restored
-    baseline = adjust_with_causes(fit, recording, construction, mistakes, subtracted_changes=True, reading_mask=~errors)
+    baseline = adjust_with_causes(fit, recording, construction, mistakes, subtracts_changes=True, reading_mask=~errors)
     rows = {(int(i) + 1, OBSERVABLES[k]) for i, k in np.argwhere(errors)}
     places = {(reported_kind(fit, h), h.stations, h.targets) for h in mistakes}
     tests = [
@@ -118,7 +119,7 @@ def adapted_baseline(
         baseline = adjust(
             moved, construction, effects=baseline.effects, reading_mask=~errors, start_state=baseline.state
         )
-    axes = [test for test in baseline.axis_tests if test.is_excluded]
+    axes = [test for test in baseline.axes_point_tests if test.is_excluded]
     return (
         baseline,
         ~errors,

@@ -17,7 +17,7 @@ def repeat_means(space: ResidualSpace, faces: str = REPEATS_PER_FACE) -> sp.csr_
     """
     s = space.sightings
     pair = 2 * (s.station * len(s.target_names) + s.target) + ((s.face == 2) & (faces == REPEATS_PER_FACE))
-    key = (3 * pair[:, None] + np.arange(3))[space.used_readings]
+    key = (3 * pair[:, None] + np.arange(3))[space.is_used_reading]
     _, group, count = np.unique(key, return_inverse=True, return_counts=True)
     keep = count[group] > 1
     _, number = np.unique(group[keep], return_inverse=True)

@@ -130,7 +130,7 @@ class SelectionState:
         for constant in constants:
             owners = [self.recording.instruments.index(name) for name in constant.instruments]
             freed[owners, old.construction.parameter_names.index(constant.parameter.name)] = True
-        prior = old.problem.prior.with_free_parameters(freed)
+        prior = old.problem.prior.with_widened_sigmas(freed)
         self.baseline = adjust(
             old.recording,
             old.construction,

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.history import History
-from ltsim.calibration.prior_information import EarlierCalibrations
+from ltsim.calibration.prior_information import EarlierCalibrationPrior
 from ltsim.diagnosis.diagnose import diagnose as diagnosis_of
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.recordings.exchange import RecordingSource, load_recording
@@ -50,5 +50,5 @@ def diagnose(
     >>> found.verdict, len(found.findings)
     ('consistent', 0)
     """
-    earlier = None if history is None else EarlierCalibrations.from_source(history)
+    earlier = None if history is None else EarlierCalibrationPrior.from_source(history)
     return diagnosis_of(load_recording(recording), level=level, seed=seed, history=earlier, held_out=held_out)

@@ -20,10 +20,10 @@ class ThermalExpansion:
 
     length_ratio: float = 1.0
     """Length at the temperature of the body divided by the length at the reference temperature, 1 + a (T - T_0)."""
-    change_by_coefficient: float = 0.0
-    """Change of the ratio for one standard deviation of the coefficient."""
-    change_by_temperature: float = 0.0
-    """Change of the ratio for one standard deviation of the temperature."""
+    ratio_change_per_coefficient_sigma: float = 0.0
+    """Change of the length ratio for one standard deviation of the coefficient."""
+    ratio_change_per_temperature_sigma: float = 0.0
+    """Change of the length ratio for one standard deviation of the temperature."""
 
     @classmethod
     def from_temperature(

@@ -2,10 +2,10 @@
 
 A chain is a list of motions from the base outwards: a turn about z by the azimuth, a shift along x by the transit
 offset, and so on. The target sits at the origin of the last frame. An instrument error is added to the nominal amount
-of a motion. The motion's `slot` is the key of this error in the mapping `errors`. The derivative of the point with
-respect to the error of a translation is the direction of its axis in the base frame. For a rotation it is the cross
-product of the axis and the vector from the axis to the target. There are three designs of a tracker:
-`MISALIGNMENT_CHAIN`, `STEERING_MIRROR_CHAIN` and the paper's `DH_CHAIN`.
+of a motion. The motion's `error_slot` is the key of this error in the mapping `errors`. The derivative of the point by
+the error of a translation is the direction of the translation's axis in the base frame. The derivative by the error of
+a rotation is the cross product of the axis and the vector from the axis to the target. There are three designs of a
+tracker: `MISALIGNMENT_CHAIN`, `STEERING_MIRROR_CHAIN` and the paper's `DH_CHAIN`.
 """
 
 import math
@@ -24,13 +24,13 @@ NominalFunction = Callable[[Floats], Floats]
 
 @dataclass(frozen=True)
 class RotationStep:
-    """Rotation by the angle ``nominal(raw) + error[slot]`` [rad] about a coordinate axis (0, 1, 2)."""
+    """Rotation by the angle ``nominal_function(raw) + errors[error_slot]`` [rad] about an axis (0, 1, 2)."""
 
     axis: int
     """Index of the coordinate axis."""
-    slot: str = ""
+    error_slot: str = ""
     """Name of the slot for its error; empty for none."""
-    nominal: NominalFunction | None = None
+    nominal_function: NominalFunction | None = None
     """Nominal angle as a function of the readings; None for zero."""
     sign: float = 1.0
     """Sign of the angle."""
@@ -38,19 +38,20 @@ class RotationStep:
 
 @dataclass(frozen=True)
 class TranslationStep:
-    """Translation by the length ``nominal(raw) + error[slot]`` [m] along a coordinate axis (0, 1, 2)."""
+    """Translation by the length ``nominal_function(raw) + errors[error_slot]`` [m] along an axis (0, 1, 2)."""
 
     axis: int
     """Index of the coordinate axis."""
-    slot: str = ""
+    error_slot: str = ""
     """Name of the slot for its error; empty for none."""
-    nominal: NominalFunction | None = None
+    nominal_function: NominalFunction | None = None
     """Nominal length as a function of the readings; None for zero."""
     sign: float = 1.0
     """Sign of the length."""
 
 
 ElementaryMotion = RotationStep | TranslationStep
+"""Elementary motion of a kinematic chain: rotation about, or translation along, one coordinate axis."""
 KinematicChain = tuple[ElementaryMotion, ...]
 """Kinematic chain: elementary motions from the base outwards."""
 
@@ -82,8 +83,10 @@ def _motion_amount(
     elementary_motion: ElementaryMotion, raw_readings: Floats, errors: Mapping[str, Floats]
 ) -> Floats | None:
     """Signed angle [rad] or length [m] of a motion, nominal amount plus error, (n,) or a number; None for no motion."""
-    motion_amount = None if elementary_motion.nominal is None else elementary_motion.nominal(raw_readings)
-    error = errors.get(elementary_motion.slot)
+    motion_amount = (
+        None if elementary_motion.nominal_function is None else elementary_motion.nominal_function(raw_readings)
+    )
+    error = errors.get(elementary_motion.error_slot)
     if error is not None:
         motion_amount = error if motion_amount is None else motion_amount + error
     return None if motion_amount is None else elementary_motion.sign * motion_amount
@@ -97,8 +100,8 @@ def _rotate(axis: int, angle: Floats, *vectors: Floats) -> None:
         v[..., i], v[..., j] = c * v[..., i] - s * v[..., j], s * v[..., i] + c * v[..., j]
 
 
-def point_of_readings(chain: KinematicChain, raw_readings: Floats, errors: Mapping[str, Floats]) -> Floats:
-    """Point (n, 3) [m] of raw readings (n, 3).
+def points_from_raw_readings(chain: KinematicChain, raw_readings: Floats, errors: Mapping[str, Floats]) -> Floats:
+    """Points (n, 3) [m] that raw readings (n, 3) measure.
 
     `errors` has the error of each slot [rad or m], as an array (n,) or one number. A missing slot has no error.
     """
@@ -118,10 +121,10 @@ def point_of_readings(chain: KinematicChain, raw_readings: Floats, errors: Mappi
     return points
 
 
-def point_and_derivatives(
+def points_and_error_derivatives(
     chain: KinematicChain, raw_readings: Floats, errors: Mapping[str, Floats], error_slots: set[str]
 ) -> tuple[Floats, dict[str, Floats]]:
-    """Point (n, 3) [m] of raw readings (n, 3), and its derivative (n, 3) with respect to the error of each slot.
+    """Points (n, 3) [m] of raw readings (n, 3), and their derivatives (n, 3) by the error of each slot.
 
     The dictionary of derivatives has one entry for each slot in `error_slots` that the chain contains. The computation
     starts at the target and applies the motions towards the base. Point and derivatives are vectors of
@@ -137,12 +140,12 @@ def point_and_derivatives(
                 p[:, motion.axis] += amount
         elif amount is not None:
             _rotate(motion.axis, amount, p, derivative_buffer[:count])
-        if motion.slot not in error_slots:
+        if motion.error_slot not in error_slots:
             continue
-        if motion.slot not in derivatives:
-            derivatives[motion.slot] = derivative_buffer[count]
+        if motion.error_slot not in derivatives:
+            derivatives[motion.error_slot] = derivative_buffer[count]
             count += 1
-        derivative = derivatives[motion.slot]
+        derivative = derivatives[motion.error_slot]
         if isinstance(motion, TranslationStep):
             derivative[:, motion.axis] += motion.sign
         else:
@@ -180,9 +183,9 @@ Signs: every slot is a correction, added to the raw reading or to the nominal ze
 readings are used unchanged; the signs of the two faces follow from the geometry.
 """
 
-ZENITH_ROTATION = -0.5 * math.pi
+MIRROR_ZENITH_ROTATION = -0.5 * math.pi
 """Rotation [rad] of the mirror's normal between the zenith and the horizontal, added to the elevation."""
-HALF_ANGLE_SIGN = -0.5
+MIRROR_ROTATION_RATIO = -0.5
 """Ratio of the mirror's rotation to the elevation: one half, because the reflected beam turns twice as far as the
 mirror. It is negative because elevation is counted upwards and a positive turn about y is downwards."""
 
@@ -191,13 +194,13 @@ STEERING_MIRROR_CHAIN: KinematicChain = (
     RotationStep(2, "azimuth", ReadingAmount(1)),
     TranslationStep(0, "transit-offset"),
     RotationStep(0, "transit-tilt"),
-    RotationStep(1, "elevation", ReadingAmount(2, ZENITH_ROTATION), sign=HALF_ANGLE_SIGN),
+    RotationStep(1, "elevation", ReadingAmount(2, MIRROR_ZENITH_ROTATION), sign=MIRROR_ROTATION_RATIO),
     TranslationStep(0, "mirror-offset"),
     RotationStep(2, "mirror-tilt"),
     # Its image: T^-1 reflected.
     RotationStep(2, "mirror-tilt"),
     TranslationStep(0, "mirror-offset"),
-    RotationStep(1, "elevation", ReadingAmount(2, ZENITH_ROTATION), sign=HALF_ANGLE_SIGN),
+    RotationStep(1, "elevation", ReadingAmount(2, MIRROR_ZENITH_ROTATION), sign=MIRROR_ROTATION_RATIO),
     RotationStep(0, "transit-tilt", sign=-1.0),
     TranslationStep(0, "transit-offset"),
     TranslationStep(0, "cover-forward", sign=-1.0),
@@ -241,15 +244,15 @@ def joint_error_motions(joint_name: str) -> tuple[ElementaryMotion, ...]:
 
 
 DH_CHAIN: KinematicChain = (
-    RotationStep(2, nominal=ConstantAmount(-QUARTER_TURN)),
-    RotationStep(2, nominal=ReadingAmount(1, -QUARTER_TURN)),  # A1 of Table 1: theta - 90, alpha -90
-    RotationStep(0, nominal=ConstantAmount(-QUARTER_TURN)),
+    RotationStep(2, nominal_function=ConstantAmount(-QUARTER_TURN)),
+    RotationStep(2, nominal_function=ReadingAmount(1, -QUARTER_TURN)),  # A1 of Table 1: theta - 90, alpha -90
+    RotationStep(0, nominal_function=ConstantAmount(-QUARTER_TURN)),
     *joint_error_motions("J1"),
-    RotationStep(2, nominal=ReadingAmount(2, -QUARTER_TURN)),  # A2: phi - 90, alpha +90
-    RotationStep(0, nominal=ConstantAmount(QUARTER_TURN)),
+    RotationStep(2, nominal_function=ReadingAmount(2, -QUARTER_TURN)),  # A2: phi - 90, alpha +90
+    RotationStep(0, nominal_function=ConstantAmount(QUARTER_TURN)),
     *joint_error_motions("J2"),
-    TranslationStep(2, nominal=ReadingAmount(0)),  # A3: d, theta -90
-    RotationStep(2, nominal=ConstantAmount(-QUARTER_TURN)),
+    TranslationStep(2, nominal_function=ReadingAmount(0)),  # A3: d, theta -90
+    RotationStep(2, nominal_function=ConstantAmount(-QUARTER_TURN)),
     *joint_error_motions("T"),
 )
 """The paper's Denavit-Hartenberg chain (Sensors 2021, 21, 7479, eq. 1 to 8) with all its error functions.

@@ -53,7 +53,7 @@ def unit_vectors(azimuth: Floats, elevation: Floats) -> tuple[Floats, Floats, Fl
     return beam, across, up
 
 
-def parts_across_beam(vectors: Floats, points: Floats) -> Floats:
+def components_across_beam(vectors: Floats, points: Floats) -> Floats:
     """Components (n, 2) of vectors (n, 3) to the left and upwards, across the beam from the origin to points (n, 3)."""
     _, azimuth, elevation = to_polar(points).T
     _, across, up = unit_vectors(azimuth, elevation)

@@ -26,7 +26,7 @@ def perpendicular_vectors(vectors: Floats) -> tuple[Floats, Floats]:
     return first_perpendicular, np.cross(vectors, first_perpendicular)
 
 
-def from_rotation_vector(vectors: Floats) -> Floats:
+def matrix_from_rotation_vector(vectors: Floats) -> Floats:
     """Rotation matrices (..., 3, 3) from rotation vectors (..., 3) [rad]."""
     from scipy.spatial.transform import Rotation  # slow to load
 
@@ -54,7 +54,7 @@ def smallest_rotation(start_axis: Floats, goal_axis: Floats) -> Floats:
         return np.eye(3)
     if sine < 1e-12:
         rotation_axis = np.cross(start_axis, np.eye(3)[np.argmin(np.abs(start_axis))])
-    return from_rotation_vector(rotation_axis / np.linalg.norm(rotation_axis) * np.arctan2(sine, cosine))
+    return matrix_from_rotation_vector(rotation_axis / np.linalg.norm(rotation_axis) * np.arctan2(sine, cosine))
 
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
@@ -140,7 +140,7 @@ MAX_ROBUST_PASSES = 8
 MAX_NOISE_DISTANCE_RATIO = 8.0
 """Ratio of the largest to the median distance between aligned points below which reweighting ends: all distances are
 then noise."""
-MAX_SOUND_MISFIT_M = 1e-4
+MAX_OUTLIER_FREE_MISFIT = 1e-4
 """Mean distance [m] between points and their goals after a least-squares alignment. Above it the alignment also starts
 from triples of points, because an outlier may have distorted the least-squares alignment. Start values need no more
 than 0.1 mm."""
@@ -161,7 +161,7 @@ def align_rigidly(points: Floats, goal_points: Floats, weights: Floats | None = 
 
 
 def align_with_scale(
-    points: Floats, goal_points: Floats, weights: Floats | None = None, *, with_scale: bool = False
+    points: Floats, goal_points: Floats, weights: Floats | None = None, *, estimates_scale: bool = False
 ) -> tuple[Floats, Floats, Floats]:
     """Rotation (..., 3, 3), shift (..., 3) and scale (...) that move points onto their goals by least squares.
 
@@ -176,8 +176,8 @@ def align_with_scale(
         The corresponding points.
     weights : (n,) float, optional
         Non-negative weights.
-    with_scale : bool
-        Estimation of the scale; without it the scale is 1.
+    estimates_scale : bool
+        True to estimate the scale; otherwise the scale is 1.
 
     Raises
     ------
@@ -192,14 +192,16 @@ def align_with_scale(
     weight = np.ones(points.shape[-2]) if weights is None else weights
     if np.count_nonzero(weight) < 3:
         raise NetworkError("an alignment needs at least three common points")
-    rotation, shift, scale, is_determined = _weighted_alignment(points, goal_points, weight, with_scale=with_scale)
+    rotation, shift, scale, is_determined = _weighted_alignment(
+        points, goal_points, weight, estimates_scale=estimates_scale
+    )
     if not is_determined.all():
         raise NetworkError("an alignment needs three common points that are not on one line")
     return rotation, shift, scale
 
 
 def _weighted_alignment(
-    points: Floats, goal_points: Floats, weight: Floats, *, with_scale: bool = False
+    points: Floats, goal_points: Floats, weight: Floats, *, estimates_scale: bool = False
 ) -> tuple[Floats, Floats, Floats, Bools]:
     """Rotation, shift and scale of `align_with_scale`, and flags (...) that the points determine the rotation."""
     weight = weight / weight.sum()
@@ -211,7 +213,7 @@ def _weighted_alignment(
     reflection_signs[..., 2] = np.sign(np.linalg.det(u @ vt))
     rotation = (u * reflection_signs[..., None, :]) @ vt
     scale = np.ones(moment.shape[:-2])
-    if with_scale:
+    if estimates_scale:
         scale = np.sum(spread * reflection_signs, axis=-1) / np.sum(weight[:, None] * centred_points**2, axis=(-2, -1))
     shift = goal_centre - scale[..., None] * np.einsum("...ij,...j->...i", rotation, centre)
     return rotation, shift, scale, np.asarray(spread[..., 1] > 1e-9 * spread[..., 0])
@@ -229,11 +231,11 @@ def align_robustly(points: Floats, goal_points: Floats) -> tuple[Floats, Floats]
     best_alignment = align_rigidly(points, goal_points)
     if len(points) < 4:
         return best_alignment
-    residual_distances = _residual_distances(points, goal_points, best_alignment)
-    if residual_distances.mean() > MAX_SOUND_MISFIT_M:
+    residual_distances = _alignment_residual_distances(points, goal_points, best_alignment)
+    if residual_distances.mean() > MAX_OUTLIER_FREE_MISFIT:
         triples = _point_triples(len(points))
         rotation, shift, _, is_determined = _weighted_alignment(points[triples], goal_points[triples], np.ones(3))
-        log_distance_sums = _sum_of_log_distances(_residual_distances(points, goal_points, (rotation, shift)))
+        log_distance_sums = _sum_of_log_distances(_alignment_residual_distances(points, goal_points, (rotation, shift)))
         log_distance_sums[~is_determined] = np.inf
         k = int(np.argmin(log_distance_sums))
         best_alignment = (
@@ -242,7 +244,7 @@ def align_robustly(points: Floats, goal_points: Floats) -> tuple[Floats, Floats]
             else best_alignment
         )
     for _ in range(MAX_ROBUST_PASSES):
-        residual_distances = _residual_distances(points, goal_points, best_alignment)
+        residual_distances = _alignment_residual_distances(points, goal_points, best_alignment)
         floor = max(1e-5, 0.5 * median(residual_distances))
         best_alignment = align_rigidly(points, goal_points, 1.0 / np.maximum(residual_distances, floor))
         if residual_distances.max() < MAX_NOISE_DISTANCE_RATIO * floor:
@@ -250,15 +252,15 @@ def align_robustly(points: Floats, goal_points: Floats) -> tuple[Floats, Floats]
     return best_alignment
 
 
-def largest_residual(points: Floats, goal_points: Floats) -> float:
+def largest_alignment_distance(points: Floats, goal_points: Floats) -> float:
     """Largest distance [m] between points of two sets (n, 3) after their least-squares alignment.
 
     Raises NetworkError under the conditions of `align_with_scale`.
     """
-    return float(_residual_distances(points, goal_points, align_rigidly(points, goal_points)).max())
+    return float(_alignment_residual_distances(points, goal_points, align_rigidly(points, goal_points)).max())
 
 
-def _residual_distances(points: Floats, goal_points: Floats, rigid_motion: tuple[Floats, Floats]) -> Floats:
+def _alignment_residual_distances(points: Floats, goal_points: Floats, rigid_motion: tuple[Floats, Floats]) -> Floats:
     """Distances (..., n) [m] between points (..., n, 3) after a rigid motion and their goals (..., n, 3).
 
     `rigid_motion` is a pair: rotations (..., 3, 3) and shifts (..., 3) [m].
@@ -269,11 +271,11 @@ def _residual_distances(points: Floats, goal_points: Floats, rigid_motion: tuple
 
 
 def _sum_of_log_distances(distances: Floats) -> Floats:
-    """Sum (...) of the logarithms of distances (..., n) [m]; distances below `MAX_SOUND_MISFIT_M` count as this value.
+    """Sum (...) of the logarithms of distances (..., n) [m]; shorter ones count as `MAX_OUTLIER_FREE_MISFIT`.
 
     An alignment with a few large and many small distances has a smaller sum than one with all distances of medium size.
     """
-    return np.asarray(np.log(np.maximum(distances, MAX_SOUND_MISFIT_M)).sum(axis=-1))
+    return np.asarray(np.log(np.maximum(distances, MAX_OUTLIER_FREE_MISFIT)).sum(axis=-1))
 
 
 @lru_cache(maxsize=256)

@@ -15,7 +15,7 @@ from pydantic import Field
 from scipy import special
 
 from ltsim.adjustment.reliability import noncentrality
-from ltsim.adjustment.significance import GLOBAL_LEVEL
+from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.notation import listing
 from ltsim.core.probability import format_p
@@ -274,7 +274,7 @@ def _displacement_of_point(
         values[-a:],
         joint[-a:, -a:],
     )
-    factor = float(2.0 * special.gammaincinv(0.5 * a, 1.0 - GLOBAL_LEVEL))
+    factor = float(2.0 * special.gammaincinv(0.5 * a, 1.0 - GLOBAL_TEST_LEVEL))
     semi_axes = np.sqrt(factor * np.clip(np.linalg.eigvalsh(covariance), 0.0, None))[::-1]
     return Displacement(
         target=difference.point_names[point],

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.linalg
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.coordinate_uncertainty import air_covariance, displacement_per_row
+from ltsim.adjustment.coordinate_uncertainty import air_covariance, displacement_per_observation
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, option, unknown_name
 from ltsim.core.notation import listing
@@ -211,7 +211,7 @@ class _Epoch:
     @classmethod
     def from_adjustment(cls, adjustment: Adjustment, target_indices: Ints, target_names: Sequence[str]) -> Self:
         columns = adjustment.problem.unknowns.target_columns[target_indices].reshape(1, -1)
-        reach = displacement_per_row(adjustment, columns[0])
+        reach = displacement_per_observation(adjustment, columns[0])
         response_by_source = {source.name: source.point_response for source in observed_sources(adjustment, reach)}
         responses = [
             np.zeros((reach.shape[1], 0)),

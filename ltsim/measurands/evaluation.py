@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.adjustment.structure import raise_for_singular_network
-from ltsim.calibration.reported import MIN_RELATIVE_HIDDEN_DISPLACEMENT
+from ltsim.calibration.reported_uncertainty import MIN_RELATIVE_HIDDEN_DISPLACEMENT
 from ltsim.calibration.result import frame_text
 from ltsim.core.arrays import Bools, Floats
 from ltsim.measurands.inputs import TaskInputs
@@ -138,7 +138,7 @@ class TaskEvaluation:
         """Errors without effect on the readings that change a result noticeably, compared with its uncertainty."""
         change_by_target = {
             name: abs(float(self.linear.point_derivatives[result_index] @ moved)) / unit
-            for name, moved in self.inputs.hidden_displacements.items()
+            for name, moved in self.inputs.rms_displacements_by_shared_air_error.items()
         }
         ranked = sorted(change_by_target, key=lambda name: -change_by_target[name])
         return tuple(

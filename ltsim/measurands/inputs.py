@@ -12,11 +12,11 @@ import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.coordinate_uncertainty import (
-    displacement_per_row,
-    displacements_by_air,
-    displacements_by_shared_air,
+    displacement_per_observation,
+    displacements_by_air_error,
+    displacements_by_shared_air_error,
     longest_range,
-    relevant_air,
+    relevant_air_uncertainty,
 )
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import ModelError, SetupError, unknown_name
@@ -88,7 +88,7 @@ class TaskInputs(ValueEquality):
     """Sources of uncertainty of the points."""
     air_text: str = ""
     """Text on the errors of the air among the sources; empty for short ranges."""
-    hidden_displacements: dict[str, Floats] = field(default_factory=dict)
+    rms_displacements_by_shared_air_error: dict[str, Floats] = field(default_factory=dict)
     """Displacement of all T points by one standard deviation of each error without effect on the readings, shape (3 T,)
     [m]. The sources do not include these errors."""
 
@@ -100,7 +100,7 @@ class TaskInputs(ValueEquality):
         target or effect.
         """
         construction = declared_construction(recording) if tasks.calibrate else ideal_construction()
-        adjustment = adjust(recording, construction, robust=tasks.robust, datum=tasks.datum or None)
+        adjustment = adjust(recording, construction, robust=tasks.robust, datum_names=tasks.datum or None)
         adjustment.solution.require_success()
         names = _target_names(tasks)
         for name in names:
@@ -109,17 +109,17 @@ class TaskInputs(ValueEquality):
             if name in adjustment.undetermined_targets:
                 raise ModelError(f"the readings do not determine target {name}, which a task uses")
         indices = np.array([recording.targets.index(name) for name in names])
-        reach = displacement_per_row(adjustment, adjustment.problem.unknowns.target_columns[indices].ravel())
+        reach = displacement_per_observation(adjustment, adjustment.problem.unknowns.target_columns[indices].ravel())
         observed = [
             replace(s, point_response=_reduce_variates(s.point_response)) for s in observed_sources(adjustment, reach)
         ]
         observed += smr_sources(adjustment, reach)
         further = [_type_b_source(adjustment, reach, entry, i + 1) for i, entry in enumerate(tasks.type_b)]
         air = _air_of_budget(tasks, adjustment)
-        counted = relevant_air(adjustment, air)
+        counted = relevant_air_uncertainty(adjustment, air)
         further += air_sources(adjustment, reach, counted) if counted else []
         words = air_uncertainty_text(counted, longest_range(adjustment)) if counted else ""
-        hidden = displacements_by_shared_air(adjustment, reach, air)
+        hidden = displacements_by_shared_air_error(adjustment, reach, air)
         return cls(
             adjustment, names, adjustment.state.target_points[indices], reach, (*observed, *further), words, hidden
         )
@@ -163,7 +163,7 @@ def observed_sources(adjustment: Adjustment, point_response: Floats) -> list[Unc
     with a prior that the adjustment estimates for heads, reflectors and groups of readings.
     """
     problem = adjustment.problem
-    observable = np.nonzero(problem.used_readings)[1]
+    observable = np.nonzero(problem.is_used_reading)[1]
     groups = [(f"{name} readings", np.flatnonzero(observable == i)) for i, name in enumerate(OBSERVABLES)]
     gauge, at = problem.gauge_rows, len(observable)
     by_length = point_response[at : at + len(gauge)].T
@@ -173,7 +173,7 @@ def observed_sources(adjustment: Adjustment, point_response: Floats) -> list[Unc
         ("known differences", problem.difference_rows.n_coordinates),
         ("levels", 2 * len(problem.level_rows)),
         ("orientations", len(problem.yaw_rows)),
-        ("", problem.structure.n_fixed),
+        ("", problem.undetermined_unknowns.n_fixed),
         (PRIOR_SOURCE, int(np.isfinite(problem.prior.sigma).sum())),
     ):
         groups.append((name, np.arange(at, at + count)))
@@ -199,7 +199,7 @@ def _nuisance_sources(adjustment: Adjustment, point_response: Floats) -> list[Un
     `point_response` begins with the rows of the additional effects.
     """
     model = adjustment.problem.model
-    finite = np.isfinite(adjustment.problem.extra_sigma[: model.n_effect_parameters])
+    finite = np.isfinite(adjustment.problem.effect_sigma[: model.n_effect_parameters])
     at, reached = int(finite.sum()), dict[str, list[Floats]]()
     for error in model.nuisance_errors:
         count = len(error.parameters)
@@ -214,7 +214,7 @@ def smr_sources(adjustment: Adjustment, point_response: Floats) -> list[Uncertai
     All pointings with an SMR share one error, along the normals of the nests.
     """
     problem, sightings, names = adjustment.problem, adjustment.sightings, np.array(smr_names(adjustment.recording))
-    rows, columns = np.nonzero(problem.used_readings)
+    rows, columns = np.nonzero(problem.is_used_reading)
     normal = np.nan_to_num(sightings.nest_normals)[sightings.target]
     sources = []
     for name, reflector in adjustment.recording.setup.reflectors.items():
@@ -241,7 +241,7 @@ def air_sources(
     adjustment: Adjustment, point_response: Floats, air_uncertainty: AirUncertainty
 ) -> list[UncertaintySource]:
     """Sources of uncertainty from the unmeasured air: temperature and gradient at each station, and turbulence."""
-    responses = displacements_by_air(adjustment, point_response, air_uncertainty)
+    responses = displacements_by_air_error(adjustment, point_response, air_uncertainty)
     return [UncertaintySource(name, "B", _reduce_variates(response)) for name, response in responses.items()]
 
 
@@ -262,7 +262,7 @@ def _type_b_source(
     effect, sizes = _effect_and_sizes(adjustment.recording, type_b_entry, entry_number)
     sigma = sizes * SIGMA_OF_UNIT_SIZE[type_b_entry.distribution]
     problem = adjustment.problem
-    rows, columns = np.nonzero(problem.used_readings)
+    rows, columns = np.nonzero(problem.is_used_reading)
     design = (effect.design(adjustment.sightings) * sigma)[rows, columns]
     whitened_design = design / problem.sigma[rows, columns][:, None]
     group = _draw_groups(adjustment.recording, type_b_entry.shared)[rows]

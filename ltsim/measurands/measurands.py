@@ -146,7 +146,7 @@ class Measurand(ValueEquality):
         nominal = np.array([task.nominal_mm[name] for name in task.targets]) * MILLIMETRE
         if task.kind == "deviation" and not task.fit:
             return _distances(feature_points - nominal)
-        rotation, shift, scale = align_with_scale(nominal, feature_points, with_scale=task.scale)
+        rotation, shift, scale = align_with_scale(nominal, feature_points, estimates_scale=task.scale)
         if task.kind == "deviation":
             back = (
                 np.einsum("...ji,...nj->...ni", rotation, feature_points - shift[..., None, :]) / scale[..., None, None]

@@ -51,8 +51,8 @@ def part_expansion(declared_expansion: PartExpansion | None) -> ThermalExpansion
 def expansion_errors(thermal_expansion: ThermalExpansion) -> list[tuple[str, float]]:
     """Names of the errors of the part's expansion, and the change of scale by one standard deviation of each."""
     error_sizes = [
-        ("expansion of the part", thermal_expansion.change_by_coefficient),
-        ("temperature of the part", thermal_expansion.change_by_temperature),
+        ("expansion of the part", thermal_expansion.ratio_change_per_coefficient_sigma),
+        ("temperature of the part", thermal_expansion.ratio_change_per_temperature_sigma),
     ]
     return [(name, change) for name, change in error_sizes if change]
 
@@ -127,7 +127,7 @@ def curvature_differences(task_inputs: TaskInputs, measurands: Sequence[Measuran
         return np.zeros(sum(len(m.outputs) for m in measurands))
     recording, problem = origin.recording, origin.problem
     indices = [recording.targets.index(name) for name in task_inputs.target_names]
-    used, count = problem.used_readings, int(problem.used_readings.sum())
+    used, count = problem.is_used_reading, int(problem.is_used_reading.sum())
     largest_differences = np.zeros(sum(len(m.outputs) for m in measurands))
     for i in range(N_CURVATURE_CHECKS):
         noise = stream(seed, "curvature", i).standard_normal(count)
@@ -137,9 +137,9 @@ def curvature_differences(task_inputs: TaskInputs, measurands: Sequence[Measuran
             recording.with_readings(readings),
             origin.construction,
             sigma=problem.sigma,
-            reading_mask=problem.used_readings,
+            reading_mask=problem.is_used_reading,
             start_state=origin.state,
-            datum=origin.datum.point_names if origin.datum is not None else None,
+            datum_names=origin.datum.point_names if origin.datum is not None else None,
         )
         shift = (noise @ task_inputs.point_response[:count]).reshape(-1, 3)
         linear = np.concatenate([m.values(task_inputs.points + shift) for m in measurands])

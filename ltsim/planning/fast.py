@@ -128,13 +128,13 @@ class LayoutScorer:
         )
         self._gauge_targets = np.flatnonzero(problem.unknowns.target_columns[:, 0] < problem.unknowns.n_reduced)
         self.mesh_targets = np.flatnonzero(problem.unknowns.target_columns[:, 0] >= problem.unknowns.n_reduced)
-        other_rows = problem.linearise(state).design[int(problem.used_readings.sum()) :]
+        other_rows = problem.linearise(state).design[int(problem.is_used_reading.sum()) :]
         other = to_dense(other_rows[: other_rows.shape[0] - self._n_free_motions])
         unknowns = problem.unknowns
-        value_columns = np.concatenate([unknowns.extra_columns[: self._n_nuisances], unknowns.instrument_columns[0]])
+        value_columns = np.concatenate([unknowns.effect_columns[: self._n_nuisances], unknowns.instrument_columns[0]])
         self._fixed_blocks(other, unknowns.target_columns, unknowns.pose_columns, value_columns)
         self._target_weights, self._used_observables = survey.normalised_target_weights, survey.used_observables
-        self._fixes_datum_rotations = problem.structure.fixes_datum_rotations
+        self._fixes_datum_rotations = problem.undetermined_unknowns.fixes_datum_rotations
         self._target_motions = rigid_motion_design(survey.target_points) @ self._free_motions
 
     def _fixed_blocks(self, rows: Floats, target: Ints, pose: Ints, value_columns: Ints) -> None:

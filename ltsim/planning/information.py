@@ -21,9 +21,9 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.coordinate_uncertainty import air_covariance
 from ltsim.adjustment.remedies.undetermined import (
-    DeterminingMeasurement,
+    MeasurementForCombination,
     ParameterCombination,
-    determining_measurements,
+    measurements_for_undetermined,
     undetermined_combinations,
 )
 from ltsim.adjustment.residual_space import ResidualSpace
@@ -97,9 +97,9 @@ class LayoutInformation:
         """
         return undetermined_combinations(self.instrument_covariance, self.prior_sigma)
 
-    def determining_measurements(self) -> list[DeterminingMeasurement]:
+    def measurements_for_undetermined(self) -> list[MeasurementForCombination]:
         """Measurement for each undetermined combination that would determine it."""
-        return determining_measurements(self.adjustment, self.construction, [self.undetermined_combinations])[0]
+        return measurements_for_undetermined(self.adjustment, self.construction, [self.undetermined_combinations])[0]
 
     @cached_property
     def _inner_datum_adjustment(self) -> Adjustment:
@@ -275,7 +275,7 @@ def _displacements_by_error(
     adjustment, construction = information.adjustment, information.construction
     problem, sightings = adjustment.problem, adjustment.sightings
     design = adjustment.solution.system.design
-    count, lengths, params = int(problem.used_readings.sum()), len(problem.gauge_rows), len(information.prior_sigma)
+    count, lengths, params = int(problem.is_used_reading.sum()), len(problem.gauge_rows), len(information.prior_sigma)
     n_extra = problem.model.n_extra_parameters
     priors = design.shape[0] - problem.free_motions.shape[1] - params - n_extra
     averaging_matrix = _averaging_matrix(information)
@@ -285,7 +285,7 @@ def _displacements_by_error(
         * problem.sigma.ravel()
     )
     parameters = -np.einsum("rn,nij->rij", averaging_matrix, by_value).reshape(3 * len(averaging_matrix), -1)
-    places = np.concatenate([problem.unknowns.instrument_columns[0], problem.unknowns.extra_columns])
+    places = np.concatenate([problem.unknowns.instrument_columns[0], problem.unknowns.effect_columns])
     columns = np.eye(problem.unknowns.n_columns)[:, places]
     answer = adjustment.factorised_normals.covariance_columns(columns).T @ design.T
     by_extra = (noise / problem.sigma.ravel()) @ problem.model.extra_design(sightings).reshape(noise.shape[1], n_extra)
@@ -293,13 +293,13 @@ def _displacements_by_error(
     if unmodelled:
         space = ResidualSpace.from_adjustment(adjustment)
         errors = np.hstack([space.whitened_design(e) * [p.prior_sigma for p in e.parameters] for e in unmodelled])
-    is_used = np.flatnonzero(problem.used_readings.ravel())
+    is_used = np.flatnonzero(problem.is_used_reading.ravel())
     columns_used = np.r_[0 : count + lengths, priors : priors + params + n_extra]
     first_response = np.zeros((len(noise), len(columns_used) + errors.shape[1]))
     first_response[:, :count] = noise[:, is_used]
     by_parameter = np.hstack([parameters, by_extra])
     first_response[:, count + lengths : len(columns_used)] = -by_parameter * np.append(
-        information.prior_sigma, problem.extra_sigma
+        information.prior_sigma, problem.effect_sigma
     )
     first_response[:, len(columns_used) :] = noise[:, is_used] @ errors[:count]
     second_response = first_response.copy()

@@ -243,7 +243,7 @@ class LayoutEntry(ProcedureEntry):
                     combination=d.coefficients(names), gain=d.gain, cure=m.sentence, measurement=m.instruction
                 )
                 for d, m in zip(
-                    information.undetermined_combinations, information.determining_measurements(), strict=True
+                    information.undetermined_combinations, information.measurements_for_undetermined(), strict=True
                 )
             ),
             expected_improvement=None
@@ -351,7 +351,7 @@ class DetectableSize(Entry):
             typical=row.median_size / factor,
             worst=row.worst_size / factor,
             worst_at=row.worst_place,
-            plausible=row.prior_sigma / factor,
+            plausible=row.plausible_size / factor,
             visible=row.visible_fraction,
         )
 

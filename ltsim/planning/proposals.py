@@ -5,8 +5,8 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field
 
+from ltsim.adjustment.remedies.candidates import list_text
 from ltsim.adjustment.remedies.next_measurement import MeasurementProposal, RankedProposals
-from ltsim.adjustment.remedies.remedy import list_text
 from ltsim.core.results import Column, Table, columns_of, text_columns
 from ltsim.physics.effects import title_of
 from ltsim.planning.reflector_changes import to_degrees, to_millimetres
@@ -44,11 +44,11 @@ class ProposalEntry(Entry):
     @classmethod
     def from_proposal(cls, proposal: MeasurementProposal) -> Self:
         """Entry of a proposal of `next_measurement`."""
-        p, there = proposal, proposal.remedy.added_setup_on_plan
+        p, there = proposal, proposal.candidate.added_setup_on_plan
         return cls(
-            do=p.remedy.instruction,
-            kind=p.remedy.kind,
-            minutes=round(p.remedy.duration / 60, 2),
+            do=p.candidate.instruction,
+            kind=p.candidate.kind,
+            minutes=round(p.candidate.duration / 60, 2),
             sharper=p.sigma_ratio,
             serves=p.most_improved_parameter,
             serves_factor=p.most_improved_ratio,

@@ -6,7 +6,7 @@ from itertools import groupby
 
 import numpy as np
 
-from ltsim.adjustment.coordinate_uncertainty import longest_range, relevant_air
+from ltsim.adjustment.coordinate_uncertainty import longest_range, relevant_air_uncertainty
 from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing
 from ltsim.core.units import MICROMETRE, MILLIMETRE
@@ -149,7 +149,7 @@ def _count_result_clauses(results: Sequence[StationCountResult], min_stations: i
 def _air_sentence(plan: PlannedNetwork) -> list[str]:
     """Sentence on the uncertainty of the air that the results include."""
     adjustment = plan.layout.information.adjustment
-    air = relevant_air(adjustment)
+    air = relevant_air_uncertainty(adjustment)
     if air is None:
         return []
     words = air_uncertainty_text(air, longest_range(adjustment))
@@ -355,7 +355,7 @@ def _undetermined_sentence(plan: PlannedNetwork) -> list[str]:
     if not count:
         return []
     phrase = f"{count} combination{'s' if count > 1 else ''} of instrument parameters {'are' if count > 1 else 'is'}"
-    measured = Counter(m.instruction for m in information.determining_measurements() if m.instruction)
+    measured = Counter(m.instruction for m in information.measurements_for_undetermined() if m.instruction)
     cure = f"; to determine most of them, {measured.most_common(1)[0][0]}" if measured else ""
     return [f"{phrase} not determined by this layout (see the table){cure}."]
 

@@ -204,7 +204,7 @@ class _ChangeEvaluator:
         note("add", None, self._free_places(chosen))
         reported: list[PlanChange] = []
         for what, made in candidates.items():
-            best = _best_per_place(sorted(made, key=lambda pair: pair[0]))[:MAX_REPORTED_CHANGES]
+            best = _best_onset_per_place(sorted(made, key=lambda pair: pair[0]))[:MAX_REPORTED_CHANGES]
             reported += [
                 self._make_change(what, *change)
                 for change in best
@@ -255,7 +255,7 @@ def _change_sentence(change: PlanChange) -> str:
     return f"{change.action_text}: quality {better}, {other}, {phrase} {change.serves} (sigma {sigma:+.1f} %)"
 
 
-def _best_per_place(change_results: list[ChangeResult]) -> list[ChangeResult]:
+def _best_onset_per_place(change_results: list[ChangeResult]) -> list[ChangeResult]:
     """Best change for each place, and every change that needs no place (a removal)."""
     distinct, places = [], set()
     for change in change_results:

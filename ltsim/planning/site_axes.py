@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.remedies.remedy import FloorPlan
+from ltsim.adjustment.remedies.candidates import FloorPlan
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, SetupError, option
 from ltsim.core.units import DEGREE, MILLIMETRE

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ltsim.adjustment.remedies.candidates import VisibilityFunction
 from ltsim.adjustment.remedies.next_measurement import ProgressCallback, no_progress, rank_next_measurements as ranked
-from ltsim.adjustment.remedies.remedy import SiteSights
 from ltsim.core.arguments import MAX_MAPPING_NUMBER, MOVE_SYNTAX, check_bounds, check_mapping
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import SetupError, option, unknown_name
@@ -138,13 +138,13 @@ def next_measurement(
         explanations=between,
         with_effects=with_effects,
         minutes_per_move=minutes_per_move,
-        site_sights=None if space is None else _site_sights(space),
+        visibility_function=None if space is None else _visibility_function(space),
         progress=progress,
     )
     return NextMeasurement.from_ranking(made, SourceEntry.from_recording(measured), site=str(site or ""))
 
 
-def _site_sights(site: SearchSpace) -> SiteSights:
+def _visibility_function(site: SearchSpace) -> VisibilityFunction:
     """Sights at a site from places where a tripod may stand, within the position tolerance of its height."""
     low, high = np.array([area.heights for area in site.allowed_areas]).T
 

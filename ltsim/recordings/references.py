@@ -118,9 +118,10 @@ def _growth_and_changes(
     expansion = ThermalExpansion.from_temperature(
         material.expansion_per_k, temperature_c - gauge.calibrated_at_c, material.sigma_expansion_per_k, sigma
     )
+    material_name = gauge_distance.material or "the gauge"
     change_by_error = {
-        f"{EXPANSION_ERROR_PREFIX}{gauge_distance.material or 'the gauge'}": expansion.change_by_coefficient,
-        thermometer: expansion.change_by_temperature,
+        f"{EXPANSION_ERROR_PREFIX}{material_name}": expansion.ratio_change_per_coefficient_sigma,
+        thermometer: expansion.ratio_change_per_temperature_sigma,
     }
     return expansion.length_ratio, {name: change for name, change in change_by_error.items() if change}
 

@@ -107,7 +107,7 @@ class Residuals:
     @classmethod
     def from_adjustment(cls, adjustment: Adjustment) -> Residuals:
         """Residuals of the used readings of an adjustment, with the geometry of the pointings as covariates."""
-        recording, is_used = adjustment.recording, adjustment.problem.used_readings
+        recording, is_used = adjustment.recording, adjustment.problem.is_used_reading
         rows, observable = np.nonzero(is_used)
         unit = np.array([SI_PER_UNIT[OBSERVABLE_UNITS[name]] for name in OBSERVABLES])
         return cls(

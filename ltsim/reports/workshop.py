@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.remedies.remedy import FloorPlan
+from ltsim.adjustment.remedies.candidates import FloorPlan
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
 from ltsim.core.units import DEGREE, MILLIMETRE

@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.geometry.kinematics import MISALIGNMENT_CHAIN, point_and_derivatives
+from ltsim.geometry.kinematics import MISALIGNMENT_CHAIN, points_and_error_derivatives
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, unit_vectors, wrap_angle
 
 MIN_AXIS_ROTATION = 1e-4
@@ -156,8 +156,8 @@ class Sightings:
         Instrument errors are corrections, which are added to a reading. For a fixed point a reading is therefore
         smaller by its correction, hence the minus sign.
         """
-        slots = {motion.slot for motion in MISALIGNMENT_CHAIN}
-        _, by_slot = point_and_derivatives(MISALIGNMENT_CHAIN, self.raw_readings, {}, slots)
+        slots = {motion.error_slot for motion in MISALIGNMENT_CHAIN}
+        _, by_slot = points_and_error_derivatives(MISALIGNMENT_CHAIN, self.raw_readings, {}, slots)
         return {slot: -np.einsum("nij,nj->ni", self.local_derivatives, moved) for slot, moved in by_slot.items()}
 
     @cached_property

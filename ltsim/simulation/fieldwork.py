@@ -11,7 +11,7 @@ from ltsim.core.errors import SetupError, as_setup_error
 from ltsim.core.randomness import stream
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE
 from ltsim.geometry.polar import to_polar
-from ltsim.geometry.rigid import from_rotation_vector, rotation_about_z
+from ltsim.geometry.rigid import matrix_from_rotation_vector, rotation_about_z
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.reflectors import excess_radii_of_names
@@ -91,7 +91,7 @@ def place_layout(
     )
     levelled = [s.levelling_sigma_arcsec * ARCSECOND if s.levelled else None for s in scenario.stations.values()]
     tilt = [placing.tilt_deg * DEGREE if tilt_of_station is None else tilt_of_station for tilt_of_station in levelled]
-    leans = from_rotation_vector(np.array([[t * d[3], t * d[4], 0.0] for t, d in zip(tilt, draws, strict=True)]))
+    leans = matrix_from_rotation_vector(np.array([[t * d[3], t * d[4], 0.0] for t, d in zip(tilt, draws, strict=True)]))
     yaws = np.array([rotation_about_z(placing.yaw_deg * DEGREE * draw[5]) for draw in draws])
     position += placing.station_mm * MILLIMETRE * draws[:, :3]
     rotation = leans @ yaws @ rotation
@@ -100,7 +100,7 @@ def place_layout(
     if scenario.gauge is not None:
         body = slice(len(scenario.targets), None)
         draw = stream(seed, *stream_key, "placing", "gauge").standard_normal(6)
-        turn = from_rotation_vector(placing.yaw_deg * DEGREE * draw[3:])
+        turn = matrix_from_rotation_vector(placing.yaw_deg * DEGREE * draw[3:])
         centre = points[body].mean(axis=0)
         points[body] = (points[body] - centre) @ turn.T + centre + placing.gauge_mm * MILLIMETRE * draw[:3]
     return replace(plan, station_positions=position, station_rotations=rotation, target_points=points)

@@ -205,7 +205,7 @@ class Injector:
         """Noncentrality of an effect in the residuals; 0 if the unknowns of the network absorb the effect."""
         space = self.residual_space
         if isinstance(effect, NoiseEffect):
-            used = np.flatnonzero(space.used_readings)
+            used = np.flatnonzero(space.is_used_reading)
             factor = 1.0 + (self.added_noise_sigma(effect, effect_sizes) / space.sigma).reshape(-1)[used] ** 2
             return float((space.redundancy[: len(used)] * (factor - 1.0 - np.log(factor))).sum())
         change = np.nan_to_num(self.reading_change(effect, effect_sizes))

@@ -18,12 +18,12 @@ from ltsim.core.arrays import Floats, Ints
 
 MAX_SINGLE_BLOCK = 240
 """Number of columns up to which a matrix is treated as one block, because an ordering would cost more than it saves."""
-MIN_BORDER_COUPLING = 0.6
+MIN_BORDER_COLUMN_DENSITY = 0.6
 """Fraction of non-zero entries above which a column of the matrix belongs to the border."""
 MIN_BLOCK_COLUMNS = 48
 """Smallest number of columns of a block. Smaller blocks would cost more in calls than they save in arithmetic."""
 
-N_INVERSE_COLUMNS = 512
+INVERSE_COLUMNS_PER_BATCH = 512
 """Number of columns of a complete inverse that are computed at a time: fewer temporary matrices of its size."""
 
 
@@ -36,7 +36,7 @@ def arrange_as_chain(matrix: sp.csr_array) -> tuple[Ints, Ints]:
     single_block = np.arange(n_unknowns), np.array([0, n_unknowns, n_unknowns])
     if n_unknowns <= MAX_SINGLE_BLOCK:
         return single_block
-    shared = np.diff(matrix.indptr) > MIN_BORDER_COUPLING * n_unknowns
+    shared = np.diff(matrix.indptr) > MIN_BORDER_COLUMN_DENSITY * n_unknowns
     inner_indices = np.flatnonzero(~shared)
     if len(inner_indices) <= MAX_SINGLE_BLOCK:
         return single_block
@@ -55,13 +55,13 @@ def arrange_as_chain(matrix: sp.csr_array) -> tuple[Ints, Ints]:
 class BlockWindow:
     """Part (w, w) of the inverse matrix on the columns of two neighbouring blocks and the border."""
 
-    columns: Ints
+    positions_of_columns: Ints
     """Position of each of the K columns of the whole matrix in this part, (K,); -1 for columns that are not in it."""
     inverse: Floats
     """Part (w, w) of the inverse matrix."""
 
 
-class BlockChain:
+class BlockChainFactor:
     """Cholesky factor of a positive definite sparse matrix with chain structure.
 
     Raises LinAlgError if the matrix is not positive definite.
@@ -146,7 +146,9 @@ class BlockChain:
         if self.n_blocks == 1:
             return self.inverse_windows[0].inverse
         n_unknowns = len(self._column_order)
-        column_slices = [slice(i, i + N_INVERSE_COLUMNS) for i in range(0, n_unknowns, N_INVERSE_COLUMNS)]
+        column_slices = [
+            slice(i, i + INVERSE_COLUMNS_PER_BATCH) for i in range(0, n_unknowns, INVERSE_COLUMNS_PER_BATCH)
+        ]
         inverse = np.empty((n_unknowns, n_unknowns))
         for part in column_slices:
             inverse[:, part] = self.solve(np.eye(n_unknowns, len(range(n_unknowns)[part]), -part.start))

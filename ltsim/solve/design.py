@@ -70,7 +70,7 @@ def to_dense(design: DesignMatrix) -> Floats:
     return design if isinstance(design, np.ndarray) else design.toarray()
 
 
-def column_scale(design: DesignMatrix) -> Floats:
+def inverse_column_norms(design: DesignMatrix) -> Floats:
     """Reciprocal norm (u,) of each column of a design (m, u); 1 for a column of zeros."""
     if isinstance(design, np.ndarray):
         squares = np.einsum("mu,mu->u", design, design)
@@ -162,10 +162,10 @@ def cholesky_where_determined(normal_matrices: Floats) -> tuple[Floats, Bools]:
     return roots, determined
 
 
-MEDIAN_ABSOLUTE_NORMAL = 0.6744897501960817
+MEDIAN_OF_ABSOLUTE_NORMAL = 0.6744897501960817
 """Median of |x| for a standard normal variable x."""
 
 
 def robust_sigma(residuals: Floats) -> float:
     """Standard deviation estimated from the median of absolute values; 0 for an empty array."""
-    return median(np.abs(residuals)) / MEDIAN_ABSOLUTE_NORMAL if len(residuals) else 0.0
+    return median(np.abs(residuals)) / MEDIAN_OF_ABSOLUTE_NORMAL if len(residuals) else 0.0

@@ -24,13 +24,13 @@ import scipy.sparse as sp
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError
-from ltsim.solve.chain import BlockChain, inverse_from_cholesky
+from ltsim.solve.chain import BlockChainFactor, inverse_from_cholesky
 from ltsim.solve.design import (
     MIN_RELIABLE_PIVOT,
     RANK_TOLERANCE,
     DesignMatrix,
-    column_scale,
     gram_matrix,
+    inverse_column_norms,
     iterate_row_pieces,
     scale_columns,
     scale_to_unit_diagonal,
@@ -68,17 +68,17 @@ class DenseElimination:
         """Inverse (K, K) for the reduced unknowns."""
         return self._inverse[: self._n_reduced, : self._n_reduced]
 
-    def inverse_of_sets(self, columns: Ints) -> Floats:
+    def inverses_of_sets(self, columns: Ints) -> Floats:
         """Inverses (c, k, k) for sets (c, k) of reduced unknowns."""
         return self._inverse[columns[:, :, None], columns[:, None, :]]
 
     @cached_property
-    def blocks_and_leverage(self) -> tuple[Floats, Floats]:
+    def inverse_blocks_and_leverage(self) -> tuple[Floats, Floats]:
         """Inverse (E, 3, 3) for every block, and leverage (m,) of every row."""
         block_indices = np.arange(self._n_reduced, len(self._cholesky_factor)).reshape(-1, 3)
         scaled_rows = (self._design * self.column_scales).T
         whitened = scipy.linalg.solve_triangular(self._cholesky_factor, scaled_rows, lower=True, check_finite=False)
-        return self.inverse_of_sets(block_indices), np.einsum("um,um->m", whitened, whitened)
+        return self.inverses_of_sets(block_indices), np.einsum("um,um->m", whitened, whitened)
 
     def covariances_of_functions(self, function_rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
         """Matrices R N^-1 R', with R a group of neighbouring rows and N the normal matrix.
@@ -94,7 +94,7 @@ class SparseElimination:
     """Elimination with sparse matrices; the Schur complement is a chain of blocks if its structure permits."""
 
     def __init__(self, design: sp.csr_array, n_reduced: int, damping: float) -> None:
-        self.column_scales = column_scale(design)
+        self.column_scales = inverse_column_norms(design)
         self._design, self._n_reduced = design, n_reduced
         normal = gram_matrix(iterate_row_pieces(design, self.column_scales), design.shape[1])
         n_blocks = (normal.shape[0] - n_reduced) // 3
@@ -105,7 +105,7 @@ class SparseElimination:
         schur = normal[:n_reduced, :n_reduced] - self._elimination_coefficients @ across.T
         if damping:
             schur = schur + damping * sp.eye_array(n_reduced)
-        self._schur_factor = BlockChain(sp.csr_array(schur))
+        self._schur_factor = BlockChainFactor(sp.csr_array(schur))
 
     @property
     def smallest_pivot(self) -> float:
@@ -126,13 +126,13 @@ class SparseElimination:
         """Inverse (K, K) for the reduced unknowns."""
         return self._schur_factor.inverse()
 
-    def inverse_of_sets(self, columns: Ints) -> Floats:
+    def inverses_of_sets(self, columns: Ints) -> Floats:
         """Inverses (c, k, k) for sets (c, k) of reduced unknowns."""
         inverses = np.full((*columns.shape, columns.shape[1]), np.nan)
         lowest = self._first_chain_block(columns, axis=1)
         for i in np.unique(lowest):
             mine, window = np.flatnonzero(lowest == i), self._schur_factor.inverse_windows[i]
-            places = window.columns[columns[mine]]
+            places = window.positions_of_columns[columns[mine]]
             inverses[mine] = window.inverse[places[:, :, None], places[:, None, :]]
             inverses[mine[np.any(places < 0, axis=1)]] = np.nan
         if np.isnan(inverses).any():
@@ -146,7 +146,7 @@ class SparseElimination:
         )
 
     @cached_property
-    def blocks_and_leverage(self) -> tuple[Floats, Floats]:
+    def inverse_blocks_and_leverage(self) -> tuple[Floats, Floats]:
         """Inverse (E, 3, 3) for every block, and leverage (m,) of every row.
 
         Rows with entries in the same eliminated block are processed together, because all columns that this block
@@ -169,7 +169,7 @@ class SparseElimination:
             else:
                 carry, (reduced, columns) = None, dense_rows(front, low, high)
             window = self._schur_factor.inverse_windows[int(self._first_chain_block(columns, axis=0))]
-            at = window.columns[columns]
+            at = window.positions_of_columns[columns]
             inverse = window.inverse[at[:, None], at]
             leverage[mine] += np.sum((reduced @ inverse) * reduced, axis=1)
             if carry is not None:
@@ -271,7 +271,7 @@ UNDETERMINED_MESSAGE = (
 
 @dataclass(frozen=True)
 class BlockSystem:
-    """Whitened linear least-squares problem: minimise |design @ step - residual|^2."""
+    """Whitened linear least-squares problem: minimise |design @ step - whitened_residuals|^2."""
 
     design: DesignMatrix
     """Design matrix (m, K + 3 E), reduced columns first."""
@@ -349,24 +349,24 @@ class BlockFactor:
         return covariance
 
     @single_threaded
-    def inverse_of_sets(self, columns: Ints) -> Floats:
+    def inverses_of_sets(self, columns: Ints) -> Floats:
         """Covariances (c, k, k) of c sets of k reduced unknowns, given by their columns (c, k).
 
         The computation is efficient if the unknowns of each set occur together in a row of the design.
         """
         scale = self._column_scales[columns]
-        return self._elimination.inverse_of_sets(columns) * scale[:, :, None] * scale[:, None, :]
+        return self._elimination.inverses_of_sets(columns) * scale[:, :, None] * scale[:, None, :]
 
     @single_threaded
     def block_covariance(self) -> Floats:
         """Covariance (E, 3, 3) of each eliminated block."""
         scale = self._column_scales[self._system.n_reduced :].reshape(-1, 3)
-        return self._elimination.blocks_and_leverage[0] * scale[:, :, None] * scale[:, None, :]
+        return self._elimination.inverse_blocks_and_leverage[0] * scale[:, :, None] * scale[:, None, :]
 
     @single_threaded
-    def covariance_columns(self, rows: Floats) -> Floats:
-        """Product (K + 3 E, c) of the covariance and the vectors `rows` (K + 3 E, c)."""
-        return self._column_scales[:, None] * self._elimination.solve(self._column_scales[:, None] * rows)
+    def covariance_columns(self, vectors: Floats) -> Floats:
+        """Product (K + 3 E, c) of the covariance and the vectors `vectors` (K + 3 E, c)."""
+        return self._column_scales[:, None] * self._elimination.solve(self._column_scales[:, None] * vectors)
 
     @property
     def smallest_pivot(self) -> float:
@@ -386,4 +386,4 @@ class BlockFactor:
 
         The redundancy of a row is one minus its leverage.
         """
-        return self._elimination.blocks_and_leverage[1]
+        return self._elimination.inverse_blocks_and_leverage[1]

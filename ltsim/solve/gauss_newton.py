@@ -10,7 +10,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import ConvergenceError
 from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
 
-Point = TypeVar("Point")
+PointT = TypeVar("PointT")
 MAX_ITERATIONS = 60
 """Largest number of steps of an iteration that a tolerance ends. An error that each step multiplies by 0.74 or less is
 below `MAX_ROUNDING_ERROR` (1.5e-8) after 60 steps; an iteration with more steps does not converge.
@@ -26,31 +26,31 @@ estimated ratio in a secant step, which is then at most ten times the last chang
 SQUARED_STEP_TOLERANCE = 1e-8
 """Squared length of a step, in squared standard deviations of the unknowns, below which the iteration has converged.
 """
-MAX_STEP_FOR_REUSE = 1.0
+MAX_SQUARED_STEP_FOR_REUSE = 1.0
 """Squared length of a step, in squared standard deviations, below which the design is reused for one more step."""
-CERTAIN_CONVERGENCE_FRACTION = 1e-4
+MAX_PREDICTED_STEP_FRACTION = 1e-4
 """Ratio of the predicted squared length of the next step to `SQUARED_STEP_TOLERANCE` below which this step is not
 computed. The length is then below a millionth of a standard deviation."""
 MAX_NEGLIGIBLE_DAMPING = 1e-5
 """Levenberg-Marquardt damping up to which a short step counts as convergence. More damping itself shortens steps."""
-MAX_ROUNDING_STEP = 1e-4
+MAX_SQUARED_ROUNDING_STEP = 1e-4
 """Squared length of a step, in squared standard deviations. Steps below it that no longer decrease are rounding errors,
 as with large coordinates, and end the iteration."""
 
 
-class LeastSquaresProblem(Protocol[Point]):
+class LeastSquaresProblem(Protocol[PointT]):
     """Interface of a nonlinear least-squares problem to the Gauss-Newton iteration.
 
     A point is one set of values of the unknowns. It may be any object, such as a network state with rotations.
     """
 
-    def linearise(self, x: Point) -> BlockSystem:
+    def linearise(self, x: PointT) -> BlockSystem:
         """Whitened linear system at the point x."""
 
-    def whitened_residuals(self, x: Point) -> Floats:
+    def whitened_residuals(self, x: PointT) -> Floats:
         """Whitened residuals (m,) at the point x, without the design."""
 
-    def retract(self, point: Point, step: Floats) -> Point:
+    def retract(self, point: PointT, step: Floats) -> PointT:
         """Point after a step of the unknowns (K + 3 E,) from `point`."""
 
 
@@ -66,10 +66,10 @@ class TerminationStatus(Enum):
 
 
 @dataclass(frozen=True)
-class Solution(Generic[Point]):
+class Solution(Generic[PointT]):
     """Result of the Gauss-Newton iteration: the last point and its linear system."""
 
-    x: Point
+    x: PointT
     """Last point of the iteration: the values of the unknowns."""
     sum_of_squares: float
     """Sum of squared whitened residuals at x."""
@@ -87,14 +87,14 @@ class Solution(Generic[Point]):
         """True if x is the optimum, or the state for which observations are planned."""
         return self.status in (TerminationStatus.CONVERGED, TerminationStatus.PLANNED)
 
-    def require_success(self) -> Solution[Point]:
-        """The solution if it converged; raises `ConvergenceError` with the status sentence otherwise."""
+    def require_success(self) -> Solution[PointT]:
+        """Solution itself if it converged; raises `ConvergenceError` with the status sentence otherwise."""
         if not self.has_converged:
             raise ConvergenceError(f"the adjustment did not converge: {self.status.value}", self)
         return self
 
 
-def solution_for_plan(problem: LeastSquaresProblem[Point], point: Point) -> Solution[Point]:
+def solution_for_plan(problem: LeastSquaresProblem[PointT], point: PointT) -> Solution[PointT]:
     """Solution for planned observations: the linear system at `point`, for the precision of the unknowns.
 
     Raises SingularSystemError if the observations do not determine all unknowns.
@@ -103,7 +103,7 @@ def solution_for_plan(problem: LeastSquaresProblem[Point], point: Point) -> Solu
     return Solution(point, system.sum_of_squares, 0, TerminationStatus.PLANNED, BlockFactor(system), system)
 
 
-def solve(problem: LeastSquaresProblem[Point], start_point: Point, *, max_iterations: int = 30) -> Solution[Point]:
+def solve(problem: LeastSquaresProblem[PointT], start_point: PointT, *, max_iterations: int = 30) -> Solution[PointT]:
     """Minimum of a sum of squared residuals, by at most `max_iterations` iterations from `start_point`."""
     x, damping, previous_length, had_regular_normals = start_point, 0.0, float("inf"), False
     system = problem.linearise(x)
@@ -121,13 +121,17 @@ def solve(problem: LeastSquaresProblem[Point], start_point: Point, *, max_iterat
             )
         step = factor.step()
         length = _squared_step_length(system, step)
-        if not damping and length < MAX_ROUNDING_STEP and length > previous_length / 4:
+        if not damping and length < MAX_SQUARED_ROUNDING_STEP and length > previous_length / 4:
             return Solution(x, system.sum_of_squares, iteration, TerminationStatus.CONVERGED, factor, system)
         # The next step is as much shorter than this one as this one was than the one before.
-        sure = length * length < CERTAIN_CONVERGENCE_FRACTION * SQUARED_STEP_TOLERANCE * previous_length < float("inf")
-        trial, previous_length, near = problem.retract(x, step), length, length < MAX_STEP_FOR_REUSE and not damping
+        sure = length * length < MAX_PREDICTED_STEP_FRACTION * SQUARED_STEP_TOLERANCE * previous_length < float("inf")
+        trial, previous_length, near = (
+            problem.retract(x, step),
+            length,
+            length < MAX_SQUARED_STEP_FOR_REUSE and not damping,
+        )
         if near and sure:
-            system = _system_after(system, system.whitened_residuals, step)
+            system = _system_after_step(system, system.whitened_residuals, step)
             return Solution(trial, system.sum_of_squares, iteration, TerminationStatus.CONVERGED, factor, system)
         if near:
             final = _step_with_previous_design(problem, trial, system, factor)
@@ -137,19 +141,21 @@ def solve(problem: LeastSquaresProblem[Point], start_point: Point, *, max_iterat
         del factor  # two designs are enough in memory
         ahead, whole = problem.linearise(trial), damping < MAX_NEGLIGIBLE_DAMPING
         if ahead.sum_of_squares <= system.sum_of_squares * (1 + 1e-12) + SQUARED_STEP_TOLERANCE or (
-            whole and length < MAX_ROUNDING_STEP
+            whole and length < MAX_SQUARED_ROUNDING_STEP
         ):
             x, system = trial, ahead
             damping = 0.0 if damping < 1e-9 else damping / 10
             if whole and length < SQUARED_STEP_TOLERANCE:
-                return _finish(
+                return _final_solution(
                     x, system, iteration, TerminationStatus.CONVERGED, had_regular_normals=had_regular_normals
                 )
         elif damping > 1e8:
-            return _finish(x, system, iteration, TerminationStatus.STALLED, had_regular_normals=had_regular_normals)
+            return _final_solution(
+                x, system, iteration, TerminationStatus.STALLED, had_regular_normals=had_regular_normals
+            )
         else:
             damping = max(10 * damping, 1e-6)
-    return _finish(
+    return _final_solution(
         x, system, max_iterations, TerminationStatus.MAX_ITERATIONS_REACHED, had_regular_normals=had_regular_normals
     )
 
@@ -161,8 +167,8 @@ def _squared_step_length(block_system: BlockSystem, step: Floats) -> float:
 
 
 def _step_with_previous_design(
-    problem: LeastSquaresProblem[Point], point: Point, block_system: BlockSystem, factor: BlockFactor
-) -> tuple[Point, BlockSystem] | None:
+    problem: LeastSquaresProblem[PointT], point: PointT, block_system: BlockSystem, factor: BlockFactor
+) -> tuple[PointT, BlockSystem] | None:
     """Final point and system after one more step with the previous design; None if this step is not below tolerance.
 
     After a step of one standard deviation the design is the same to five digits. The design is therefore used again
@@ -172,10 +178,10 @@ def _step_with_previous_design(
     step = factor.step(residual)
     if not _squared_step_length(block_system, step) < SQUARED_STEP_TOLERANCE:
         return None
-    return problem.retract(point, step), _system_after(block_system, residual, step)
+    return problem.retract(point, step), _system_after_step(block_system, residual, step)
 
 
-def _system_after(block_system: BlockSystem, residual: Floats, step: Floats) -> BlockSystem:
+def _system_after_step(block_system: BlockSystem, residual: Floats, step: Floats) -> BlockSystem:
     """Linear system after a step, with the same design and linearly updated residuals."""
     return BlockSystem(block_system.design, residual - block_system.design @ step, block_system.n_reduced)
 
@@ -194,14 +200,14 @@ def _damped_factor(block_system: BlockSystem, damping: float) -> tuple[BlockFact
             damping = max(100 * damping, 1e-10)
 
 
-def _finish(
-    point: Point,
+def _final_solution(
+    point: PointT,
     block_system: BlockSystem,
     n_iterations: int,
     termination_status: TerminationStatus,
     *,
     had_regular_normals: bool,
-) -> Solution[Point]:
+) -> Solution[PointT]:
     """Solution at a point with undamped normal equations; if they are singular, the status states the cause."""
     try:
         factor = BlockFactor(block_system)

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ltsim.core.arrays import Floats, Ints
-from ltsim.solve.design import DesignMatrix, column_scale, to_dense
+from ltsim.solve.design import DesignMatrix, inverse_column_norms, to_dense
 from ltsim.solve.elimination import BlockFactor, BlockSystem
 
 MAX_BASIS_ENTRIES = 2_000_000
@@ -28,11 +28,11 @@ MAX_UNPROJECTED_OVERLAP = 1e-10
 """Inner product of a projected unit vector with a unit column of the design above which the vector is projected again.
 It is zero without rounding errors.
 """
-MAX_LOCAL_ROWS = 150
+MAX_STORED_BLOCK_ROWS = 150
 """Number of rows up to which the block of the projector on these rows is computed and stored, because many vectors on
 the same rows are projected.
 """
-MAX_LOCAL_ENTRIES = 3_000_000
+MAX_STORED_BLOCK_ENTRIES = 3_000_000
 """Largest number of entries of all stored blocks of the projector, 24 MB."""
 MAX_ZERO_EIGENVALUE = 1e-12
 """Eigenvalue of a block of the hat matrix up to which it counts as zero. The others are between 0 and 1."""
@@ -48,7 +48,7 @@ class BasisResidualProjector:
     @classmethod
     def from_design(cls, design: DesignMatrix) -> BasisResidualProjector:
         """Projector onto the residual space of a design."""
-        return cls(np.linalg.qr(to_dense(design) * column_scale(design))[0])
+        return cls(np.linalg.qr(to_dense(design) * inverse_column_norms(design))[0])
 
     def project(self, vectors: Floats) -> Floats:
         """Component (m, q) of q vectors (m, q) in the residual space, which the design does not explain."""
@@ -77,7 +77,7 @@ class BasisResidualProjector:
         """
         for rows in row_groups:
             part = self.basis[rows]
-            yield _spectrum_of_thin_root(part) if len(rows) > part.shape[1] else np.linalg.eigh(part @ part.T)
+            yield _spectrum_from_root(part) if len(rows) > part.shape[1] else np.linalg.eigh(part @ part.T)
 
     def with_removed_columns(self, columns: Floats) -> BasisResidualProjector:
         """Projector that also removes the components along e orthonormal vectors (m, e) of the residual space."""
@@ -92,18 +92,18 @@ class FactorResidualProjector:
     """Sparse design matrix."""
     factor: BlockFactor
     """Factorised normal equations."""
-    added_columns: Floats
+    removed_columns: Floats
     """Orthonormal vectors (m, e) of the residual space whose components are removed too."""
-    _transposed: sp.csr_array = field(repr=False)
-    _scale: Floats = field(repr=False)
-    _local_blocks: dict[bytes, Floats] = field(default_factory=dict, repr=False)
+    _transposed_design: sp.csr_array = field(repr=False)
+    _inverse_column_norms: Floats = field(repr=False)
+    _stored_blocks: dict[bytes, Floats] = field(default_factory=dict, repr=False)
     """Stored blocks (r, r) of the projector, by the bytes of their row indices."""
 
     @classmethod
     def from_design(cls, design: DesignMatrix, factor: BlockFactor) -> FactorResidualProjector:
         """Projector onto the residual space of a design."""
         design = sp.csr_array(design)
-        return cls(design, factor, np.zeros((design.shape[0], 0)), sp.csr_array(design.T), column_scale(design))
+        return cls(design, factor, np.zeros((design.shape[0], 0)), sp.csr_array(design.T), inverse_column_norms(design))
 
     def project(self, vectors: Floats) -> Floats:
         """Component (m, q) of q vectors (m, q) in the residual space, as `BasisResidualProjector.project`."""
@@ -112,26 +112,26 @@ class FactorResidualProjector:
     def gram_matrices(self, columns: Floats, group_boundaries: Ints, row_selection: Ints | slice) -> list[Floats]:
         """Gram matrices (k, k) of projected vectors, as `BasisResidualProjector.gram_matrices`.
 
-        On at most `MAX_LOCAL_ROWS` rows they are computed from the block of the projector on these rows.
+        On at most `MAX_STORED_BLOCK_ROWS` rows they are computed from the block of the projector on these rows.
         """
-        block = self._local_block(row_selection)
+        block = self._stored_block(row_selection)
         if block is None:
             return _group_gram_matrices(self._residual_part(columns, row_selection), group_boundaries)
         projected = block @ columns
         limits = pairwise(group_boundaries.tolist())
         return [columns[:, low:high].T @ projected[:, low:high] for low, high in limits]
 
-    def _local_block(self, row_selection: Ints | slice) -> Floats | None:
-        """Block (r, r) of the projector on r rows, computed once; None on more than `MAX_LOCAL_ROWS` rows."""
-        if isinstance(row_selection, slice) or not 0 < len(row_selection) <= MAX_LOCAL_ROWS:
+    def _stored_block(self, row_selection: Ints | slice) -> Floats | None:
+        """Block (r, r) of the projector on r rows, computed once; None on more than `MAX_STORED_BLOCK_ROWS` rows."""
+        if isinstance(row_selection, slice) or not 0 < len(row_selection) <= MAX_STORED_BLOCK_ROWS:
             return None
         key = row_selection.tobytes()
-        block = self._local_blocks.get(key)
+        block = self._stored_blocks.get(key)
         if block is None:
             block = self._residual_part(np.eye(len(row_selection)), row_selection)[row_selection]
             block = 0.5 * (block + block.T)
-            if sum(other.size for other in self._local_blocks.values()) + block.size <= MAX_LOCAL_ENTRIES:
-                self._local_blocks[key] = block
+            if sum(other.size for other in self._stored_blocks.values()) + block.size <= MAX_STORED_BLOCK_ENTRIES:
+                self._stored_blocks[key] = block
         return block
 
     def _residual_part(self, columns: Floats, rows: Ints | slice) -> Floats:
@@ -140,20 +140,23 @@ class FactorResidualProjector:
         A second projection corrects the rounding errors of the first, if they are visible.
         """
         design_products = (
-            self._transposed if len(columns) == len(self.added_columns) else self.design[rows].T
+            self._transposed_design if len(columns) == len(self.removed_columns) else self.design[rows].T
         ) @ columns
         residual: Floats = self.design @ -self.factor.covariance_columns(design_products)
         residual[rows] += columns
-        again = self._transposed @ residual
-        if np.any(np.abs(again) * self._scale[:, None] > MAX_UNPROJECTED_OVERLAP * np.linalg.norm(columns, axis=0)):
+        again = self._transposed_design @ residual
+        if np.any(
+            np.abs(again) * self._inverse_column_norms[:, None]
+            > MAX_UNPROJECTED_OVERLAP * np.linalg.norm(columns, axis=0)
+        ):
             residual -= self.design @ self.factor.covariance_columns(again)
-        if self.added_columns.shape[1]:
-            residual -= self.added_columns @ (self.added_columns.T @ residual)
+        if self.removed_columns.shape[1]:
+            residual -= self.removed_columns @ (self.removed_columns.T @ residual)
         return residual
 
     def leverage(self) -> Floats:
         """Diagonal (m,) of the hat matrix."""
-        return self.factor.leverage() + np.einsum("me,me->m", self.added_columns, self.added_columns)
+        return self.factor.leverage() + np.einsum("me,me->m", self.removed_columns, self.removed_columns)
 
     def hat_matrix_spectra(self, row_groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
         """Eigenvalues and eigenvectors of blocks of the hat matrix, as `BasisResidualProjector.hat_matrix_spectra`."""
@@ -164,7 +167,7 @@ class FactorResidualProjector:
             return
         hats = self.factor.covariances_of_functions(self.design[np.concatenate(row_groups)], edges)
         for rows, hat in zip(row_groups, hats, strict=True):
-            yield np.linalg.eigh(hat + self.added_columns[rows] @ self.added_columns[rows].T)
+            yield np.linalg.eigh(hat + self.removed_columns[rows] @ self.removed_columns[rows].T)
 
     def _spectrum_from_covariance(self, row_indices: Ints) -> tuple[Floats, Floats]:
         """Eigenvalues and eigenvectors of the hat matrix on many rows, from the covariance of the unknowns in them."""
@@ -172,16 +175,20 @@ class FactorResidualProjector:
         touched = np.unique(part.indices)
         group_edges = np.array([0, len(touched)])
         ends = np.arange(len(touched) + 1)
-        units = sp.csr_array((1.0 / self._scale[touched], touched, ends), (len(touched), part.shape[1]))
+        units = sp.csr_array((1.0 / self._inverse_column_norms[touched], touched, ends), (len(touched), part.shape[1]))
         covariance = next(self.factor.covariances_of_functions(units, group_edges))
         values, vectors = np.linalg.eigh(covariance)
-        root = part[:, touched].toarray() * self._scale[touched] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-        root = np.hstack([root, self.added_columns[row_indices]])
-        return _spectrum_of_thin_root(root) if len(row_indices) > root.shape[1] else np.linalg.eigh(root @ root.T)
+        root = (
+            part[:, touched].toarray()
+            * self._inverse_column_norms[touched]
+            @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+        )
+        root = np.hstack([root, self.removed_columns[row_indices]])
+        return _spectrum_from_root(root) if len(row_indices) > root.shape[1] else np.linalg.eigh(root @ root.T)
 
     def with_removed_columns(self, columns: Floats) -> FactorResidualProjector:
         """Projector that also removes orthonormal vectors (m, e), as `BasisResidualProjector.with_removed_columns`."""
-        return replace(self, added_columns=np.hstack([self.added_columns, columns]), _local_blocks={})
+        return replace(self, removed_columns=np.hstack([self.removed_columns, columns]), _stored_blocks={})
 
 
 ResidualProjector: TypeAlias = BasisResidualProjector | FactorResidualProjector
@@ -204,7 +211,7 @@ def _group_gram_matrices(columns: Floats, group_boundaries: Ints) -> list[Floats
     return [part.T @ part for part in column_groups]
 
 
-def _spectrum_of_thin_root(matrix_root: Floats) -> tuple[Floats, Floats]:
+def _spectrum_from_root(matrix_root: Floats) -> tuple[Floats, Floats]:
     """Non-zero eigenvalues (e,) and eigenvectors (f, e) of the product R R' of a matrix root R (f, k), with k < f."""
     values, vectors = np.linalg.eigh(matrix_root.T @ matrix_root)
     nonzero = values > MAX_ZERO_EIGENVALUE

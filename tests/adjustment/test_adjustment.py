@@ -35,7 +35,7 @@ def test_the_design_is_the_derivative_of_the_residuals(construction):
     design = problem.linearise(truth.state).design
     rng = stream(0, "directions")
     scale = 1e-6
-    rows = int(problem.used_readings.sum()) + len(problem.gauge_rows) + int(np.isfinite(problem.prior.sigma).sum())
+    rows = int(problem.is_used_reading.sum()) + len(problem.gauge_rows) + int(np.isfinite(problem.prior.sigma).sum())
     for _ in range(12):
         step = scale * rng.standard_normal(problem.unknowns.n_columns)
         ahead = problem.linearise(problem.retract(truth.state, step)).whitened_residuals

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.adjustment.axes import with_axes_of_points, with_axes_of_three
+from ltsim.adjustment.axes import with_axes_from_points, with_axes_from_three_targets
 from ltsim.adjustment.estimate import adjust
 from ltsim.core.errors import RecordError
 from ltsim.core.units import ARCSECOND
-from ltsim.geometry.rigid import from_rotation_vector
+from ltsim.geometry.rigid import matrix_from_rotation_vector
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Station, Target
 from tests.networks import STATIONS, YAWS, network
 
-TURN, SHIFT = from_rotation_vector(np.array([0.2, -0.4, 2.2])), np.array([120.0, -40.0, 7.0])
+TURN, SHIFT = matrix_from_rotation_vector(np.array([0.2, -0.4, 2.2])), np.array([120.0, -40.0, 7.0])
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def distances(points: np.ndarray) -> np.ndarray:
 def test_results_come_out_in_named_coordinates(recording: Recording) -> None:
     plain = adjust(recording)
     goal = hall(recording, ["T01", "T06", "T12", "T20", "T25"])
-    found = adjust(with_axes_of_points(recording, goal, "hall.csv"))
+    found = adjust(with_axes_from_points(recording, goal, "hall.csv"))
     for name, place in goal.items():
         np.testing.assert_allclose(found.state.target_points[recording.targets.index(name)], place, atol=2e-9)
     np.testing.assert_allclose(distances(found.state.target_points), distances(plain.state.target_points), atol=1e-9)
@@ -51,7 +51,7 @@ def test_results_come_out_in_named_coordinates(recording: Recording) -> None:
 
 def test_three_targets_span_the_axes_exactly(recording: Recording) -> None:
     """By the 3-2-1 rule, in covariance too: what defines the axes is not uncertain in them."""
-    named = with_axes_of_three(recording, "T01", "T04", "T20")
+    named = with_axes_from_three_targets(recording, "T01", "T04", "T20")
     for found in (lt.adjust(named), adjust(named)):
         points = found.target_points if hasattr(found, "target_points") else found.state.target_points
         a, b, c = (points[recording.targets.index(name)] for name in ("T01", "T04", "T20"))
@@ -66,7 +66,7 @@ def test_three_targets_span_the_axes_exactly(recording: Recording) -> None:
 def test_axes_are_known_as_well_as_the_coordinates_that_give_them_fit(recording: Recording) -> None:
     names = list(recording.targets[:12])
     rough, fine = (
-        lt.adjust(with_axes_of_points(recording, hall(recording, names, noise=n), "h")) for n in (3e-3, 3e-4)
+        lt.adjust(with_axes_from_points(recording, hall(recording, names, noise=n), "h")) for n in (3e-3, 3e-4)
     )
     assert rough.axes is not None
     assert fine.axes is not None
@@ -84,7 +84,7 @@ def test_another_scale_of_the_coordinates_is_reported_and_noise_is_none(recordin
     names = list(recording.targets[:8])
     for scale, noise in ((1.0004, 1e-5), (0.9999, 3e-5), (1.0, 1e-3), (1.0, 1e-5)):
         drawn = {name: scale * place for name, place in hall(recording, names, noise=noise).items()}
-        (note, *_) = lt.adjust(with_axes_of_points(recording, drawn, "h")).notes
+        (note, *_) = lt.adjust(with_axes_from_points(recording, drawn, "h")).notes
         reported = re.search(r"on a scale that differs by (\S+) \+- (\S+) ppm", note)
         assert (reported is not None) == (scale != 1.0), note
         if reported is not None:
@@ -94,7 +94,7 @@ def test_another_scale_of_the_coordinates_is_reported_and_noise_is_none(recordin
 def test_a_drawing_fits_roughly_and_a_wrong_name_is_left_out(recording: Recording) -> None:
     goal = hall(recording, list(recording.targets[:12]), noise=3e-3)
     goal["T05"] = goal["T05"] + [0.4, 0.0, 0.0]
-    found = with_axes_of_points(recording, goal, "hall.csv")
+    found = with_axes_from_points(recording, goal, "hall.csv")
     (note,) = lt.adjust(found).notes
     assert "11 targets fit it within" in note
     assert "excluded from the datum: T05 (39" in note
@@ -112,20 +112,20 @@ def test_what_is_not_this_network_is_refused(recording: Recording, change: objec
     names = ["T01", "T06", "T12", "T20", "T25", "T16"]
     places = np.array(list(hall(recording, names).values()))
     with pytest.raises(RecordError, match=says):
-        with_axes_of_points(recording, dict(zip(names, change(places), strict=True)), "hall.csv")  # type: ignore[operator]
+        with_axes_from_points(recording, dict(zip(names, change(places), strict=True)), "hall.csv")  # type: ignore[operator]
 
 
 def test_wrong_frames(recording: Recording) -> None:
     goal = hall(recording, ["T01", "T06", "T12"])
     with pytest.raises(RecordError, match="contains 2 of the recording's targets"):
-        with_axes_of_points(recording, {k: goal[k] for k in ("T01", "T06")}, "hall.csv")
+        with_axes_from_points(recording, {k: goal[k] for k in ("T01", "T06")}, "hall.csv")
     with pytest.raises(RecordError, match="'T99', which was never measured"):
-        with_axes_of_three(recording, "T01", "T99", "T20")
+        with_axes_from_three_targets(recording, "T01", "T99", "T20")
     with pytest.raises(RecordError, match="lie on one line"):
-        with_axes_of_three(recording, "T01", "T02", "T03")
+        with_axes_from_three_targets(recording, "T01", "T02", "T03")
     known = recording.setup.model_copy(update={"targets": {"T01": Target(known_mm=(0.0, 0.0, 0.0))}})
     with pytest.raises(RecordError, match="leave frame out"):
-        with_axes_of_points(recording.replace(setup=known), goal, "hall.csv")
+        with_axes_from_points(recording.replace(setup=known), goal, "hall.csv")
 
 
 def test_a_file_of_axes(tmp_path: Path) -> None:

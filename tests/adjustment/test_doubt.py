@@ -42,7 +42,7 @@ def with_known(recording: Recording, points: np.ndarray) -> Recording:
 def test_a_sound_recording_has_no_doubts() -> None:
     found = adjust(noisy())
     assert adjustment_warnings(found) == ()
-    assert verdict_on(found).agreement is VerdictCase.CLEAN
+    assert verdict_on(found).case is VerdictCase.CLEAN
     lt.adjust(with_known(noisy(), workshop()[1].target_points[:6] @ rotation_about_z(0.3).T + 5.0))
 
 
@@ -73,7 +73,7 @@ def test_with_two_stations_nobody_can_tell_which_of_two_exchanged_names_is_right
     first, second = (np.flatnonzero((recording.station == 1) & (target == t))[0] for t in (3, 17))
     target[[first, second]] = target[[second, first]]
     judged = verdict_on(adjust(recording.replace(target=target)))
-    assert judged.agreement is VerdictCase.IN_DOUBT
+    assert judged.case is VerdictCase.IN_DOUBT
     names = f"{recording.targets[3]}, {recording.targets[17]}"
     assert judged.sentence.startswith(f"{names}: the positions from two stations differ")
 
@@ -94,7 +94,7 @@ def test_a_station_without_readings_left_has_no_standard_deviation() -> None:
     target = recording.target.copy()
     target[own] = np.roll(target[own], 5)
     found = adjust(recording.replace(target=target), robust=True)
-    kept = found.problem.used_readings[own].any()
+    kept = found.problem.is_used_reading[own].any()
     sigma = np.sqrt(np.einsum("sii->si", found.pose_covariance))
     assert np.isfinite(sigma[[0, 1, 3, 4]]).all()
     if kept:
@@ -156,9 +156,9 @@ def test_readings_that_repeat_by_chance_are_no_copies() -> None:
     rows = {n: np.tile(getattr(recording, n), 2) for n in ("station", "target", "face", "repeat")}
     readings = np.tile(recording.readings, (2, 1))
     later = recording.replace(**rows, readings=readings, time=np.arange(2.0 * len(recording)))
-    assert adjust(later).duplicate_rows == 0
+    assert adjust(later).n_duplicate_rows == 0
     readings[-5:, 0] += 1e-6
-    assert adjust(later.replace(readings=readings, has_clock=False)).duplicate_rows == 0
+    assert adjust(later.replace(readings=readings, has_clock=False)).n_duplicate_rows == 0
 
 
 def test_two_targets_do_for_levelled_stations() -> None:

@@ -11,7 +11,7 @@ from ltsim.adjustment.start import initial_network
 from ltsim.core.errors import NetworkError
 from ltsim.core.randomness import stream
 from ltsim.geometry.polar import to_polar
-from ltsim.geometry.rigid import align_rigidly, from_rotation_vector, rotation_about_z
+from ltsim.geometry.rigid import align_rigidly, matrix_from_rotation_vector, rotation_about_z
 from ltsim.physics.model.construction import ideal_construction, misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel
 from ltsim.recordings.recording import HEIGHT_COLUMNS, KIND_COLUMN, Recording
@@ -73,7 +73,7 @@ def test_a_station_without_ranges_is_resected_and_one_without_angles_too():
     found = adjust(recording)
     assert_same_shape(found, truth.state.target_points)
     # Three turns of the station that reads ranges alone are no unknowns.
-    assert found.dof == found.problem.used_readings.sum() + 6 - (6 * 5 + 3 * 28 - 6 - 3)
+    assert found.dof == found.problem.is_used_reading.sum() + 6 - (6 * 5 + 3 * 28 - 6 - 3)
     there = np.linalg.norm(found.state.station_positions[3] - found.state.station_positions[0])
     assert there == pytest.approx(
         np.linalg.norm(truth.state.station_positions[3] - truth.state.station_positions[0]), abs=EXACT
@@ -87,7 +87,7 @@ def test_azimuths_alone_and_elevations_alone_add_to_the_others():
     found = adjust(recording)
     assert_same_shape(found, truth.state.target_points)
     # The height of the one and the yaw of the other are no unknowns.
-    assert found.dof == found.problem.used_readings.sum() + 6 + 10 - (6 * 5 + 3 * 28 - 4 - 2)
+    assert found.dof == found.problem.is_used_reading.sum() + 6 + 10 - (6 * 5 + 3 * 28 - 4 - 2)
 
 
 def test_beams_alone_take_scale_and_frame_from_known_points():
@@ -224,7 +224,7 @@ def test_levels_that_follow_a_curved_surface():
     recording, truth = network()
     lines = np.array([[1e-3, 0, 1], [0, 2e-3, 1], [-1e-3, 1e-3, 1], [0, 0, 1], [2e-3, 0, 1]])
     lines /= np.linalg.norm(lines, axis=1)[:, None]
-    tilts = from_rotation_vector(np.cross([0.0, 0.0, 1.0], lines))
+    tilts = matrix_from_rotation_vector(np.cross([0.0, 0.0, 1.0], lines))
     state = dataclasses.replace(truth.state, station_rotations=tilts @ truth.state.station_rotations)
     recording = recording.with_readings(
         MeasurementModel(recording, ideal_construction()).predict(
@@ -438,11 +438,11 @@ def test_the_datum_of_chosen_points_has_the_least_trace_and_keeps_their_mean():
     at = [recording.targets.index(n) for n in chosen]
     plain, tied = (
         adjust(recording, misalignment_construction()),
-        adjust(recording, misalignment_construction(), datum=chosen),
+        adjust(recording, misalignment_construction(), datum_names=chosen),
     )
     trace = [np.trace(a.target_covariance[at].sum(axis=0)) for a in (plain, tied)]
     assert trace[1] < 0.9 * trace[0]
-    whole = adjust(recording, misalignment_construction(), datum=recording.targets)
+    whole = adjust(recording, misalignment_construction(), datum_names=recording.targets)
     assert np.trace(whole.target_covariance.sum(axis=0)) < np.trace(tied.target_covariance.sum(axis=0))
     assert np.trace(whole.target_covariance[at].sum(axis=0)) > trace[1]
     np.testing.assert_allclose(tied.residuals, plain.residuals, atol=1e-12)

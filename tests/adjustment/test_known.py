@@ -9,7 +9,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.adjustment.axes import with_axes_of_points, with_control_points
+from ltsim.adjustment.axes import with_axes_from_points, with_control_points
 from ltsim.adjustment.quality import adjustment_warnings
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.errors import RecordError
@@ -101,7 +101,7 @@ def test_of_a_hundred_sound_networks_five_are_blamed_at_most() -> None:
         noise = 2e-5 * stream(seed, "axes").standard_normal(mesh().shape)
         points = {name: (mesh() + noise)[recording.targets.index(name)] for name in SIX}
         blamed += any(
-            test.is_excluded for test in adjust(with_axes_of_points(recording, points, "hall.csv")).axis_tests
+            test.is_excluded for test in adjust(with_axes_from_points(recording, points, "hall.csv")).axes_point_tests
         )
     assert blamed <= 5
 
@@ -253,10 +253,10 @@ def test_a_point_that_misses_the_axes_of_the_others_is_left_out_of_the_datum(siz
     for name in SIX:
         points = {n: (places + noise)[recording.targets.index(n)] for n in SIX}
         points[name] = points[name] + 1e-3 * size * np.array([0.48, -0.6, 0.64])
-        found = adjust(with_axes_of_points(recording, points, "hall.csv"))
-        assert [test.name for test in found.axis_tests if test.is_excluded] == [name]
+        found = adjust(with_axes_from_points(recording, points, "hall.csv"))
+        assert [test.name for test in found.axes_point_tests if test.is_excluded] == [name]
         rest = {n: place for n, place in points.items() if n != name}
-        sound = adjust(with_axes_of_points(recording, rest, "hall.csv"))
+        sound = adjust(with_axes_from_points(recording, rest, "hall.csv"))
         np.testing.assert_allclose(found.state.target_points, sound.state.target_points, atol=1e-8)
 
 
@@ -279,9 +279,9 @@ def test_tests_of_known_values_use_the_noise_of_the_readings(factor: float) -> N
     points = {name: mesh()[recording.targets.index(name)] for name in SIX}
     points[SIX[0]] = points[SIX[0]] + np.array([0.0, 0.0, 1e-5 * factor])
     tests = [
-        adjust(with_axes_of_points(each, points, "hall.csv")) for each in (noisy, with_declared_noise(noisy, factor))
+        adjust(with_axes_from_points(each, points, "hall.csv")) for each in (noisy, with_declared_noise(noisy, factor))
     ]
-    found, right = ({test.name: test for test in a.axis_tests} for a in tests)
+    found, right = ({test.name: test for test in a.axes_point_tests} for a in tests)
     assert tests[0].sigma0 > 0.8 * factor
     assert not any(test.is_excluded for test in found.values())
     for name in SIX:
@@ -291,7 +291,9 @@ def test_tests_of_known_values_use_the_noise_of_the_readings(factor: float) -> N
         known = {"known_mm": tuple((1e3 * points[name]).tolist()), "known_sigma_mm": SIGMA}
         targets[name] = targets[name].model_copy(update=known)
     controlled_noisy = noisy.replace(setup=noisy.setup.model_copy(update={"targets": targets}))
-    known_tests = [test for test in adjust(controlled_noisy, tested_kinds=()).reference_tests if test.kind == "point"]
+    known_tests = [
+        test for test in adjust(controlled_noisy, tested_reference_kinds=()).reference_tests if test.kind == "point"
+    ]
     assert len(known_tests) == len(SIX)
     assert known_tests[0].sigma[0] == pytest.approx(factor * SIGMA * 1e-3, rel=0.2)
 

@@ -96,7 +96,7 @@ def test_the_rows_have_the_covariance_of_what_lengths_share(measured: Recording)
     np.testing.assert_allclose((left.T @ left)[kept], np.linalg.inv(covariance[kept]), rtol=1e-12)
     assert not left[:, 1].any()
     found = adjust(recording)
-    rows = to_dense(found.solution.system.design)[int(found.problem.used_readings.sum()) :][:3]
+    rows = to_dense(found.solution.system.design)[int(found.problem.is_used_reading.sum()) :][:3]
     columns = found.problem.unknowns.target_columns[gauge.first_targets]
     along = gauge.unit_vectors(found.state.target_points)
     np.testing.assert_allclose(np.stack([rows[:, c] for c in columns], axis=1) @ np.eye(3), white[:, :, None] * along)
@@ -190,7 +190,9 @@ def test_what_cannot_be_is_said_in_a_sentence() -> None:
 def test_expansion_by_hand() -> None:
     grown = ThermalExpansion.from_temperature(11.5e-6, -5.0, 1e-6, 0.1)
     assert grown.length_ratio == pytest.approx(1 - 57.5e-6)
-    assert (grown.change_by_coefficient, grown.change_by_temperature) == pytest.approx((-5e-6, 1.15e-6))
+    assert (grown.ratio_change_per_coefficient_sigma, grown.ratio_change_per_temperature_sigma) == pytest.approx(
+        (-5e-6, 1.15e-6)
+    )
 
 
 @pytest.mark.parametrize(("scale", "is_accepted"), [(0.0, True), (12e-6, False)])

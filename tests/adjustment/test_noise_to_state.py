@@ -28,7 +28,7 @@ def loud(factor: float) -> Recording:
 def test_each_figure_is_what_the_readings_show() -> None:
     right = network(seed=3)[0].setup.instrument.noise
     judged = verdict_on(adjust(loud(4.0)))
-    assert judged.agreement is VerdictCase.SMALLER_NOISE
+    assert judged.case is VerdictCase.SMALLER_NOISE
     said = dict(re.findall(r"(\w+) to ([\d.e-]+)", judged.sentence.partition("Set ")[2]))
     assert said.keys() == {key for key, value in right.model_dump().items() if value}
     for key, value in said.items():
@@ -53,8 +53,8 @@ def test_variance_components_end_at_their_limit(monkeypatch: pytest.MonkeyPatch)
     assert _secant_step(steps * [0.8, 0.5, 2.0, 0.0], steps, steps) == pytest.approx([1.6, -0.02, 6.0, 0.0])
     assert _secant_step(steps, 0.0 * steps, 0.0 * steps) == pytest.approx(steps)
     recording = loud(4.0)
-    found = adjust(recording, variance_components="instrument").variance_components
+    found = adjust(recording, noise_grouping="instrument").variance_components
     monkeypatch.setattr("ltsim.adjustment.stochastic_model.VARIANCE_FACTOR_TOLERANCE", 1e-9)
-    exact = adjust(recording, variance_components="instrument").variance_components
+    exact = adjust(recording, noise_grouping="instrument").variance_components
     assert [c.factor for c in found] == pytest.approx([c.factor for c in exact], rel=2e-3)
     assert all(0.2 < c.factor < 0.3 for c in exact[:3])

@@ -109,7 +109,7 @@ def test_a_point_of_directions_alone_has_a_place_in_plan_and_no_height() -> None
 def test_readings_of_a_tripod_beside_its_mark_are_mended_with_its_size_told() -> None:
     found = adjust(local_tie(2, (1.5, 1.0, 0.0)))
     mended, (told,) = correct_centring(found)
-    assert (told.effect, told.targets) == ("target-moved", ("P4",))
+    assert (told.effect_name, told.targets) == ("target-moved", ("P4",))
     assert told.size == pytest.approx(np.hypot(1.5e-3, 1.0e-3), abs=4 * told.sigma)
     again = adjust(mended, start_state=found.state)
     assert again.sigma0 == pytest.approx(1.0, abs=0.15)

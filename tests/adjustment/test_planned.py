@@ -55,12 +55,12 @@ def test_a_problem_elsewhere_is_the_one_made_from_nothing() -> None:
 def test_other_readings_in_use_are_counted_anew() -> None:
     recording, _ = workshop()
     problem = NetworkProblem.from_model(MeasurementModel(recording, misalignment_construction()))
-    use = problem.used_readings.copy()
+    use = problem.is_used_reading.copy()
     use[recording.target == 5] = False
     use[recording.station == 2, 1] = False
-    fewer = replace(problem, used_readings=use)
-    assert np.flatnonzero(fewer.structure.is_unmeasured_target).tolist() == [5]
-    assert fewer.structure.yaw_free_stations.tolist() == [2]
-    assert fewer.structure.n_fixed == len(fewer.structure.fixed_columns) == 4
+    fewer = replace(problem, is_used_reading=use)
+    assert np.flatnonzero(fewer.undetermined_unknowns.is_unmeasured_target).tolist() == [5]
+    assert fewer.undetermined_unknowns.yaw_free_stations.tolist() == [2]
+    assert fewer.undetermined_unknowns.n_fixed == len(fewer.undetermined_unknowns.fixed_columns) == 4
     assert fewer.unknowns is problem.unknowns
     assert problem.dof - fewer.dof == (~use).sum() - 4

@@ -33,14 +33,14 @@ def recording() -> Recording:
 
 
 def test_it_is_the_adjustment_by_their_covariance(recording: Recording) -> None:
-    found = adjust(recording, tested_kinds=())
+    found = adjust(recording, tested_reference_kinds=())
     (shared,) = read_shared_errors(recording)
     assert shared.reading_changes.shape == (len(recording), len(OBSERVABLES), 2)
     alone = recording.replace(covariates={n: c for n, c in recording.covariates.items() if not n.startswith("shared_")})
     plain = NetworkProblem.from_model(MeasurementModel(alone, ideal_construction()))
     assert found.dof == plain.dof
     system = plain.linearise(replace(found.state, extra_parameters=np.zeros(0)))
-    design, residual, used = to_dense(system.design), system.whitened_residuals.copy(), plain.used_readings
+    design, residual, used = to_dense(system.design), system.whitened_residuals.copy(), plain.is_used_reading
     reach = shared.reading_changes[used] / plain.sigma[used][:, None]
     root = np.linalg.cholesky(np.eye(len(reach)) + reach @ reach.T)
     rows = slice(0, len(reach))

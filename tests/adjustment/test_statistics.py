@@ -6,7 +6,7 @@ from scipy import stats
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.reliability import critical_w, noncentrality, p_value_of_tau
-from ltsim.adjustment.significance import FAMILY_LEVEL
+from ltsim.adjustment.significance import FAMILY_WISE_LEVEL
 from ltsim.adjustment.verdict import VerdictCase, verdict_on
 from ltsim.core.randomness import stream
 from ltsim.physics.model.construction import misalignment_construction
@@ -57,7 +57,7 @@ def test_each_restless_target_is_judged_by_its_own_noise():
     recording = Recording(Setup(), ("S",), ("A", "B", "C", "D"), zero, target, zero + 1, rows, rows * 1.0, place)
     scatter[2 * times + 5, 1] = 8.0 * 6.0  # six of its own standard deviations, one and a half of the loudest
     found = adjust(recording.with_readings(place + scatter * recording.sigma()))
-    assert found.noisy_targets[0].tolist() == [3, 2]
+    assert found.noisy_targets_and_scatter[0].tolist() == [3, 2]
     assert [(one.row, one.observable_column) for one in found.flagged_readings(uses_estimated_noise=True)] == [
         (2 * times + 5, 1)
     ]
@@ -67,7 +67,7 @@ def test_each_restless_target_is_judged_by_its_own_noise():
 def test_a_large_error_blames_none_of_the_readings_that_it_bends():
     clean = noisy(3)
     found = adjust(spoiled(clean, [(20, 0)], [80.0]), TRACKER)
-    assert np.sum(np.abs(found.normalised_residuals) > critical_w(int(found.problem.used_readings.sum()))) > 1
+    assert np.sum(np.abs(found.normalised_residuals) > critical_w(int(found.problem.is_used_reading.sum()))) > 1
     assert [(one.row, one.observable_column) for one in found.flagged_readings()] == [(20, 0)]
     two = adjust(spoiled(clean, [(20, 0), (47, 2)], [80.0, 9.0]), TRACKER)
     assert [(one.row, one.observable_column) for one in two.flagged_readings()] == [(20, 0), (47, 2)]
@@ -86,10 +86,10 @@ def test_tau_exceeds_its_limit_as_often_as_its_level_says():
 
 def test_an_error_of_the_detectable_size_is_found_with_its_power():
     clean = adjust(noisy(3), TRACKER)
-    needed = noncentrality(alpha=FAMILY_LEVEL, n_tests=int(clean.problem.used_readings.sum()))
+    needed = noncentrality(alpha=FAMILY_WISE_LEVEL, n_tests=int(clean.problem.is_used_reading.sum()))
     bias = np.sqrt(needed / clean.redundancy)
     rows = stream(5, "rows").permutation(len(clean.recording))[:120]
-    limit = critical_w(int(clean.problem.used_readings.sum()))
+    limit = critical_w(int(clean.problem.is_used_reading.sum()))
     found = 0
     for k, i in enumerate(rows):
         j = k % 3
@@ -145,7 +145,7 @@ def test_a_wrong_level_of_noise_is_not_taken_for_blunders():
 
 def test_noise_of_each_observable_is_found():
     truth = (2.0, 0.5, 4.0)
-    found = adjust(noisy(4, truth, faces=2), TRACKER, variance_components="observable")
+    found = adjust(noisy(4, truth, faces=2), TRACKER, noise_grouping="observable")
     assert [c.observable for c in found.variance_components] == ["distance", "azimuth", "elevation"]
     for component, true in zip(found.variance_components, truth, strict=True):
         assert component.factor == pytest.approx(true, abs=4 * component.factor_sigma)
@@ -165,7 +165,7 @@ def test_noise_of_each_instrument_is_found_with_blunders_about():
     noise = stream(6, "noise").standard_normal(recording.readings.shape)
     recording = recording.with_readings(recording.readings + recording.sigma() * noise * scale)
     where = [(5, 0), (40, 1), (111, 2)]
-    found = adjust(spoiled(recording, where, [200, -300, 500]), robust=True, variance_components="instrument")
+    found = adjust(spoiled(recording, where, [200, -300, 500]), robust=True, noise_grouping="instrument")
     assert set(where) <= {tuple(map(int, at)) for at in np.argwhere(found.is_rejected)}
     assert found.is_rejected.sum() < 8
     for component in found.variance_components:
@@ -178,7 +178,7 @@ def test_a_group_without_redundancy_keeps_its_noise():
     recording = noisy(3)
     readings = recording.readings.copy()
     readings[1:, 0] = np.where(np.arange(len(readings) - 1) < 2, readings[1:, 0], np.nan)
-    gauge = adjust(recording.with_readings(readings), TRACKER, variance_components="observable")
+    gauge = adjust(recording.with_readings(readings), TRACKER, noise_grouping="observable")
     assert gauge.variance_components[0].factor == 1.0
     assert gauge.variance_components[0].factor_sigma == np.inf
 
@@ -188,18 +188,18 @@ def test_a_group_without_redundancy_keeps_its_noise():
 
 def test_the_verdict_says_which_test_to_trust():
     clean = next(a for a in (adjust(noisy(s, faces=2), TRACKER) for s in range(9)) if 0.2 < a.p_value < 0.8)
-    assert verdict_on(clean).agreement is VerdictCase.CLEAN
+    assert verdict_on(clean).case is VerdictCase.CLEAN
     hidden = adjust(spoiled(clean.recording, [(50, 1)], [9.0]), TRACKER)
-    assert verdict_on(hidden).agreement is VerdictCase.HIDDEN_ERRORS
+    assert verdict_on(hidden).case is VerdictCase.HIDDEN_ERRORS
     assert "one reading is an outlier although" in verdict_on(hidden).sentence
     single = adjust(spoiled(clean.recording, [(50, 1), (90, 0)], [60.0, 40.0]), TRACKER)
-    assert verdict_on(single).agreement is VerdictCase.SINGLE_ERRORS
+    assert verdict_on(single).case is VerdictCase.SINGLE_ERRORS
     assert len(single.flagged_readings()) >= 2
     larger = verdict_on(adjust(noisy(1, (3.0, 3.0, 3.0)), TRACKER))
-    assert larger.agreement is VerdictCase.UNEXPLAINED_MISFIT
+    assert larger.case is VerdictCase.UNEXPLAINED_MISFIT
     assert larger.uses_estimated_noise
     smaller = verdict_on(adjust(noisy(1, (0.3, 0.3, 0.3)), TRACKER))
-    assert smaller.agreement is VerdictCase.SMALLER_NOISE
+    assert smaller.case is VerdictCase.SMALLER_NOISE
     assert smaller.uses_estimated_noise
     for one in (larger, smaller):
         assert one.sentence.startswith("Trust the")

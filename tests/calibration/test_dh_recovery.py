@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ltsim.calibration.network import calibrate_network
-from ltsim.calibration.prior_information import EarlierCalibrations, ParameterSelection
+from ltsim.calibration.prior_information import EarlierCalibrationPrior, ParameterSelection
 from ltsim.core.arrays import Floats
 from ltsim.physics.model.construction import dh_construction
 from tests.networks import network
@@ -26,7 +26,7 @@ def wide() -> ParameterSelection:
     """Priors so wide that they say next to nothing."""
     covariance = np.diag((WIDER * SIGMA) ** 2)[None]
     return ParameterSelection(
-        earlier_calibrations=EarlierCalibrations(
+        earlier_calibrations=EarlierCalibrationPrior(
             "dh",
             BUILT.parameter_names,
             ("",),

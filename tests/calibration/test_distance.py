@@ -10,7 +10,7 @@ from scipy.stats import kstest
 
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.calibration.distance import calibrate_distance
-from ltsim.calibration.distance_solver import mean_deviation_rows, pair_difference_rows, solve_distances
+from ltsim.calibration.distance_solver import mean_deviation_comparisons, pair_difference_comparisons, solve_distances
 from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.objective import DistanceProblem
 from ltsim.core.errors import NetworkError
@@ -51,10 +51,10 @@ def test_matrix_form_is_equation_9(make, drawn) -> None:
     unknowns = 0.5 * stream(1, "x").standard_normal(16)
     values = unknowns * problem.prior_sigma[0]
     distances = problem.distances_at(unknowns)
-    assert np.sum(mean_deviation_rows(problem, distances).residuals ** 2) == pytest.approx(
+    assert np.sum(mean_deviation_comparisons(problem, distances).residuals ** 2) == pytest.approx(
         equation_9(recording, values, 2), rel=1e-9
     )
-    assert np.sum(np.abs(pair_difference_rows(problem, distances).residuals)) == pytest.approx(
+    assert np.sum(np.abs(pair_difference_comparisons(problem, distances).residuals)) == pytest.approx(
         equation_9(recording, values, 1), rel=1e-9
     )
 
@@ -63,15 +63,15 @@ def test_derivatives_equal_differences(make, drawn) -> None:
     recording = make(drawn(misalignment_construction(), 2, 1))
     problem = problem_of(recording)
     at, step = np.full(16, 0.3), 1e-3
-    rows = mean_deviation_rows(problem, problem.distances_at(at))
+    rows = mean_deviation_comparisons(problem, problem.distances_at(at))
     for k in range(16):
-        ahead = mean_deviation_rows(problem, problem.distances_at(at + step * np.eye(16)[k])).residuals
-        back = mean_deviation_rows(problem, problem.distances_at(at - step * np.eye(16)[k])).residuals
+        ahead = mean_deviation_comparisons(problem, problem.distances_at(at + step * np.eye(16)[k])).residuals
+        back = mean_deviation_comparisons(problem, problem.distances_at(at - step * np.eye(16)[k])).residuals
         slope = (ahead - back) / (2 * step)
         assert np.allclose(rows.unknown_derivatives[:, k], slope, atol=1e-4 * np.abs(slope).max())
     noise = 1e-2 * stream(1, "e").standard_normal((len(recording), 3))
     moved = problem_of(recording.with_readings(recording.readings + noise * recording.sigma()))
-    change = mean_deviation_rows(moved, moved.distances_at(at)).residuals - rows.residuals
+    change = mean_deviation_comparisons(moved, moved.distances_at(at)).residuals - rows.residuals
     linear = rows.noise_derivatives[:, : noise.size] @ noise.ravel()
     assert np.allclose(change, linear, atol=1e-3 * np.abs(linear).max())
 

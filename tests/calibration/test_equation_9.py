@@ -9,8 +9,8 @@ from scipy.optimize import linprog
 import ltsim as lt
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.calibration.distance_solver import (
-    mean_deviation_rows,
-    pair_difference_rows,
+    mean_deviation_comparisons,
+    pair_difference_comparisons,
     solve_distances,
     solve_equation_9,
 )
@@ -29,7 +29,7 @@ def problem_of(seed: int, faces: int = 1) -> DistanceProblem:
 
 def slope(problem: DistanceProblem, unknowns: np.ndarray) -> np.ndarray:
     """Gradient of eq. 9's sum of squares, over its usual size by chance at each unknown."""
-    rows = mean_deviation_rows(problem, problem.distances_at(unknowns))
+    rows = mean_deviation_comparisons(problem, problem.distances_at(unknowns))
     gradient = rows.unknown_derivatives.T @ rows.residuals
     return gradient / (np.linalg.norm(rows.unknown_derivatives, axis=0) * np.linalg.norm(rows.residuals))
 
@@ -45,7 +45,7 @@ def test_the_gradient_of_the_squares_vanishes(seed: int) -> None:
 
 def least_subgradient(problem: DistanceProblem, unknowns: np.ndarray) -> float:
     """Largest component of the smallest subgradient of the absolute values: rows that are met pull as they like."""
-    rows = pair_difference_rows(problem, problem.distances_at(unknowns))
+    rows = pair_difference_comparisons(problem, problem.distances_at(unknowns))
     scaled = rows.unknown_derivatives / np.abs(rows.unknown_derivatives).sum(axis=0)
     met = np.argsort(np.abs(rows.residuals))[: 2 * len(unknowns)]
     rest = np.setdiff1d(np.arange(len(rows.residuals)), met)
@@ -86,7 +86,7 @@ def test_in_a_box_no_unknown_leaves_it_and_nothing_in_it_lies_below(norm: str) -
     assert np.any(np.abs(found.unknowns) > box - 1e-6)
     assert found.objective_value >= solve_equation_9(problem, norm).objective_value
     rng = np.random.default_rng(1)
-    rows = mean_deviation_rows if norm == "squares" else pair_difference_rows
+    rows = mean_deviation_comparisons if norm == "squares" else pair_difference_comparisons
     for _ in range(20):
         near = np.clip(found.unknowns + 1e-3 * rng.standard_normal(16), -box, box)
         left = rows(problem, problem.distances_at(near)).residuals

@@ -159,7 +159,7 @@ def test_what_is_told_of_several_effects_is_that_of_their_common_adjustment(drif
     assert sum(e.chi2_drop for e in found.effects) > alone.effects[0].chi2_drop
     told = [p for e in found.effects for p in e.parameters if p.sigma is not None]
     assert found.adjustment is not None
-    state, spread = found.adjustment.state.extra_parameters, np.sqrt(np.diag(found.adjustment.extra_covariance))
+    state, spread = found.adjustment.state.extra_parameters, np.sqrt(np.diag(found.adjustment.effect_covariance))
     unit = [SI_PER_UNIT[p.unit] for p in told]
     assert [p.value for p in told] == pytest.approx(state / unit, rel=1e-6)
     assert [p.sigma for p in told] == pytest.approx(found.uncertainty_factor * spread / unit, rel=1e-6)

@@ -59,7 +59,7 @@ def test_tables(calibration, tmp_path: Path) -> None:
     rows = list(csv.DictReader((tmp_path / "residuals.csv").read_text().splitlines()))
     wanted = "row station target face repeat observable residual unit redundancy w"
     assert list(rows[0]) == wanted.split()
-    assert len(rows) == int(calibration.adjustment.problem.used_readings.sum())
+    assert len(rows) == int(calibration.adjustment.problem.is_used_reading.sum())
     assert (rows[0]["row"], rows[0]["observable"], rows[0]["unit"]) == ("1", "distance", "mm")
     assert rows[1]["unit"] == "arcsec"
     assert float(rows[0]["residual"]) == pytest.approx(1e3 * calibration.adjustment.residuals[0, 0], rel=1e-4)
@@ -205,10 +205,10 @@ def test_two_instruments_have_their_own_parameters(make, drawn, tmp_path: Path) 
     again = read_calibration(tmp_path)
     assert again.instruments == ("A", "B")
     assert np.allclose(again.estimates, found.estimates)
-    applied = again.values_for(both)
+    applied = again.applied_values_for(both)
     assert np.allclose(applied[later], found.estimates[1])
     with pytest.raises(RecordError, match=r"is not in the calibration \(A, B\)"):
-        again.values_for(one)
+        again.applied_values_for(one)
 
 
 def test_adjustment_without_parameters_is_written_too(make, tmp_path: Path) -> None:

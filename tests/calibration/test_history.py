@@ -72,7 +72,7 @@ def test_what_no_reading_touches_is_neither_changed_nor_counted():
     assert change.dof <= SIZE - SILENT
     assert [p.p_value for p in change.parameters[:SILENT]] == pytest.approx([1.0] * SILENT)
     assert history.constancy_test(0).dof == 0
-    assert history.population.spread[:SILENT] == pytest.approx(PRIOR[:SILENT])
+    assert history.population.between_calibration_sigma[:SILENT] == pytest.approx(PRIOR[:SILENT])
 
 
 def test_a_changed_parameter_is_found_and_named():
@@ -98,7 +98,7 @@ def test_three_calibrations_do_not_look_more_alike_than_they_are():
         mean, (design,) = rng.standard_normal(SIZE) * PRIOR, designs(rng, 1, strength=40.0)
         few = [estimate(mean + 0.5 * PRIOR * rng.standard_normal(SIZE), design, rng) for _ in range(3)]
         population = CalibrationSeries.from_labelled([(str(k), c) for k, c in enumerate(few)]).population
-        ratios.append((population.spread[SILENT:-2] / (0.5 * PRIOR[SILENT:-2])) ** 2)
+        ratios.append((population.between_calibration_sigma[SILENT:-2] / (0.5 * PRIOR[SILENT:-2])) ** 2)
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.12)
 
 
@@ -111,8 +111,8 @@ def test_the_population_is_recovered_and_improves_a_new_calibration():
     told = slice(SILENT, SIZE - 2)
     found = history.population
     assert np.abs((found.mean - mean) / PRIOR)[told] == pytest.approx(0.0, abs=0.25)
-    assert found.spread[told][1::2] / PRIOR[told][1::2] == pytest.approx(0.02, abs=0.1)
-    assert found.spread[told][::2] / PRIOR[told][::2] == pytest.approx(0.5, abs=0.25)
+    assert found.between_calibration_sigma[told][1::2] / PRIOR[told][1::2] == pytest.approx(0.02, abs=0.1)
+    assert found.between_calibration_sigma[told][::2] / PRIOR[told][::2] == pytest.approx(0.5, abs=0.25)
     errors = np.array([history.with_population_prior(c).estimates[0] - truths[40] for c in calibrations[40:]])
     alone = np.array([c.estimates[0] - truths[40] for c in calibrations[40:]])
     assert np.sum((errors / PRIOR)[:, told] ** 2) < 0.7 * np.sum((alone / PRIOR)[:, told] ** 2)

@@ -36,7 +36,7 @@ def test_a_range_zero_a_mode_is_estimated_and_told(tmp_path: Path) -> None:
     write_recording(with_modes(8), tmp_path)
     found = calibrate_network(read_recording(tmp_path))
     assert found.adjustment is not None
-    sigma = float(np.sqrt(found.adjustment.extra_covariance[0, 0]))
+    sigma = float(np.sqrt(found.adjustment.effect_covariance[0, 0]))
     assert found.adjustment.state.extra_parameters[0] == pytest.approx(STEP, abs=4 * sigma)
     assert found.fit.p_value is not None and found.fit.p_value > 1e-3
     assert "range-mode" in found.notes[0]

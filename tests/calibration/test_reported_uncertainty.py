@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.adjustment.coordinate_uncertainty import COVARIANCE_FILE
+from ltsim.adjustment.coordinate_uncertainty import COVARIANCE_FILE_NAME
 from ltsim.core.errors import RecordError
 from ltsim.core.randomness import stream
 from ltsim.recordings.coordinates import read_coordinates
@@ -106,7 +106,7 @@ def test_a_rejected_fit_has_larger_standard_deviations_everywhere(plain: lt.Reco
     )
     lt.write(found, tmp_path)
     joint = read_coordinates(tmp_path / "targets.csv").covariance
-    assert (tmp_path / COVARIANCE_FILE).is_file()
+    assert (tmp_path / COVARIANCE_FILE_NAME).is_file()
     np.testing.assert_allclose(joint[:3, :3], found.target_covariance[0], rtol=1e-5)
     assert "multiplied by sigma0" in str(found)
     assert lt.read(tmp_path).fit.sigma0 == pytest.approx(found.fit.sigma0)

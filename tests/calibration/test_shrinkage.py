@@ -9,7 +9,7 @@ import ltsim as lt
 from ltsim.adjustment.evaluation.clouds import cloud_error, measured_points
 from ltsim.calibration.files import read_calibration, write_calibration
 from ltsim.calibration.network import calibrate_network
-from ltsim.calibration.shrinkage import ScaledPrior, held_out_targets, point_error_form, point_noise_rms
+from ltsim.calibration.shrinkage import ScaledPrior, held_out_targets, point_error_matrix, point_noise_rms
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import number_text
 from ltsim.core.randomness import stream
@@ -42,7 +42,7 @@ def evidence() -> tuple[Floats, Floats]:
     found = calibrate_network(network(seed=1)[0], BUILT, recommend_measurements=False)
     assert found.adjustment is not None
     unit = np.outer(SIGMA, SIGMA)
-    return np.linalg.inv(found.covariance / unit) - np.eye(16), point_error_form(found.adjustment) * unit
+    return np.linalg.inv(found.covariance / unit) - np.eye(16), point_error_matrix(found.adjustment) * unit
 
 
 @pytest.mark.parametrize("noise", NOISES)
@@ -78,7 +78,7 @@ def test_a_wrong_prior_is_said_and_the_correction_still_corrects(factor: float) 
     assert any("contradict the declared priors" in s for s in wrong.correction.sentences)
     assert wrong.correction.prior_scale * factor == pytest.approx(right.correction.prior_scale, rel=0.35)
     assert right.adjustment is not None
-    by_value = point_error_form(right.adjustment)
+    by_value = point_error_matrix(right.adjustment)
     values = truth.state.instrument_parameters[0]
     missed = wrong.applied_values[0] - values
     assert missed @ by_value @ missed < 0.25**2 * (values @ by_value @ values)
@@ -101,7 +101,7 @@ def test_the_expected_error_of_a_new_point_is_right_on_average() -> None:
         found = lt.calibrate(recording, advise=False)
         assert found.correction is not None
         assert found.adjustment is not None
-        by_value = point_error_form(found.adjustment)
+        by_value = point_error_matrix(found.adjustment)
         gap = found.estimates[0] - truth.state.instrument_parameters[0]
         seen.append(gap @ by_value @ gap)
         told.append((1e-6 * found.correction.corrected_um) ** 2)
@@ -181,7 +181,7 @@ def test_what_is_left_out_by_default_makes_new_points_no_worse(stations: int, sp
         values = drawn(BUILT, seed) * (np.array(six) / 3 if sparse else 1.0)
         found = lt.calibrate(network(faces=2, seed=seed, values=values, stations=stations)[0], advise=False)
         assert found.adjustment is not None
-        form = point_error_form(found.adjustment)
+        form = point_error_matrix(found.adjustment)
         errors.append([gap @ form @ gap for gap in (found.applied_values[0] - values, found.estimates[0] - values)])
     applied, estimated = np.sqrt(np.mean(errors, axis=0))
     assert applied < most * estimated
@@ -212,7 +212,7 @@ def test_whole_calibrations_do_not_make_new_points_worse(factor: float, noise: f
         draw = stream(seed, "noise").standard_normal(recording.readings.shape)
         found = lt.calibrate(stated.with_readings(recording.readings + stated.sigma() * draw), advise=False)
         assert found.adjustment is not None
-        by_value = point_error_form(found.adjustment)
+        by_value = point_error_matrix(found.adjustment)
         gap = found.applied_values[0] - values
         ratios.append(np.sqrt((gap @ by_value @ gap) / (values @ by_value @ values)))
     print(f"prior x {factor:g}, noise x {noise:g}: new points err {np.mean(ratios):.3f} of what they did")

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from ltsim.calibration.distance_solver import mean_deviation_rows
+from ltsim.calibration.distance_solver import mean_deviation_comparisons
 from ltsim.calibration.objective import DistanceProblem
 from ltsim.campaigns.cloud_kernels import distance_gradient
 from ltsim.campaigns.distance import BatchDistance
@@ -50,7 +50,7 @@ def test_objective_is_that_of_the_single_calibrator(make_truth: Callable[..., Ce
         problem = DistanceProblem(
             recording_of_trial(truth, block, k), misalignment_construction(), batch.distance_problem.prior_sigma
         )
-        rows = mean_deviation_rows(problem, problem.distances_at(np.zeros(16)))
+        rows = mean_deviation_comparisons(problem, problem.distances_at(np.zeros(16)))
         assert cost[k] == pytest.approx(float(rows.residuals @ rows.residuals), rel=1e-6)
 
 

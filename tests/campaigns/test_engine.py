@@ -88,7 +88,7 @@ def test_fitted_effects_equal_full_solver(make_truth: Callable[..., CellTruth]) 
     found = engine.calibrate(block)
     assert max(engine.largest_difference(block, k, found) for k in (0, 100)) < 2e-4
     adjusted = adjust(recording_of_trial(truth, block, 5), misalignment_construction(), effects=(Drift(),))
-    spread = np.sqrt(np.diag(adjusted.extra_covariance))
+    spread = np.sqrt(np.diag(adjusted.effect_covariance))
     assert np.all(np.abs(adjusted.state.extra_parameters - fit.effect_values[:, 5]) < 2e-4 * spread)
     assert np.all(np.abs(fit.effect_values[:, 5] - block.effect_values[0][:, 5]) < 5 * spread)
 

@@ -44,7 +44,7 @@ def space_of(recording):
 def test_one_wrong_reading_is_left_out_and_told_before_any_law(row, column):
     recording = changed(workshop(2)[0], row, column, 15.0)
     space = space_of(recording)
-    at = np.flatnonzero(np.flatnonzero(space.used_readings) == 3 * row + column)
+    at = np.flatnonzero(np.flatnonzero(space.is_used_reading) == 3 * row + column)
     redundancy = float(space.redundancy[at][0])
     selection = identify_causes(recording, misalignment_construction())
     assert selection is not None
@@ -132,7 +132,7 @@ def test_noise_that_differs_from_target_to_target_is_one_finding():
 def test_a_weak_effect_leaves_its_cause_in_doubt_and_a_strong_one_ends_it():
     recording, _ = workshop(1)
     space = space_of(recording)
-    rows = int(space.used_readings.sum())
+    rows = int(space.is_used_reading.sum())
     redundancy = space.redundancy
     rng = stream(8, "likeness")
     law = rng.standard_normal(space.n_rows)

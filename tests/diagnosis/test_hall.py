@@ -34,7 +34,7 @@ def changed(clean: tuple[Recording, Adjustment], change: Floats, strength: float
     recording, adjustment = clean
     space = ResidualSpace.from_adjustment(adjustment)
     design_columns = np.zeros((space.n_rows, 1))
-    design_columns[: int(space.used_readings.sum()), 0] = (change / recording.sigma())[space.used_readings]
+    design_columns[: int(space.is_used_reading.sum()), 0] = (change / recording.sigma())[space.is_used_reading]
     factor = np.sqrt(strength) / np.linalg.norm(space.project(design_columns))
     diagnosis = diagnose(recording.with_readings(recording.readings + factor * change))
     assert diagnosis.verdict == "mismatch"
@@ -103,7 +103,7 @@ def test_a_gauge_that_moves_once_is_one_group() -> None:
 def test_the_weight_of_a_reading_in_a_heavy_tail_is_its_expected_weight(clean) -> None:
     space = ResidualSpace.from_adjustment(clean[1])
     rng = stream(5, "tail")
-    ranges = np.flatnonzero(np.nonzero(space.used_readings)[1] == 0)
+    ranges = np.flatnonzero(np.nonzero(space.is_used_reading)[1] == 0)
     worse = rng.choice(ranges, len(ranges) // 10, replace=False)
     noise = np.zeros((space.n_rows, 1))
     noise[worse, 0] = 5.0 * rng.standard_normal(len(worse))
@@ -112,7 +112,7 @@ def test_the_weight_of_a_reading_in_a_heavy_tail_is_its_expected_weight(clean) -
     best = bank.ranked_families(heavy, space.redundancy, np.zeros((space.n_rows, 0)))[0][1]
     assert getattr(best.effect, "group_kind", "") == "reading" and best.effect.observables == ("distance",)
     fitted = most_likely_sizes(replace(space, residuals=heavy), space.sigma, best)
-    added = np.array(fitted.sizes)[np.nonzero(space.used_readings)[0][ranges]]
+    added = np.array(fitted.sizes)[np.nonzero(space.is_used_reading)[0][ranges]]
     is_worse = np.isin(ranges, worse) & (np.abs(heavy[ranges]) > 3.0)
     assert added[is_worse].min() > 1.0
     assert np.median(added[~np.isin(ranges, worse)]) < 0.2

@@ -17,7 +17,7 @@ from ltsim.calibration.calibration_series import CalibrationSeries
 from ltsim.calibration.files import write_calibration
 from ltsim.calibration.history import History
 from ltsim.calibration.network import calibrate_network
-from ltsim.calibration.prior_information import EarlierCalibrations
+from ltsim.calibration.prior_information import EarlierCalibrationPrior
 from ltsim.cli.main import run
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
@@ -67,14 +67,16 @@ def told(
     values = [estimated(faces, day, rng) for day in days]
     before = [(f"day {k}", calibration.with_changes(estimates=v[None])) for k, v in enumerate(values[:-1])]
     known = (
-        EarlierCalibrations.from_source(History.from_series(CalibrationSeries.from_labelled(before)))
+        EarlierCalibrationPrior.from_source(History.from_series(CalibrationSeries.from_labelled(before)))
         if count > 1
-        else EarlierCalibrations.from_source(before[0][1])
+        else EarlierCalibrationPrior.from_source(before[0][1])
     )
     return against(known, adjustment, values[-1])
 
 
-def against(known: EarlierCalibrations, adjustment: Adjustment, values: Floats) -> tuple[ConstantContradiction, ...]:
+def against(
+    known: EarlierCalibrationPrior, adjustment: Adjustment, values: Floats
+) -> tuple[ConstantContradiction, ...]:
     """Contradictions of an adjustment that had found other values (p,)."""
     state = SimpleNamespace(instrument_parameters=values[None])
     covariance, recording = adjustment.constants_covariance, adjustment.recording
@@ -113,7 +115,7 @@ def test_two_constants_that_changed_are_told_apart() -> None:
     calibration, adjustment = measured(2)
     today = estimated(2, GUARANTEE * ((np.arange(len(GUARANTEE)) == INDEX) * 2.0), stream(3, "a"))
     today[BUILT.parameter_names.index("beam-tilt")] -= GUARANTEE[BUILT.parameter_names.index("beam-tilt")]
-    known = EarlierCalibrations.from_source(calibration.with_changes(estimates=np.zeros((1, len(GUARANTEE)))))
+    known = EarlierCalibrationPrior.from_source(calibration.with_changes(estimates=np.zeros((1, len(GUARANTEE)))))
     sizes = {c.parameter.name: c.difference / c.parameter.prior_sigma for c in against(known, adjustment, today)}
     assert sizes == {"vertical-index": pytest.approx(2.0, abs=0.3), "beam-tilt": pytest.approx(-1.0, abs=0.3)}
 

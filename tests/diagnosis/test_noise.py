@@ -33,10 +33,10 @@ def repeated():
 def scattered(space, pair, *, shared):
     """Residuals with scatter of 1.5 sigma, new at each pointing or `shared` by the repeats of a pair."""
     rng = stream(1, "scatter")
-    count = int(space.used_readings.sum())
+    count = int(space.is_used_reading.sum())
     own, common = rng.standard_normal((len(pair), 3)), rng.standard_normal((pair.max() + 1, 3))[pair]
     more = np.zeros((space.n_rows, 1))
-    more[:count, 0] = 1.5 * (common if shared else own)[space.used_readings]
+    more[:count, 0] = 1.5 * (common if shared else own)[space.is_used_reading]
     return space.residuals + space.project(more)[:, 0]
 
 
@@ -72,9 +72,12 @@ def test_noise_in_a_band_of_a_covariate_is_found_in_that_band(repeated, covariat
     inside = (x >= band[0]) & (x <= band[1])
     change = np.zeros((space.n_rows, 1))
     more = (
-        2.0 * stream(9, "band").standard_normal(space.used_readings.shape) * inside[:, None] * np.array([0.0, 1.0, 1.0])
+        2.0
+        * stream(9, "band").standard_normal(space.is_used_reading.shape)
+        * inside[:, None]
+        * np.array([0.0, 1.0, 1.0])
     )
-    change[: int(space.used_readings.sum()), 0] = more[space.used_readings]
+    change[: int(space.is_used_reading.sum()), 0] = more[space.is_used_reading]
     residual = space.residuals + space.project(change)[:, 0]
     best = bank.ranked_families(residual, space.redundancy, np.zeros((space.n_rows, 0)))[0][1].effect
     at = best.variance(space.sightings, space.sigma, best.size_scales) > space.sigma**2
@@ -86,12 +89,12 @@ def test_shaken_targets_scatter_in_both_angles_as_one_change(repeated):
     shaken = space.sightings.target < 6
     more = (
         1.5
-        * stream(4, "shaken").standard_normal(space.used_readings.shape)
+        * stream(4, "shaken").standard_normal(space.is_used_reading.shape)
         * shaken[:, None]
         * np.array([0.0, 1.0, 1.0])
     )
     change = np.zeros((space.n_rows, 1))
-    change[: int(space.used_readings.sum()), 0] = more[space.used_readings]
+    change[: int(space.is_used_reading.sum()), 0] = more[space.is_used_reading]
     residual = space.residuals + space.project(change)[:, 0]
     first = bank.ranked_families(residual, space.redundancy, np.zeros((space.n_rows, 0)))[0][1].effect
     assert first.observables == ("azimuth", "elevation")
@@ -119,7 +122,7 @@ def test_evidence_is_the_restricted_likelihood_of_correlated_residuals(repeated)
 def test_sizes_between_those_of_the_grid_count_as_much(repeated):
     """Turbulence of a size that no grid holds: each of its two amounts, or both, averaged over the logarithm."""
     space, _, bank = repeated
-    effect, used = Turbulence(), space.used_readings
+    effect, used = Turbulence(), space.is_used_reading
     between = np.sqrt(np.prod([sizes[0] for sizes in effect.size_grid()[2:4]]))
     true = effect.variance(space.sightings, space.sigma, np.array([between, 0.0])) / space.sigma**2
     residual = space.residuals.copy()
@@ -150,7 +153,7 @@ def test_sizes_between_those_of_the_grid_count_as_much(repeated):
 def test_the_evidence_of_a_noise_level_lets_each_observable_be_by_itself(repeated):
     """All subsets of observables but none, or all alike; each with its sizes averaged."""
     space, _, bank = repeated
-    residual, kind = space.residuals.copy(), np.nonzero(space.used_readings)[1]
+    residual, kind = space.residuals.copy(), np.nonzero(space.is_used_reading)[1]
     for k, times in enumerate((1.3, 1.5, 0.8)):
         residual[: len(kind)][kind == k] *= times
 
@@ -210,7 +213,7 @@ def test_nothing_is_found_where_there_is_nothing(repeated):
 def test_means_of_repeats_are_of_unit_variance(repeated):
     space, _, _ = repeated
     means = repeat_means(space)
-    assert means.shape[0] == int(space.used_readings.sum()) // 3
+    assert means.shape[0] == int(space.is_used_reading.sum()) // 3
     np.testing.assert_allclose((means.multiply(means)).sum(axis=1), 1.0)
 
 
@@ -234,7 +237,7 @@ def test_ranges_that_err_alike_in_both_faces_are_no_noise():
         left = (
             space.residuals
             + space.project(
-                np.append(change[space.used_readings], np.zeros(space.n_rows - space.used_readings.sum()))[:, None]
+                np.append(change[space.is_used_reading], np.zeros(space.n_rows - space.is_used_reading.sum()))[:, None]
             )[:, 0]
         )
         evidence = evidence_of(bank, left, space.redundancy)

@@ -28,7 +28,7 @@ def space() -> ResidualSpace:
 
 def with_angular_noise(space: ResidualSpace, noisy: np.ndarray, size: float, rng: np.random.Generator) -> np.ndarray:
     """Residuals with noise of a size [declared sigmas] added to the angles of some pointings."""
-    pointing, kind = np.nonzero(space.used_readings)
+    pointing, kind = np.nonzero(space.is_used_reading)
     rows = np.flatnonzero(noisy[pointing] & (kind > 0))
     added = np.zeros((space.n_rows, 1))
     added[rows, 0] = size * rng.standard_normal(len(rows))
@@ -101,7 +101,7 @@ def test_expected_factors_are_the_mean_over_all_sequences(
 
 def test_the_variance_of_uncertain_windows_is_averaged(space: ResidualSpace) -> None:
     """By Stein's loss the posterior mean is nearer to the true variance than the most probable windows."""
-    time, used = space.sightings.time, space.used_readings
+    time, used = space.sightings.time, space.is_used_reading
     noisy = (time > np.quantile(time, 0.3)) & (time <= np.quantile(time, 0.6))
     truth = np.ones(used.shape)
     truth[noisy, 1:] = 2.0
@@ -122,12 +122,12 @@ def test_the_variance_of_uncertain_windows_is_averaged(space: ResidualSpace) -> 
 def test_a_common_level_and_noisy_groups_have_expected_factors(space: ResidualSpace) -> None:
     level = RecordingNoiseLevel.from_space(space, allows_quieter=True)
     doubled = level.expected_factors(2.0 * space.residuals, space.redundancy)
-    assert doubled[: int(space.used_readings.sum())] == pytest.approx(4.0, rel=0.25)
-    assert (doubled[int(space.used_readings.sum()) :] == 1.0).all()
+    assert doubled[: int(space.is_used_reading.sum())] == pytest.approx(4.0, rel=0.25)
+    assert (doubled[int(space.is_used_reading.sum()) :] == 1.0).all()
     by_target = next(a for a in NoiseByGroup.all_of(space) if a.effect.group_kind == "target")
     noisy = space.sightings.target == 0
     residual = with_angular_noise(space, noisy, 10.0, stream(4, "group"))
     factors = by_target.expected_factors(residual, space.redundancy)
-    of_target = noisy[np.nonzero(space.used_readings)[0]]
+    of_target = noisy[np.nonzero(space.is_used_reading)[0]]
     rows = len(of_target)
     assert factors[:rows][of_target].min() > 10.0 and factors[:rows][~of_target].max() < 2.0

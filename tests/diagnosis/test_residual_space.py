@@ -75,7 +75,7 @@ def test_held_out_error_is_one_where_the_model_holds(space):
 
 def test_folds_are_whole_pointings_and_all_of_them(space):
     groups = fold_rows(space, 3)
-    assert sorted(np.concatenate(groups)) == list(range(int(space.used_readings.sum())))
+    assert sorted(np.concatenate(groups)) == list(range(int(space.is_used_reading.sum())))
     assert all(set(rows // 3) == set(rows[::3] // 3) and len(rows) % 3 == 0 for rows in groups)
 
 
@@ -90,7 +90,7 @@ def test_all_pointings_of_a_target_from_a_set_up_are_in_one_fold():
 def test_held_out_readings_contradict_a_law_that_they_do_not_follow(space):
     """The same law is subtracted from readings that follow it, and from those that follow its negative."""
     wave = space.whitened_design(law("distance", Regressor("wave", ("azimuth",), constant=3.0)))
-    change, rows = 8e-6 * space.project(wave[:, 0]), np.count_nonzero(space.used_readings)
+    change, rows = 8e-6 * space.project(wave[:, 0]), np.count_nonzero(space.is_used_reading)
     follows, opposes = (replace(space, residuals=space.residuals + sign * change) for sign in (1.0, -1.0))
     effect = Hypothesis(law("distance", Regressor("wave", ("azimuth",), constant=3.0)), 0.0, 0.0, "unknown")
     model = Model((effect,), (space.project(wave),), np.linalg.norm(wave, axis=0)[None], follows.residuals)

@@ -7,7 +7,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.calibration.evidence import EVIDENCE_SIZES, LOG_SIZE_PRIOR, log_evidence, log_sum_exp
+from ltsim.calibration.evidence import LOG_SIZE_PRIOR, RELATIVE_EFFECT_SIZES, log_evidence, log_sum_exp
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.catalogue_designs import CatalogueDesigns, catalogue_hypotheses
 from ltsim.diagnosis.evidence import coefficient_posterior, log_evidence_of_coefficients, log_sign_weight
@@ -99,8 +99,8 @@ def test_a_set_is_scored_with_its_sizes_averaged(space):
     found = Model(tuple(members), tuple(left), tuple(np.linalg.norm(g, axis=0) for g in designs), whole)
     sizes = [np.array([p.prior_sigma for p in e.parameters]) for e in effects]
     logs = []
-    for one, weight in zip(EVIDENCE_SIZES, LOG_SIZE_PRIOR, strict=True):
-        for other, more in zip(EVIDENCE_SIZES, LOG_SIZE_PRIOR, strict=True):
+    for one, weight in zip(RELATIVE_EFFECT_SIZES, LOG_SIZE_PRIOR, strict=True):
+        for other, more in zip(RELATIVE_EFFECT_SIZES, LOG_SIZE_PRIOR, strict=True):
             columns = np.hstack([left[0] * one * sizes[0], left[1] * other * sizes[1]])
             inner = np.eye(columns.shape[1]) + columns.T @ columns
             score = columns.T @ whole
@@ -209,7 +209,7 @@ def test_evidence_is_that_of_the_dense_covariance():
     rng = stream(4, "dense")
     design_columns, residual = rng.standard_normal((12, 2)), rng.standard_normal(12)
     logs = []
-    for t in EVIDENCE_SIZES:
+    for t in RELATIVE_EFFECT_SIZES:
         covariance = np.eye(12) + t**2 * design_columns @ design_columns.T
         quadratic = residual @ (residual - np.linalg.solve(covariance, residual))
         logs.append(0.5 * (quadratic - np.linalg.slogdet(covariance)[1]))

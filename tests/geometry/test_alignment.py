@@ -6,7 +6,7 @@ from hypothesis import given, strategies as st
 
 from ltsim.core.errors import NetworkError
 from ltsim.core.randomness import stream
-from ltsim.geometry.rigid import align_rigidly, from_rotation_vector
+from ltsim.geometry.rigid import align_rigidly, matrix_from_rotation_vector
 
 seeds = st.integers(0, 10_000)
 
@@ -15,7 +15,7 @@ seeds = st.integers(0, 10_000)
 def test_a_rigid_move_is_found_again(seed: int, count: int) -> None:
     rng = stream(seed, "alignment")
     source = rng.uniform(-5, 5, (count, 3))
-    turn, shift = from_rotation_vector(rng.uniform(-3, 3, 3)), rng.uniform(-9, 9, 3)
+    turn, shift = matrix_from_rotation_vector(rng.uniform(-3, 3, 3)), rng.uniform(-9, 9, 3)
     rotation, translation = align_rigidly(source, source @ turn.T + shift)
     np.testing.assert_allclose(rotation, turn, atol=1e-11)
     np.testing.assert_allclose(translation, shift, atol=1e-10)
@@ -33,7 +33,7 @@ def test_no_other_move_fits_better(seed: int) -> None:
 
     best = misfit(rotation, translation)
     for _ in range(5):
-        nudged = from_rotation_vector(rng.normal(0, 1e-3, 3)) @ rotation
+        nudged = matrix_from_rotation_vector(rng.normal(0, 1e-3, 3)) @ rotation
         assert misfit(nudged, translation + rng.normal(0, 1e-3, 3)) >= best
 
 

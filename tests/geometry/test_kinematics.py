@@ -16,8 +16,8 @@ from ltsim.geometry.kinematics import (
     ElementaryMotion,
     KinematicChain,
     RotationStep,
-    point_and_derivatives,
-    point_of_readings,
+    points_and_error_derivatives,
+    points_from_raw_readings,
 )
 from ltsim.geometry.polar import from_polar, to_face
 
@@ -27,7 +27,7 @@ both = pytest.mark.parametrize("name", CHAINS)
 
 
 def slots_of(chain: KinematicChain) -> list[str]:
-    return [motion.slot for motion in chain if motion.slot]
+    return [motion.error_slot for motion in chain if motion.error_slot]
 
 
 def readings(seed: int, count: int = 8) -> Floats:
@@ -99,7 +99,7 @@ TWINS = {"misalignment": misalignment_twin, "dh": dh_twin}
 @given(seed=st.integers(0, 1000))
 def test_without_errors_a_chain_is_polar_coordinates(name: str, seed: int) -> None:
     raw = readings(seed)
-    np.testing.assert_allclose(point_of_readings(CHAINS[name], raw, {}), from_polar(raw), atol=1e-14)
+    np.testing.assert_allclose(points_from_raw_readings(CHAINS[name], raw, {}), from_polar(raw), atol=1e-14)
 
 
 @both
@@ -110,7 +110,7 @@ def test_a_chain_is_the_product_of_its_printed_matrices(name: str, seed: int) ->
     one_by_one = [
         TWINS[name](raw[i], {slot: float(amount[i]) for slot, amount in amounts.items()}) for i in range(len(raw))
     ]
-    np.testing.assert_allclose(point_of_readings(chain, raw, amounts), one_by_one, atol=1e-13)
+    np.testing.assert_allclose(points_from_raw_readings(chain, raw, amounts), one_by_one, atol=1e-13)
 
 
 @pytest.mark.long
@@ -119,24 +119,24 @@ def test_a_chain_is_the_product_of_its_printed_matrices(name: str, seed: int) ->
 def test_derivatives_by_every_slot(name: str, seed: int) -> None:
     chain, raw = CHAINS[name], readings(seed)
     amounts = errors(chain, seed)
-    p, analytic = point_and_derivatives(chain, raw, amounts, set(slots_of(chain)))
-    np.testing.assert_array_equal(p, point_of_readings(chain, raw, amounts))
+    p, analytic = points_and_error_derivatives(chain, raw, amounts, set(slots_of(chain)))
+    np.testing.assert_array_equal(p, points_from_raw_readings(chain, raw, amounts))
     step = 1e-5
     for slot in slots_of(chain):
-        after = point_of_readings(chain, raw, amounts | {slot: amounts[slot] + step})
-        before = point_of_readings(chain, raw, amounts | {slot: amounts[slot] - step})
+        after = points_from_raw_readings(chain, raw, amounts | {slot: amounts[slot] + step})
+        before = points_from_raw_readings(chain, raw, amounts | {slot: amounts[slot] - step})
         np.testing.assert_allclose(analytic[slot], (after - before) / (2 * step), atol=1e-8, err_msg=slot)
 
 
 def test_a_slot_used_twice_adds_up() -> None:
     chain: tuple[ElementaryMotion, ...] = (RotationStep(2, "twice"), *MISALIGNMENT_CHAIN, RotationStep(2, "nothing"))
-    doubled = tuple(RotationStep(2, "twice", m.nominal) if m.slot == "azimuth" else m for m in chain)
+    doubled = tuple(RotationStep(2, "twice", m.nominal) if m.error_slot == "azimuth" else m for m in chain)
     raw = readings(3)
-    _, by_slot = point_and_derivatives(doubled, raw, {}, {"twice"})
-    _, once = point_and_derivatives(MISALIGNMENT_CHAIN, raw, {}, {"azimuth"})
+    _, by_slot = points_and_error_derivatives(doubled, raw, {}, {"twice"})
+    _, once = points_and_error_derivatives(MISALIGNMENT_CHAIN, raw, {}, {"azimuth"})
     np.testing.assert_allclose(by_slot["twice"], 2 * once["azimuth"], atol=1e-14)
 
 
 def test_only_wanted_slots_are_derived() -> None:
-    _, by_slot = point_and_derivatives(DH_CHAIN, readings(0), {}, {"J1.eX"})
+    _, by_slot = points_and_error_derivatives(DH_CHAIN, readings(0), {}, {"J1.eX"})
     assert set(by_slot) == {"J1.eX"}

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from ltsim.core.randomness import stream
-from ltsim.geometry.rigid import determines_pose, from_rotation_vector, rigid_motion_design
+from ltsim.geometry.rigid import determines_pose, matrix_from_rotation_vector, rigid_motion_design
 
 
 def test_rigid_motion_is_the_first_order_of_a_turn_and_a_shift() -> None:
     rng = stream(0, "rigid")
     points, centre, shift = rng.normal(0, 5, (7, 3)), rng.normal(0, 5, 3), rng.normal(0, 1, 3)
     turn = 1e-6 * rng.standard_normal(3)
-    moved = (points - centre) @ from_rotation_vector(turn).T + centre + shift
+    moved = (points - centre) @ matrix_from_rotation_vector(turn).T + centre + shift
     predicted = (rigid_motion_design(points, centre) @ np.r_[shift, turn]).reshape(-1, 3)
     assert moved - points == pytest.approx(predicted, abs=1e-10)
     assert rigid_motion_design(points) == pytest.approx(rigid_motion_design(points + centre, centre))
@@ -34,6 +34,6 @@ SEEN = {
 def test_three_targets_off_one_line_hold_a_station_and_two_a_levelled_one(which: tuple[int, ...], up) -> None:
     seen = np.zeros((2, 6), dtype=bool)
     seen[:, list(which)] = True
-    turn = from_rotation_vector(np.arctan2(up[0], up[2]) * np.array([0.0, 1.0, 0.0]))
+    turn = matrix_from_rotation_vector(np.arctan2(up[0], up[2]) * np.array([0.0, 1.0, 0.0]))
     held = determines_pose(POINTS @ turn.T, seen, np.array([[np.nan] * 3, up]))
     assert tuple(held) == SEEN[which]

@@ -9,7 +9,7 @@ from ltsim.calibration.network import calibrate_network
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError
 from ltsim.geometry.polar import from_polar, to_face
-from ltsim.geometry.rigid import from_rotation_vector
+from ltsim.geometry.rigid import matrix_from_rotation_vector
 from ltsim.physics.model.construction import declared_construction, make_construction, steering_mirror_construction
 from ltsim.recordings.setup import Instrument
 from ltsim.simulation.scenario import load_scenario
@@ -29,16 +29,16 @@ def values(**stated: float) -> Floats:
 
 def reflected(raw: Floats, e: dict[str, float]) -> Floats:
     """A beam up from the base, met by a plane mirror: point and normal of the mirror, and a ray, no chain."""
-    azimuth = from_rotation_vector(np.array([[0.0, 0.0, raw[1]]]))[0]
+    azimuth = matrix_from_rotation_vector(np.array([[0.0, 0.0, raw[1]]]))[0]
     start = np.array([e["beam-x"], e["beam-y"], 0.0])
     start = start + azimuth @ np.array([e["cover-forward"], e["cover-left"], 0.0])
-    lean_x = from_rotation_vector(np.array([[e["beam-tilt-x"], 0.0, 0.0]]))[0]
-    lean_y = from_rotation_vector(np.array([[0.0, e["beam-tilt-y"], 0.0]]))[0]
+    lean_x = matrix_from_rotation_vector(np.array([[e["beam-tilt-x"], 0.0, 0.0]]))[0]
+    lean_y = matrix_from_rotation_vector(np.array([[0.0, e["beam-tilt-y"], 0.0]]))[0]
     beam = lean_x @ lean_y @ np.array([0.0, 0.0, 1.0])
     half = 0.25 * np.pi - 0.5 * (raw[2] + e["vertical-index"])
-    tilted = from_rotation_vector(np.array([[0.0, 0.0, e["mirror-tilt"]]]))[0]
-    turned = from_rotation_vector(np.array([[0.0, half, 0.0]]))[0]
-    transit = from_rotation_vector(np.array([[e["transit-tilt"], 0.0, 0.0]]))[0]
+    tilted = matrix_from_rotation_vector(np.array([[0.0, 0.0, e["mirror-tilt"]]]))[0]
+    turned = matrix_from_rotation_vector(np.array([[0.0, half, 0.0]]))[0]
+    transit = matrix_from_rotation_vector(np.array([[e["transit-tilt"], 0.0, 0.0]]))[0]
     normal = azimuth @ transit @ turned @ tilted @ np.array([1.0, 0.0, 0.0])
     forward = np.array([e["transit-offset"], 0.0, 0.0])
     on_mirror = azimuth @ (forward + transit @ turned @ np.array([e["mirror-offset"], 0.0, 0.0]))

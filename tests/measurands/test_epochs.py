@@ -11,7 +11,7 @@ import ltsim as lt
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.cli.main import run
 from ltsim.core.errors import LtsimError
-from ltsim.geometry.rigid import from_rotation_vector
+from ltsim.geometry.rigid import matrix_from_rotation_vector
 from ltsim.measurands.comparison import Comparison
 from ltsim.measurands.epochs import compare_adjustments
 from ltsim.physics.model.construction import misalignment_construction
@@ -132,7 +132,7 @@ POINTS = np.random.default_rng(4).uniform(-4000.0, 4000.0, (7, 3))
 
 
 def test_lists_in_different_frames_are_recognised(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    turn = from_rotation_vector(np.array([0.001, -0.002, 0.008]))
+    turn = matrix_from_rotation_vector(np.array([0.001, -0.002, 0.008]))
     moved = POINTS.copy()
     moved[3, 0] += 0.4
     first = listed(tmp_path / "first.csv", POINTS)

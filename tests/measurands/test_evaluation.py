@@ -87,7 +87,7 @@ def test_a_datum_of_targets_reaches_the_points() -> None:
     recording, _ = network(seed=3)
     names = ("T01", "T05", "T12", "T20")
     found = TaskInputs.from_recording(recording, tasks(datum=names, type_b=[]))
-    expected = adjust(recording, misalignment_construction(), datum=names).target_covariance
+    expected = adjust(recording, misalignment_construction(), datum_names=names).target_covariance
     for i, name in enumerate(found.target_names):
         block = found.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
         assert np.allclose(block, expected[recording.targets.index(name)], atol=1e-4 * block.max())

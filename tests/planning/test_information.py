@@ -10,7 +10,7 @@ from ltsim.adjustment.remedies.detectability import detectability_at_places
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.errors import NetworkError, SetupError
 from ltsim.core.randomness import stream
-from ltsim.geometry.rigid import from_rotation_vector
+from ltsim.geometry.rigid import matrix_from_rotation_vector
 from ltsim.physics.effects.index_drift import IndexDrift
 from ltsim.physics.effects.range_offset import RangeOffset
 from ltsim.physics.effects.station_weather import StationWeather
@@ -51,7 +51,7 @@ def test_undetermined_combinations_have_the_gain_they_state() -> None:
         assert direction.gain < 0.5
     first = information.undetermined_combinations[0].coefficients(information.construction.parameter_names)
     assert {"vertical-index", "elevation-eccentricity-cos"} <= set(first)
-    assert "both faces" in information.determining_measurements()[0].sentence
+    assert "both faces" in information.measurements_for_undetermined()[0].sentence
 
 
 def test_pose_covariance_does_not_depend_on_the_frame() -> None:
@@ -195,7 +195,7 @@ def test_a_lost_layout_does_not_spoil_its_neighbours_in_the_batch() -> None:
 
 def test_rotation_of_a_survey_is_about_the_vertical() -> None:
     made = survey()
-    assert made.station_rotations == pytest.approx(from_rotation_vector(np.outer(YAW, [0, 0, 1])), abs=1e-15)
+    assert made.station_rotations == pytest.approx(matrix_from_rotation_vector(np.outer(YAW, [0, 0, 1])), abs=1e-15)
     with pytest.raises(SetupError, match="faces are"):
         survey((1, 3))
 

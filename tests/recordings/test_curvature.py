@@ -9,7 +9,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.adjustment.axes import with_axes_of_points
+from ltsim.adjustment.axes import with_axes_from_points
 from ltsim.core.units import EARTH_RADIUS
 from ltsim.recordings import Hints, read
 from ltsim.recordings.coordinates import read_points
@@ -69,7 +69,7 @@ def test_coordinates_that_are_given_need_not_stand_along_the_plumb_line_of_the_m
     """Their z is the plumb line at A, 12 arcsec from that in the middle of the network."""
     recording = read(survey(tmp_path), hints=hints(tmp_path))
     points = read_points(tmp_path / "true.csv").by_name
-    adjusted = lt.adjust(with_axes_of_points(recording, points, "true.csv"))
+    adjusted = lt.adjust(with_axes_from_points(recording, points, "true.csv"))
     assert 0.7 < adjusted.fit.sigma0 < 1.3
     true = np.loadtxt(tmp_path / "true.csv", delimiter=",", skiprows=1, usecols=(1, 2, 3)) * 1e-3
     names = [line.split(",")[0] for line in (tmp_path / "true.csv").read_text().splitlines()[1:]]

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, assume, given, settings, strategies as st
 
 from ltsim.adjustment import adjust
 from ltsim.core.errors import RecordError
-from ltsim.geometry.rigid import align_rigidly, from_rotation_vector
+from ltsim.geometry.rigid import align_rigidly, matrix_from_rotation_vector
 from ltsim.recordings import Hints, Recording, read, write
 from ltsim.recordings.coordinates import read_points
 from tests.recordings.samples import POINTS, outcome, shared, workshop
@@ -77,7 +77,7 @@ def test_the_sense_of_the_azimuth_is_asked_for(tmp_path: Path) -> None:
 def test_coordinates_decide_the_sense(tmp_path: Path, clockwise: bool) -> None:
     truth = workshop()
     file = printed(tmp_path / "a.txt", truth, clockwise=clockwise)
-    turned = POINTS @ from_rotation_vector(np.array([0.3, -0.8, 2.0])).T + [10.0, 20.0, -3.0]
+    turned = POINTS @ matrix_from_rotation_vector(np.array([0.3, -0.8, 2.0])).T + [10.0, 20.0, -3.0]
     points = tmp_path / "points.txt"
     points.write_text(
         "".join(f"T{i + 1} {x * 1e3:.4f} {y * 1e3:.4f} {z * 1e3:.4f}\n" for i, (x, y, z) in enumerate(turned))

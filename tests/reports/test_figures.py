@@ -20,7 +20,7 @@ from ltsim.acceptance.files import AcceptanceFile
 from ltsim.adjustment.evaluation.criteria import CRITERIA_TABLE
 from ltsim.adjustment.fieldcheck.check import check as check_of
 from ltsim.calibration.calibration_series import ChiSquareEntry
-from ltsim.calibration.history import ParameterCourse
+from ltsim.calibration.history import ParameterHistory
 from ltsim.calibration.schema import ParameterEntry
 from ltsim.campaigns.summary import ZScoreSummary
 from ltsim.core.notation import fixed_point_text, number_text, with_sigma
@@ -108,7 +108,7 @@ def history_figure() -> Figure:
     values = np.array([1.0, 2.0, 1.5])
     test = ChiSquareEntry(chi2=1.0, dof=2, p_value=0.6)
     told = {"unit": "urad", "sigmas": (0.3, 0.3, 0.3), "mean": 1.5, "spread": 0.5, "constancy_test": test}
-    courses = [ParameterCourse(name=f"parameter-{i}", values=tuple(values * (i + 1)), **told) for i in range(3)]
+    courses = [ParameterHistory(name=f"parameter-{i}", values=tuple(values * (i + 1)), **told) for i in range(3)]
     return estimates.history_figure(labels, courses)
 
 

@@ -17,7 +17,7 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment.fieldcheck import write_check
 from ltsim.adjustment.fieldcheck.check import check
-from ltsim.adjustment.identification.tests import CausePlace, CauseTest
+from ltsim.adjustment.identification.cause_tests import CausePlace, CauseTest
 from ltsim.calibration.files import write_calibration
 from ltsim.calibration.network import adjust, calibrate_network
 from ltsim.cli.main import run

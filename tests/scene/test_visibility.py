@@ -6,7 +6,7 @@ from hypothesis import given, strategies as st
 
 from ltsim.core.errors import ModelError
 from ltsim.core.units import DEGREE
-from ltsim.geometry.rigid import from_rotation_vector
+from ltsim.geometry.rigid import matrix_from_rotation_vector
 from ltsim.scene.visibility import (
     InvisibilityReason,
     SightLimits,
@@ -82,7 +82,7 @@ def test_shadow_circle_and_table_agree(x: float, y: float, z: float, opening_deg
 
 
 def test_limits_follow_a_leaning_instrument() -> None:
-    lean = from_rotation_vector(np.array([[0.0, 10 * DEGREE, 0.0]]))
+    lean = matrix_from_rotation_vector(np.array([[0.0, 10 * DEGREE, 0.0]]))
     table = compute_visibility(HEAD, at(-50.0), LIMITS, rotation=lean)
     assert table.elevations[0, 0] == pytest.approx(-40 * DEGREE)
     assert (

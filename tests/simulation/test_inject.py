@@ -64,7 +64,7 @@ def test_noncentrality_is_what_the_adjustment_is_left_with(recording: Recording,
     still = adjust(recording, declared_construction(recording))
     exact = recording.with_readings(still.problem.model.predict(still.state))
     made, truth = lt.inject(exact, cause, noncentrality=200.0, seed=3)
-    before, after = (adjust(r, declared_construction(r), tested_kinds=()).chi2 for r in (exact, made))
+    before, after = (adjust(r, declared_construction(r), tested_reference_kinds=()).chi2 for r in (exact, made))
     assert truth.injected_effects[0].noncentrality == pytest.approx(200.0, rel=1e-3)
     assert after - before == pytest.approx(200.0, rel=0.03)
 

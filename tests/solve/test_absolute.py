@@ -8,7 +8,7 @@ from scipy.optimize import linprog
 
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
-from ltsim.solve.absolute import solve_least_absolute
+from ltsim.solve.least_absolute import solve_least_absolute
 
 
 def program(design: Floats, goal: Floats) -> Floats:

@@ -5,7 +5,7 @@ import pytest
 import scipy.sparse as sp
 
 from ltsim.core.randomness import stream
-from ltsim.solve.chain import MAX_SINGLE_BLOCK, BlockChain, arrange_as_chain
+from ltsim.solve.chain import MAX_SINGLE_BLOCK, BlockChainFactor, arrange_as_chain
 from ltsim.solve.elimination import DenseElimination, SparseElimination
 
 
@@ -44,10 +44,10 @@ def test_a_ring_becomes_a_chain_and_gives_what_dense_algebra_gives(shared, close
     right = stream(1, "right").standard_normal((design.shape[1], 2))
     np.testing.assert_allclose(sparse.solve(right), dense.solve(right), rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(sparse.reduced_inverse, dense.reduced_inverse, rtol=1e-7, atol=1e-9)
-    for ours, theirs in zip(sparse.blocks_and_leverage, dense.blocks_and_leverage, strict=True):
+    for ours, theirs in zip(sparse.inverse_blocks_and_leverage, dense.inverse_blocks_and_leverage, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-7, atol=1e-9)
     columns = np.array([[0, 1], [5, 5]]) if not shared else np.array([[kept - 1, kept - 2], [3, kept - 1]])
-    np.testing.assert_allclose(sparse.inverse_of_sets(columns), dense.inverse_of_sets(columns), rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(sparse.inverses_of_sets(columns), dense.inverses_of_sets(columns), rtol=1e-7, atol=1e-9)
 
 
 def test_sets_that_are_far_apart_are_answered_too():
@@ -55,7 +55,7 @@ def test_sets_that_are_far_apart_are_answered_too():
     dense, sparse = DenseElimination(design, kept, 0.0), SparseElimination(sp.csr_array(design), kept, 0.0)
     block_of = sparse._schur_factor.block_of_column
     far = np.array([[int(np.argmin(block_of)), int(np.argmax(block_of))]])
-    np.testing.assert_allclose(sparse.inverse_of_sets(far), dense.inverse_of_sets(far), rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(sparse.inverses_of_sets(far), dense.inverses_of_sets(far), rtol=1e-7, atol=1e-9)
 
 
 def test_damping_is_that_of_the_unit_diagonal():
@@ -71,7 +71,7 @@ def test_a_matrix_without_a_narrow_order_is_one_block():
     size = MAX_SINGLE_BLOCK + 60
     root = rng.standard_normal((size, size)) + size * np.eye(size)
     matrix = root @ root.T
-    chain = BlockChain(sp.csr_array(matrix))
+    chain = BlockChainFactor(sp.csr_array(matrix))
     assert chain.n_blocks == 1
     np.testing.assert_allclose(chain.inverse(), np.linalg.inv(matrix), rtol=1e-8, atol=1e-12)
 

@@ -8,7 +8,7 @@ import scipy.sparse as sp
 
 from ltsim.core.randomness import stream
 from ltsim.solve import design
-from ltsim.solve.design import DesignMatrix, SparsityPattern, column_scale, scale_columns, to_dense
+from ltsim.solve.design import DesignMatrix, SparsityPattern, inverse_column_norms, scale_columns, to_dense
 
 
 @pytest.mark.parametrize("limit", [10**6, 0])
@@ -31,6 +31,6 @@ def test_a_pattern_puts_values_where_they_belong(monkeypatch: pytest.MonkeyPatch
 @pytest.mark.parametrize("kind", [np.array, sp.csr_array])
 def test_scaled_columns_are_of_unit_length_and_empty_ones_stay(kind: Callable[[np.ndarray], DesignMatrix]) -> None:
     rows = np.array([[0.0, 3e-9, 3.0, 0.0], [4.0, 4e-9, 0.0, 0.0]])
-    scale = column_scale(kind(rows))
+    scale = inverse_column_norms(kind(rows))
     np.testing.assert_allclose(scale_columns(sp.csr_array(rows), scale).toarray(), [[0, 0.6, 1, 0], [1, 0.8, 0, 0]])
     assert scale[3] == 1.0

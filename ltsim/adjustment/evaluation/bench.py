@@ -205,26 +205,26 @@ def read_bench(path: Path, *, probe_direction: float, length_sigma: float) -> Be
     )
 
 
-def evaluate_bench(record: BenchReadings) -> BenchEstimates:
+def evaluate_bench(bench_readings: BenchReadings) -> BenchEstimates:
     """Estimates from the readings of a bench test: eccentricity of the sphere, and range errors (a,) [m] at a angles.
 
     The eccentricity is that of the first harmonic of the probe readings. Its effect on the lengths is removed, so that
     the range errors do not contain it. The scatter of the probe about this harmonic gives its uncertainty.
     """
-    angles = record.probe_angles - record.probe_direction
+    angles = bench_readings.probe_angles - bench_readings.probe_direction
     design = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1)
-    estimate = np.linalg.lstsq(design, record.displacements, rcond=None)[0]
-    residual = record.displacements - design @ estimate
+    estimate = np.linalg.lstsq(design, bench_readings.displacements, rcond=None)[0]
+    residual = bench_readings.displacements - design @ estimate
     variance = float(residual @ residual) / max(len(angles) - 3, 1)
     covariance = variance * np.linalg.inv(design.T @ design)[1:, 1:]
-    middle_index = int(np.argmin(np.abs(record.angles)))
-    range_changes = record.lengths - record.lengths[middle_index]
-    change = eccentricity_design(record.angles) - eccentricity_design(record.angles)[middle_index]
-    length_variance = np.where(np.arange(len(change)) == middle_index, 0.0, 2.0 * record.length_sigma**2)
+    middle_index = int(np.argmin(np.abs(bench_readings.angles)))
+    range_changes = bench_readings.lengths - bench_readings.lengths[middle_index]
+    change = eccentricity_design(bench_readings.angles) - eccentricity_design(bench_readings.angles)[middle_index]
+    length_variance = np.where(np.arange(len(change)) == middle_index, 0.0, 2.0 * bench_readings.length_sigma**2)
     return BenchEstimates(
         eccentricity=estimate[1:],
         eccentricity_covariance=covariance,
-        run_out=float(np.ptp(record.displacements)),
+        run_out=float(np.ptp(bench_readings.displacements)),
         uncorrected_lengths=range_changes,
         range_errors=range_changes - change @ estimate[1:],
         range_error_sigmas=np.sqrt(length_variance + np.einsum("ai,ij,aj->a", change, covariance, change)),

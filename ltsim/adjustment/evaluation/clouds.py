@@ -19,20 +19,22 @@ from ltsim.recordings.recording import Recording
 
 
 def measured_points(
-    recording: Recording, construction: GeometricErrorModel | None = None, values: Floats | None = None
+    recording: Recording, construction: GeometricErrorModel | None = None, parameter_values: Floats | None = None
 ) -> Floats:
     """Measured points in instrument frames, shape (pointings, 3) [m]; NaN for incomplete pointings.
 
-    They are corrected by the parameters `values` of an instrument model, (parameters,) or (pointings, parameters) [SI];
-    by default they are not corrected.
+    They are corrected by the parameters `parameter_values` of an instrument model, (parameters,) or (pointings,
+    parameters) [SI]; by default they are not corrected.
     """
     is_complete = recording.is_measured.all(axis=1)
     points = np.full((len(recording), 3), np.nan)
     raw_readings = recording.readings[is_complete]
-    if construction is None or values is None:
+    if construction is None or parameter_values is None:
         points[is_complete] = from_polar(raw_readings)
     else:
-        points[is_complete] = construction.point(raw_readings, values if values.ndim == 1 else values[is_complete])
+        points[is_complete] = construction.point(
+            raw_readings, parameter_values if parameter_values.ndim == 1 else parameter_values[is_complete]
+        )
     return points
 
 
@@ -110,12 +112,14 @@ class CalibrationErrors:
         return share(self.raw_rms, self.calibrated_rms, self.true_parameters_rms)
 
 
-def share(raw_errors: Floats | float, calibrated_errors: Floats | float, true_parameters: Floats | float) -> float:
+def share(
+    raw_errors: Floats | float, calibrated_errors: Floats | float, true_parameter_errors: Floats | float
+) -> float:
     """Fraction of the correctable mean square error that a calibration removed, over all trials together.
 
     The arguments are the rms errors of each trial. The result is NaN if nothing is correctable.
     """
-    squares = (float(np.nanmean(np.square(error))) for error in (raw_errors, calibrated_errors, true_parameters))
+    squares = (float(np.nanmean(np.square(error))) for error in (raw_errors, calibrated_errors, true_parameter_errors))
     before, after, perfect = squares
     return (before - after) / (before - perfect) if before > perfect else float("nan")
 

@@ -238,9 +238,9 @@ def evaluate_criteria(
     if len(recording.stations) < 2:
         raise NetworkError("the criteria compare stations; this recording has one station only")
 
-    def compare(measure: Callable[[Floats], StationDisagreement], *, aligned: bool) -> CriterionEntry:
+    def compare(criterion_function: Callable[[Floats], StationDisagreement], *, is_aligned: bool) -> CriterionEntry:
         def disagreement_of(clouds: Floats) -> StationDisagreement:
-            return measure(align_to_first_station(clouds, recording.stations) if aligned else clouds)
+            return criterion_function(align_to_first_station(clouds, recording.stations) if is_aligned else clouds)
 
         raw_disagreement = disagreement_of(raw_clouds)
         if not len(raw_disagreement.values):
@@ -250,8 +250,8 @@ def evaluate_criteria(
         )
 
     return CriteriaEntry(
-        distance=compare(distance_differences, aligned=False),
-        coordinate=compare(coordinate_differences, aligned=True),
+        distance=compare(distance_differences, is_aligned=False),
+        coordinate=compare(coordinate_differences, is_aligned=True),
         **_distance_to_first_criterion(raw_clouds, corrected_clouds),
     )
 
@@ -321,19 +321,19 @@ def verify_against_nominal(
             f"only {int(has_nominal.sum())} targets of the recording have nominal points; at least three are needed"
         )
 
-    def disagreements_at(points: Floats) -> tuple[StationDisagreement, StationDisagreement]:
+    def disagreements_of_points(points: Floats) -> tuple[StationDisagreement, StationDisagreement]:
         clouds = station_point_clouds(recording, points)[:, has_nominal]
         try:
             return distance_errors(clouds, goal[has_nominal]), coordinate_errors(clouds, goal[has_nominal])
         except NetworkError as problem:
             raise NetworkError(f"a station cannot be fitted to the nominal points: {problem}") from None
 
-    distance, coordinate = disagreements_at(measured_points(recording))
+    distance, coordinate = disagreements_of_points(measured_points(recording))
     if construction is None or parameter_values is None:
         return CriteriaEntry(
             distance=CriterionEntry.from_differences(distance), coordinate=CriterionEntry.from_differences(coordinate)
         )
-    after = disagreements_at(
+    after = disagreements_of_points(
         measured_points(_subtract_change(recording, reading_changes), construction, parameter_values)
     )
     return CriteriaEntry(

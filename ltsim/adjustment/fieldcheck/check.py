@@ -25,18 +25,18 @@ from ltsim.adjustment.fieldcheck.result import (
     HypothesisFamily,
     SetupCheck,
 )
-from ltsim.adjustment.fieldcheck.scatter import repeatability_item, scatter_by_target, target_scatter_item
-from ltsim.adjustment.fieldcheck.words import (
+from ltsim.adjustment.fieldcheck.scatter import noise_factors_by_target_scatter, repeatability_item, target_scatter_item
+from ltsim.adjustment.fieldcheck.sentences import (
     bump_sentence,
-    drift_sentence,
     estimated_noise_text,
-    face_sentence,
-    gross_sentence,
-    instrument_sentence,
+    gross_pointing_sentence,
+    station_drift_sentence,
+    two_face_sentence,
+    zero_drift_sentence,
 )
 from ltsim.adjustment.identification import cause_tests, identify_causes
 from ltsim.adjustment.reliability import neg_log_p_chi2
-from ltsim.adjustment.significance import FAMILY_LEVEL, MAX_SINGLE_ERROR_FRACTION
+from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MAX_SINGLE_ERROR_FRACTION
 from ltsim.adjustment.station_motions import UniformMotion, with_equal_times_per_run
 from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.core.arrays import Bools, Floats, Ints
@@ -61,7 +61,9 @@ SentenceWriter = Callable[[Recording, ColumnsFit, bool], str]
 """Function that writes the sentence of a test from the recording, the fit, and a flag that the test passed."""
 
 
-def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple[float, float] | None = None) -> Check:
+def check(
+    recording: RecordingSource, *, level: float = FAMILY_WISE_LEVEL, mpe: tuple[float, float] | None = None
+) -> Check:
     """Field check of a recording: two-face differences, repeated points, drift, bumps and scatter.
 
     Parameters
@@ -91,10 +93,10 @@ def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple
     identification = identify_causes(full_recording) if len(full_recording.stations) > 1 else None
     selection = (
         identification
-        if identification and (identification.requires_initial_causes or identification.is_consistent)
+        if identification and (identification.requires_adjustment_with_causes or identification.is_consistent)
         else None
     )
-    moving = identification.certain_motions if identification is not None and selection is None else ()
+    moving = identification.certain_station_motions if identification is not None and selection is None else ()
     causes = () if selection is None else cause_tests(selection)
     corrected = full_recording if selection is None else selection.fit.correct_recording(full_recording)
     paired = full_recording if selection is None else selection.fit.correct_recording(full_recording, outliers=True)
@@ -123,7 +125,7 @@ def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple
             shared,
             motions,
             moving,
-            with_target_noise=noise_scaled_recording is not corrected,
+            uses_target_noise=noise_scaled_recording is not corrected,
             noise_text=estimated_noise_text(noise_scaled_recording, full_recording),
         )
         network = (*scattering, *network_tests)
@@ -151,7 +153,7 @@ def write_check(check: Check, folder: Path, extra_files: Mapping[str, str]) -> C
 def _test_setup(
     setup_recording: Recording,
     paired_recording: Recording,
-    declared_recording: Recording,
+    recording_with_declared_noise: Recording,
     station: int,
     family: HypothesisFamily,
     mpe: tuple[float, float] | None,
@@ -159,19 +161,19 @@ def _test_setup(
     """Tests of a set-up.
 
     The two-face differences are those of `paired_recording`, which contains outliers; the other tests use
-    `setup_recording`. `declared_recording` has the declared noise.
+    `setup_recording`. `recording_with_declared_noise` has the declared noise.
     """
     indices = np.flatnonzero(setup_recording.station == station)
     recording, row_numbers, name = setup_recording.select(indices), indices + 1, setup_recording.stations[station]
     construction, noise_text = (
         declared_construction(recording),
-        estimated_noise_text(recording, declared_recording.select(indices)),
+        estimated_noise_text(recording, recording_with_declared_noise.select(indices)),
     )
     occupation = StationOccupation.from_recording(recording, construction)
     setup_tests = SetupTests((), occupation, (), recording)
     if occupation.dof > 0:
         setup_tests = _gross_and_motion_tests(occupation, construction, family, row_numbers)
-    two_faced, corrected = paired_recording.select(indices), setup_tests.motion_corrected.readings
+    two_faced, corrected = paired_recording.select(indices), setup_tests.motion_corrected_recording.readings
     corrected = np.where(np.isnan(corrected), two_faced.readings, corrected)
     items, faces = (
         list[CheckItem](),
@@ -182,13 +184,13 @@ def _test_setup(
     if faces is not None:
         noise = "the estimated noise and the specification" if noise_text else "noise and specification"
         limit = noise if mpe is None else "the limit"
-        sentence, targets, worst = face_sentence(faces, recording, limit)
+        sentence, targets, worst = two_face_sentence(faces, recording, limit)
         pair = tuple(row_numbers[worst].tolist())
         items.append(CheckItem.from_test(name, "two-face", not targets, sentence, targets=targets, rows=pair))
     if occupation.dof < 1:
         return SetupCheck(name, tuple(items), faces, None, row_numbers)
     remaining = setup_tests.corrected_occupation
-    scale = scatter_by_target(remaining, family)
+    scale = noise_factors_by_target_scatter(remaining, family)
     if scale is None:
         items += [*setup_tests.items, repeatability_item(remaining, family, noise_text)]
     else:
@@ -211,7 +213,7 @@ class SetupTests:
     """Occupation without the gross pointings, and with the detected motions and drifts fitted."""
     motions: tuple[StationMotion, ...]
     """Detected motions of the station."""
-    motion_corrected: Recording
+    motion_corrected_recording: Recording
     """Recording whose readings are corrected for the detected motions and drifts."""
 
 
@@ -232,11 +234,11 @@ def _gross_and_motion_tests(
     designs = [motion.design(occupation.sightings) for motion in motions]
     remaining = reduce(StationOccupation.with_fitted_columns, designs, occupation)
     drift_design, zeros = uniform_motion.design(occupation.sightings), _zero_drift_design(occupation)
-    check_items.append(_drift_item(remaining, family, "drift", drift_design, drift_sentence))
+    check_items.append(_drift_item(remaining, family, "drift", drift_design, station_drift_sentence))
     if not check_items[-1].passed:
         motions.append(uniform_motion)
         designs, remaining = [*designs, drift_design], remaining.with_fitted_columns(drift_design)
-    check_items.append(_drift_item(remaining, family, "instrument-drift", zeros, instrument_sentence))
+    check_items.append(_drift_item(remaining, family, "instrument-drift", zeros, zero_drift_sentence))
     if not check_items[-1].passed:
         designs, remaining = [*designs, zeros], remaining.with_fitted_columns(zeros)
     if designs:
@@ -308,7 +310,7 @@ def _gross_item(
     recording, name = occupation.recording, occupation.recording.stations[0]
     targets = tuple(dict.fromkeys(recording.targets[recording.target[i]] for i in p_values))
     sentence, numbers = (
-        gross_sentence(occupation, list(p_values), row_numbers),
+        gross_pointing_sentence(occupation, list(p_values), row_numbers),
         tuple(row_numbers[list(p_values)].tolist()),
     )
     chance = family.corrected_p_value(max(p_values.values())) if p_values else None

@@ -14,7 +14,7 @@ from ltsim.adjustment.fieldcheck.result import CheckItem, HypothesisFamily, two_
 from ltsim.adjustment.quality import network_warnings, require_usable
 from ltsim.adjustment.reference_tests import scaled_reference_tests
 from ltsim.adjustment.reference_values import ReferenceKind
-from ltsim.adjustment.significance import GLOBAL_LEVEL, MIN_CHECKED_REDUNDANCY, MIN_DOF_FOR_ESTIMATED_NOISE
+from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL, MIN_CHECKED_REDUNDANCY, MIN_DOF_FOR_ESTIMATED_NOISE
 from ltsim.adjustment.station_motions import FittedMotion, SuddenMotion, motion_sentences
 from ltsim.adjustment.verdict import VerdictCase, verdict_on
 from ltsim.core.arrays import Bools
@@ -40,7 +40,9 @@ def n_network_tests(recording: Recording) -> int:
 def adjust_for_check(recording: Recording, motions: Sequence[StationMotion]) -> Adjustment | LtsimError:
     """Adjusted network with motions of stations among its unknowns, or the error that prevents an adjustment."""
     try:
-        plain = adjust(recording, effects=motions, robust=bool(motions), tested_kinds=EXCLUDABLE_REFERENCE_KINDS)
+        plain = adjust(
+            recording, effects=motions, robust=bool(motions), tested_reference_kinds=EXCLUDABLE_REFERENCE_KINDS
+        )
         require_usable(plain)
     except (NetworkError, ConvergenceError) as problem:
         return problem
@@ -56,20 +58,20 @@ def scale_target_noise(
     errors are estimated: such errors affect near and steep targets most. Without noisy targets the recording is
     returned unchanged and the items are empty.
     """
-    if adjustment_or_error.rejected_references or not len(adjustment_or_error.noisy_targets[0]):
+    if adjustment_or_error.rejected_references or not len(adjustment_or_error.noisy_targets_and_scatter[0]):
         return recording, ()
     with suppress(NetworkError):  # of two designs: nothing is known of their errors
         adjustment_or_error = adjust(
             recording,
             declared_construction(recording),
             effects=adjustment_or_error.effects,
-            tested_kinds=EXCLUDABLE_REFERENCE_KINDS,
+            tested_reference_kinds=EXCLUDABLE_REFERENCE_KINDS,
         )
-    noisy_targets, ratio, ratio_elsewhere = adjustment_or_error.noisy_targets
+    noisy_targets, ratio, ratio_elsewhere = adjustment_or_error.noisy_targets_and_scatter
     if (
         not len(noisy_targets)
         or not ratio > 1.0
-        or verdict_on(adjustment_or_error).agreement is not VerdictCase.UNEXPLAINED_MISFIT
+        or verdict_on(adjustment_or_error).case is not VerdictCase.UNEXPLAINED_MISFIT
     ):
         return recording, ()
     is_noisy = np.isin(recording.target, noisy_targets)
@@ -103,15 +105,15 @@ def network_items(
     adjustment_or_error: Adjustment | LtsimError,
     family: HypothesisFamily,
     motions: Sequence[StationMotion],
-    moving_stations: Sequence[FittedMotion],
+    station_motions: Sequence[FittedMotion],
     *,
-    with_target_noise: bool,
+    uses_target_noise: bool,
     noise_text: str,
 ) -> tuple[CheckItem, ...]:
     """Results of the tests of all stations together, with the errors of the instrument estimated.
 
     `adjustment_or_error` is the network adjusted with the declared noise, also if `recording` has increased noise at
-    some targets. `motions` were detected in single set-ups, `moving_stations` are motions that only the network shows.
+    some targets. `motions` were detected in single set-ups, `station_motions` are motions that only the network shows.
     `noise_text` states an estimated noise of `recording`; it is empty for the declared noise.
     """
     try:
@@ -121,8 +123,10 @@ def network_items(
     try:
         if isinstance(adjustment_or_error, LtsimError):
             raise adjustment_or_error
-        motions = (*motions, *moving_stations)
-        fitted = adjust(recording, construction, effects=motions, robust=True, tested_kinds=EXCLUDABLE_REFERENCE_KINDS)
+        motions = (*motions, *station_motions)
+        fitted = adjust(
+            recording, construction, effects=motions, robust=True, tested_reference_kinds=EXCLUDABLE_REFERENCE_KINDS
+        )
     except (NetworkError, ConvergenceError) as problem:
         return (CheckItem.from_test("", "network", False, f"the set-ups do not form a network: {problem}"),)
     check_items = [CheckItem.from_test("", "network", False, doubt) for doubt in network_warnings(adjustment_or_error)]
@@ -131,7 +135,7 @@ def network_items(
             ", ".join(motion.stations), "bump" if isinstance(motion, SuddenMotion) else "drift", False, sentence
         )
         for motion, sentence in motion_sentences(fitted)
-        if motion in moving_stations
+        if motion in station_motions
     ]
     is_explained = np.zeros(len(recording), dtype=bool)
     for motion, *_ in detect_blunders(adjustment_or_error):
@@ -151,20 +155,22 @@ def network_items(
         for test in fitted.rejected_references
     ]
     if fitted.solution.has_converged and fitted.dof > 0:
-        use, any_rejected = fitted.problem.used_readings, fitted.is_rejected.any()
-        requires_new_adjustment = any_rejected or with_target_noise or len(motions) > len(adjustment_or_error.effects)
+        use, any_rejected = fitted.problem.is_used_reading, fitted.is_rejected.any()
+        requires_new_adjustment = any_rejected or uses_target_noise or len(motions) > len(adjustment_or_error.effects)
         adjustment = (
-            adjust(recording, effects=motions, reading_mask=use, tested_kinds=EXCLUDABLE_REFERENCE_KINDS)
+            adjust(recording, effects=motions, reading_mask=use, tested_reference_kinds=EXCLUDABLE_REFERENCE_KINDS)
             if requires_new_adjustment
             else adjustment_or_error
         )
         if _has_instrument_errors(adjustment, fitted):
             adjustment = fitted
         elif any_rejected:
-            adjustment = adjust(recording, effects=motions, robust=True, tested_kinds=EXCLUDABLE_REFERENCE_KINDS)
+            adjustment = adjust(
+                recording, effects=motions, robust=True, tested_reference_kinds=EXCLUDABLE_REFERENCE_KINDS
+            )
         p_value, less = two_sided_chi2_p_value(adjustment.chi2, adjustment.dof)
         if (
-            with_target_noise and not less and family.corrected_p_value(p_value) < family.false_alarm_rate
+            uses_target_noise and not less and family.corrected_p_value(p_value) < family.false_alarm_rate
         ):  # noise: what stands out of it, by adjust
             is_explained |= ~np.isin(
                 np.arange(len(is_explained)),
@@ -178,43 +184,43 @@ def network_items(
     return tuple(check_items)
 
 
-def _has_instrument_errors(without_instrument_errors: Adjustment, with_instrument_errors: Adjustment) -> bool:
+def _has_instrument_errors(adjustment_without_errors: Adjustment, adjustment_with_errors: Adjustment) -> bool:
     """True if errors of the instrument explain the misfit of a network better than larger noise does (F test).
 
-    `without_instrument_errors` has no unknowns for these errors, `with_instrument_errors` estimates them.
+    `adjustment_without_errors` has no unknowns for these errors, `adjustment_with_errors` estimates them.
     """
-    n_parameters = with_instrument_errors.problem.unknowns.instrument_columns.size
+    n_parameters = adjustment_with_errors.problem.unknowns.instrument_columns.size
     f_statistic = (
-        (without_instrument_errors.chi2 - with_instrument_errors.chi2)
+        (adjustment_without_errors.chi2 - adjustment_with_errors.chi2)
         / n_parameters
-        / max(with_instrument_errors.chi2 / with_instrument_errors.dof, 1e-30)
+        / max(adjustment_with_errors.chi2 / adjustment_with_errors.dof, 1e-30)
     )
-    return bool(special.fdtrc(n_parameters, with_instrument_errors.dof, max(f_statistic, 0.0)) < GLOBAL_LEVEL)
+    return bool(special.fdtrc(n_parameters, adjustment_with_errors.dof, max(f_statistic, 0.0)) < GLOBAL_TEST_LEVEL)
 
 
 def _target_agreement_items(
-    fitted: Adjustment, is_explained: Bools, family: HypothesisFamily, noise_text: str
+    adjustment: Adjustment, is_explained: Bools, family: HypothesisFamily, noise_text: str
 ) -> list[CheckItem]:
     """Result of the test whether the stations agree on their common targets, with the worst pointing.
 
     `is_explained` (n,) flags pointings that another item already reports; they are left out.
     """
-    recording, out = fitted.recording, fitted.is_rejected.any(axis=1) & ~is_explained
-    alone, less = two_sided_chi2_p_value(fitted.chi2, fitted.dof)
+    recording, out = adjustment.recording, adjustment.is_rejected.any(axis=1) & ~is_explained
+    alone, less = two_sided_chi2_p_value(adjustment.chi2, adjustment.dof)
     p = family.corrected_p_value(alone)
-    scatter = f"sigma0 is {fitted.sigma0:.2f}, expected is 1 ({fitted.dof} degrees of freedom)"
+    scatter = f"sigma0 is {adjustment.sigma0:.2f}, expected is 1 ({adjustment.dof} degrees of freedom)"
     scatter += f"; {noise_text}" if noise_text else ""
     if not out.any():
         passed = less or p >= family.false_alarm_rate
         verb = "agree" if passed else "disagree"
-        if passed and not less and alone < GLOBAL_LEVEL:
+        if passed and not less and alone < GLOBAL_TEST_LEVEL:
             scatter += (
                 f"; noise alone gives this in one of {1 / alone:.0f} networks, which a check with many tests accepts"
             )
         return [
             CheckItem.from_test("", "network", passed, f"the stations {verb} on their common targets: {scatter}", p)
         ]
-    largest_residuals = np.nan_to_num(np.abs(fitted.residuals / fitted.problem.sigma)).max(axis=1)
+    largest_residuals = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma)).max(axis=1)
     outlier_rows = np.flatnonzero(out)
     outlier_rows = outlier_rows[np.argsort(-largest_residuals[outlier_rows], kind="stable")]
     station, target = recording.station[outlier_rows[0]], recording.target[outlier_rows[0]]

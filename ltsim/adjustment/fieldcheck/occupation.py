@@ -30,7 +30,7 @@ from ltsim.physics.model.measurement import NetworkState, sightings_of
 from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
 
-MIN_INSTRUMENT_CHANGE = 0.1
+MIN_INSTRUMENT_SINGULAR_VALUE = 0.1
 """Singular value of the whitened columns of the instrument's errors, scaled by their prior standard deviations, above
 which their combination is a parameter of the model. Smaller combinations change the readings by less than their noise.
 """
@@ -53,7 +53,7 @@ class ColumnsFit:
     covariance: Floats
     """Covariance (c, c) of the estimates; the variance of an undetermined parameter is infinite."""
 
-    def length_and_sigma(self, columns: slice) -> tuple[float, float]:
+    def estimate_length_and_sigma(self, columns: slice) -> tuple[float, float]:
         """Length of the vector of the estimates that `columns` selects, and the standard deviation of the length."""
         vector, covariance = self.estimates[columns], self.covariance[columns, columns]
         vector_length = float(np.sqrt(vector @ vector))
@@ -115,7 +115,7 @@ class StationOccupation:
         unadjusted = cls(recording, sightings, mask, misclosure, target_basis, no_columns, sigma, 0)
         columns = unadjusted.project_columns(parameter_design * prior * scale).reshape(3 * len(recording), -1)
         u, size, _ = np.linalg.svd(columns, full_matrices=False)
-        instrument = u[:, size > MIN_INSTRUMENT_CHANGE].reshape(len(recording), 3, -1)
+        instrument = u[:, size > MIN_INSTRUMENT_SINGULAR_VALUE].reshape(len(recording), 3, -1)
         dof = int(weight.sum()) - ranks - instrument.shape[2]
         occupation = cls(recording, sightings, mask, misclosure, target_basis, instrument, sigma, dof)
         return replace(
@@ -275,19 +275,20 @@ class TwoFaceDifferences:
     def from_recordings(
         cls,
         recording: Recording,
-        motion_corrected: Recording,
+        motion_corrected_recording: Recording,
         construction: GeometricErrorModel,
         alpha: float,
         mpe: tuple[float, float] | None,
     ) -> TwoFaceDifferences | None:
         """Differences of a recording with one station; None if no target was measured on both faces.
 
-        `motion_corrected` is the recording without the effects of detected motions. `alpha` is the probability of any
-        false alarm among the differences. `mpe` is the limit (A, B) of A um + B um/m of the full difference.
+        `motion_corrected_recording` is the recording without the effects of detected motions. `alpha` is the
+        probability of any false alarm among the differences. `mpe` is the limit (A, B) of A um + B um/m of the full
+        difference.
         """
         if not len(face_pair_rows(recording)):
             return None
-        pairs, corrected_pairs = two_face_pairs(recording), two_face_pairs(motion_corrected)
+        pairs, corrected_pairs = two_face_pairs(recording), two_face_pairs(motion_corrected_recording)
         sigma = recording.sigma()
         sigma[:, 1] *= np.abs(np.cos(recording.readings[:, 2]))
         noise_sigma = 0.5 * np.sqrt(np.sum(sigma[pairs.rows] ** 2, axis=1))

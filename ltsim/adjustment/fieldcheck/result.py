@@ -11,7 +11,7 @@ from pydantic import PrivateAttr
 from scipy import special
 
 from ltsim.adjustment.fieldcheck.occupation import StationOccupation, TwoFaceDifferences
-from ltsim.adjustment.identification.tests import CauseTest
+from ltsim.adjustment.identification.cause_tests import CauseTest
 from ltsim.core.arrays import Ints
 from ltsim.core.errors import ModelError
 from ltsim.core.results import Table, columns_of, number_columns, text_columns

@@ -5,14 +5,14 @@ from scipy import special
 
 from ltsim.adjustment.fieldcheck.occupation import StationOccupation
 from ltsim.adjustment.fieldcheck.result import CheckItem, HypothesisFamily, two_sided_chi2_p_value
-from ltsim.adjustment.fieldcheck.words import target_sentence
+from ltsim.adjustment.fieldcheck.sentences import target_scatter_sentence
 from ltsim.core.arrays import Floats
 
 MIN_TARGET_DOF = 6.0
 """Number of degrees of freedom from which the scatter of a target is compared with that of the other targets."""
 
 
-def scatter_by_target(occupation: StationOccupation, family: HypothesisFamily) -> Floats | None:
+def noise_factors_by_target_scatter(occupation: StationOccupation, family: HypothesisFamily) -> Floats | None:
     """Factor (n, 1) on the declared noise of each of n pointings, at least 1, from the scatter at its target.
 
     None if the scatter of the targets does not differ significantly (test of Bartlett).
@@ -62,5 +62,5 @@ def target_scatter_item(
     chi2, dof = corrected_occupation.target_chi2_and_dof()
     listed_targets = np.flatnonzero(dof >= MIN_TARGET_DOF)
     listed_targets = listed_targets[np.argsort(-chi2[listed_targets] / dof[listed_targets], kind="stable")]
-    sentence, targets = target_sentence(occupation, listed_targets)
+    sentence, targets = target_scatter_sentence(occupation, listed_targets)
     return closure.model_copy(update={"sentence": f"{closure.sentence}: {sentence}", "targets": targets})

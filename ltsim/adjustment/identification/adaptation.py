@@ -30,7 +30,7 @@ def adjust_with_causes(
     hypotheses: Sequence[Hypothesis],
     *,
     effects: Sequence[LinearEffect] = (),
-    subtracted_changes: bool = False,
+    subtracts_changes: bool = False,
     **options: Any,
 ) -> Adjustment:
     """Adjustment of a recording whose model contains hypotheses of a fit, started at the state of this fit.
@@ -47,7 +47,7 @@ def adjust_with_causes(
         Hypotheses of the fit to apply: all of its shifts of readings, or none of them.
     effects : sequence of LinearEffect
         Further effects to estimate; their parameters precede those of the shifts.
-    subtracted_changes : bool
+    subtracts_changes : bool
         True to subtract the estimated shifts from the readings first. The adjustment estimates the shifts in both
         cases. It starts from zero if they are subtracted, otherwise from the estimates of the fit.
     **options
@@ -60,7 +60,7 @@ def adjust_with_causes(
     )
     if any(isinstance(h.model_change, ReadingShiftChange) for h in hypotheses):
         shifts, values = fit.effects, fit.state.extra_parameters
-        if subtracted_changes:
+        if subtracts_changes:
             changed = changed.with_readings(fit.correct_recording(recording, outliers=True).readings)
             values = np.zeros_like(values)
     instrument = np.zeros((len(recording.instruments), construction.n_parameters))

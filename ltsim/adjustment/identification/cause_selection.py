@@ -16,7 +16,7 @@ from ltsim.adjustment.identification.hypothesis import (
     ReferenceOmission,
 )
 from ltsim.adjustment.identification.reading_shifts import displacement_per_reading
-from ltsim.adjustment.significance import FAMILY_LEVEL, MAX_TRACKER_ERROR, MIN_LOG_EVIDENCE_CERTAIN
+from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MAX_TRACKER_ERROR, MIN_LOG_EVIDENCE_CERTAIN
 from ltsim.adjustment.station_motions import FittedMotion, SuddenMotion
 from ltsim.core.arrays import Floats
 from ltsim.physics.effects.linear_effect import LinearEffect
@@ -57,7 +57,7 @@ def largest_displacement(fit: NetworkFit, hypothesis: Hypothesis) -> float:
     return float(np.max(displacements * displacement_per_reading(sightings)))
 
 
-def has_general_misfit(fit: NetworkFit) -> bool:
+def has_larger_noise_of_all_readings(fit: NetworkFit) -> bool:
     """True if a fit contains larger noise of all readings, so that an error of the model may cause the residuals."""
     general = (h.model_change for h in fit.hypotheses if not h.stations and not h.targets)
     return any(isinstance(change, NoiseFactor) and change.start_factor > 1.0 for change in general)
@@ -109,7 +109,7 @@ class CauseSelection:
         return [change.effect for change in changes if isinstance(change, ReadingShiftChange)]
 
     @property
-    def requires_initial_causes(self) -> bool:
+    def requires_adjustment_with_causes(self) -> bool:
         """True if the network must be adjusted with the selected hypotheses before other tests are possible.
 
         This is necessary after a certain error that all readings of a set-up or target share, and after a reference
@@ -129,10 +129,10 @@ class CauseSelection:
         )
         model_changes = [c.hypothesis.model_change for c in self.selected_hypotheses]
         noisy = any(isinstance(change, NoiseFactor) and change.start_factor >= 1.0 for change in model_changes)
-        return gross or (bool(shared) and not noisy and self.fit.adjustment.p_value > FAMILY_LEVEL)
+        return gross or (bool(shared) and not noisy and self.fit.adjustment.p_value > FAMILY_WISE_LEVEL)
 
     @property
-    def certain_motions(self) -> tuple[FittedMotion, ...]:
+    def certain_station_motions(self) -> tuple[FittedMotion, ...]:
         """Certain motions of stations, at most one per station: that with the largest gain of log evidence."""
         motions: dict[tuple[str, ...], FittedMotion] = {}
         for effect in self._certain_effects:
@@ -148,12 +148,12 @@ class CauseSelection:
 
     @property
     def has_shifts_other_than_motions(self) -> bool:
-        """True if a shift of readings is selected that is not among `certain_motions`."""
+        """True if a shift of readings is selected that is not among `certain_station_motions`."""
         changes = [choice.hypothesis.model_change for choice in self.selected_hypotheses]
-        return sum(isinstance(change, ReadingShiftChange) for change in changes) > len(self.certain_motions)
+        return sum(isinstance(change, ReadingShiftChange) for change in changes) > len(self.certain_station_motions)
 
     @property
-    def larger_noise(self) -> tuple[Hypothesis, ...]:
+    def larger_noise_hypotheses(self) -> tuple[Hypothesis, ...]:
         """Selected hypotheses that the noise is larger than declared, if no other cause is needed for consistency."""
         chosen = tuple(choice.hypothesis for choice in self.selected_hypotheses)
         changes = [h.model_change for h in chosen]
@@ -173,7 +173,7 @@ class CauseSelection:
         quieter = any(isinstance(change, NoiseFactor) and change.start_factor < 1.0 for change in changes)
         omitted = any(isinstance(change, ReferenceOmission) for change in changes)
         others = omitted or any(self.fit.problem.marks.mark_names)
-        doubtful = quieter or others or (has_general_misfit(self.fit) and bool(self.fit.is_outlier.any()))
+        doubtful = quieter or others or (has_larger_noise_of_all_readings(self.fit) and bool(self.fit.is_outlier.any()))
         causes = self.selected_hypotheses
         sure = all(c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN and c.hypothesis.kind != "unit" for c in causes)
-        return bool(changes) and sure and not doubtful and self.fit.adjustment.p_value > FAMILY_LEVEL
+        return bool(changes) and sure and not doubtful and self.fit.adjustment.p_value > FAMILY_WISE_LEVEL

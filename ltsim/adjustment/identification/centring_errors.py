@@ -22,7 +22,7 @@ from ltsim.adjustment.identification.evidence import (
     LOG_ODDS_OF_CENTRING,
     log_occam_factor_of_shift,
     log_occam_factor_of_variance,
-    log_prior_of,
+    log_prior_of_kind,
 )
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import CentringChange, Hypothesis
@@ -42,7 +42,7 @@ from ltsim.solve.gauss_newton import MAX_ITERATIONS
 MIN_OUTLIER_FRACTION = 0.25
 """Fraction of the pointings at a place that contain an outlier. Above this fraction, displacements of the place are
 also fitted to its readings with the rest of the network unchanged."""
-CENTRING_SIGMAS = np.geomspace(1e-6, 1.0, 241)
+CENTRING_SIGMA_GRID = np.geomspace(1e-6, 1.0, 241)
 """Standard deviations [m] of centring errors whose likelihood is computed, in steps of 6 %. This is fine enough,
 because an estimate from a hundred components has a relative standard deviation of 7 %."""
 
@@ -59,9 +59,9 @@ class _CentringPlace:
 
 def centring_hypotheses(fit: NetworkFit, space: ResidualSpace) -> list[tuple[float, Hypothesis]]:
     """Pairs of a gain of log evidence and a hypothesis of centring errors, in the linear approximation at a fit."""
-    places = _centring_places(fit.recording, space.used_readings)
-    squares = np.zeros(space.used_readings.shape)
-    squares[space.used_readings] = space.residuals[: int(space.used_readings.sum())] ** 2
+    places = _centring_places(fit.recording, space.is_used_reading)
+    squares = np.zeros(space.is_used_reading.shape)
+    squares[space.is_used_reading] = space.residuals[: int(space.is_used_reading.sum())] ** 2
     largest_first = sorted(places, key=lambda place: -float(squares[place.occupation >= 0].mean()))
     offers, entries = list[tuple[float, Hypothesis]](), 0
     for place in largest_first:
@@ -78,7 +78,7 @@ def _gain_and_hypothesis(place: _CentringPlace, gain: float, sigma: float, n_pla
     `gain` is the gain without the prior, `sigma` [m] the standard deviation of the displacements, and `n_places` the
     number of places that share the prior probability.
     """
-    centring, prior = place.centring, log_prior_of("centring", n_places) + LOG_ODDS_OF_CENTRING
+    centring, prior = place.centring, log_prior_of_kind("centring", n_places) + LOG_ODDS_OF_CENTRING
     change = CentringChange(centring.model_copy(update={"sigma_mm": sigma / MILLIMETRE}))
     targets = () if len(centring.targets) > 1 else centring.targets
     return gain + prior, Hypothesis("centring", "position", centring.stations, targets, prior, change)
@@ -90,22 +90,22 @@ def local_centring_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]
     Large displacements are not linear, and their readings were rejected as outliers. They are therefore fitted to all
     readings of a place with the rest of the network unchanged. Only places with many outliers are tested.
     """
-    places = _centring_places(fit.recording, fit.problem_with_all_readings.used_readings)
+    places = _centring_places(fit.recording, fit.problem_with_all_readings.is_used_reading)
     offers = []
     for place in places:
         rows = np.flatnonzero(place.occupation >= 0)
         if fit.is_outlier[rows].any(axis=1).mean() > MIN_OUTLIER_FRACTION:
-            offers.append(_gain_and_hypothesis(place, *_local_gain(fit, place, rows), len(places)))
+            offers.append(_gain_and_hypothesis(place, *_local_gain_and_sigma(fit, place, rows), len(places)))
     return offers
 
 
-def _local_gain(fit: NetworkFit, place: _CentringPlace, rows: Ints) -> tuple[float, float]:
+def _local_gain_and_sigma(fit: NetworkFit, place: _CentringPlace, rows: Ints) -> tuple[float, float]:
     """Gain of log evidence by displacements of the reflectors at a place, and the standard deviation [m] of these.
 
     `rows` are the pointings at the place. A displacement for each occupation is fitted to them by Gauss-Newton. At a
     set-up a rigid motion of all displacements is removed, because the pose of the set-up absorbs it.
     """
-    used, sigma = fit.problem_with_all_readings.used_readings[rows], fit.problem.sigma[rows]
+    used, sigma = fit.problem_with_all_readings.is_used_reading[rows], fit.problem.sigma[rows]
     sightings = fit.adjustment.sightings
     _, first, of = np.unique(place.occupation[rows], return_index=True, return_inverse=True)
     displacement = np.zeros((len(first), 3))
@@ -138,21 +138,21 @@ def _local_gain(fit: NetworkFit, place: _CentringPlace, rows: Ints) -> tuple[flo
     return gain, float(np.sqrt(variance))
 
 
-def _misfit_cost(fit: NetworkFit, whitened: Floats) -> float:
+def _misfit_cost(fit: NetworkFit, whitened_residuals: Floats) -> float:
     """Negative log evidence of whitened residuals (r,), each taken as noise or as an outlier, whichever is smaller."""
-    prior = log_prior_of("outlier", int(fit.problem_with_all_readings.used_readings.sum()))
-    outlier = -log_occam_factor_of_shift(np.abs(whitened), 1) - prior
-    return float(np.minimum(0.5 * whitened**2, outlier).sum())
+    prior = log_prior_of_kind("outlier", int(fit.problem_with_all_readings.is_used_reading.sum()))
+    outlier = -log_occam_factor_of_shift(np.abs(whitened_residuals), 1) - prior
+    return float(np.minimum(0.5 * whitened_residuals**2, outlier).sum())
 
 
-def _centring_places(recording: Recording, used_readings: Bools) -> list[_CentringPlace]:
+def _centring_places(recording: Recording, is_used_reading: Bools) -> list[_CentringPlace]:
     """Places with enough repeated pointings for a test: set-ups, targets, and all set-ups together.
 
     Targets that only one set-up measures are left out, because they show no displacement. For all set-ups together
     pointings must be repeated in the same face, because displacements would otherwise fit any error of the model that
     recurs in both faces.
     """
-    is_used = np.asarray(used_readings.any(axis=1))
+    is_used = np.asarray(is_used_reading.any(axis=1))
     target_station_pairs = np.unique(np.stack([recording.target[is_used], recording.station[is_used]]), axis=1)
     is_shared = np.bincount(target_station_pairs[0], minlength=len(recording.targets)) > 1
     shared = tuple(name for name, is_tied in zip(recording.targets, is_shared.tolist(), strict=True) if is_tied)
@@ -175,7 +175,7 @@ class CentringEstimate(NamedTuple):
     """Gain of log evidence by the centring errors, without the prior probability of the hypothesis."""
     sigma: float
     """Standard deviation [m] of each component of a displacement."""
-    n_determined: float
+    n_determined_components: float
     """Effective number of displacement components that the readings determine. The relative variance of the estimated
     variance is two divided by this number.
     """
@@ -191,9 +191,9 @@ def best_centring_sigma(space: ResidualSpace, occupation: Ints) -> CentringEstim
     strength, turn = np.linalg.eigh(projected.T @ projected)
     visible = strength > MAX_SOLUTION_ROUNDING_ERROR * float(np.max(np.sum(design_columns**2, axis=0)))
     strength, score = strength[visible], (turn[:, visible].T @ (projected.T @ space.residuals)) ** 2
-    variance = CENTRING_SIGMAS[:, None] ** 2
+    variance = CENTRING_SIGMA_GRID[:, None] ** 2
     ratio = 0.5 * np.sum(score * variance / (1.0 + variance * strength) - np.log1p(variance * strength), axis=1)
     best = int(np.argmax(ratio))
     determined = float(np.sum(1.0 - 1.0 / (1.0 + variance[best] * strength)))
     gain = float(ratio[best] + log_occam_factor_of_variance(determined))
-    return CentringEstimate(gain, float(CENTRING_SIGMAS[best]), determined)
+    return CentringEstimate(gain, float(CENTRING_SIGMA_GRID[best]), determined)

@@ -39,17 +39,17 @@ def log_occam_factor_of_shift(normalised_size: Floats | float, rank: int) -> Flo
     return np.minimum(0.5 * rank * np.log(2.0 * np.pi) - log_surface - LOG_SIZE_PRIOR_WIDTH - rank * np.log(size), 0.0)
 
 
-FACTOR_DECADES = 2.0
+NOISE_FACTOR_DECADES = 2.0
 """Largest ratio of the noise to the declared noise in its prior, in decades; the smallest ratio is the inverse."""
 
 
 def log_occam_factor_of_variance(redundancy: Floats | float) -> Floats:
     """Logarithm (at most 0) of the Occam factor of a variance factor that is estimated with a redundancy."""
     width = np.sqrt(np.pi / np.maximum(np.asarray(redundancy, dtype=np.float64), 1.0))
-    return np.minimum(np.log(width / (2.0 * FACTOR_DECADES * np.log(10.0))), 0.0)
+    return np.minimum(np.log(width / (2.0 * NOISE_FACTOR_DECADES * np.log(10.0))), 0.0)
 
 
-def estimate_variance_factor(sum_of_squares: Floats, redundancy: Floats) -> tuple[Floats, Floats]:
+def estimate_sigma_factors(sum_of_squares: Floats, redundancy: Floats) -> tuple[Floats, Floats]:
     """Restricted maximum likelihood estimates (g,) of factors on the standard deviations of g groups of readings.
 
     The second array (g,) is the log likelihood ratio of each factor against the declared noise. The arguments are the
@@ -57,7 +57,7 @@ def estimate_variance_factor(sum_of_squares: Floats, redundancy: Floats) -> tupl
     """
     is_sufficient = np.asarray(redundancy) > 1.0
     ratio = np.where(is_sufficient, sum_of_squares / np.where(is_sufficient, redundancy, 1.0), 1.0)
-    ratio = np.maximum(ratio, 10.0 ** (-2.0 * FACTOR_DECADES))  # exact readings have no noise to be estimated
+    ratio = np.maximum(ratio, 10.0 ** (-2.0 * NOISE_FACTOR_DECADES))  # exact readings have no noise to be estimated
     gain = 0.5 * (sum_of_squares - redundancy) - 0.5 * redundancy * np.log(ratio)
     return np.sqrt(ratio), np.where(is_sufficient, gain, 0.0)
 
@@ -68,20 +68,20 @@ readings.
 """
 
 
-def estimate_noise_factors(squares: Floats, redundancy: Floats, masks: Sequence[Bools]) -> Floats:
+def estimate_noise_factors(squared_residuals: Floats, redundancy: Floats, reading_masks: Sequence[Bools]) -> Floats:
     """Factors (n, 3) on the standard deviations of readings, products of one factor for each of several masks (n, 3).
 
     Factors that act on common readings are estimated in turn, each given the others, until they no longer change.
-    `squares` (n, 3) are the squared residuals in units of the declared variance, `redundancy` (n, 3) the redundancy
-    numbers; both are 0 for readings not in use.
+    `squared_residuals` (n, 3) are the squared residuals in units of the declared variance, `redundancy` (n, 3) the
+    redundancy numbers; both are 0 for readings not in use.
     """
-    log_factors, factors = np.zeros(len(masks)), np.ones(squares.shape)
+    log_factors, factors = np.zeros(len(reading_masks)), np.ones(squared_residuals.shape)
     for _ in range(MAX_ITERATIONS):
         before = log_factors.copy()
-        for i, mask in enumerate(masks):
+        for i, mask in enumerate(reading_masks):
             others = np.where(mask, factors * np.exp(-log_factors[i]), factors)
-            sums = np.array([np.sum((squares / others**2)[mask]), np.sum(redundancy[mask])])
-            (factor,), _ = estimate_variance_factor(sums[:1], sums[1:])
+            sums = np.array([np.sum((squared_residuals / others**2)[mask]), np.sum(redundancy[mask])])
+            (factor,), _ = estimate_sigma_factors(sums[:1], sums[1:])
             log_factors[i] = np.log(factor)
             factors = np.where(mask, others * factor, others)
         if not np.abs(log_factors - before).max() > NOISE_SWEEP_TOLERANCE:
@@ -101,7 +101,7 @@ def log_occam_factor_of_centring(covariance: Floats, sigma: float) -> float:
     return 0.5 * determinant + float(log_occam_factor_of_variance(determined))
 
 
-PRIOR_FRACTION_BY_KIND = {
+PRIOR_PROBABILITY_BY_KIND = {
     "outlier": 0.2,
     "constant-offset": 0.15,
     "constant-step": 0.03,
@@ -134,6 +134,6 @@ hypotheses in a network with such an error need the same gain.
 """
 
 
-def log_prior_of(kind: str, n_places: int) -> float:
+def log_prior_of_kind(kind: str, n_places: int) -> float:
     """Logarithm of the prior probability of a kind of cause at one of `n_places` possible places."""
-    return float(np.log(PRIOR_FRACTION_BY_KIND[kind] / max(n_places, 1)))
+    return float(np.log(PRIOR_PROBABILITY_BY_KIND[kind] / max(n_places, 1)))

@@ -15,7 +15,7 @@ from ltsim.adjustment.identification.evidence import (
     log_occam_factor_of_centring,
     log_occam_factor_of_shift,
     log_occam_factor_of_variance,
-    log_prior_of,
+    log_prior_of_kind,
 )
 from ltsim.adjustment.identification.hypothesis import (
     CentringChange,
@@ -26,7 +26,7 @@ from ltsim.adjustment.identification.hypothesis import (
 )
 from ltsim.adjustment.identification.model_changes import (
     apply_corrections_and_omissions,
-    start_parameters,
+    start_parameter_values,
     subtract_shifts,
     with_centring_sigma,
 )
@@ -37,12 +37,12 @@ from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reference_values import (
     ReferenceValue,
     ReferenceValueRows,
-    common_scale,
+    common_scale_reference,
     reference_values,
     relax_exact_references,
 )
-from ltsim.adjustment.significance import MAX_CHANCE_SIGMAS, MAX_TRACKER_ERROR, MIN_FAR_RESIDUAL
-from ltsim.adjustment.snooping import drop_undetermined, prediction_sigmas, snoop_readings
+from ltsim.adjustment.significance import MAX_CHANCE_SIGMAS, MAX_TRACKER_ERROR, MIN_RESIDUAL_BEYOND_NOISE
+from ltsim.adjustment.snooping import drop_undetermined_targets, prediction_sigmas, snoop_readings
 from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import fit_robust_state
 from ltsim.core.arrays import Bools, Floats
@@ -100,18 +100,18 @@ class NetworkFit:
     solution: Solution[NetworkState]
 
     @classmethod
-    def far_references(
+    def references_with_large_residuals(
         cls, network: FitInput, hypotheses: Sequence[Hypothesis]
     ) -> tuple[list[ReferenceValueRows], int, NetworkState]:
         """Reference values with large residuals in a robust fit, the number of all reference values, and the fit.
 
-        Large means more than `MIN_FAR_RESIDUAL` robust standard deviations. An adjustment with such a value would
-        distort the whole network.
+        Large means more than `MIN_RESIDUAL_BEYOND_NOISE` robust standard deviations. An adjustment with such a value
+        would distort the whole network.
         """
         problem, start = cls._make_problem(network, hypotheses)
         relaxed_problem = relax_exact_references(problem, start)
         state, residual = fit_robust_state(relaxed_problem, resect_contradicted_setups(relaxed_problem, start))
-        limit = MIN_FAR_RESIDUAL * max(robust_sigma(residual[: int(problem.used_readings.sum())]), 1.0)
+        limit = MIN_RESIDUAL_BEYOND_NOISE * max(robust_sigma(residual[: int(problem.is_used_reading.sum())]), 1.0)
         references = [v for v in reference_values(problem, state) if v.kind != "mark"]
         return [v for v in references if float(np.abs(residual[v.rows]).max()) > limit], len(references), state
 
@@ -152,7 +152,7 @@ class NetworkFit:
         if is_first:
             start = robust_state or fit_robust_state(problem, resect_contradicted_setups(problem, start_state))[0]
             start_state = resect_contradicted_setups(problem, start)
-        full_problem = drop_undetermined(problem, start_state)
+        full_problem = drop_undetermined_targets(problem, start_state)
         fit = cls(network, hypotheses, full_problem, *snoop_readings(full_problem, start_state, MAX_ALTERNATIONS))
         if any(isinstance(h.model_change, NoiseFactor) for h in hypotheses):
             fit = fit._with_estimated_noise()
@@ -161,7 +161,7 @@ class NetworkFit:
     @property
     def _determines_shifts(self) -> bool:
         """True if the estimate of each shift exceeds `MAX_CHANCE_SIGMAS` standard deviations."""
-        return all(self.length_in_sigmas(h) > MAX_CHANCE_SIGMAS for h, _, _ in self.shifts_with_slices)
+        return all(self.estimate_length_in_sigmas(h) > MAX_CHANCE_SIGMAS for h, _, _ in self.shifts_with_slices)
 
     @property
     def shifts_with_slices(self) -> Iterator[tuple[Hypothesis, ReadingShiftChange, slice]]:
@@ -177,7 +177,7 @@ class NetworkFit:
         slices = [(h, at) for h, _, at in self.shifts_with_slices]
         slices += zip(reversed(centrings), reversed(self.problem.model.centring_columns), strict=False)
         at = next(at for h, at in slices if h is hypothesis)
-        return self.state.extra_parameters[at], self.adjustment.extra_covariance[at, at]
+        return self.state.extra_parameters[at], self.adjustment.effect_covariance[at, at]
 
     def common_displacement(self, hypothesis: Hypothesis) -> CommonDisplacement | None:
         """Common length of the displacements by centring errors at a set-up; None if the lengths differ."""
@@ -189,7 +189,7 @@ class NetworkFit:
         sight_vectors = self.adjustment.sightings.sight_vectors[first_rows[-len(displacements) :]]
         return common_displacement(displacements, sight_vectors)
 
-    def length_in_sigmas(self, hypothesis: Hypothesis) -> float:
+    def estimate_length_in_sigmas(self, hypothesis: Hypothesis) -> float:
         """Length of the estimate of a shift or of centring errors, in standard deviations (Mahalanobis)."""
         values, covariance = self.estimate(hypothesis)
         return float(np.sqrt(max(float(values @ np.linalg.pinv(covariance) @ values), 0.0)))
@@ -219,7 +219,7 @@ class NetworkFit:
         if len(start_state.extra_parameters) != model.n_extra_parameters:
             start_state = replace(
                 start_state,
-                extra_parameters=start_parameters(hypotheses, model.n_extra_parameters, approximate_sightings),
+                extra_parameters=start_parameter_values(hypotheses, model.n_extra_parameters, approximate_sightings),
             )
         usable = np.ones((len(recording), 3), dtype=bool) if network.is_usable is None else network.is_usable
         sigma = recording.sigma()
@@ -253,7 +253,7 @@ class NetworkFit:
 
     def _estimated_sigmas(self) -> Floats:
         """Declared standard deviations (n, 3) [m, rad, rad] times the noise factors that the residuals imply."""
-        declared, is_used = self.network.recording.sigma(), self.problem.used_readings
+        declared, is_used = self.network.recording.sigma(), self.problem.is_used_reading
         squares = np.where(is_used, self.residuals / declared, 0.0) ** 2
         masks = [h.model_change.reading_mask for h in self.hypotheses if isinstance(h.model_change, NoiseFactor)]
         return declared * estimate_noise_factors(squares, np.where(is_used, np.nan_to_num(self.redundancy), 0.0), masks)
@@ -272,7 +272,7 @@ class NetworkFit:
     @cached_property
     def adjustment(self) -> Adjustment:
         """Adjustment with the state and readings of the fit."""
-        out = self.recording.is_measured.any(axis=1) & ~self.problem.used_readings.any(axis=1)
+        out = self.recording.is_measured.any(axis=1) & ~self.problem.is_used_reading.any(axis=1)
         return Adjustment(self.problem, self.solution, np.asarray(out))
 
     @property
@@ -318,7 +318,7 @@ class NetworkFit:
     def whitened_residuals(self) -> Floats:
         """Residuals divided by the standard deviations, (n, 3); 0 for unusable readings."""
         return np.where(
-            self.problem_with_all_readings.used_readings, np.nan_to_num(self.residuals / self.problem.sigma), 0.0
+            self.problem_with_all_readings.is_used_reading, np.nan_to_num(self.residuals / self.problem.sigma), 0.0
         )
 
     @property
@@ -329,7 +329,7 @@ class NetworkFit:
     @cached_property
     def is_outlier(self) -> Bools:
         """Flags (n, 3) of the usable readings that are rejected."""
-        return self.problem_with_all_readings.used_readings & ~self.problem.used_readings
+        return self.problem_with_all_readings.is_used_reading & ~self.problem.is_used_reading
 
     @cached_property
     def outlier_prediction_sigmas(self) -> Floats:
@@ -344,12 +344,12 @@ class NetworkFit:
         declared, centring = self.network.recording, self.problem.model.recording.setup.centring
         declared = declared.replace(setup=declared.setup.model_copy(update={"centring": centring}))
         model = replace(self.problem.model, recording=declared)
-        problem = NetworkProblem.from_model(model, reading_mask=self.problem.used_readings)
+        problem = NetworkProblem.from_model(model, reading_mask=self.problem.is_used_reading)
         if value.kind == "mark":
             station = self.recording.stations.index(value.name)
             over = problem.marks.positions_on_marks(self.state.station_positions, self.state.target_points)
             return np.asarray(self.state.station_positions[station] - over[station])
-        references = (*reference_values(problem, self.state), *common_scale(problem, self.state))
+        references = (*reference_values(problem, self.state), *common_scale_reference(problem, self.state))
         same = (v.residual for v in references if (v.kind, v.name) == (value.kind, value.name))
         return next(same, np.zeros_like(value.sigma))
 
@@ -365,8 +365,8 @@ class NetworkFit:
     def outlier_log_evidence(self) -> float:
         """Contribution of all outliers to the log evidence: logarithms of their Occam factors and prior odds."""
         w = np.abs(self.whitened_residuals[self.is_outlier])
-        return float(np.sum(log_occam_factor_of_shift(w, 1))) + len(w) * log_prior_of(
-            "outlier", int(self.problem_with_all_readings.used_readings.sum())
+        return float(np.sum(log_occam_factor_of_shift(w, 1))) + len(w) * log_prior_of_kind(
+            "outlier", int(self.problem_with_all_readings.is_used_reading.sum())
         )
 
     @cached_property
@@ -379,9 +379,11 @@ class NetworkFit:
         """Logarithm of the Occam factor of a hypothesis in the model; for a noise factor with its log determinant."""
         change = hypothesis.model_change
         if isinstance(change, ReadingShiftChange):
-            return float(log_occam_factor_of_shift(self.length_in_sigmas(hypothesis), len(change.effect.parameters)))
+            return float(
+                log_occam_factor_of_shift(self.estimate_length_in_sigmas(hypothesis), len(change.effect.parameters))
+            )
         if isinstance(change, NoiseFactor):
-            chosen = change.reading_mask & self.problem.used_readings
+            chosen = change.reading_mask & self.problem.is_used_reading
             ratio = self.problem.sigma[chosen] / self.network.recording.sigma()[chosen]
             redundancy = np.nan_to_num(self.redundancy[chosen])
             return float(log_occam_factor_of_variance(redundancy.sum()) - np.sum(redundancy * np.log(ratio)))

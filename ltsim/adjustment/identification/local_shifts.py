@@ -28,11 +28,11 @@ class LocalShift:
     """Whitened residuals of the network without the shift, (m,)."""
     is_outlier: Bools
     """Flags of the readings that this network rejected as outliers, (m,)."""
-    acting_parameters: Bools
+    is_acting_parameter: Bools
     """Flags (q,) of those r of the q parameters of the shift that influence these readings."""
 
     @classmethod
-    def from_design(cls, design: Floats, residual: Floats, is_outlier: Bools) -> LocalShift:
+    def from_design(cls, design: Floats, residuals: Floats, is_outlier: Bools) -> LocalShift:
         """Problem of a shift with q parameters, from arrays over the three readings of n pointings.
 
         The arrays are the whitened design (n, 3, q), the whitened residuals (n, 3) and the outlier flags (n, 3).
@@ -43,12 +43,12 @@ class LocalShift:
         column_norms = np.linalg.norm(design_matrix[is_changed], axis=0)
         columns = column_norms > 0.0
         unit = design_matrix[is_changed][:, columns] / column_norms[columns]
-        return cls(unit, column_norms[columns], residual.ravel()[is_changed], is_outlier.ravel()[is_changed], columns)
+        return cls(unit, column_norms[columns], residuals.ravel()[is_changed], is_outlier.ravel()[is_changed], columns)
 
     @property
     def has_outliers_and_parameters(self) -> bool:
         """True if at least one reading is an outlier and at least one parameter influences the readings."""
-        return bool(self.is_outlier.any() and self.acting_parameters.any())
+        return bool(self.is_outlier.any() and self.is_acting_parameter.any())
 
 
 def fit_local_shifts(shifts: Sequence[LocalShift], outlier_cost: float) -> list[tuple[float, Floats]]:
@@ -75,8 +75,8 @@ def fit_local_shifts(shifts: Sequence[LocalShift], outlier_cost: float) -> list[
             for e in (residual, residual - _reading_changes(unit, amount))
         )
         for i, fall, values in zip(batch, (cost - rest).tolist(), amount, strict=True):
-            parameters = np.zeros(len(shifts[i].acting_parameters))
-            parameters[shifts[i].acting_parameters] = values / shifts[i].column_lengths
+            parameters = np.zeros(len(shifts[i].is_acting_parameter))
+            parameters[shifts[i].is_acting_parameter] = values / shifts[i].column_lengths
             fits[i] = fall, parameters
     return [fits[i] for i in range(len(shifts))]
 

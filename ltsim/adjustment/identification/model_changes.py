@@ -25,8 +25,10 @@ components has a standard deviation of 7 %.
 """
 
 
-def start_parameters(hypotheses: Sequence[Hypothesis], size: int, approximate_sightings: Sightings | None) -> Floats:
-    """Start values (`size`,) [SI] of the parameters of the additional effects, of which the shifts are the first.
+def start_parameter_values(
+    hypotheses: Sequence[Hypothesis], n_parameters: int, approximate_sightings: Sightings | None
+) -> Floats:
+    """Start values (`n_parameters`,) [SI] of the parameters of the additional effects; those of the shifts come first.
 
     The start values of the shifts are used if `approximate_sightings` are given; otherwise all values are zero.
     """
@@ -35,7 +37,7 @@ def start_parameters(hypotheses: Sequence[Hypothesis], size: int, approximate_si
         s.start_values if approximate_sightings is not None and s.start_values else (0.0,) * len(s.effect.parameters)
         for s in shifts
     ]
-    parameters = np.zeros(size)
+    parameters = np.zeros(n_parameters)
     all_values = [v for value in start_values for v in value]
     parameters[: len(all_values)] = all_values
     return parameters
@@ -77,17 +79,19 @@ def apply_corrections_and_omissions(recording: Recording, hypotheses: Sequence[H
     return recording
 
 
-def with_centring_sigma(hypothesis: Hypothesis, estimate: Callable[[Hypothesis], tuple[Floats, Floats]]) -> Hypothesis:
+def with_centring_sigma(
+    hypothesis: Hypothesis, estimate_function: Callable[[Hypothesis], tuple[Floats, Floats]]
+) -> Hypothesis:
     """Hypothesis of centring errors with a new standard deviation s, estimated from the fitted displacements.
 
-    `estimate` returns the displacements u (q,) of a hypothesis and their covariance C (q, q). The step of restricted
-    maximum likelihood is s^2 = u'u / (q - tr(C) / s^2). Another hypothesis is returned unchanged, and so is one whose
-    standard deviation changes by less than `CENTRING_TOLERANCE`.
+    `estimate_function` returns the displacements u (q,) of a hypothesis and their covariance C (q, q). The step of
+    restricted maximum likelihood is s^2 = u'u / (q - tr(C) / s^2). Another hypothesis is returned unchanged, and so is
+    one whose standard deviation changes by less than `CENTRING_TOLERANCE`.
     """
     change = hypothesis.model_change
     if not isinstance(change, CentringChange):
         return hypothesis
-    displacement, covariance = estimate(hypothesis)
+    displacement, covariance = estimate_function(hypothesis)
     sigma = change.centring.sigma_mm * MILLIMETRE
     determined = len(displacement) - float(np.trace(covariance)) / sigma**2
     if determined < 1.0:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import TypeVar
 
-NominalType = TypeVar("NominalType")
+NominalEntryT = TypeVar("NominalEntryT")
 SMR_RADIUS_DIFFERENCES = {
     12.7e-3: ("0.5 inch", "1.5 inch"),
     7.94e-3: ("7/8 inch", "1.5 inch"),
@@ -39,7 +39,7 @@ def usual_smr_text(value: float, sigma: float) -> str:
     return f"a {used} SMR in place of a {assumed} one"
 
 
-def _nearest_nominal(nominal_sizes: Mapping[float, NominalType], value: float, sigma: float) -> NominalType | None:
+def _nearest_nominal(nominal_sizes: Mapping[float, NominalEntryT], value: float, sigma: float) -> NominalEntryT | None:
     """Entry of the nominal size [m] that differs from the absolute value by less than `MAX_NOMINAL_DIFFERENCE`.
 
     None if no size does, or if `sigma` is not smaller than that limit.

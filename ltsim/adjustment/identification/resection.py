@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from ltsim.adjustment.fit_readings import FitReadings
 from ltsim.adjustment.fitting import fit_pose
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.adjustment.sight import FitReadings
-from ltsim.adjustment.significance import MIN_FAR_RESIDUAL, MIN_FAULTY_FRACTION_OF_PLACE
+from ltsim.adjustment.significance import MIN_FAULTY_FRACTION_OF_PLACE, MIN_RESIDUAL_BEYOND_NOISE
 from ltsim.adjustment.snooping import whitened_residuals
 from ltsim.core.arrays import Bools, group_rows
 from ltsim.physics.model.measurement import NetworkState
@@ -25,16 +25,16 @@ def resect_contradicted_setups(problem: NetworkProblem, state: NetworkState) -> 
     """State in which set-ups with mostly large residuals have a new pose, resected from two of their three observables.
 
     A pose is replaced only if fewer readings of the set-up then have large residuals. Large means more than
-    `MIN_FAR_RESIDUAL` robust standard deviations.
+    `MIN_RESIDUAL_BEYOND_NOISE` robust standard deviations.
     """
-    recording, far = problem.model.recording, _is_far(problem, state)
-    if not far.any() or far[problem.used_readings].mean() > MIN_FAULTY_FRACTION_OF_PLACE:
+    recording, far = problem.model.recording, _has_large_residual(problem, state)
+    if not far.any() or far[problem.is_used_reading].mean() > MIN_FAULTY_FRACTION_OF_PLACE:
         return state
     whole, now = FitReadings.from_recording(recording), far
-    for station, rows in group_rows(recording.station, np.flatnonzero(problem.used_readings.any(axis=1))):
+    for station, rows in group_rows(recording.station, np.flatnonzero(problem.is_used_reading.any(axis=1))):
         if (
             problem.marks.target_indices[station] >= 0
-            or far[rows][problem.used_readings[rows]].mean() <= MIN_FAULTY_FRACTION_OF_PLACE
+            or far[rows][problem.is_used_reading[rows]].mean() <= MIN_FAULTY_FRACTION_OF_PLACE
         ):
             continue
         sight = whole.select_rows(rows)
@@ -45,14 +45,14 @@ def resect_contradicted_setups(problem: NetworkProblem, state: NetworkState) -> 
             position, rotation = state.station_positions.copy(), state.station_rotations.copy()
             position[station], rotation[station] = pose
             moved = replace(state, station_positions=position, station_rotations=rotation)
-            then = _is_far(problem, moved)
+            then = _has_large_residual(problem, moved)
             if then[rows].sum() < now[rows].sum():
                 state, now = moved, then
     return state
 
 
-def _is_far(problem: NetworkProblem, state: NetworkState) -> Bools:
-    """Flags (n, 3) of the used readings with residuals above `MIN_FAR_RESIDUAL` robust standard deviations."""
+def _has_large_residual(problem: NetworkProblem, state: NetworkState) -> Bools:
+    """Flags (n, 3) of the used readings with residuals above `MIN_RESIDUAL_BEYOND_NOISE` robust standard deviations."""
     whitened_residual = whitened_residuals(problem, state)
-    scale = max(robust_sigma(whitened_residual[problem.used_readings]), 1.0)
-    return np.asarray(problem.used_readings & (whitened_residual > MIN_FAR_RESIDUAL * scale))
+    scale = max(robust_sigma(whitened_residual[problem.is_used_reading]), 1.0)
+    return np.asarray(problem.is_used_reading & (whitened_residual > MIN_RESIDUAL_BEYOND_NOISE * scale))

@@ -13,7 +13,7 @@ import numpy as np
 from ltsim.adjustment.identification.cause_selection import (
     CauseSelection,
     SelectedHypothesis,
-    has_general_misfit,
+    has_larger_noise_of_all_readings,
 )
 from ltsim.adjustment.identification.evidence import LOG_ODDS_OF_CENTRING
 from ltsim.adjustment.identification.fit import FitInput, NetworkFit
@@ -24,10 +24,14 @@ from ltsim.adjustment.identification.hypothesis import (
     ReadingShiftChange,
     ReferenceOmission,
 )
-from ltsim.adjustment.identification.library import convention_corrections, coordinate_exchanges, omissions_of_values
-from ltsim.adjustment.identification.screen import MAX_FITTED_HYPOTHESES, screened_hypotheses
+from ltsim.adjustment.identification.hypothesis_library import (
+    convention_corrections,
+    coordinate_exchanges,
+    omissions_of_reference_values,
+)
+from ltsim.adjustment.identification.screening import MAX_FITTED_HYPOTHESES, screened_hypotheses
 from ltsim.adjustment.prior import ParameterPrior
-from ltsim.adjustment.significance import FAMILY_LEVEL, MIN_LOG_EVIDENCE_GAIN, MIN_REPORTED_PROBABILITY
+from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MIN_LOG_EVIDENCE_GAIN, MIN_REPORTED_PROBABILITY
 from ltsim.adjustment.snooping import without_copied_rows
 from ltsim.core.errors import LtsimError, NetworkError
 from ltsim.core.limits import MAX_ADJUSTED_POINTINGS
@@ -44,18 +48,18 @@ MIN_POINTINGS_LARGE_NETWORK = 1500
 """Number of pointings from which a network that agrees as a whole is not searched place by place (5 s of processor
 time).
 """
-MAX_CHI2_RATIO_COMPUTED = 1e-6
+MAX_CHI2_RATIO_OF_COMPUTED_READINGS = 1e-6
 """Ratio of chi-square to degrees of freedom below which readings count as computed: a thousandth of
 the declared noise.
 """
 MAX_OUTLIER_FRACTION_CONSISTENT = 0.01
 """Largest fraction of outliers at which a large network counts as consistent if the global test accepts it at
-`FAMILY_LEVEL`.
+`FAMILY_WISE_LEVEL`.
 """
-MIN_REFERENCE_MAJORITY = 3
+MIN_REFERENCE_TO_OUTLIER_RATIO = 3
 """Smallest ratio of the number of reference values to the number of those far off at which the latter are omitted from
 the start: the others are then the majority."""
-MIN_GAIN_FRACTION_FROM_STATE = 0.5
+MIN_GAIN_FRACTION_WARM_START = 0.5
 """Fraction of its approximate gain that a hypothesis must reach from the present state; otherwise it is fitted from the
 start.
 """
@@ -94,27 +98,27 @@ def select_causes(network: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) ->
     spared: list[Hypothesis] = []
     while len(fit.hypotheses) < MAX_SELECTED_HYPOTHESES and not _is_consistent_as_a_whole(fit):
         tried = _fit_best_hypotheses(fit)
-        needed = min_gain if not has_general_misfit(fit) else -LOG_ODDS_OF_CENTRING
+        needed = min_gain if not has_larger_noise_of_all_readings(fit) else -LOG_ODDS_OF_CENTRING
         if not tried or tried[0][1].log_evidence < fit.log_evidence + needed:
             break
         best = _refine_motion_time(tried[0][1])
         if isinstance(tried[0][0].model_change, CentringChange):
             best = max(best, _fit_with_other_causes(fit, needed, best), key=lambda made: made.log_evidence)
-        chosen = _drop_unneeded(best, min_gain, len(beginning.hypotheses), spared)
+        chosen = _drop_unneeded_hypotheses(best, min_gain, len(beginning.hypotheses), spared)
         last_key = (fit, tried) if chosen is tried[0][1] else None
         fit = chosen
-    return _compare_again(fit, min_gain, beginning, last_key, spared)
+    return _with_compared_alternatives(fit, min_gain, beginning, last_key, spared)
 
 
-def _fit_with_other_causes(fit: NetworkFit, needed: float, rival: NetworkFit) -> NetworkFit:
-    """Fit with a few more shifts, each with a gain of at least `needed`, where they may exceed the evidence of a rival.
+def _fit_with_other_causes(fit: NetworkFit, min_gain_needed: float, rival: NetworkFit) -> NetworkFit:
+    """Fit with a few more shifts, each with at least `min_gain_needed`, if they may exceed the evidence of a rival.
 
     Centring errors, the rival, also fit the sum of several simple causes.
     """
     for n_remaining in range(MAX_CAUSES_BEFORE_CENTRING, 0, -1):
         smallest = (rival.log_evidence - fit.log_evidence) / n_remaining
-        tried = _fit_best_hypotheses(fit, smallest, excluded_changes=(CentringChange, NoiseFactor))
-        if not tried or tried[0][1].log_evidence < fit.log_evidence + needed:
+        tried = _fit_best_hypotheses(fit, smallest, excluded_change_types=(CentringChange, NoiseFactor))
+        if not tried or tried[0][1].log_evidence < fit.log_evidence + min_gain_needed:
             break
         fit = tried[0][1]
     return fit
@@ -131,7 +135,7 @@ def _refine_motion_time(fit: NetworkFit) -> NetworkFit:
     if (
         not isinstance(change, ReadingShiftChange)
         or not isinstance(change.effect, StationBump)
-        or fit.length_in_sigmas(last) < MIN_MOTION_SIGMAS_FOR_REFINEMENT
+        or fit.estimate_length_in_sigmas(last) < MIN_MOTION_SIGMAS_FOR_REFINEMENT
     ):
         return fit
     first, bumps = change.effect, StationBump.candidates(fit.adjustment.sightings)
@@ -160,14 +164,14 @@ def _is_consistent_as_a_whole(fit: NetworkFit) -> bool:
 
     In a network of `MIN_POINTINGS_LARGE_NETWORK` pointings an error at one place has little influence on the others.
     """
-    if fit.solution.sum_of_squares < MAX_CHI2_RATIO_COMPUTED * fit.problem.dof:
+    if fit.solution.sum_of_squares < MAX_CHI2_RATIO_OF_COMPUTED_READINGS * fit.problem.dof:
         return True
     if len(fit.recording) < MIN_POINTINGS_LARGE_NETWORK:
         return False
     return (
-        fit.adjustment.p_value > FAMILY_LEVEL
+        fit.adjustment.p_value > FAMILY_WISE_LEVEL
         and not fit.hypotheses
-        and fit.is_outlier.sum() < MAX_OUTLIER_FRACTION_CONSISTENT * fit.problem_with_all_readings.used_readings.sum()
+        and fit.is_outlier.sum() < MAX_OUTLIER_FRACTION_CONSISTENT * fit.problem_with_all_readings.is_used_reading.sum()
     )
 
 
@@ -192,13 +196,13 @@ def _initial_fit(network: FitInput) -> NetworkFit:
     These would distort the network too much for any other test.
     """
     corrections = convention_corrections(network.recording)
-    far, count, state = NetworkFit.far_references(network, corrections)
+    far, count, state = NetworkFit.references_with_large_residuals(network, corrections)
     if any(value.kind == "point" for value in far) and (names := coordinate_exchanges(network.recording)):
         corrections = [*corrections, *names]
-        far, count, state = NetworkFit.far_references(network, corrections)
+        far, count, state = NetworkFit.references_with_large_residuals(network, corrections)
     omitted = (
-        omissions_of_values(network.recording, far)
-        if MIN_REFERENCE_MAJORITY * len(far) <= max(count, MIN_REFERENCE_MAJORITY)
+        omissions_of_reference_values(network.recording, far)
+        if MIN_REFERENCE_TO_OUTLIER_RATIO * len(far) <= max(count, MIN_REFERENCE_TO_OUTLIER_RATIO)
         else []
     )
     fit = NetworkFit.from_start(network, (*corrections, *omitted), robust_state=None if omitted else state)
@@ -211,12 +215,12 @@ def _initial_fit(network: FitInput) -> NetworkFit:
 
 def _fit_best_hypotheses(
     fit: NetworkFit,
-    min_count: float = 0.0,
+    min_n_hypotheses: float = 0.0,
     replaced_hypothesis: Hypothesis | None = None,
     *,
-    excluded_changes: tuple[type, ...] = (),
+    excluded_change_types: tuple[type, ...] = (),
 ) -> list[tuple[Hypothesis, NetworkFit]]:
-    """Fitted hypotheses with the largest approximate gains (at least `min_count`), the best first.
+    """Fitted hypotheses with the largest approximate gains (at least `min_n_hypotheses`), the best first.
 
     If the first reaches its approximate gain, only hypotheses that may explain the same readings are fitted too,
     because the order of causes at different places has no influence.
@@ -227,15 +231,19 @@ def _fit_best_hypotheses(
     places |= {replaced_hypothesis.place_key} if replaced_hypothesis is not None else set()
     for promised, hypothesis in screened_hypotheses(fit):
         best = max((made.log_evidence for _, made in tried), default=-np.inf) - fit.log_evidence
-        if promised <= max(min_count, 0.0) or max(len(tried), undetermined) >= MAX_FITTED_HYPOTHESES or best > promised:
+        if (
+            promised <= max(min_n_hypotheses, 0.0)
+            or max(len(tried), undetermined) >= MAX_FITTED_HYPOTHESES
+            or best > promised
+        ):
             break
-        if isinstance(hypothesis.model_change, excluded_changes):
+        if isinstance(hypothesis.model_change, excluded_change_types):
             continue
         if hypothesis.place_key in places or any(hypothesis.place_key == h.place_key for h, _ in tried):
             continue
         if tried and best > MIN_GAIN_FRACTION_TRUSTED * first and not hypothesis.competes_with(tried[0][0]):
             continue
-        made = refit_with(fit, hypothesis, promised)
+        made = refit_with_hypothesis(fit, hypothesis, promised)
         if made is None:
             undetermined += 1
             continue
@@ -244,7 +252,7 @@ def _fit_best_hypotheses(
     return sorted(tried, key=lambda pair: -pair[1].log_evidence)
 
 
-def refit_with(fit: NetworkFit, hypothesis: Hypothesis, approximate_gain: float) -> NetworkFit | None:
+def refit_with_hypothesis(fit: NetworkFit, hypothesis: Hypothesis, approximate_gain: float) -> NetworkFit | None:
     """Fit with one more hypothesis, from the present state, or from the start if its gain is too small."""
     best_fit: NetworkFit | None = None
     near = fit.adjustment.sightings
@@ -257,32 +265,36 @@ def refit_with(fit: NetworkFit, hypothesis: Hypothesis, approximate_gain: float)
             best_fit = made
         disappoints = (
             best_fit is None
-            or best_fit.log_evidence - fit.log_evidence < MIN_GAIN_FRACTION_FROM_STATE * approximate_gain
+            or best_fit.log_evidence - fit.log_evidence < MIN_GAIN_FRACTION_WARM_START * approximate_gain
         )
         if not disappoints or approximate_gain < MIN_LOG_EVIDENCE_FOR_RESTART:
             break
     return best_fit
 
 
-def _drop_unneeded(fit: NetworkFit, min_gain: float, n_start: int, spared: list[Hypothesis]) -> NetworkFit:
+def _drop_unneeded_hypotheses(
+    fit: NetworkFit, min_gain: float, n_initial: int, retained_hypotheses: list[Hypothesis]
+) -> NetworkFit:
     """Fit without hypotheses that are no longer needed.
 
-    Of the first `n_start` hypotheses only omitted reference values may be removed: without the others there is no
-    network. Hypotheses in `spared` remain too; those that prove to be necessary are added to it.
+    Of the first `n_initial` hypotheses only omitted reference values may be removed: without the others there is no
+    network. Hypotheses in `retained_hypotheses` remain too; those that prove to be necessary are added to it.
     """
     for i, h in enumerate(fit.hypotheses[:-1]):
-        is_initial = i < n_start and not isinstance(h.model_change, ReferenceOmission)
+        is_initial = i < n_initial and not isinstance(h.model_change, ReferenceOmission)
         if is_initial or not h.competes_with(fit.hypotheses[-1]):
             continue
-        rest = _fit_without(fit, h, spared)
+        rest = _fit_without_hypothesis(fit, h, retained_hypotheses)
         if rest is not None and rest.log_evidence > fit.log_evidence - min_gain:
             fit = rest
     return fit
 
 
-def _fit_without(fit: NetworkFit, hypothesis: Hypothesis, spared: list[Hypothesis]) -> NetworkFit | None:
-    """Fit without one of its hypotheses; None, and an entry in `spared`, if there is no network without it."""
-    if any(h is hypothesis for h in spared):
+def _fit_without_hypothesis(
+    fit: NetworkFit, hypothesis: Hypothesis, retained_hypotheses: list[Hypothesis]
+) -> NetworkFit | None:
+    """Fit without a hypothesis; None, and an entry in `retained_hypotheses`, if no fit is possible without it."""
+    if any(h is hypothesis for h in retained_hypotheses):
         return None
     remaining = tuple(h for h in fit.hypotheses if h is not hypothesis)
     try:
@@ -290,11 +302,11 @@ def _fit_without(fit: NetworkFit, hypothesis: Hypothesis, spared: list[Hypothesi
     except LtsimError:
         rest = None
     if rest is None:
-        spared.append(hypothesis)
+        retained_hypotheses.append(hypothesis)
     return rest
 
 
-def _compare_again(
+def _with_compared_alternatives(
     fit: NetworkFit, min_gain: float, initial_fit: NetworkFit, last_fit: FitKey | None, spared: list[Hypothesis]
 ) -> CauseSelection:
     """Selection in which every hypothesis is compared again with its alternatives, given the others.
@@ -305,7 +317,7 @@ def _compare_again(
     choices = [SelectedHypothesis(h, np.inf, ()) for h in fit.hypotheses if h in initial_fit.hypotheses]
     for h in fit.hypotheses[len(choices) :]:
         is_last = last_fit is not None and h is fit.hypotheses[-1] and last_fit[0].hypotheses == fit.hypotheses[:-1]
-        rest = last_fit[0] if last_fit is not None and is_last else _fit_without(fit, h, spared)
+        rest = last_fit[0] if last_fit is not None and is_last else _fit_without_hypothesis(fit, h, spared)
         if rest is None:
             choices.append(SelectedHypothesis(h, np.inf, ()))
             continue
@@ -317,7 +329,7 @@ def _compare_again(
         )
         others = [(other, made) for other, made in tried if other.place_key != h.place_key]
         if others and others[0][1].log_evidence > fit.log_evidence + min_gain:
-            return _compare_again(others[0][1], min_gain, initial_fit, None, spared)
+            return _with_compared_alternatives(others[0][1], min_gain, initial_fit, None, spared)
         gains = tuple((other, made.log_evidence - rest.log_evidence) for other, made in others)
         choices.append(SelectedHypothesis(h, gain, gains))
     # Random errors beside a shift are what the shift leaves, for nests or times that are not exactly as declared.

@@ -24,13 +24,13 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.reliability import noncentrality
 from ltsim.adjustment.residual_space import ResidualSpace, orthonormal_columns
-from ltsim.adjustment.significance import GLOBAL_LEVEL, MIN_EQUIVALENT_CORRELATION
+from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL, MIN_EQUIVALENT_CORRELATION
 from ltsim.core.arrays import Floats, Ints, batches
 from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
 from ltsim.physics.effects.effect import Effect, NoiseEffect, Parameter
 
-ParameterType = TypeVar("ParameterType")
+PlaceT = TypeVar("PlaceT")
 MAX_EXAMINED_PLACES = 150
 """Number of places and constants of one effect up to which all are examined; of more, an even selection is examined."""
 
@@ -42,7 +42,7 @@ def search_noncentrality(dof: int, n_places: int) -> float:
     The false-alarm rate is divided among all places and constants of the effect, and among all effects of the
     catalogue. An unknown cause counts as one more effect.
     """
-    return noncentrality(dof, alpha=GLOBAL_LEVEL, n_tests=n_places * (len(CATALOGUE) - len(BASELINE_EFFECTS) + 1))
+    return noncentrality(dof, alpha=GLOBAL_TEST_LEVEL, n_tests=n_places * (len(CATALOGUE) - len(BASELINE_EFFECTS) + 1))
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class MinimalSize:
     """Median of the detectable sizes [SI] over all places and constants."""
     worst_size: float
     """Detectable size [SI] at the worst place; infinite if the unknowns of the network absorb the effect there."""
-    prior_sigma: float
+    plausible_size: float
     """Plausible size of the parameter [SI]."""
     visible_fraction: float
     """Fraction of the change of the readings (in sum of squares) that remains in the residuals; median over places."""
@@ -69,7 +69,7 @@ class MinimalSize:
     """Station, target or constants where the detectable size is largest."""
 
 
-def select_places(places: Sequence[ParameterType]) -> list[ParameterType]:
+def subsample_evenly(places: Sequence[PlaceT]) -> list[PlaceT]:
     """Evenly distributed selection of at most `MAX_EXAMINED_PLACES` places."""
     if len(places) <= MAX_EXAMINED_PLACES:
         return list(places)
@@ -121,7 +121,7 @@ def _noise_effect_information(space: ResidualSpace, places: Sequence[NoiseEffect
         steps = np.diag([0.1 * p.prior_sigma for p in effect.parameters])
         for step in steps:
             upper = effect.variance(space.sightings, problem.sigma, step)
-            changes.append(((upper - problem.sigma**2) / (problem.sigma**2 * step.sum()))[problem.used_readings])
+            changes.append(((upper - problem.sigma**2) / (problem.sigma**2 * step.sum()))[problem.is_used_reading])
     stack = np.array(changes)
     n_parameters = stack.shape[1]
     spread = np.empty_like(stack)
@@ -134,7 +134,7 @@ def _noise_effect_information(space: ResidualSpace, places: Sequence[NoiseEffect
 
 def detectability_at_places(space: ResidualSpace, places: Sequence[Effect]) -> EffectDetectability | None:
     """Detectability of one effect at all places that a search would test; None if the network lacks data for it."""
-    selected_places = select_places(places)
+    selected_places = subsample_evenly(places)
     noises = [effect for effect in selected_places if isinstance(effect, NoiseEffect)]
     visible_effects: list[tuple[Effect, Floats, float, int, Floats]] = []
     informations = _noise_effect_information(space, noises) if noises else []
@@ -154,30 +154,32 @@ def detectability_at_places(space: ResidualSpace, places: Sequence[Effect]) -> E
 
 
 def effect_detectability(
-    visible_effects: Sequence[tuple[Effect, Floats, float, int, Floats]], effect_index: int
+    visible_effects: Sequence[tuple[Effect, Floats, float, int, Floats]], n_places: int
 ) -> EffectDetectability:
     """Detectability of one effect from the part of its changes of readings that remains in the residuals.
 
     Each of `visible_effects` has the effect at one place, the information on its parameters, the fraction that remains
-    in the residuals, its rank, and a basis. `effect_index` is the number of places that a search tests.
+    in the residuals, its rank, and a basis. `n_places` is the number of places that a search tests.
     """
     effects, information, visible, spent, columns = zip(*visible_effects, strict=True)
-    noncentralities = [search_noncentrality(max(dof, 1), effect_index) for dof in spent]
+    noncentralities = [search_noncentrality(max(dof, 1), n_places) for dof in spent]
     minimal_sizes = tuple(map(_minimal_sizes, information, noncentralities))
     names, laws = tuple(map(_place_text, effects)), tuple(effect.parameters for effect in effects)
     return EffectDetectability(effects[0].name, laws, names, minimal_sizes, visible, columns)
 
 
-def visible_information(gram: Floats, norm: Floats, min_visible_fraction: float) -> tuple[Floats, Floats, Ints]:
+def visible_information(
+    gram_matrices: Floats, column_norms: Floats, min_visible_fraction: float
+) -> tuple[Floats, Floats, Ints]:
     """Information on the parameters of effects, fraction that remains in the residuals, and rank, from Gram matrices.
 
-    `gram` (..., q, q) are the products of the projected design columns of q parameters, `norm` (..., q) the lengths of
-    the columns before the projection. Squared lengths below `min_visible_fraction` are rounding.
+    `gram_matrices` (..., q, q) are the products of the projected design columns of q parameters, `column_norms` (...,
+    q) the lengths of the columns before the projection. Squared lengths below `min_visible_fraction` are rounding.
     """
-    share = np.einsum("...ii->...i", gram)
-    visible_norms = np.where(share < min_visible_fraction, 0.0, norm)
-    rank = np.sum(np.linalg.eigvalsh(gram) > min_visible_fraction, axis=-1)
-    return gram * visible_norms[..., :, None] * visible_norms[..., None, :], np.mean(share, axis=-1), rank
+    share = np.einsum("...ii->...i", gram_matrices)
+    visible_norms = np.where(share < min_visible_fraction, 0.0, column_norms)
+    rank = np.sum(np.linalg.eigvalsh(gram_matrices) > min_visible_fraction, axis=-1)
+    return gram_matrices * visible_norms[..., :, None] * visible_norms[..., None, :], np.mean(share, axis=-1), rank
 
 
 def _minimal_sizes(information: Floats, noncentrality: float) -> Floats:
@@ -198,7 +200,7 @@ def _place_text(effect: Effect) -> str:
     return " ".join(names)
 
 
-def baseline_detectability(adjustment: Adjustment, effect: Effect) -> EffectDetectability:
+def calibrated_effect_detectability(adjustment: Adjustment, effect: Effect) -> EffectDetectability:
     """Detectability of an effect that every calibration estimates, with its other parameters and their priors.
 
     Such an effect is not tested. Its detectable size is the one at which its estimate differs significantly from zero.
@@ -214,17 +216,17 @@ def baseline_detectability(adjustment: Adjustment, effect: Effect) -> EffectDete
     return EffectDetectability(effect.name, (effect.parameters,), ("",), (minimal_sizes,), (1.0,), ())
 
 
-def explained_fraction(first: EffectDetectability, second: EffectDetectability) -> float:
-    """Fraction of the change of the residuals by `first` that `second` explains, median over its places.
+def explained_fraction(first_detectability: EffectDetectability, second_detectability: EffectDetectability) -> float:
+    """Fraction of the residual change by the first effect that the second effect explains, median over its places.
 
-    `second` may act at any of its places and with any of its constants, as in a diagnosis.
+    `second_detectability` may act at any of its places and with any of its constants, as in a diagnosis.
     """
-    if not any(b.shape[1] for b in second.projected_basis):
+    if not any(b.shape[1] for b in second_detectability.projected_basis):
         return 0.0
-    rivals = np.hstack([b for b in second.projected_basis if b.shape[1]])
-    starts = np.cumsum([0, *(b.shape[1] for b in second.projected_basis if b.shape[1])])[:-1]
+    rivals = np.hstack([b for b in second_detectability.projected_basis if b.shape[1]])
+    starts = np.cumsum([0, *(b.shape[1] for b in second_detectability.projected_basis if b.shape[1])])[:-1]
     shares = []
-    for columns in first.projected_basis:
+    for columns in first_detectability.projected_basis:
         if columns.shape[1]:
             overlap = (rivals.T @ columns) ** 2
             shares.append(float(np.add.reduceat(overlap.sum(axis=1), starts).max()) / columns.shape[1])
@@ -241,7 +243,7 @@ class CatalogueDetectability:
     """Names of effects that no residual shows, or that need data which the network does not have."""
     detectable_effects: tuple[str, ...]
     """Names of the effects that change the residuals."""
-    similarity: Floats
+    explained_fractions: Floats
     """Fraction of the change of the residuals by the row's effect that the column's effect explains, in the order of
     `detectable_effects`."""
 
@@ -255,10 +257,10 @@ class CatalogueDetectability:
         The most similar pair is first.
         """
         first, second = np.nonzero(
-            (self.similarity > MIN_EQUIVALENT_CORRELATION) & ~np.eye(len(self.detectable_effects), dtype=bool)
+            (self.explained_fractions > MIN_EQUIVALENT_CORRELATION) & ~np.eye(len(self.detectable_effects), dtype=bool)
         )
         effect_pairs = [
-            (self.detectable_effects[i], self.detectable_effects[j], float(self.similarity[i, j]))
+            (self.detectable_effects[i], self.detectable_effects[j], float(self.explained_fractions[i, j]))
             for i, j in zip(first, second, strict=True)
         ]
         return sorted(effect_pairs, key=lambda pair: -pair[2])
@@ -278,7 +280,7 @@ def catalogue_detectability(
     for entry in catalogue:
         kind = entry if isinstance(entry, type) else type(entry)
         if kind.parameters and {p.name for p in kind.parameters} <= estimated_names:
-            reports.append(baseline_detectability(adjustment, kind()))
+            reports.append(calibrated_effect_detectability(adjustment, kind()))
             continue
         effect_report = detectability_at_places(space, kind.candidates(adjustment.sightings))
         if effect_report is None or not any(np.isfinite(size).any() for size in effect_report.minimal_sizes):

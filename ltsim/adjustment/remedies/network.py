@@ -53,7 +53,7 @@ class PlannedNetwork:
         )
         if values.shape[1] != built.n_parameters:
             values = np.zeros((len(recording.instruments), built.n_parameters))
-        readings = np.where(adjustment.problem.used_readings, recording.readings, np.nan)
+        readings = np.where(adjustment.problem.is_used_reading, recording.readings, np.nan)
         return cls(
             recording.with_readings(readings),
             replace(state, instrument_parameters=values, extra_parameters=np.zeros(0)),

@@ -15,20 +15,20 @@ import numpy as np
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.remedies.detectability import select_places
-from ltsim.adjustment.remedies.network import PlannedNetwork
-from ltsim.adjustment.remedies.remedy import (
+from ltsim.adjustment.remedies.candidates import (
     KINDS_BY_EFFORT,
-    Remedy,
-    SiteSights,
+    CandidateMeasurement,
+    VisibilityFunction,
     advice_sentence,
-    calibrated_length_remedy,
+    calibrated_length_candidates,
     list_text,
-    pointing_remedies,
-    procedure_remedies,
-    return_remedies,
-    station_remedies,
+    pointing_candidates,
+    procedure_candidates,
+    repeated_setup_candidates,
+    station_candidates,
 )
+from ltsim.adjustment.remedies.detectability import subsample_evenly
+from ltsim.adjustment.remedies.network import PlannedNetwork
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
@@ -42,7 +42,7 @@ from ltsim.recordings.exchange import RecordingSource, load_recording
 
 MIN_DECISIVE_CHI2 = 10.0
 """Expected difference of chi-square from which two possible causes count as distinguished."""
-N_EVALUATED_PLACES = 24
+N_EVALUATED_STATIONS = 24
 """Number of additional stations for which the evidence is computed: those with most information on the instrument."""
 DEFAULT_MOVE_TIME = 1200.0
 """Time [s] to move the instrument and set it up, unless given."""
@@ -130,11 +130,11 @@ class RivalExplanations:
         )
 
     @property
-    def present_evidence(self) -> float:
+    def present_chi2_difference(self) -> float:
         """Difference of chi-square between the two causes in the present recording."""
         return min(instances[0][0] for instances in self.rival_instances)
 
-    def expected_evidence(self, space: ResidualSpace) -> float:
+    def expected_chi2_difference(self, space: ResidualSpace) -> float:
         """Expected difference of chi-square between the two causes in a longer recording, whichever of them is true."""
         least = []
         for truth, rival_instances in zip((self.first, self.second), self.rival_instances, strict=True):
@@ -149,11 +149,11 @@ class RivalExplanations:
 
 
 def _instances_with_unexplained_part(
-    space: ResidualSpace, truth: Explanation, rival: Effect
+    space: ResidualSpace, true_explanation: Explanation, rival: Effect
 ) -> list[tuple[float, Effect]]:
     """Variants of a rival effect, each with the chi-square of the true cause that it leaves, the smallest first."""
-    residual_change = space.project(space.whitened_design(truth.effect) @ truth.parameter_values)
-    instances = [rival, *select_places(type(rival).candidates(space.sightings))]
+    residual_change = space.project(space.whitened_design(true_explanation.effect) @ true_explanation.parameter_values)
+    instances = [rival, *subsample_evenly(type(rival).candidates(space.sightings))]
     return sorted(
         ((_best_fit(space, effect, residual_change)[1], effect) for effect in instances), key=lambda pair: pair[0]
     )
@@ -163,7 +163,7 @@ def _instances_with_unexplained_part(
 class MeasurementProposal(ValueEquality):
     """Proposed measurement with its expected benefit."""
 
-    remedy: Remedy
+    candidate: CandidateMeasurement
     """Measurement that is proposed."""
     sigma_ratio: float
     """Ratio of the standard deviations of the parameters after the measurement to those before (geometric mean)."""
@@ -175,29 +175,29 @@ class MeasurementProposal(ValueEquality):
     """Expected difference of chi-square between the first possible cause and each other cause, by its name."""
 
     @classmethod
-    def from_remedy(
+    def from_candidate(
         cls,
-        remedy: Remedy,
+        candidate: CandidateMeasurement,
         present_adjustment: Adjustment,
         adjustment: Adjustment,
-        evidence: dict[str, float] | None = None,
+        expected_chi2: dict[str, float] | None = None,
     ) -> MeasurementProposal:
         """Proposal for a measurement, from the present adjustment and the adjustment with the measurement.
 
         The ratio of standard deviations is 1 for an instrument without parameters.
         """
         if not adjustment.construction.n_parameters:
-            return cls(remedy, 1.0, "", 1.0, evidence or {})
+            return cls(candidate, 1.0, "", 1.0, expected_chi2 or {})
         before, after = present_adjustment.instrument_covariance, adjustment.instrument_covariance
         sigma_gain = np.exp(0.5 / len(before) * (np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1]))
         ratio = np.sqrt(np.diag(after) / np.diag(before))
         best_index = int(np.argmin(ratio))
         return cls(
-            remedy,
+            candidate,
             float(sigma_gain),
             adjustment.construction.parameter_names[best_index],
             float(ratio[best_index]),
-            evidence or {},
+            expected_chi2 or {},
         )
 
     @property
@@ -218,8 +218,8 @@ class MeasurementProposal(ValueEquality):
             return 0, 0, 0.0, -decisive_chi2
         return (
             -len(self.distinguished_explanations),
-            KINDS_BY_EFFORT.index(self.remedy.kind),
-            self.remedy.duration,
+            KINDS_BY_EFFORT.index(self.candidate.kind),
+            self.candidate.duration,
             -decisive_chi2,
         )
 
@@ -239,7 +239,7 @@ class RankedProposals(ValueEquality):
         """Sentence on the measurement that decides between the causes, or that is most informative."""
         best_proposal = self.proposals[0]
         if not self.compared_explanations:
-            return best_proposal.remedy.instruction
+            return best_proposal.candidate.instruction
         distinguished = best_proposal.distinguished_explanations or self.compared_explanations[1:]
         now, then = (
             list_text([f"{template_values[name]:.0f}" for name in distinguished])
@@ -250,7 +250,7 @@ class RankedProposals(ValueEquality):
         template_values = {"first": titles[self.compared_explanations[0]], "others": other_titles, "then": then}
         if not best_proposal.distinguished_explanations:
             return advice_sentence("undecided", needed=MIN_DECISIVE_CHI2, **template_values)
-        sentence = advice_sentence("decided", do=best_proposal.remedy.instruction, now=now, **template_values)
+        sentence = advice_sentence("decided", do=best_proposal.candidate.instruction, now=now, **template_values)
         remaining = [titles[name] for name in self.compared_explanations[1:] if name not in distinguished]
         return sentence + (advice_sentence("left open", others=list_text(remaining)) if remaining else "")
 
@@ -261,12 +261,12 @@ def rank_next_measurements(
     explanations: Sequence[str] = (),
     with_effects: str | LinearEffect | Sequence[str | LinearEffect] = (),
     minutes_per_move: float = 20.0,
-    site_sights: SiteSights | None = None,
+    visibility_function: VisibilityFunction | None = None,
     progress: ProgressCallback = no_progress,
 ) -> RankedProposals:
     """Proposals of further measurements after a recording, the best first; arguments as in `lt.next_measurement`.
 
-    `site_sights` restricts the places of additional stations.
+    `visibility_function` restricts the places of additional stations.
     """
     input_recording = load_recording(recording)
     adjustment = adjust(input_recording, declared_construction(input_recording))
@@ -283,15 +283,15 @@ def rank_next_measurements(
             asked,
             extra_effects,
             seconds_per_move=60.0 * minutes_per_move,
-            site_sights=site_sights,
+            visibility_function=visibility_function,
             progress=progress,
         )
     network, move = PlannedNetwork.from_adjustment(adjustment), 60.0 * minutes_per_move
-    stations = station_remedies(network, move, site_sights)
-    pointings = pointing_remedies(network, site_sights=site_sights)
-    candidates = *pointings, *return_remedies(network, move), *stations
+    stations = station_candidates(network, move, visibility_function)
+    pointings = pointing_candidates(network, visibility_function=visibility_function)
+    candidates = *pointings, *repeated_setup_candidates(network, move), *stations
     proposals = []
-    for done, proposal in enumerate(_proposals_of(candidates, network.make_adjustment()), 1):
+    for done, proposal in enumerate(_proposals_for(candidates, network.make_adjustment()), 1):
         proposals.append(proposal)
         progress("trying further measurements", done / len(candidates))
     return RankedProposals(tuple(sorted(proposals, key=lambda p: p.sigma_ratio)))
@@ -303,65 +303,69 @@ def rank_deciding_measurements(
     extra_effects: Sequence[LinearEffect] = (),
     *,
     seconds_per_move: float = DEFAULT_MOVE_TIME,
-    site_sights: SiteSights | None = None,
+    visibility_function: VisibilityFunction | None = None,
     stops_at_first: bool = False,
     progress: ProgressCallback = no_progress,
 ) -> RankedProposals:
     """Proposals of further measurements, ranked by their evidence between two or more possible causes of a misfit.
 
     Each cause is to be distinguished from the first; causes that are already distinguished are ignored. The adjustment
-    estimates `extra_effects` too. `site_sights` restricts the places of additional stations. With `stops_at_first` the
-    search ends at the first measurement that decides.
+    estimates `extra_effects` too. `visibility_function` restricts the places of additional stations. With
+    `stops_at_first` the search ends at the first measurement that decides.
     """
     network, (first, *others) = PlannedNetwork.from_adjustment(adjustment), explanations
     planned_adjustment = network.make_adjustment()
     space = residual_space_of(planned_adjustment, extra_effects)
     rivals = {other.effect.name: RivalExplanations.from_explanations(space, first, other) for other in others}
-    decided_names = [name for name, pair in rivals.items() if pair.present_evidence >= MIN_DECISIVE_CHI2]
+    decided_names = [name for name, pair in rivals.items() if pair.present_chi2_difference >= MIN_DECISIVE_CHI2]
     if len(decided_names) < len(rivals):
         rivals = {name: pair for name, pair in rivals.items() if name not in decided_names}
     suspects = [target for e in explanations for target in e.effect.targets]
-    nearby_remedies = sorted(pointing_remedies(network, suspects, site_sights), key=_effort_rank)
-    repeat_remedies = sorted(return_remedies(network, seconds_per_move), key=_effort_rank)
-    costly_remedies = sorted([*procedure_remedies(network), *calibrated_length_remedy(network)], key=_effort_rank)
-    n_proposals = len(nearby_remedies) + len(repeat_remedies) + N_EVALUATED_PLACES + len(costly_remedies)
+    nearby_candidates = sorted(pointing_candidates(network, suspects, visibility_function), key=_effort_rank)
+    repeat_remedies = sorted(repeated_setup_candidates(network, seconds_per_move), key=_effort_rank)
+    costly_remedies = sorted([*procedure_candidates(network), *calibrated_length_candidates(network)], key=_effort_rank)
+    n_proposals = len(nearby_candidates) + len(repeat_remedies) + N_EVALUATED_STATIONS + len(costly_remedies)
     proposals: list[MeasurementProposal] = []
-    stations = _most_informative_stations(network, seconds_per_move, site_sights)
-    every = chain(nearby_remedies, repeat_remedies, stations, costly_remedies)
-    for remedy in every:
-        longer_adjustment = remedy.make_adjustment()
+    stations = _most_informative_stations(network, seconds_per_move, visibility_function)
+    every = chain(nearby_candidates, repeat_remedies, stations, costly_remedies)
+    for candidate in every:
+        longer_adjustment = candidate.make_adjustment()
         if longer_adjustment is None:
             continue
         longer = residual_space_of(longer_adjustment, extra_effects)
-        evidence = {name: pair.expected_evidence(longer) for name, pair in rivals.items()}
-        proposals.append(MeasurementProposal.from_remedy(remedy, planned_adjustment, longer_adjustment, evidence))
+        evidence = {name: pair.expected_chi2_difference(longer) for name, pair in rivals.items()}
+        proposals.append(MeasurementProposal.from_candidate(candidate, planned_adjustment, longer_adjustment, evidence))
         progress("weighing the explanations", min(len(proposals) / n_proposals, 1.0))
         if stops_at_first and proposals[-1].distinguishes_all:
             break
     ranked_proposals = tuple(sorted(proposals, key=lambda p: p.sort_key))
     return RankedProposals(
-        ranked_proposals, (first.effect.name, *rivals), {name: pair.present_evidence for name, pair in rivals.items()}
+        ranked_proposals,
+        (first.effect.name, *rivals),
+        {name: pair.present_chi2_difference for name, pair in rivals.items()},
     )
 
 
-def _proposals_of(remedies: Iterable[Remedy], present_adjustment: Adjustment) -> Iterator[MeasurementProposal]:
+def _proposals_for(
+    remedies: Iterable[CandidateMeasurement], present_adjustment: Adjustment
+) -> Iterator[MeasurementProposal]:
     """Proposals for the measurements with which all poses are determined."""
-    for remedy in remedies:
-        adjustment = remedy.make_adjustment()
+    for candidate in remedies:
+        adjustment = candidate.make_adjustment()
         if adjustment is not None:
-            yield MeasurementProposal.from_remedy(remedy, present_adjustment, adjustment)
+            yield MeasurementProposal.from_candidate(candidate, present_adjustment, adjustment)
 
 
-def _effort_rank(remedy: Remedy) -> tuple[int, float]:
+def _effort_rank(candidate: CandidateMeasurement) -> tuple[int, float]:
     """Effort of a measurement: rank of its kind, then its duration [s]."""
-    return KINDS_BY_EFFORT.index(remedy.kind), remedy.duration
+    return KINDS_BY_EFFORT.index(candidate.kind), candidate.duration
 
 
 def _most_informative_stations(
-    network: PlannedNetwork, seconds_per_move: float, site_sights: SiteSights | None
-) -> Iterator[Remedy]:
+    network: PlannedNetwork, seconds_per_move: float, visibility_function: VisibilityFunction | None
+) -> Iterator[CandidateMeasurement]:
     """Additional stations that give most information on the instrument, the quickest first."""
-    remedies = station_remedies(network, seconds_per_move, site_sights)
-    proposals = _proposals_of(remedies, network.make_adjustment())
-    best_proposals = sorted(proposals, key=lambda p: p.sigma_ratio)[:N_EVALUATED_PLACES]
-    yield from sorted((p.remedy for p in best_proposals), key=_effort_rank)
+    remedies = station_candidates(network, seconds_per_move, visibility_function)
+    proposals = _proposals_for(remedies, network.make_adjustment())
+    best_proposals = sorted(proposals, key=lambda p: p.sigma_ratio)[:N_EVALUATED_STATIONS]
+    yield from sorted((p.candidate for p in best_proposals), key=_effort_rank)

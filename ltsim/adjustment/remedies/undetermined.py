@@ -13,14 +13,14 @@ from typing import NamedTuple
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.remedies.network import PlannedNetwork
-from ltsim.adjustment.remedies.remedy import (
+from ltsim.adjustment.remedies.candidates import (
     advice_sentence,
-    calibrated_length_remedy,
-    near_reflector_remedies,
-    return_remedies,
-    second_face_remedy,
+    calibrated_length_candidates,
+    near_reflector_candidates,
+    repeated_setup_candidates,
+    second_face_candidate,
 )
+from ltsim.adjustment.remedies.network import PlannedNetwork
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError
 from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
@@ -125,7 +125,7 @@ def _basis_of_span(vectors: Floats) -> Floats:
     return basis
 
 
-class DeterminingMeasurement(NamedTuple):
+class MeasurementForCombination(NamedTuple):
     """Measurement that determines an undetermined combination of parameters."""
 
     instruction: str = ""
@@ -134,9 +134,9 @@ class DeterminingMeasurement(NamedTuple):
     """Sentence with the instruction and its benefit, or on its lack; empty if no measurement was sought."""
 
 
-def determining_measurements(
+def measurements_for_undetermined(
     adjustment: Adjustment, construction: GeometricErrorModel, directions: Sequence[Sequence[ParameterCombination]]
-) -> list[list[DeterminingMeasurement]]:
+) -> list[list[MeasurementForCombination]]:
     """Measurements that determine the undetermined combinations of each instrument.
 
     The measurement is the first that increases the gain above one half, or else the one with the largest increase.
@@ -146,9 +146,9 @@ def determining_measurements(
         return [[] for _ in directions]
     network = PlannedNetwork.from_adjustment(adjustment, construction)
     present_gains = _gains_of_combinations(network, directions)
-    cheap = [r for r in (second_face_remedy(network), *calibrated_length_remedy(network)) if r]
+    cheap = [r for r in (second_face_candidate(network), *calibrated_length_candidates(network)) if r]
     candidates = chain(
-        cheap, return_remedies(network, 0.0, [0]), near_reflector_remedies(network)
+        cheap, repeated_setup_candidates(network, 0.0, [0]), near_reflector_candidates(network)
     )  # the cheapest first
     evaluated = list[tuple[str, list[list[float]]]]()
     open_combinations = {(i, k) for i, combinations in enumerate(directions) for k in range(len(combinations))}
@@ -160,7 +160,7 @@ def determining_measurements(
             break
     return [
         [
-            _determining_measurement(d, present_gains[i][k], [(words, gain[i][k]) for words, gain in evaluated])
+            _measurement_for_combination(d, present_gains[i][k], [(words, gain[i][k]) for words, gain in evaluated])
             for k, d in enumerate(combinations)
         ]
         for i, combinations in enumerate(directions)
@@ -181,24 +181,24 @@ def _gains_of_combinations(
     ]
 
 
-def _determining_measurement(
-    direction: ParameterCombination, present_gain: float, remedies_with_gains: Sequence[tuple[str, float]]
-) -> DeterminingMeasurement:
+def _measurement_for_combination(
+    combination: ParameterCombination, present_gain: float, candidates_with_gains: Sequence[tuple[str, float]]
+) -> MeasurementForCombination:
     """Measurement that determines one combination of parameters.
 
-    `remedies_with_gains` are instructions of possible measurements, each with the gain that it would give;
+    `candidates_with_gains` are instructions of possible measurements, each with the gain that it would give;
     `present_gain` is the present gain.
     """
-    if present_gain >= MIN_DETERMINED_GAIN > direction.gain:
+    if present_gain >= MIN_DETERMINED_GAIN > combination.gain:
         instruction = advice_sentence("network method")
         sentence = advice_sentence("determined already", do=instruction, then=present_gain)
-        return DeterminingMeasurement(instruction, sentence)
-    is_sufficient = [pair for pair in remedies_with_gains if pair[1] >= MIN_DETERMINED_GAIN]
+        return MeasurementForCombination(instruction, sentence)
+    is_sufficient = [pair for pair in candidates_with_gains if pair[1] >= MIN_DETERMINED_GAIN]
     words, then = (
         is_sufficient[0]
         if is_sufficient
-        else max(remedies_with_gains, key=lambda pair: pair[1], default=("", present_gain))
+        else max(candidates_with_gains, key=lambda pair: pair[1], default=("", present_gain))
     )
     if then - present_gain < MIN_WORTHWHILE_GAIN_INCREASE:
-        return DeterminingMeasurement(sentence=advice_sentence("not determined"))
-    return DeterminingMeasurement(words, advice_sentence("determined", do=words, now=direction.gain, then=then))
+        return MeasurementForCombination(sentence=advice_sentence("not determined"))
+    return MeasurementForCombination(words, advice_sentence("determined", do=words, now=combination.gain, then=then))

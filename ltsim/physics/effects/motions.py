@@ -6,7 +6,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.geometry.polar import to_face, to_polar, wrap_angle
-from ltsim.geometry.rigid import from_rotation_vector, pose_design
+from ltsim.geometry.rigid import matrix_from_rotation_vector, pose_design
 from ltsim.physics.effects.effect import Effect, design_from_displacements
 from ltsim.physics.effects.linear_effect import LinearEffect, Linearisation
 from ltsim.scene.sightings import Sightings
@@ -40,7 +40,7 @@ def _apparent_sightings(sightings: Sightings, motion: Floats) -> Sightings:
 
     A motion is a translation [m] and a rotation vector [rad] in the network frame.
     """
-    inverse_rotations = np.swapaxes(from_rotation_vector(motion[:, 3:]), 1, 2)
+    inverse_rotations = np.swapaxes(matrix_from_rotation_vector(motion[:, 3:]), 1, 2)
     apparent = np.einsum("nij,nj->ni", inverse_rotations, sightings.sight_vectors - motion[:, :3])
     return _sightings_with_displaced_targets(sightings, apparent - sightings.sight_vectors)
 

@@ -84,11 +84,11 @@ class GeometricErrorModel:
         zero_reading, chain, slots = np.zeros((1, 3)), list(self.kinematic_chain), []
         for column in range(3):
             unit_reading = np.eye(3)[[column]]
-            motions, functions = self.kinematic_chain, [m.nominal for m in self.kinematic_chain]
+            motions, functions = self.kinematic_chain, [m.nominal_function for m in self.kinematic_chain]
             place = [f is not None and f(unit_reading)[0] != f(zero_reading)[0] for f in functions].index(True)
             motion = motions[place]
-            slots.append(motion.slot or f"reading-{column}")
-            chain[place] = replace(motion, slot=slots[-1])
+            slots.append(motion.error_slot or f"reading-{column}")
+            chain[place] = replace(motion, error_slot=slots[-1])
         return tuple(chain), tuple(slots)
 
     def basis_values(self, readings: Floats) -> Floats:
@@ -120,7 +120,7 @@ class GeometricErrorModel:
 
     def point(self, readings: Floats, values: Floats) -> Floats:
         """Point (n, 3) [m] in the instrument frame of raw readings (n, 3); exact."""
-        return kinematics.point_of_readings(self.kinematic_chain, readings, self.slot_errors(readings, values))
+        return kinematics.points_from_raw_readings(self.kinematic_chain, readings, self.slot_errors(readings, values))
 
     def linearise(self, readings: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
         """Point (n, 3) [m], and its derivatives by the raw readings (n, 3, 3) and by the parameters (n, 3, p).
@@ -130,7 +130,7 @@ class GeometricErrorModel:
         """
         (chain, slots_of_readings), bases = self._chain_with_reading_slots, self.basis_values(readings)
         slots = {term.slot for term in self.terms} | set(slots_of_readings)
-        p, by_slot = kinematics.point_and_derivatives(chain, readings, self._slot_amounts(bases, values), slots)
+        p, by_slot = kinematics.points_and_error_derivatives(chain, readings, self._slot_amounts(bases, values), slots)
         by_reading = np.stack([by_slot[slot] for slot in slots_of_readings], axis=2)
         if not self.terms:
             return p, by_reading, np.zeros((len(readings), 3, 0))

@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.geometry.rigid import from_rotation_vector
+from ltsim.geometry.rigid import matrix_from_rotation_vector
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class NetworkState:
         """
         return type(self)(
             self.station_positions + pose_increments[:, :3],
-            from_rotation_vector(pose_increments[:, 3:]) @ self.station_rotations,
+            matrix_from_rotation_vector(pose_increments[:, 3:]) @ self.station_rotations,
             self.target_points + point_increments,
             self.instrument_parameters + instrument_increments,
             self.extra_parameters + extra_increments,

@@ -17,7 +17,7 @@ from ltsim.reports import style
 from ltsim.reports.words import QUALITY_MEASURES, distinct_labels, is_determined, typographic_text
 
 if TYPE_CHECKING:
-    from ltsim.calibration.history import ParameterCourse
+    from ltsim.calibration.history import ParameterHistory
     from ltsim.planning.plan_entries import PlannedParameterEntry
     from ltsim.planning.result import Plan
 
@@ -147,7 +147,7 @@ def correlation_figure(parameters: Sequence[ParameterEntry], covariance: Floats)
 
 
 @style.with_figure_style
-def history_figure(names: Sequence[str], courses: Sequence[ParameterCourse]) -> Figure:
+def history_figure(names: Sequence[str], courses: Sequence[ParameterHistory]) -> Figure:
     """Estimates of each parameter in all calibrations with 95 % intervals, one panel per parameter.
 
     The band is the mean over the calibrations with the spread of the true values between them.

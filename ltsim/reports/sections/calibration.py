@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ltsim.adjustment.identification import CauseTest
-from ltsim.adjustment.identification.actions import cause_actions
+from ltsim.adjustment.identification.recommendations import recommendations_for_causes
 from ltsim.adjustment.verdict import VerdictCase
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import read_targets
@@ -256,7 +256,7 @@ def _warning_blocks(content: Calibration, *, converged: bool, agrees: bool) -> l
     lines = uncertainty_sentences(content)
     blocks += [BulletListBlock("Uncertainty", lines)] if lines else []
     if content.correction is not None and content.correction.uncorrected_um > 0:
-        lines = [*([content.correction.error_text] if agrees else []), *content.correction.sentences]
+        lines = [*([content.correction.point_error_text] if agrees else []), *content.correction.sentences]
         blocks += (
             [BulletListBlock("Benefit of the calibration", [as_sentence(line) for line in lines])] if lines else []
         )
@@ -281,7 +281,7 @@ def _reference_value_blocks(content: Calibration) -> list[TableBlock]:
 
 def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
     """Next actions, the most urgent first."""
-    actions = cause_actions(_corrected_faults(content))
+    actions = recommendations_for_causes(_corrected_faults(content))
     remaining = [o for o in content.outliers if not o.excluded]
     if remaining:
         reading_names = listing([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in remaining], 3)

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, TypeVar
 
 from ltsim.acceptance.files import AcceptanceFile, Judgement, joint_judgement
 from ltsim.adjustment.fieldcheck.result import Check, item_from_cause
-from ltsim.adjustment.identification.actions import cause_actions
-from ltsim.adjustment.significance import FAMILY_LEVEL
+from ltsim.adjustment.identification.recommendations import recommendations_for_causes
+from ltsim.adjustment.significance import FAMILY_WISE_LEVEL
 from ltsim.calibration.calibration_series import ChangeEntry
-from ltsim.calibration.events import MIN_STEPS_FOR_TEST, MIN_STEPS_FOR_USUAL, EventEntry
+from ltsim.calibration.events import MIN_STEPS_FOR_TEST, MIN_STEPS_TO_CALL_USUAL, EventEntry
 from ltsim.calibration.history import History
 from ltsim.core.errors import option
 from ltsim.core.notation import number_text
@@ -91,7 +91,7 @@ def check_section(content: Check, context: ReportContext) -> Section:
         f"Check in the field: {recording_title}" if recording_title else "Check in the field",
         as_sentence(content.sentence),
     )
-    actions = [*cause_actions(content.tests), *_failed_test_actions(content)]
+    actions = [*recommendations_for_causes(content.tests), *_failed_test_actions(content)]
     return Section(
         title,
         "Check",
@@ -306,8 +306,8 @@ def history_section(content: History, _: ReportContext) -> Section:
     """Section of the history of an instrument."""
     labels = content.labels
     content = _with_short_labels(content)
-    since, knows_usual_changes = content.since_first, len(labels) > MIN_STEPS_FOR_USUAL
-    has_changed = bool(content.events) if knows_usual_changes else since.p_value < FAMILY_LEVEL
+    since, knows_usual_changes = content.since_first, len(labels) > MIN_STEPS_TO_CALL_USUAL
+    has_changed = bool(content.events) if knows_usual_changes else since.p_value < FAMILY_WISE_LEVEL
     text = "Estimates with 95 % intervals; the band is the mean +- the spread of the true values between calibrations."
     figure = partial(figures.parameters.history_figure, labels, content.determined_parameters)
     course = [PictureBlock("Course of the parameters", figure, text)] if content.determined_parameters else []
@@ -322,7 +322,7 @@ def history_section(content: History, _: ReportContext) -> Section:
     )
     fits_note = "Where sigma0 is significantly above 1, the sigmas of that calibration are multiplied by it."
     change_table = content.table("changes")
-    significant_rows = frozenset(i for i, p in enumerate(change_table.column("p_value")) if p < FAMILY_LEVEL)
+    significant_rows = frozenset(i for i, p in enumerate(change_table.column("p_value")) if p < FAMILY_WISE_LEVEL)
     blocks: list[Block] = [
         *table_block("Changes between calibrations", change_table, note=note, marked_rows=significant_rows),
         *course,
@@ -369,8 +369,8 @@ def _course_sentence(content: History, knows_usual_changes: bool) -> str:
         steps = listing(list(dict.fromkeys(f"between {e.from_} and {e.to}" for e in events)))
         names = listing(list(dict.fromkeys(e.name for e in events)))
         return f"had an event (such as a service or a blow) {steps}, in {names}."
-    if since.p_value >= FAMILY_LEVEL:
-        between = [f"{c.from_} and {c.to}" for c in content.changes if c.p_value < FAMILY_LEVEL]
+    if since.p_value >= FAMILY_WISE_LEVEL:
+        between = [f"{c.from_} and {c.to}" for c in content.changes if c.p_value < FAMILY_WISE_LEVEL]
         return f"shows no change since the first {tested}" + (
             f", though it did between {listing(between)}." if between else "."
         )

@@ -15,7 +15,7 @@ from ltsim.adjustment.evaluation.criteria import (
     distance_differences_to_first,
 )
 from ltsim.core.errors import NetworkError, RecordError
-from ltsim.geometry.rigid import from_rotation_vector
+from ltsim.geometry.rigid import matrix_from_rotation_vector
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Setup
@@ -31,7 +31,7 @@ def network(values: np.ndarray, noise: float = 0.0, *, faces: tuple[int, ...] = 
     rng = np.random.default_rng(3)
     rows = [(s, t, f) for s in range(3) for t in range(6) for f in faces]
     station, target, face = np.array(rows).T
-    local = np.array([from_rotation_vector(POSES[s][1]).T @ (TARGETS[t] - POSES[s][0]) for s, t, _ in rows])
+    local = np.array([matrix_from_rotation_vector(POSES[s][1]).T @ (TARGETS[t] - POSES[s][0]) for s, t, _ in rows])
     readings = misalignment_construction().readings(local, face, values)
     readings += noise * rng.standard_normal(readings.shape)
     ones = np.ones(len(rows), dtype=np.int64)
@@ -118,7 +118,7 @@ def test_one_station_is_refused_in_a_sentence() -> None:
 
 def test_verification_against_nominal_points_in_another_frame() -> None:
     values = parameters(range_scale=50e-6, vertical_index=40e-6)
-    turned = TARGETS @ from_rotation_vector(np.array([0.3, -0.2, 2.0])).T + [10.0, 20, 30]
+    turned = TARGETS @ matrix_from_rotation_vector(np.array([0.3, -0.2, 2.0])).T + [10.0, 20, 30]
     nominal = {f"T{t}": turned[t] for t in range(6)} | {"unused": np.zeros(3)}
     criteria = verify_against_nominal(network(values, faces=(1,)), nominal, misalignment_construction(), values)
     # A scale of 50 ppm is an error of every distance, which only nominal lengths can show.

@@ -16,7 +16,7 @@ from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.fieldcheck import Check, check
 from ltsim.adjustment.fieldcheck.check import best_bump
 from ltsim.adjustment.fieldcheck.occupation import StationOccupation, two_face_pairs
-from ltsim.adjustment.fieldcheck.words import number_text
+from ltsim.adjustment.fieldcheck.sentences import number_text
 from ltsim.adjustment.reliability import neg_log_p_chi2
 from ltsim.cli.check import mpe_of, wait_for_changes, watch_recording
 from ltsim.cli.main import run

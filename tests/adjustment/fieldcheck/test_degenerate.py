@@ -13,7 +13,7 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.fieldcheck import check
 from ltsim.adjustment.fieldcheck.occupation import face_pair_rows
 from ltsim.adjustment.quality import adjustment_warnings
-from ltsim.adjustment.significance import FAMILY_LEVEL, GLOBAL_LEVEL
+from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, GLOBAL_TEST_LEVEL
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.errors import LtsimError
 from ltsim.core.randomness import stream
@@ -130,10 +130,10 @@ def test_check_gives_the_judgement_of_adjust_where_nothing_but_noise_is_larger(s
     if lt.adjust(noisy, robust=True).adjustment.is_rejected.any():
         assert "contradicts the other stations" in item.sentence
         return
-    assert item.passed == (2.0 * min(adjusted.p_value, 1.0 - adjusted.p_value) >= FAMILY_LEVEL / 4)
+    assert item.passed == (2.0 * min(adjusted.p_value, 1.0 - adjusted.p_value) >= FAMILY_WISE_LEVEL / 4)
     assert f"sigma0 is {adjusted.sigma0:.2f}, " in item.sentence
     assert ("noise alone gives this in one of" in item.sentence) == (
-        item.passed and adjusted.p_value < GLOBAL_LEVEL / 2
+        item.passed and adjusted.p_value < GLOBAL_TEST_LEVEL / 2
     )
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import get_args
 
-from ltsim.adjustment.identification.actions import cause_action, cause_actions
+from ltsim.adjustment.identification.cause_tests import CausePlace, CauseTest
 from ltsim.adjustment.identification.hypothesis import CauseKind
-from ltsim.adjustment.identification.tests import CausePlace, CauseTest
+from ltsim.adjustment.identification.recommendations import recommendation_for_cause, recommendations_for_causes
 
 
 def cause(kind: str, acts_on: str = "distance", estimate: float = 1.0) -> CauseTest:
@@ -16,15 +16,15 @@ def cause(kind: str, acts_on: str = "distance", estimate: float = 1.0) -> CauseT
 
 def test_each_kind_of_cause_has_an_action() -> None:
     for kind in get_args(CauseKind):
-        action = cause_action(cause(kind))
+        action = recommendation_for_cause(cause(kind))
         assert action.endswith(".") and "{" not in action, kind
         assert "ST3" in action or kind == "reference-scale", kind
-    assert cause_action(cause("outlier")) == "Measure again T7 from ST3 (row 4)."
-    assert "vertical index" in cause_action(cause("constant-offset", "elevation"))
+    assert recommendation_for_cause(cause("outlier")) == "Measure again T7 from ST3 (row 4)."
+    assert "vertical index" in recommendation_for_cause(cause("constant-offset", "elevation"))
 
 
 def test_noise_smaller_than_declared_is_no_fault() -> None:
     quiet, loud, again = (cause("noise-level", "noise", size) for size in (0.5, 3.0, 4.0))
     assert not quiet.is_fault and loud.is_fault
-    assert cause_actions([quiet, loud, again]) == [cause_action(loud)]
+    assert recommendations_for_causes([quiet, loud, again]) == [recommendation_for_cause(loud)]
     assert not cause("names").model_copy(update={"accepted": False}).is_fault

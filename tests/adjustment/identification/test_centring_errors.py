@@ -64,7 +64,7 @@ def test_another_reflector_in_every_nest_of_a_set_up(length_mm: float, cause: st
     assert test.sigma is not None and abs(test.estimate + length_mm) < 4.0 * test.sigma + 1e-3
     assert cause in test.sentence
     assert "nest_normal" in test.sentence
-    assert selection.requires_initial_causes
+    assert selection.requires_adjustment_with_causes
     error = selection.fit.state.target_points - adjust(hall()[0]).state.target_points
     assert np.sqrt(np.mean(error**2)) < 20e-6
 

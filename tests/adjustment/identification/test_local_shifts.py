@@ -44,8 +44,8 @@ def single(shift: LocalShift) -> tuple[float, np.ndarray]:
         fits = 0.5 * (residual - unit @ amount) ** 2 < PRICE
         amount = fitted(fits * 1.0) if fits.sum() > len(amount) else amount
     cost = [np.minimum(0.5 * e**2, PRICE).sum() for e in (residual, residual - unit @ amount)]
-    parameters = np.zeros(len(shift.acting_parameters))
-    parameters[shift.acting_parameters] = amount / shift.column_lengths
+    parameters = np.zeros(len(shift.is_acting_parameter))
+    parameters[shift.is_acting_parameter] = amount / shift.column_lengths
     return float(cost[0] - cost[1]), parameters
 
 

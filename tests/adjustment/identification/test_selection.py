@@ -13,19 +13,19 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.identification import CauseSelection, FitInput, cause_tests, screen, select_causes
-from ltsim.adjustment.identification.actions import cause_action
 from ltsim.adjustment.identification.evidence import (
     LOG_SIZE_PRIOR_WIDTH,
     estimate_noise_factors,
-    estimate_variance_factor,
+    estimate_sigma_factors,
     log_occam_factor_of_shift,
     log_occam_factor_of_variance,
 )
 from ltsim.adjustment.identification.fit import NetworkFit
-from ltsim.adjustment.identification.library import shift_candidates
+from ltsim.adjustment.identification.hypothesis_library import shift_candidates
 from ltsim.adjustment.identification.model_changes import apply_corrections_and_omissions
 from ltsim.adjustment.identification.nominal_offsets import usual_smr_text
-from ltsim.adjustment.identification.screen import _distance_trial_hypotheses
+from ltsim.adjustment.identification.recommendations import recommendation_for_cause
+from ltsim.adjustment.identification.screening import _distance_trial_hypotheses
 from ltsim.adjustment.identification.selection import _refine_motion_time
 from ltsim.adjustment.reference_values import ReferenceValue, reference_values
 from ltsim.adjustment.start import initial_network
@@ -78,7 +78,7 @@ def test_nothing_is_identified_in_a_clean_hall() -> None:
     selection = identified(hall()[0])
     assert selection.selected_hypotheses == ()
     assert selection.fit.is_outlier.sum() <= 1
-    assert not selection.requires_initial_causes
+    assert not selection.requires_adjustment_with_causes
 
 
 @pytest.mark.parametrize("size", family([2e-4, 12.7e-3, 0.4], 2))
@@ -134,7 +134,7 @@ def test_a_constant_that_drifts_evenly_at_all_stations(observable: str, size: fl
     selection = identified(wrong)
     assert the_one(selection) == ("constant-drift", (), ())
     (test,) = [t for t in cause_tests(selection) if t.accepted and t.kind != "outlier"]
-    assert (test.acts_on, cause_action(test)) == (
+    assert (test.acts_on, recommendation_for_cause(test)) == (
         observable,
         "Let the tracker reach its operating temperature, and measure all set-ups again.",
     )
@@ -284,7 +284,7 @@ def test_noise_other_than_declared(factor: float) -> None:
     assert the_one(selection) == ("noise-level", (), ())
     (test,) = [t for t in cause_tests(selection) if t.kind == "noise-level"]
     assert test.estimate == pytest.approx(factor, rel=0.1)
-    assert not selection.requires_initial_causes
+    assert not selection.requires_adjustment_with_causes
 
 
 def test_distances_are_put_aside_at_places_that_stand_out_alone(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -366,10 +366,10 @@ def test_the_occam_factor_is_the_integral_over_all_sizes() -> None:
 def test_a_variance_factor_is_found_where_the_noise_has_it() -> None:
     draw = stream(5, "noise").normal(size=(200, 300)) * 2.0
     squares = np.sum(draw**2, axis=1)
-    factor, gain = estimate_variance_factor(squares, np.full(200, 300.0))
+    factor, gain = estimate_sigma_factors(squares, np.full(200, 300.0))
     assert np.mean(factor) == pytest.approx(2.0, rel=0.01)
     assert np.all(gain + log_occam_factor_of_variance(300.0) > 50.0)
-    quiet, nothing = estimate_variance_factor(np.array([300.0]), np.array([300.0]))
+    quiet, nothing = estimate_sigma_factors(np.array([300.0]), np.array([300.0]))
     assert quiet == pytest.approx(1.0)
     assert nothing == pytest.approx(0.0)
 

@@ -14,7 +14,7 @@ from ltsim.adjustment.remedies.detectability import (
     search_noncentrality,
 )
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.adjustment.significance import GLOBAL_LEVEL, TEST_POWER
+from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL, TEST_POWER
 from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
 from ltsim.physics.effects.elevation_eccentricity import ElevationEccentricity
 from ltsim.physics.effects.head_sag import HeadSag
@@ -29,7 +29,7 @@ from tests.planning.fixtures import survey
 INFORMATION = LayoutInformation.from_survey(survey())
 SPACE = ResidualSpace.from_adjustment(INFORMATION.adjustment)
 
-SINGLE = level_of_single_test(len(CATALOGUE) - len(BASELINE_EFFECTS) + 1, GLOBAL_LEVEL)
+SINGLE = level_of_single_test(len(CATALOGUE) - len(BASELINE_EFFECTS) + 1, GLOBAL_TEST_LEVEL)
 """Level of one effect at one place in a search."""
 
 
@@ -62,7 +62,7 @@ def test_a_noise_change_of_the_minimal_size_is_found_with_the_stated_power() -> 
     size[0] = seen.minimal_sizes[0][0]
     variance = effect.variance(INFORMATION.adjustment.sightings, problem.sigma, size)
     factor = np.ones(SPACE.n_rows)
-    factor[: int(problem.used_readings.sum())] = (variance / problem.sigma**2)[problem.used_readings]
+    factor[: int(problem.is_used_reading.sum())] = (variance / problem.sigma**2)[problem.is_used_reading]
     rng = np.random.default_rng(2)
     score = []
     for scale in (np.ones(len(factor)), np.sqrt(factor)):

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
+from ltsim.adjustment.remedies.candidates import (
+    ADVICE_SENTENCES,
+    calibrated_length_candidates,
+    near_reflector_candidates,
+    pointing_candidates,
+    procedure_candidates,
+    repeated_setup_candidates,
+)
 from ltsim.adjustment.remedies.network import PlannedNetwork
 from ltsim.adjustment.remedies.next_measurement import rank_next_measurements
-from ltsim.adjustment.remedies.remedy import (
-    ADVICE_SENTENCES,
-    calibrated_length_remedy,
-    near_reflector_remedies,
-    pointing_remedies,
-    procedure_remedies,
-    return_remedies,
-)
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.arrays import Bools, Floats
 from ltsim.physics.model.construction import misalignment_construction
@@ -45,15 +45,15 @@ def test_a_planned_network_knows_what_a_measured_one_knows(measured: PlannedNetw
 
 def test_a_longer_network_never_knows_less(measured: PlannedNetwork) -> None:
     before = measured.make_adjustment().instrument_covariance
-    for remedy in [
-        *procedure_remedies(measured),
-        *calibrated_length_remedy(measured),
-        *return_remedies(measured, 1200.0),
-        *near_reflector_remedies(measured)
+    for candidate in [
+        *procedure_candidates(measured),
+        *calibrated_length_candidates(measured),
+        *repeated_setup_candidates(measured, 1200.0),
+        *near_reflector_candidates(measured)
     ]:  # fmt: skip
-        after = remedy.network.make_adjustment().instrument_covariance
+        after = candidate.network.make_adjustment().instrument_covariance
         scale = np.sqrt(np.outer(np.diag(before), np.diag(before)))
-        assert np.linalg.eigvalsh((before - after) / scale).min() > -1e-6, remedy.instruction
+        assert np.linalg.eigvalsh((before - after) / scale).min() > -1e-6, candidate.instruction
 
 
 def test_a_length_that_is_known_is_not_calibrated_again(measured: PlannedNetwork) -> None:
@@ -78,21 +78,21 @@ def test_every_way_of_measuring_on_has_its_sentence(measured: PlannedNetwork) ->
     blank = re.compile(r"\\\{[^}]*\\\}")
     patterns = {key: blank.sub("(.+)", re.escape(text)) for key, text in ADVICE_SENTENCES.items()}
     tried = [
-        *procedure_remedies(measured),
-        *calibrated_length_remedy(measured),
-        *return_remedies(measured, 1200.0),
-        *near_reflector_remedies(measured)
+        *procedure_candidates(measured),
+        *calibrated_length_candidates(measured),
+        *repeated_setup_candidates(measured, 1200.0),
+        *near_reflector_candidates(measured)
     ]  # fmt: skip
     said = {
-        remedy.instruction: {key for key, text in patterns.items() if re.fullmatch(text, remedy.instruction)}
-        for remedy in tried
+        candidate.instruction: {key for key, text in patterns.items() if re.fullmatch(text, candidate.instruction)}
+        for candidate in tried
     }
     assert all(len(keys) == 1 for keys in said.values()), said
     assert {"other face", "close", "reverse", "length", "near", "turned"} <= set().union(*said.values())
 
 
 def test_nobody_aims_at_the_mark_that_the_tripod_stands_on(measured: PlannedNetwork) -> None:
-    """A target that the last station has not measured because it stands over it is no remedy; another one is."""
+    """A target that the last station has not measured because it stands over it is no candidate; another one is."""
     recording = measured.recording
     last = int(recording.station[np.argmax(recording.time)])
     kept = recording.select(~((recording.station == last) & np.isin(recording.target, [3, 4])))
@@ -100,14 +100,18 @@ def test_nobody_aims_at_the_mark_that_the_tripod_stands_on(measured: PlannedNetw
     points, position = network.state.target_points.copy(), network.state.station_positions
     points[kept.targets.index(recording.targets[3])] = position[last]
     over = replace(network, state=replace(network.state, target_points=points))
-    words = [remedy.instruction for remedy in pointing_remedies(over) if "has not measured" in remedy.instruction]
+    words = [
+        candidate.instruction for candidate in pointing_candidates(over) if "has not measured" in candidate.instruction
+    ]
     assert len(words) == 1
     assert f"({recording.targets[4]})" in words[0]
 
     def blocked(places: Floats, targets: Floats) -> Bools:
         return np.zeros((len(places), len(targets)), dtype=bool)
 
-    assert not [r for r in pointing_remedies(over, site_sights=blocked) if "has not measured" in r.instruction]
+    assert not [
+        r for r in pointing_candidates(over, visibility_function=blocked) if "has not measured" in r.instruction
+    ]
 
 
 def test_a_plan_is_continued_in_plan_and_a_set_up_that_sees_too_little_is_no_remedy(tmp_path: Path) -> None:
@@ -128,13 +132,13 @@ def test_a_plan_is_continued_in_plan_and_a_set_up_that_sees_too_little_is_no_rem
     found = adjust(read(file))
     network = PlannedNetwork.from_adjustment(found)
     before = len(network.recording)
-    remedies = [*pointing_remedies(network), *return_remedies(network, 60.0)]
-    assert all(remedy.network.recording.is_horizontal[before:].all() for remedy in remedies)
+    remedies = [*pointing_candidates(network), *repeated_setup_candidates(network, 60.0)]
+    assert all(candidate.network.recording.is_horizontal[before:].all() for candidate in remedies)
     determined = {
-        remedy.instruction.split(",")[0]: remedy.make_adjustment() is not None
-        for remedy in remedies
-        if remedy.kind == "return"
+        candidate.instruction.split(",")[0]: candidate.make_adjustment() is not None
+        for candidate in remedies
+        if candidate.kind == "return"
     }
     assert determined == {f"set up once more at {name}": name in "BC" for name in "ABCD"}
-    assert all(remedy.make_adjustment() is not None for remedy in remedies if remedy.kind == "pointings")
+    assert all(candidate.make_adjustment() is not None for candidate in remedies if candidate.kind == "pointings")
     assert rank_next_measurements(file).proposals

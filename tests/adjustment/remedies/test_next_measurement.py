@@ -9,6 +9,14 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
+from ltsim.adjustment.remedies.candidates import (
+    FloorPlan,
+    near_reflector_candidates,
+    pointing_candidates,
+    procedure_candidates,
+    repeated_setup_candidates,
+    station_candidates,
+)
 from ltsim.adjustment.remedies.network import PlannedNetwork
 from ltsim.adjustment.remedies.next_measurement import (
     RivalExplanations,
@@ -16,14 +24,6 @@ from ltsim.adjustment.remedies.next_measurement import (
     rank_deciding_measurements,
     rank_next_measurements,
     residual_space_of,
-)
-from ltsim.adjustment.remedies.remedy import (
-    FloorPlan,
-    near_reflector_remedies,
-    pointing_remedies,
-    procedure_remedies,
-    return_remedies,
-    station_remedies,
 )
 from ltsim.cli.main import run
 from ltsim.core.errors import ModelError
@@ -54,8 +54,8 @@ def test_proposals_are_ranked_by_what_they_tell_about_the_instrument(drifting: t
     sharper = [p.sigma_ratio for p in made.proposals]
     assert sharper == sorted(sharper)
     assert max(sharper) <= 1.0 + 1e-9
-    assert "other face" in made.proposals[0].remedy.instruction
-    assert {p.remedy.kind for p in made.proposals} == {"pointings", "return", "station"}
+    assert "other face" in made.proposals[0].candidate.instruction
+    assert {p.candidate.kind for p in made.proposals} == {"pointings", "return", "station"}
 
 
 def test_a_tracker_without_parameters_is_told_nothing_and_explanations_are_still_decided(
@@ -74,7 +74,7 @@ def test_a_proposal_keeps_its_promise_when_it_is_measured(drifting: tuple[Record
     """The best proposal, measured with noise and solved: the covariance is the promised one."""
     recording, construction = drifting[0], misalignment_construction()
     made = rank_next_measurements(recording)
-    best = made.proposals[0].remedy.network
+    best = made.proposals[0].candidate.network
     added = np.arange(len(best.recording)) >= len(recording)
     noise = np.random.default_rng(3).normal(size=best.recording.readings.shape) * best.recording.sigma()
     readings = best.recording.readings + noise * added[:, None]
@@ -88,15 +88,15 @@ def test_what_is_added_is_in_sight_and_timed_after_the_rest(drifting: tuple[Reco
     network = PlannedNetwork.from_adjustment(adjust(drifting[0], misalignment_construction()))
     count, last = len(drifting[0]), drifting[0].time.max()
     later = [
-        *pointing_remedies(network),
-        *return_remedies(network, 1200.0),
-        *list(station_remedies(network, 1200.0))[:8],
+        *pointing_candidates(network),
+        *repeated_setup_candidates(network, 1200.0),
+        *list(station_candidates(network, 1200.0))[:8],
     ]
-    within = [*procedure_remedies(network), *near_reflector_remedies(network)]
-    for k, remedy in enumerate([*later, *within]):
-        grown = remedy.network.recording
+    within = [*procedure_candidates(network), *near_reflector_candidates(network)]
+    for k, candidate in enumerate([*later, *within]):
+        grown = candidate.network.recording
         assert grown.time[count:].min() > (last if k < len(later) else grown.time[0])
-        assert remedy.duration >= (len(grown) - count) * 15 - 1
+        assert candidate.duration >= (len(grown) - count) * 15 - 1
         assert grown.is_measured[count:].all()
         assert np.array_equal(grown.readings[:count], network.recording.readings, equal_nan=True)
 
@@ -117,7 +117,7 @@ def test_evidence_between_two_explanations_is_what_simulation_gives(drifting: tu
     more, as the rival is free to fit noise)."""
     space = residual_space_of(adjust(drifting[0], misalignment_construction()))
     first, second = best_explanation(space, "index-drift"), best_explanation(space, "station-settling")
-    expected = RivalExplanations.from_explanations(space, first, second).present_evidence
+    expected = RivalExplanations.from_explanations(space, first, second).present_chi2_difference
     design_columns = space.project(space.whitened_design(first.effect) @ first.parameter_values)[:, None]
     noise = space.project(np.random.default_rng(1).normal(size=(space.n_rows, 400)))
 
@@ -173,8 +173,8 @@ def test_a_suspicious_reflector_is_looked_at_again() -> None:
         "it moved before the last visit, or in it: no pointing of that visit tells"
     )
     assert not best.distinguishes_all
-    assert best.remedy.instruction == "measure T14 from S5 3 more times, without touching the reflector"
-    assert best.remedy.duration == pytest.approx(45)
+    assert best.candidate.instruction == "measure T14 from S5 3 more times, without touching the reflector"
+    assert best.candidate.duration == pytest.approx(45)
 
 
 @pytest.mark.long
@@ -190,7 +190,7 @@ def test_diagnosis_and_plan_give_the_same_advice() -> None:
     planned = rank_next_measurements(recording, explanations=between, with_effects=beside)
     assert asked.separate_by == planned.advice_sentence
     assert (
-        planned.proposals[0].remedy.instruction in planned.advice_sentence
+        planned.proposals[0].candidate.instruction in planned.advice_sentence
         or "no tested measurement" in planned.advice_sentence
     )
 
@@ -204,11 +204,11 @@ def test_a_longer_recording_never_tells_less_and_its_evidence_is_that_of_all_riv
     rivals = RivalExplanations.from_explanations(
         residual_space_of(PlannedNetwork.from_adjustment(adjustment).make_adjustment()), *explanations
     )
-    for remedy in list(pointing_remedies(PlannedNetwork.from_adjustment(adjustment)))[:3]:
-        longer = residual_space_of(remedy.network.make_adjustment())
+    for candidate in list(pointing_candidates(PlannedNetwork.from_adjustment(adjustment)))[:3]:
+        longer = residual_space_of(candidate.network.make_adjustment())
         told, whole = (
-            rivals.expected_evidence(longer),
-            RivalExplanations.from_explanations(longer, *explanations).present_evidence,
+            rivals.expected_chi2_difference(longer),
+            RivalExplanations.from_explanations(longer, *explanations).present_chi2_difference,
         )
-        assert told >= rivals.present_evidence - 1e-6
+        assert told >= rivals.present_chi2_difference - 1e-6
         assert told == pytest.approx(whole, rel=0.02, abs=0.1)

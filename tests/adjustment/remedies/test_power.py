@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.remedies.detectability import detectability_at_places, select_places
+from ltsim.adjustment.remedies.detectability import detectability_at_places, subsample_evenly
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.adjustment.significance import GLOBAL_LEVEL
+from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
@@ -54,7 +54,7 @@ class Search:
         row = min(seen.table(), key=lambda r: r.median_size / r.prior_sigma)
         if not np.isfinite(row.median_size):
             return None
-        acting = [effect for effect in select_places(places) if self.space.whitened_design(effect).any()]
+        acting = [effect for effect in subsample_evenly(places) if self.space.whitened_design(effect).any()]
         for effect, sizes in zip(acting, seen.minimal_sizes, strict=True):
             names = [p.name for p in effect.parameters]
             if row.parameter in names and sizes[names.index(row.parameter)] == row.median_size:
@@ -75,7 +75,7 @@ class Search:
             )
             scored = Searcher(self.space, 0).empty_model_screening.null_statistics
         statistic = np.logaddexp(log_sum_exp(self.noise.family_evidence(residual, self.space.redundancy)), scored)
-        return float(np.mean(statistic > self.detection.threshold(GLOBAL_LEVEL)))
+        return float(np.mean(statistic > self.detection.threshold(GLOBAL_TEST_LEVEL)))
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +99,7 @@ def test_an_effect_of_the_minimal_detectable_size_is_found_by_the_search_as_ofte
 
 
 def test_nothing_is_found_where_there_is_nothing(search: Search) -> None:
-    assert search.share_found(np.zeros(search.space.n_rows), 300) == pytest.approx(GLOBAL_LEVEL, abs=0.04)
+    assert search.share_found(np.zeros(search.space.n_rows), 300) == pytest.approx(GLOBAL_TEST_LEVEL, abs=0.04)
 
 
 @pytest.mark.long

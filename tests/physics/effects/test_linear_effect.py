@@ -30,7 +30,7 @@ def test_a_signature_is_estimated_beside_poses_and_targets() -> None:
     law = Ripple()
     readings += 20e-6 * law.design(adjust(recording, truth.construction).sightings)[:, :, 0]
     fitted = adjust(recording.with_readings(readings), truth.construction, effects=[law])
-    sigma = float(np.sqrt(fitted.extra_covariance[0, 0]))
+    sigma = float(np.sqrt(fitted.effect_covariance[0, 0]))
     assert sigma < 0.5e-6
     assert fitted.state.extra_parameters[0] == pytest.approx(20e-6, abs=4 * sigma)
 

@@ -9,7 +9,7 @@ import pytest
 
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.geometry.polar import to_face, to_polar, wrap_angle
-from ltsim.geometry.rigid import from_rotation_vector
+from ltsim.geometry.rigid import matrix_from_rotation_vector
 from ltsim.physics.effects.azimuth_drift import AzimuthDrift
 from ltsim.physics.effects.backlash import Backlash
 from ltsim.physics.effects.dead_path import DeadPath
@@ -296,7 +296,7 @@ def test_settling_station_ends_where_its_parameters_say() -> None:
     row = int(np.argmin(np.abs(SCENE.station_time - 300.0) + 1e9 * (SCENE.station != 0)))
     share = 1 - np.exp(-SCENE.station_time[row] / 300.0)
     assert share == pytest.approx(0.632, abs=0.02)
-    turned = from_rotation_vector(share * np.array([10e-6, -5e-6, 0.0])) @ SCENE.station_rotations[0]
+    turned = matrix_from_rotation_vector(share * np.array([10e-6, -5e-6, 0.0])) @ SCENE.station_rotations[0]
     arm = SCENE.target_points[SCENE.target[row]] - SCENE.station_positions[0] - [0.0, 0.0, share * 30e-6]
     seen = to_face(to_polar((arm @ turned)[None]), SCENE.face[[row]])[0]
     np.testing.assert_allclose(change[row], seen - SCENE.raw_readings[row], atol=1e-13)
@@ -323,7 +323,7 @@ def test_levelling_error_is_only_another_pose_where_poses_are_free() -> None:
 def test_levelling_bias_turns_about_the_axes_of_the_instrument() -> None:
     """An instrument that leans about its x axis by b sees everything turned by -b about it."""
     change = StationLevelling().reading_change(SCENE, np.array([20e-6, 0.0]))
-    turned = SCENE.local_points @ from_rotation_vector(np.array([20e-6, 0.0, 0.0]))
+    turned = SCENE.local_points @ matrix_from_rotation_vector(np.array([20e-6, 0.0, 0.0]))
     gap = to_face(to_polar(turned), SCENE.face) - SCENE.raw_readings
     gap[:, 1] = wrap_angle(gap[:, 1])
     np.testing.assert_allclose(change, gap, atol=1e-13)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltsim.geometry.rigid import from_rotation_vector, rotation_about_z
+from ltsim.geometry.rigid import matrix_from_rotation_vector, rotation_about_z
 from ltsim.physics.model.measurement import NetworkState, plan_rotation, sightings_of
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Station
@@ -13,7 +13,7 @@ from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.simulator import simulate
 from tests.networks import STATIONS, YAWS, network
 
-ROOM = from_rotation_vector(np.array([0.004, -0.003, 2.1]))
+ROOM = matrix_from_rotation_vector(np.array([0.004, -0.003, 2.1]))
 """Room to network, as after an adjustment in a station's frame."""
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import special
 
 from ltsim.adjustment.identification.cause_selection import MAX_LOG_EVIDENCE_GAIN, CauseSelection, SelectedHypothesis
-from ltsim.adjustment.identification.evidence import log_occam_factor_of_shift, log_prior_of
+from ltsim.adjustment.identification.evidence import log_occam_factor_of_shift, log_prior_of_kind
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import (
     CauseKind,
@@ -20,7 +20,7 @@ from ltsim.adjustment.identification.hypothesis import (
     ReferenceOmission,
     RowCorrection,
 )
-from ltsim.adjustment.identification.noise_words import estimated_noise_factor, noise_sentence
+from ltsim.adjustment.identification.noise_sentences import estimated_noise_factor, noise_sentence
 from ltsim.adjustment.identification.nominal_offsets import usual_offset_text, usual_smr_text
 from ltsim.adjustment.identification.reading_shifts import ReadingShift
 from ltsim.adjustment.significance import MIN_REPORTED_PROBABILITY
@@ -102,13 +102,13 @@ def cause_tests(selection: CauseSelection) -> tuple[CauseTest, ...]:
     return (*(_accepted_test(fit, choice) for choice in selection.selected_hypotheses), *_outlier_tests(fit))
 
 
-def _accepted_test(fit: NetworkFit, choice: SelectedHypothesis) -> CauseTest:
-    h = choice.hypothesis
+def _accepted_test(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> CauseTest:
+    h = selected_hypothesis.hypothesis
     size_entries: dict[str, Any] = {}
-    drop, rank = max(2.0 * min(choice.log_evidence_gain, MAX_LOG_EVIDENCE_GAIN), 0.0), 1
+    drop, rank = max(2.0 * min(selected_hypothesis.log_evidence_gain, MAX_LOG_EVIDENCE_GAIN), 0.0), 1
     if isinstance(h.model_change, ReadingShiftChange):
         values, covariance = fit.estimate(h)
-        drop, rank = fit.length_in_sigmas(h) ** 2, len(values)
+        drop, rank = fit.estimate_length_in_sigmas(h) ** 2, len(values)
         size_entries = _estimated_size(h, values, covariance)
     elif isinstance(h.model_change, ReferenceOmission):
         rank = len(h.model_change.reference_value.sigma)
@@ -126,12 +126,12 @@ def _accepted_test(fit: NetworkFit, choice: SelectedHypothesis) -> CauseTest:
         if isinstance(h.model_change, ReadingShiftChange | ReferenceOmission)
         else None
     )
-    share = choice.probabilities.tolist()
+    share = selected_hypothesis.probabilities.tolist()
     alternatives = tuple(
         AlternativeCause(
             kind=other.kind, where=CausePlace(stations=other.stations, targets=other.targets), probability=s
         )
-        for (other, _), s in zip(choice.alternatives, share[1:-1], strict=True)
+        for (other, _), s in zip(selected_hypothesis.alternatives, share[1:-1], strict=True)
         if s > MIN_REPORTED_PROBABILITY
     )
     return CauseTest(
@@ -257,7 +257,7 @@ def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     return f"Target {place_names} moved {interval}, by {size_text} ({', '.join(parts)} mm{axes})."
 
 
-OBSERVABLE_CAUSES = {
+OBSERVABLE_CAUSE_TEXTS = {
     ("constant-offset", "distance", "station"): "another SMR, or a wrong distance constant",
     ("constant-offset", "distance", "target"): "another SMR or prism",
     ("constant-offset", "elevation", "station"): "the vertical index differs at this set-up",
@@ -275,7 +275,7 @@ def _observable_sentence(fit: NetworkFit, hypothesis: Hypothesis, estimate: dict
     """Sentence on a shift of all readings of one observable; `estimate` has its size, standard deviation and unit."""
     place_names = ", ".join((*hypothesis.stations, *hypothesis.targets))
     place, link = ("target", "to") if hypothesis.targets else ("station", "from")
-    cause = OBSERVABLE_CAUSES[hypothesis.kind, hypothesis.acts_on, place]
+    cause = OBSERVABLE_CAUSE_TEXTS[hypothesis.kind, hypothesis.acts_on, place]
     what, number = f"The {hypothesis.acts_on}s {link} {place_names or 'all stations'}", estimate["estimate"]
     size_text = f"{with_sigma(abs(number), estimate['sigma'], estimate['unit'])}"
     if hypothesis.kind == "constant-step":
@@ -389,8 +389,8 @@ def _p_target_moved(fit: NetworkFit, row: int, chi2_drop: float) -> float:
     if same_rows[np.argmax(s.time[same_rows])] != row or len(same_rows) < 2:
         return 0.0
     w = float(np.sqrt(chi2_drop))
-    odds = log_prior_of("target-moved", len(s)) - log_prior_of(
-        "outlier", int(fit.problem_with_all_readings.used_readings.sum())
+    odds = log_prior_of_kind("target-moved", len(s)) - log_prior_of_kind(
+        "outlier", int(fit.problem_with_all_readings.is_used_reading.sum())
     )
     odds += (
         float(log_occam_factor_of_shift(w, 3))

@@ -84,13 +84,13 @@ def _first_vertex(design: Floats, observations: Floats, start_solution: Floats) 
     return order[pivots[:count]]
 
 
-def _entering_row(residual: Floats, edge_residual_rate: Floats, edge_derivative: float) -> int:
+def _entering_row(residual: Floats, residual_rates_along_edge: Floats, objective_slope: float) -> int:
     """Index of the row at which the sum of absolute residuals stops decreasing along an edge (a weighted median).
 
-    `edge_residual_rate` (m,) is the decrease of each residual per unit of length along the edge, and `edge_derivative`
-    the initial decrease of the sum of absolute residuals per unit of length.
+    `residual_rates_along_edge` (m,) is the decrease of each residual per unit of length along the edge, and
+    `objective_slope` the initial decrease of the sum of absolute residuals per unit of length.
     """
-    ahead = np.flatnonzero(residual * edge_residual_rate > 0.0)
-    order = ahead[np.argsort(residual[ahead] / edge_residual_rate[ahead])]
-    slope_increase = np.cumsum(2.0 * np.abs(edge_residual_rate[order]))
-    return int(order[min(int(np.searchsorted(slope_increase, edge_derivative)), len(order) - 1)])
+    ahead = np.flatnonzero(residual * residual_rates_along_edge > 0.0)
+    order = ahead[np.argsort(residual[ahead] / residual_rates_along_edge[ahead])]
+    slope_increase = np.cumsum(2.0 * np.abs(residual_rates_along_edge[order]))
+    return int(order[min(int(np.searchsorted(slope_increase, objective_slope)), len(order) - 1)])

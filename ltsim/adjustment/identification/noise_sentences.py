@@ -6,7 +6,7 @@ import numpy as np
 
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor
-from ltsim.adjustment.stochastic_model import noise_settings
+from ltsim.adjustment.stochastic_model import noise_setting_texts
 from ltsim.core.notation import listing
 from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
 
@@ -17,7 +17,7 @@ READING_TEXTS = {"noise": "the readings", "angles": "the azimuths and elevations
 def estimated_noise_factor(fit: NetworkFit, hypothesis: Hypothesis) -> float:
     """Estimated factor on the declared standard deviations, of an accepted hypothesis about the noise."""
     assert isinstance(hypothesis.model_change, NoiseFactor)
-    mask = hypothesis.model_change.reading_mask & fit.problem.used_readings
+    mask = hypothesis.model_change.reading_mask & fit.problem.is_used_reading
     return float(np.median(fit.problem.sigma[mask] / fit.network.recording.sigma()[mask]))
 
 
@@ -34,7 +34,7 @@ def noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
 def _noise_declaration(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     """Advice to declare the estimated noise, with its settings for one instrument without noise in its rows."""
     assert isinstance(hypothesis.model_change, NoiseFactor)
-    recording, mask = fit.network.recording, hypothesis.model_change.reading_mask & fit.problem.used_readings
+    recording, mask = fit.network.recording, hypothesis.model_change.reading_mask & fit.problem.is_used_reading
     if len(recording.instruments) > 1 or any(column in recording.covariates for column in SIGMA_COLUMNS):
         return "declare this noise in the set-up"
     factors = fit.problem.sigma / recording.sigma()
@@ -42,6 +42,6 @@ def _noise_declaration(fit: NetworkFit, hypothesis: Hypothesis) -> str:
         setting
         for k, observable in enumerate(OBSERVABLES)
         if mask[:, k].any()
-        for setting in noise_settings(recording, observable, float(np.median(factors[mask[:, k], k])))
+        for setting in noise_setting_texts(recording, observable, float(np.median(factors[mask[:, k], k])))
     ]
     return f"set {listing(settings, len(settings))} in [instrument.noise]"

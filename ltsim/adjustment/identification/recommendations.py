@@ -2,10 +2,10 @@
 
 from collections.abc import Iterable
 
-from ltsim.adjustment.identification.tests import CauseTest
+from ltsim.adjustment.identification.cause_tests import CauseTest
 from ltsim.core.notation import listing
 
-ACTIONS_BY_CAUSE = {
+RECOMMENDATION_BY_CAUSE_KIND = {
     "outlier": "Measure again {rows}.",
     "constant-offset": "Check the SMR and the distance constant at {place}; correct the wrong one.",
     "constant-step": "Check the SMR and the distance constant{at_place}, and measure {setups} again.",
@@ -30,17 +30,17 @@ ACTIONS_BY_CAUSE = {
 """Next action for each kind of cause. `place` stands for the names of the stations and targets, `at_place` for the same
 names after the word "at", `setups` for the set-ups to measure again, `rows` for the pointing with its row number.
 """
-VERTICAL_INDEX_ACTION = "Determine the vertical index of the tracker, and measure {place} again."
+VERTICAL_INDEX_RECOMMENDATION = "Determine the vertical index of the tracker, and measure {place} again."
 """Next action for an offset of the elevations at one set-up."""
 
 
-def cause_action(test: CauseTest) -> str:
+def recommendation_for_cause(test: CauseTest) -> str:
     """Sentence on the next action after an accepted cause; empty if the kind of the cause has no action."""
     names = (*test.where.stations, *test.where.targets)
     place = listing(names, len(names)) if names else "the set-ups"
-    action = ACTIONS_BY_CAUSE.get(test.kind, "")
+    action = RECOMMENDATION_BY_CAUSE_KIND.get(test.kind, "")
     if test.kind in ("constant-offset", "constant-step") and test.acts_on == "elevation":
-        action = VERTICAL_INDEX_ACTION
+        action = VERTICAL_INDEX_RECOMMENDATION
     targets = listing(test.where.targets, len(test.where.targets)) or "the reading"
     row = f" (row {test.rows[0]})" if len(test.rows) == 1 else ""
     reading_text = f"{targets}{' from ' if test.where.stations else ''}{', '.join(test.where.stations)}{row}"
@@ -48,6 +48,6 @@ def cause_action(test: CauseTest) -> str:
     return action.format(place=place, at_place=f" at {place}" if names else "", rows=reading_text, setups=setups)
 
 
-def cause_actions(tests: Iterable[CauseTest]) -> list[str]:
+def recommendations_for_causes(tests: Iterable[CauseTest]) -> list[str]:
     """Next actions after those accepted causes that are faults, in the order of the causes and without repetitions."""
-    return list(dict.fromkeys(filter(None, (cause_action(test) for test in tests if test.is_fault))))
+    return list(dict.fromkeys(filter(None, (recommendation_for_cause(test) for test in tests if test.is_fault))))

@@ -14,17 +14,18 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.fit_readings import FitReadings
 from ltsim.adjustment.fitting import fit_point
 from ltsim.adjustment.identification.centring_errors import centring_hypotheses, local_centring_hypotheses
 from ltsim.adjustment.identification.evidence import (
-    estimate_variance_factor,
+    estimate_sigma_factors,
     log_occam_factor_of_shift,
     log_occam_factor_of_variance,
-    log_prior_of,
+    log_prior_of_kind,
 )
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, ReadingShiftChange
-from ltsim.adjustment.identification.library import (
+from ltsim.adjustment.identification.hypothesis_library import (
     ShiftCandidate,
     noise_hypotheses,
     reference_omissions,
@@ -35,7 +36,6 @@ from ltsim.adjustment.identification.local_shifts import LocalShift, fit_local_s
 from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests
 from ltsim.adjustment.reference_values import relax_exact_references
 from ltsim.adjustment.residual_space import MAX_SCREENED_ENTRIES, ResidualSpace
-from ltsim.adjustment.sight import FitReadings
 from ltsim.core.arrays import Bools, Floats, Ints, batches
 from ltsim.core.errors import NetworkError
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
@@ -43,7 +43,7 @@ from ltsim.physics.effects.gauge_scale import GaugeScale
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.solve.gauss_newton import solve
 
-MIN_OUTLIERS_FOR_TRIAL = 6
+MIN_OUTLIERS_FOR_DISTANCE_TRIAL = 6
 """Number of outliers in a network above which fits without the distances of single places are made."""
 MIN_GROSS_FRACTION_FOR_TRIAL = 0.4
 """Fraction of gross pointings at a place above which a fit without its distances is made, or its motion is tested."""
@@ -64,16 +64,16 @@ def screened_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
     if non_robust_fit is not None:
         spaces.append((ResidualSpace.from_adjustment(non_robust_fit[0]), non_robust_fit[1]))
     for space, behind in spaces:
-        gains = np.maximum(gains, _exact_log_evidence(space, every) + behind)
+        gains = np.maximum(gains, _exact_log_evidence_gains(space, every) + behind)
     guesses = [np.zeros(c.family.design.shape[2]) for c in every]
     if fit.is_outlier.any():
-        local, guesses = _local_shift_log_evidence(fit, every)
+        local, guesses = _local_shift_gains_and_starts(fit, every)
         gains = np.maximum(gains, local)
-        for i, gain, guess in _moved_targets(fit, every):
+        for i, gain, guess in _moved_target_candidates(fit, every):
             if gain > gains[i]:
                 gains[i], guesses[i] = gain, guess
     ranked = [(float(gains[i]), i) for i in np.argsort(-gains).tolist() if gains[i] > 0.0]
-    offers = [(gain, every[i].make_hypothesis(guesses[i])) for gain, i in _best_per_place(ranked, every)]
+    offers = [(gain, every[i].make_hypothesis(guesses[i])) for gain, i in _best_onset_per_place(ranked, every)]
     for space, behind in spaces:
         offers += [(gain + behind, h) for gain, h in _reference_hypotheses(fit, space.adjustment)]
         offers += [(gain + behind, h) for gain, h in _length_scale_hypothesis(fit, space)]
@@ -87,7 +87,7 @@ def screened_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
         ]
         offers += local_centring_hypotheses(fit)
     offers += _noise_hypotheses(fit)
-    if fit.is_outlier.sum() > MIN_OUTLIERS_FOR_TRIAL:
+    if fit.is_outlier.sum() > MIN_OUTLIERS_FOR_DISTANCE_TRIAL:
         offers += _distance_trial_hypotheses(fit, every)
     offers.sort(key=lambda offer: -offer[0])
     return offers
@@ -107,15 +107,15 @@ def _non_robust_fit(fit: NetworkFit) -> tuple[Adjustment, float] | None:
     return replace(fit.adjustment, problem=fit.problem_with_all_readings, solution=solution), min(evidence_deficit, 0.0)
 
 
-def _best_per_place(
-    ranked: Sequence[tuple[float, int]], candidates: Sequence[ShiftCandidate]
+def _best_onset_per_place(
+    ranked_candidates: Sequence[tuple[float, int]], candidates: Sequence[ShiftCandidate]
 ) -> list[tuple[float, int]]:
     """Gains and indices of the candidates with the best onset time, for each kind of error at each place.
 
-    `ranked` contains gains and indices of all candidates, the largest gain first.
+    `ranked_candidates` contains gains and indices of all candidates, the largest gain first.
     """
     places, best = set[tuple[object, ...]](), []
-    for gain, i in ranked:
+    for gain, i in ranked_candidates:
         key = candidates[i].place_key
         if key not in places:
             places.add(key)
@@ -123,13 +123,13 @@ def _best_per_place(
     return best
 
 
-def _exact_log_evidence(space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
+def _exact_log_evidence_gains(space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
     """Gains (h,) of log evidence by each of h candidates, from the projection onto a residual space."""
     gains = np.full(len(candidates), -np.inf)
     indices = np.arange(len(candidates))
     n_entries = np.array([space.n_rows * c.family.design.shape[2] for c in candidates], dtype=np.int64)
     if n_entries.sum() > MAX_SCREENED_ENTRIES:
-        indices = np.argsort(-_approximate_log_evidence(space, candidates))
+        indices = np.argsort(-_approximate_log_evidence_gains(space, candidates))
         indices = indices[np.cumsum(n_entries[indices]) <= MAX_SCREENED_ENTRIES]
     by_rank: dict[int, list[int]] = {}
     for i in indices.tolist():
@@ -138,7 +138,7 @@ def _exact_log_evidence(space: ResidualSpace, candidates: Sequence[ShiftCandidat
         for batch in (group[part] for part in batches(len(group), space.n_rows * rank)):
             rows = np.hstack([_whitened_design(space, candidates[i]) for i in batch])
             projected = space.project(rows).reshape(space.n_rows, len(batch), rank)
-            size = space.norms_beyond_centring(rows).reshape(len(batch), rank)
+            size = space.norms_without_centring(rows).reshape(len(batch), rank)
             unit = projected / np.where(size > 0, size, 1.0)
             gram = np.einsum("mhi,mhj->hij", unit, unit)
             score = np.einsum("mhi,m->hi", unit, space.residuals)
@@ -162,12 +162,12 @@ def _whitened_design(space: ResidualSpace, candidate: ShiftCandidate) -> Floats:
     return space.whiten(design)
 
 
-def _approximate_log_evidence(space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
+def _approximate_log_evidence_gains(space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
     """Gains (h,) of log evidence by each of h candidates, without projection.
 
     Each uses only the residuals of the rows that the candidate shifts, weighted by the redundancy of the rows.
     """
-    use, count = space.used_readings, int(space.used_readings.sum())
+    use, count = space.is_used_reading, int(space.is_used_reading.sum())
     residual, share = np.zeros(use.shape), np.zeros(use.shape)
     residual[use], share[use] = space.residuals[:count], np.maximum(space.redundancy[:count], 1e-3)
     gains = np.empty(len(candidates))
@@ -186,7 +186,7 @@ def _approximate_log_evidence(space: ResidualSpace, candidates: Sequence[ShiftCa
     return gains
 
 
-def _local_shift_log_evidence(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> tuple[Floats, list[Floats]]:
+def _local_shift_gains_and_starts(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> tuple[Floats, list[Floats]]:
     """Gains (h,) of log evidence by h candidate shifts with the network unchanged, and start values of each shift.
 
     A shift gains evidence if its readings are no longer outliers. If a shift begins during the measurement, the network
@@ -194,12 +194,12 @@ def _local_shift_log_evidence(fit: NetworkFit, candidates: Sequence[ShiftCandida
     """
     gains = np.full(len(candidates), -np.inf)
     guesses = [np.zeros(c.family.design.shape[2]) for c in candidates]
-    price = -log_prior_of("outlier", int(fit.problem_with_all_readings.used_readings.sum())) - float(
+    price = -log_prior_of_kind("outlier", int(fit.problem_with_all_readings.is_used_reading.sum())) - float(
         log_occam_factor_of_shift(10.0, 1)
     )
     weighted = {
         id(c.family): np.where(
-            fit.problem_with_all_readings.used_readings[:, :, None],
+            fit.problem_with_all_readings.is_used_reading[:, :, None],
             c.family.design / fit.problem.sigma[:, :, None],
             0.0,
         )
@@ -224,7 +224,9 @@ def _local_shift_log_evidence(fit: NetworkFit, candidates: Sequence[ShiftCandida
     return gains, guesses
 
 
-def _moved_targets(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> Iterator[tuple[int, float, Floats]]:
+def _moved_target_candidates(
+    fit: NetworkFit, candidates: Sequence[ShiftCandidate]
+) -> Iterator[tuple[int, float, Floats]]:
     """Candidates for moved targets: index, gain of log evidence, and displacement (3,) [m].
 
     Each target is positioned separately from the pointings before and after the onset. The network places a target that
@@ -241,7 +243,7 @@ def _moved_targets(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> Ite
     suspects = sorted(
         (name for name in share if share[name] > MIN_GROSS_FRACTION_FOR_TRIAL), key=lambda name: -share[name]
     )[:MAX_FITTED_HYPOTHESES]
-    price = -log_prior_of("outlier", int(fit.problem_with_all_readings.used_readings.sum())) - float(
+    price = -log_prior_of_kind("outlier", int(fit.problem_with_all_readings.is_used_reading.sum())) - float(
         log_occam_factor_of_shift(10.0, 1)
     )
     sigma = fit.problem.sigma
@@ -255,7 +257,7 @@ def _moved_targets(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> Ite
             displacement[rows] = point - fit.state.target_points[sightings.target[rows]]
         both = np.concatenate(parts)
         rest = (fit.residuals - exact_target_change(sightings, displacement))[both] / sigma[both]
-        used = fit.problem_with_all_readings.used_readings[both]
+        used = fit.problem_with_all_readings.is_used_reading[both]
         saved = sum(
             sign * float(np.minimum(0.5 * w[used] ** 2, price).sum())
             for sign, w in ((1.0, fit.whitened_residuals[both]), (-1.0, rest))
@@ -265,13 +267,14 @@ def _moved_targets(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> Ite
 
 def _target_position(fit: NetworkFit, pointing_indices: Ints) -> Floats | None:
     """Position (3,) [m] of a target from some pointings to it, with the stations unchanged; None if not unique."""
-    pointing_indices = pointing_indices[fit.problem_with_all_readings.used_readings[pointing_indices].any(axis=1)]
+    pointing_indices = pointing_indices[fit.problem_with_all_readings.is_used_reading[pointing_indices].any(axis=1)]
     sight, station = (
         FitReadings.from_recording(fit.recording).select_rows(pointing_indices),
         fit.recording.station[pointing_indices],
     )
     usable = replace(
-        sight, readings=np.where(fit.problem_with_all_readings.used_readings[pointing_indices], sight.readings, np.nan)
+        sight,
+        readings=np.where(fit.problem_with_all_readings.is_used_reading[pointing_indices], sight.readings, np.nan),
     )
     return fit_point(usable, fit.state.station_positions[station], fit.state.station_rotations[station])
 
@@ -288,7 +291,7 @@ def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandid
         return []
     tried = [c for c in candidates if c.family.acts_on == "distance" and np.isneginf(c.onset_time)]
     share = {id(c): float(gross[c.affected_rows].mean()) for c in tried}
-    price = -log_prior_of("outlier", int(fit.problem_with_all_readings.used_readings.sum())) - float(
+    price = -log_prior_of_kind("outlier", int(fit.problem_with_all_readings.is_used_reading.sum())) - float(
         log_occam_factor_of_shift(10.0, 1)
     )
     offers, fits = list[tuple[float, Hypothesis]](), dict[object, NetworkFit | None]()
@@ -301,7 +304,7 @@ def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandid
         aside = fits[names]
         if aside is None:
             continue
-        use = c.affected_rows[fit.problem_with_all_readings.used_readings[c.affected_rows, 0]]
+        use = c.affected_rows[fit.problem_with_all_readings.is_used_reading[c.affected_rows, 0]]
         g = c.family.design[use, 0, 0] / fit.problem.sigma[use, 0]
         r = aside.residuals_of(fit.recording)[use, 0] / fit.problem.sigma[use, 0]
         acts = g != 0.0
@@ -329,8 +332,8 @@ def _outlier_log_evidence(fit: NetworkFit, pointing_indices: Ints) -> float:
     """Log evidence that is gained if the outliers among some rows are explained: their Occam factors and priors."""
     is_outlier = fit.is_outlier[pointing_indices]
     w = np.abs(fit.whitened_residuals[pointing_indices][is_outlier])
-    return -float(np.sum(log_occam_factor_of_shift(w, 1))) - len(w) * log_prior_of(
-        "outlier", int(fit.problem_with_all_readings.used_readings.sum())
+    return -float(np.sum(log_occam_factor_of_shift(w, 1))) - len(w) * log_prior_of_kind(
+        "outlier", int(fit.problem_with_all_readings.is_used_reading.sum())
     )
 
 
@@ -362,7 +365,7 @@ def _length_scale_hypothesis(fit: NetworkFit, space: ResidualSpace) -> list[tupl
     if any(h.kind == "reference-scale" for h in fit.hypotheses) or len(fit.problem.gauge_rows) < MIN_LENGTHS_FOR_SCALE:
         return []
     drop, rank = space.chi2_drop(space.whitened_design(scale))
-    prior = log_prior_of("reference-scale", 1)
+    prior = log_prior_of_kind("reference-scale", 1)
     scale_hypothesis = Hypothesis("reference-scale", "length", (), (), prior, ReadingShiftChange(scale))
     return [(_log_evidence(drop, rank) + prior, scale_hypothesis)] if rank else []
 
@@ -377,15 +380,15 @@ def _best_noise_hypothesis(fit: NetworkFit, hypothesis: Hypothesis, reading_mask
 
     Some of the present outliers are none with larger noise; the number of remaining outliers maximises the gain.
     """
-    within, out = reading_mask & fit.problem.used_readings, reading_mask & fit.is_outlier
+    within, out = reading_mask & fit.problem.is_used_reading, reading_mask & fit.is_outlier
     # As many of the smaller residuals as is best are outliers no more.
     residual_sizes = np.sort(np.abs(fit.whitened_residuals[out]))
     squares = np.sum(fit.whitened_residuals[within] ** 2) + np.append(0.0, np.cumsum(residual_sizes**2))
     redundancy = np.nansum(fit.redundancy[within]) + np.arange(len(residual_sizes) + 1)
-    factor, gain = estimate_variance_factor(squares, redundancy)
-    # `estimate_variance_factor` compares with all within the declared noise; but outliers have paid another price
-    price = -log_occam_factor_of_shift(residual_sizes, 1) - log_prior_of(
-        "outlier", int(fit.problem_with_all_readings.used_readings.sum())
+    factor, gain = estimate_sigma_factors(squares, redundancy)
+    # `estimate_sigma_factors` compares with all within the declared noise; but outliers have paid another price
+    price = -log_occam_factor_of_shift(residual_sizes, 1) - log_prior_of_kind(
+        "outlier", int(fit.problem_with_all_readings.is_used_reading.sum())
     )
     gain = gain + np.append(0.0, np.cumsum(price - 0.5 * residual_sizes**2)) + log_occam_factor_of_variance(redundancy)
     best_index = int(np.argmax(gain))

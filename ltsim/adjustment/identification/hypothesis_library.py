@@ -15,7 +15,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from ltsim.adjustment.blunders import correct_faces, correct_units, detect_blunders
-from ltsim.adjustment.identification.evidence import log_prior_of
+from ltsim.adjustment.identification.evidence import log_prior_of_kind
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import (
     CauseKind,
@@ -34,7 +34,7 @@ from ltsim.adjustment.station_motions import UniformMotion
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.rigid import MIN_RIGID_POINTS, largest_residual
+from ltsim.geometry.rigid import MIN_RIGID_POINTS, largest_alignment_distance
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.motions import station_design
 from ltsim.physics.effects.smr_offset import SmrOffset
@@ -226,7 +226,7 @@ class ShiftCandidate:
     @property
     def log_prior(self) -> float:
         """Logarithm of the prior odds relative to no error."""
-        return log_prior_of(self.family.kind, self.n_places)
+        return log_prior_of_kind(self.family.kind, self.n_places)
 
 
 def shift_candidates(sightings: Sightings) -> list[ShiftCandidate]:
@@ -247,10 +247,10 @@ def shift_candidates(sightings: Sightings) -> list[ShiftCandidate]:
 
 def reference_omissions(fit: NetworkFit) -> list[Hypothesis]:
     """Hypotheses that a reference value of a fit is wrong, one for each value."""
-    return omissions_of_values(fit.recording, list(reference_values(fit.problem, fit.state)))
+    return omissions_of_reference_values(fit.recording, list(reference_values(fit.problem, fit.state)))
 
 
-def omissions_of_values(recording: Recording, values: Sequence[ReferenceValueRows]) -> list[Hypothesis]:
+def omissions_of_reference_values(recording: Recording, values: Sequence[ReferenceValueRows]) -> list[Hypothesis]:
     """Hypotheses that a reference value is wrong, one for each of `values`."""
     hypotheses = []
     for v in values:
@@ -259,7 +259,7 @@ def omissions_of_values(recording: Recording, values: Sequence[ReferenceValueRow
             tuple(name for name in recording.targets if name in ends) if v.kind not in ("level", "yaw", "mark") else ()
         )
         stations = tuple(name for name in recording.stations if name in ends) if not targets else ()
-        prior = log_prior_of("reference-value", len(values))
+        prior = log_prior_of_kind("reference-value", len(values))
         hypotheses.append(Hypothesis("reference-value", v.kind, stations, targets, prior, ReferenceOmission(v), v.name))
     return hypotheses
 
@@ -278,10 +278,10 @@ def row_corrections(fit: NetworkFit) -> list[Hypothesis]:
     places, hypotheses = len(fit.recording.stations) * len(fit.recording.targets), []
     is_suspect = np.asarray((fit.is_outlier & fit.is_gross_reading).any(axis=1)) | fit.adjustment.is_gross_pointing
     for mistake, readings, target in detect_blunders(replace(fit.adjustment, is_gross_pointing=is_suspect)):
-        kind = CAUSE_KIND_BY_BLUNDER[mistake.effect]
+        kind = CAUSE_KIND_BY_BLUNDER[mistake.effect_name]
         change = RowCorrection(mistake.rows, readings, target, fit.recording.face[mistake.rows])
         rows = tuple((mistake.rows + 1).tolist())
-        prior = log_prior_of(kind, places)
+        prior = log_prior_of_kind(kind, places)
         hypotheses.append(
             Hypothesis(kind, "position", mistake.stations, mistake.targets, prior, change, mistake.sentence, rows)
         )
@@ -299,7 +299,7 @@ def convention_corrections(recording: Recording) -> list[Hypothesis]:
     for mistake in (*slips, *faces) if len(recording.stations) > 2 or faces else ():
         rows = mistake.rows
         change = RowCorrection(rows, converted.readings[rows], recording.target[rows], faced.face[rows])
-        prior = log_prior_of("unit", len(recording.stations))
+        prior = log_prior_of_kind("unit", len(recording.stations))
         hypotheses.append(Hypothesis("unit", "position", mistake.stations, (), prior, change, mistake.sentence))
     return hypotheses
 
@@ -319,9 +319,9 @@ def coordinate_exchanges(recording: Recording) -> list[Hypothesis]:
         (_, _, points), _ = initial_network(without_reference_coordinates(recording))
         here = points[[recording.targets.index(name) for name in names]]
         there = np.array([setup_by_name[name].known_mm for name in names]) * MILLIMETRE
-        miss = largest_residual(here, there)
+        miss = largest_alignment_distance(here, there)
         pairs = list(combinations(range(len(names)), 2))
-        swapped = [largest_residual(here, there[_swapped_order(len(names), *pair)]) for pair in pairs]
+        swapped = [largest_alignment_distance(here, there[_swapped_order(len(names), *pair)]) for pair in pairs]
     except NetworkError:
         return []
     best_index = int(np.argmin(swapped))
@@ -331,7 +331,7 @@ def coordinate_exchanges(recording: Recording) -> list[Hypothesis]:
         return []
     first, second = (names[i] for i in pairs[best_index])
     sentence = f"The reference coordinates of {first} and {second} are exchanged: correct their names."
-    prior = log_prior_of("names", len(pairs))
+    prior = log_prior_of_kind("names", len(pairs))
     return [Hypothesis("names", "point", (), (first, second), prior, CoordinateExchange((first, second)), sentence)]
 
 
@@ -356,7 +356,7 @@ def noise_hypotheses(fit: NetworkFit) -> Iterator[tuple[Hypothesis, Bools]]:
     def noise(
         acts_on: str, stations: tuple[str, ...], targets: tuple[str, ...], n_rivals: int, is_scaled: Bools
     ) -> Hypothesis:
-        prior = log_prior_of("noise-level", n_rivals)
+        prior = log_prior_of_kind("noise-level", n_rivals)
         return Hypothesis("noise-level", acts_on, stations, targets, prior, NoiseFactor(is_scaled))
 
     yield noise("noise", (), (), 1, full_mask), full_mask

@@ -11,11 +11,11 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.coordinate_uncertainty import (
     MAX_TARGETS_IN_FILE,
     air_covariance,
-    covariance_csv,
-    hidden_displacements,
-    joint_air_covariance,
+    covariance_csv_text,
+    joint_covariance_due_to_air,
     longest_range,
-    relevant_air,
+    relevant_air_uncertainty,
+    rms_displacements_by_shared_air_error,
 )
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.schema import FitEntry, FittedEffectEntry, ReflectorEntry, StationPose
@@ -25,7 +25,7 @@ from ltsim.core.probability import AGREEMENT_LEVEL
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE
 from ltsim.physics.effects.air import air_uncertainty_text
 
-FittedEntryType = TypeVar("FittedEntryType", FittedEffectEntry, ReflectorEntry)
+FittedEntryT = TypeVar("FittedEntryT", FittedEffectEntry, ReflectorEntry)
 MIN_RELATIVE_HIDDEN_DISPLACEMENT = 0.2
 """Displacement of the targets, relative to their rms standard deviation, from which an error without effect on the
 readings is reported."""
@@ -53,7 +53,7 @@ def with_reported_uncertainty(calibration: Calibration) -> Calibration:
     covariance = factor**2 * calibration.target_covariance + air_covariance(adjustment, unknowns.target_columns)
     stations = air_covariance(adjustment, unknowns.pose_columns)
     return calibration.with_changes(
-        covariance=_scaled_parameters(calibration, factor),
+        covariance=_scaled_parameter_covariance(calibration, factor),
         target_covariance=covariance,
         stations=tuple(
             _scaled_pose(pose, factor, added) for pose, added in zip(calibration.stations, stations, strict=True)
@@ -67,16 +67,16 @@ def with_reported_uncertainty(calibration: Calibration) -> Calibration:
     )
 
 
-def joint_covariance_csv(calibration: Calibration) -> str | None:
+def joint_covariance_csv_text(calibration: Calibration) -> str | None:
     """Text of `targets.covariance.csv`; None if there are too many targets or no network."""
     adjustment = calibration.adjustment
     if adjustment is None or len(calibration.target_names) > MAX_TARGETS_IN_FILE:
         return None
-    added = joint_air_covariance(adjustment)
-    return covariance_csv(adjustment, factor=calibration.uncertainty_factor, added_covariance=added)
+    added = joint_covariance_due_to_air(adjustment)
+    return covariance_csv_text(adjustment, sigma_factor=calibration.uncertainty_factor, added_covariance=added)
 
 
-def _scaled_parameters(calibration: Calibration, factor: float) -> Floats:
+def _scaled_parameter_covariance(calibration: Calibration, factor: float) -> Floats:
     """Covariance of the parameters if the noise of the readings is `factor` times as large, with an unchanged prior.
 
     The shape is (q, q) for the q parameters of all instruments. With C the covariance in prior standard deviations,
@@ -112,7 +112,7 @@ def _scaled_pose(pose: StationPose, factor: float, air_covariance: Floats) -> St
     return pose.with_values(**sigma_by_field)
 
 
-def _scaled_fitted_entry(entry: FittedEntryType, factor: float) -> FittedEntryType:
+def _scaled_fitted_entry(entry: FittedEntryT, factor: float) -> FittedEntryT:
     """Entry of an effect or reflector with standard deviations multiplied by a factor."""
     parameters = tuple(p if p.sigma is None else p.with_values(sigma=factor * p.sigma) for p in entry.parameters)
     return entry.with_values(parameters=parameters)
@@ -124,7 +124,7 @@ def _hidden_errors(adjustment: Adjustment, covariance: Floats) -> tuple[HiddenEr
     is_determined = np.isfinite(variance)
     if not is_determined.any():
         return ()
-    usual, sizes = np.sqrt(np.mean(variance[is_determined])), hidden_displacements(adjustment)
+    usual, sizes = np.sqrt(np.mean(variance[is_determined])), rms_displacements_by_shared_air_error(adjustment)
     return tuple(
         HiddenError(source_text=name, target_error_um=size / MICROMETRE)
         for name, size in sorted(sizes.items(), key=lambda item: -item[1])
@@ -134,7 +134,7 @@ def _hidden_errors(adjustment: Adjustment, covariance: Floats) -> tuple[HiddenEr
 
 def _air_text(adjustment: Adjustment) -> str:
     """Text on the errors of the air that the standard deviations include; empty for short ranges or undeclared air."""
-    air = relevant_air(adjustment)
+    air = relevant_air_uncertainty(adjustment)
     if air is None or not (air.temperature_k or air.gradient_k_per_m or air.turbulence_um2_per_m3):
         return ""
     return air_uncertainty_text(air, longest_range(adjustment))

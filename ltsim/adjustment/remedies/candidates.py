@@ -25,29 +25,29 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Limits, Setup
 from ltsim.scene.visibility import SightLimits, compute_visibility
 
-SiteSights = Callable[[Floats, Floats], Bools]
+VisibilityFunction = Callable[[Floats, Floats], Bools]
 """Function of places (N, 3) and targets (T, 3) on the floor plan [m]: flags (N, T) of the targets in sight.
 
 There are none from a place where no tripod may stand.
 """
-RemedyKind = Literal["pointings", "return", "station", "survey", "length", "reflectors"]
+CandidateKind = Literal["pointings", "return", "station", "survey", "length", "reflectors"]
 """Kind of a further measurement."""
-KINDS_BY_EFFORT: tuple[RemedyKind, ...] = get_args(RemedyKind)
+KINDS_BY_EFFORT: tuple[CandidateKind, ...] = get_args(CandidateKind)
 """Kinds of further measurements, in the order of increasing effort."""
 SETUP_KINDS = ("return", "station")
 """Kinds of further measurements that need another set-up."""
 
 N_ADDITIONAL_ROUNDS = 4
 """Number of additional rounds at the last station."""
-N_SUSPECT_POINTINGS = 3
+N_POINTINGS_TO_SUSPECT_TARGET = 3
 """Number of additional pointings to a suspect target."""
 MAX_REPEATED_SETUPS = 12
 """Number of set-ups up to which the repetition of each is evaluated; of more, an even selection."""
 N_GRID_POSITIONS = 5
 """Number of candidate positions of an additional station along each side of the floor."""
-N_YAWS = 4
+N_CANDIDATE_YAWS = 4
 """Number of candidate yaws at each position of an additional station."""
-BASE_ROTATION = math.tau / N_YAWS
+BASE_ROTATION = math.tau / N_CANDIDATE_YAWS
 """Rotation [rad] of the tracker's base if it is set up again at a previous position."""
 MAX_SETUPS_FOR_ADDITION = 30
 """Number of set-ups from which no additional set-up is evaluated, to limit the time."""
@@ -99,9 +99,9 @@ ADVICE_SENTENCES = {
 """Sentences of advice by the kind of measurement: what to do, and what it gives."""
 
 
-def advice_sentence(remedy_kind: str, **values: object) -> str:
+def advice_sentence(candidate_kind: str, **values: object) -> str:
     """Sentence of advice for a kind of measurement, with the given values."""
-    return ADVICE_SENTENCES[remedy_kind].format(**values)
+    return ADVICE_SENTENCES[candidate_kind].format(**values)
 
 
 def list_text(names: list[str] | tuple[str, ...]) -> str:
@@ -110,10 +110,10 @@ def list_text(names: list[str] | tuple[str, ...]) -> str:
 
 
 @dataclass(frozen=True)
-class Remedy:
+class CandidateMeasurement:
     """Measurement that could be added to a recording."""
 
-    kind: RemedyKind
+    kind: CandidateKind
     """Kind of the measurement."""
     instruction: str
     """Instruction to the user who makes the measurement."""
@@ -191,9 +191,9 @@ class FloorPlan:
         return float(np.arctan2(plan_rotation[1, 0], plan_rotation[0, 0]))
 
 
-def pointing_remedies(
-    network: PlannedNetwork, suspect_targets: Iterable[str] = (), site_sights: SiteSights | None = None
-) -> Iterator[Remedy]:
+def pointing_candidates(
+    network: PlannedNetwork, suspect_targets: Iterable[str] = (), visibility_function: VisibilityFunction | None = None
+) -> Iterator[CandidateMeasurement]:
     """Further measurements at the last station, before the tracker is dismantled.
 
     `suspect_targets` are names of targets that may be wrong and should be measured again.
@@ -204,41 +204,43 @@ def pointing_remedies(
     order = _targets_in_order(recording.target[here])
     usual_face = int(recording.face[here[0]])
 
-    def remedy(key: str, target: Ints, face: int = usual_face, **values: object) -> Remedy:
+    def candidate(key: str, target: Ints, face: int = usual_face, **values: object) -> CandidateMeasurement:
         seconds = len(target) * network.seconds_per_pointing
         words = advice_sentence(key, station=station, **values)
-        return Remedy("pointings", words, seconds, network.with_pointings(last_index, target, face))
+        return CandidateMeasurement("pointings", words, seconds, network.with_pointings(last_index, target, face))
 
     if len(np.unique(recording.face[here])) == 1:
-        yield remedy("other face here", order[::-1], 3 - usual_face)
-    yield remedy("close here", order[:MIN_RIGID_POINTS], count=min(MIN_RIGID_POINTS, len(order)))
-    yield remedy("reverse here", order[::-1])
+        yield candidate("other face here", order[::-1], 3 - usual_face)
+    yield candidate("close here", order[:MIN_RIGID_POINTS], count=min(MIN_RIGID_POINTS, len(order)))
+    yield candidate("reverse here", order[::-1])
     repeat_targets = [t for t in order.tolist() if recording.targets[t] in set(suspect_targets)]
     if repeat_targets:
         names = list_text([recording.targets[t] for t in repeat_targets])
-        yield remedy(
+        yield candidate(
             "look again",
-            np.tile(np.array(repeat_targets, dtype=np.int64), N_SUSPECT_POINTINGS),
+            np.tile(np.array(repeat_targets, dtype=np.int64), N_POINTINGS_TO_SUSPECT_TARGET),
             targets=names,
-            count=N_SUSPECT_POINTINGS,
+            count=N_POINTINGS_TO_SUSPECT_TARGET,
         )
-    yield remedy("to and fro", np.tile(np.r_[order[::-1], order], N_ADDITIONAL_ROUNDS // 2), count=N_ADDITIONAL_ROUNDS)
+    yield candidate(
+        "to and fro", np.tile(np.r_[order[::-1], order], N_ADDITIONAL_ROUNDS // 2), count=N_ADDITIONAL_ROUNDS
+    )
     unseen = np.setdiff1d(np.arange(len(recording.targets)), order)
     distances = np.linalg.norm(
         network.state.target_points[unseen] - network.state.station_positions[last_index], axis=1
     )
     unseen = unseen[distances > MIN_PROPOSED_DISTANCE]  # nobody aims at the mark that the tripod stands on
-    if site_sights is not None:
+    if visibility_function is not None:
         places = network.state.station_positions[[last_index]], network.state.target_points[unseen]
         plan = FloorPlan.from_recording(recording, network.state)
-        unseen = unseen[site_sights(*map(plan.positions_on_plan, places))[0]]
+        unseen = unseen[visibility_function(*map(plan.positions_on_plan, places))[0]]
     if len(unseen):
-        yield remedy("unmeasured", unseen, targets=", ".join(recording.targets[t] for t in unseen[:6]))
+        yield candidate("unmeasured", unseen, targets=", ".join(recording.targets[t] for t in unseen[:6]))
 
 
-def return_remedies(
+def repeated_setup_candidates(
     network: PlannedNetwork, seconds_per_move: float, stations: Iterable[int] | None = None
-) -> Iterator[Remedy]:
+) -> Iterator[CandidateMeasurement]:
     """Further measurements: the same targets from each previous position, with the tracker's base rotated."""
     recording, state = network.recording, network.state
     n_stations = len(recording.stations)
@@ -255,12 +257,12 @@ def return_remedies(
                 state.station_positions[s],
                 state.station_rotations[s] @ rotation_about_z(BASE_ROTATION),
             )
-            yield _setup_remedy("return", words, grown, target, seconds_per_move)
+            yield _setup_candidate("return", words, grown, target, seconds_per_move)
 
 
-def station_remedies(
-    network: PlannedNetwork, seconds_per_move: float, site_sights: SiteSights | None = None
-) -> Iterator[Remedy]:
+def station_candidates(
+    network: PlannedNetwork, seconds_per_move: float, visibility_function: VisibilityFunction | None = None
+) -> Iterator[CandidateMeasurement]:
     """Further measurements: an additional station on a grid between and around the others, with several yaws."""
     recording, state = network.recording, network.state
     if len(recording.stations) >= MAX_SETUPS_FOR_ADDITION:
@@ -275,34 +277,34 @@ def station_remedies(
     places = np.array([(a, b, state.station_positions[:, 2].mean()) for a in x for b in y])
     occupied_places = np.concatenate([state.station_positions, state.target_points])
     is_visible = compute_visibility(places, state.target_points, limits).is_visible
-    if site_sights is not None:
-        is_visible = is_visible & site_sights(*map(plan.positions_on_plan, (places, state.target_points)))
+    if visibility_function is not None:
+        is_visible = is_visible & visibility_function(*map(plan.positions_on_plan, (places, state.target_points)))
     for position, sights in zip(places, is_visible, strict=True):
         if sights.sum() < 3 or np.linalg.norm(occupied_places - position, axis=1).min() < MIN_PROPOSED_DISTANCE:
             continue
-        for turn in range(N_YAWS):
-            rotation = state.station_rotations[0] @ rotation_about_z(turn * 2 * np.pi / N_YAWS)
+        for turn in range(N_CANDIDATE_YAWS):
+            rotation = state.station_rotations[0] @ rotation_about_z(turn * 2 * np.pi / N_CANDIDATE_YAWS)
             place, yaw = plan.positions_on_plan(position), plan.yaw_on_plan(rotation) / DEGREE % 360
             targets = "all targets" if sights.all() else f"the {sights.sum()} targets in sight"
             words = advice_sentence("new station", station=name, place=place, yaw=yaw, frame=frame, targets=targets)
             grown = network.with_station(name, 0, position, rotation)
-            yield _setup_remedy("station", words, grown, np.flatnonzero(sights), seconds_per_move)
+            yield _setup_candidate("station", words, grown, np.flatnonzero(sights), seconds_per_move)
 
 
-def _setup_remedy(
-    kind: RemedyKind, instruction: str, network: PlannedNetwork, target: Ints, seconds_per_move: float
-) -> Remedy:
+def _setup_candidate(
+    kind: CandidateKind, instruction: str, network: PlannedNetwork, target: Ints, seconds_per_move: float
+) -> CandidateMeasurement:
     """Further measurement: all given targets from the additional set-up that is the last one of a network."""
     recording, faces = network.recording, np.unique(network.recording.face)
     targets, face = np.tile(target, len(faces)), np.repeat(faces, len(target))
     start_time = float(recording.time.max()) + seconds_per_move
     seconds = seconds_per_move + len(targets) * network.seconds_per_pointing
-    return Remedy(
+    return CandidateMeasurement(
         kind, instruction, seconds, network.with_pointings(len(recording.stations) - 1, targets, face, start_time)
     )
 
 
-def procedure_remedies(network: PlannedNetwork) -> Iterator[Remedy]:
+def procedure_candidates(network: PlannedNetwork) -> Iterator[CandidateMeasurement]:
     """Further measurements: another procedure at all stations, such as both faces or another order."""
     recording = network.recording
     step, work = network.seconds_per_pointing, float(np.ptp(recording.time))
@@ -317,7 +319,9 @@ def procedure_remedies(network: PlannedNetwork) -> Iterator[Remedy]:
         if made:
             station, targets, faces, time = (np.array(column) for column in zip(*made, strict=True))
             grown = network.with_pointings(station, targets, faces, time)
-            yield Remedy("survey", advice_sentence(key, count=MIN_RIGID_POINTS), work + len(made) * step, grown)
+            yield CandidateMeasurement(
+                "survey", advice_sentence(key, count=MIN_RIGID_POINTS), work + len(made) * step, grown
+            )
 
 
 def _additional_pointings(recording: Recording, pointing_indices: Ints, procedure: str) -> list[tuple[int, int]]:
@@ -335,13 +339,13 @@ def _additional_pointings(recording: Recording, pointing_indices: Ints, procedur
     return existing[::-1]
 
 
-def second_face_remedy(network: PlannedNetwork) -> Remedy | None:
+def second_face_candidate(network: PlannedNetwork) -> CandidateMeasurement | None:
     """Further measurement: the other face at each station; None if both faces were used."""
-    first_remedy = next(procedure_remedies(network), None)
+    first_remedy = next(procedure_candidates(network), None)
     return first_remedy if first_remedy and first_remedy.instruction == advice_sentence("other face") else None
 
 
-def calibrated_length_remedy(network: PlannedNetwork) -> Iterator[Remedy]:
+def calibrated_length_candidates(network: PlannedNetwork) -> Iterator[CandidateMeasurement]:
     """Further measurement: a calibrated length between the two targets whose distance is nearest to 2 m."""
     points, names = network.state.target_points, network.recording.targets
     if len(points) < 2:
@@ -350,12 +354,12 @@ def calibrated_length_remedy(network: PlannedNetwork) -> Iterator[Remedy]:
     best_index = int(np.argmin(np.abs(np.linalg.norm(points[first] - points[second], axis=1) - REFERENCE_BAR_LENGTH)))
     i, j = int(first[best_index]), int(second[best_index])
     words = advice_sentence("length", length=REFERENCE_BAR_LENGTH, targets=list_text([names[i], names[j]]))
-    yield Remedy("length", words, BAR_CALIBRATION_TIME, network.with_length(i, j, REFERENCE_BAR_SIGMA_MM))
+    yield CandidateMeasurement("length", words, BAR_CALIBRATION_TIME, network.with_length(i, j, REFERENCE_BAR_SIGMA_MM))
 
 
-def near_reflector_remedies(network: PlannedNetwork) -> Iterator[Remedy]:
+def near_reflector_candidates(network: PlannedNetwork) -> Iterator[CandidateMeasurement]:
     """Further measurements: four reflectors near each of the first two stations, measured from all stations."""
-    two_face_remedy = second_face_remedy(network)
+    two_face_remedy = second_face_candidate(network)
     for key, start in [
         ("near", network),
         *([("other face and near", two_face_remedy.network)] if two_face_remedy else []),
@@ -374,7 +378,7 @@ def near_reflector_remedies(network: PlannedNetwork) -> Iterator[Remedy]:
         grown = wider.with_pointings(station, target, face)
         added = len(grown.recording) - len(network.recording)
         seconds = NEST_MOUNTING_TIME * len(points) + float(np.ptp(recording.time)) + added * start.seconds_per_pointing
-        yield Remedy("reflectors", advice_sentence(key), seconds, grown)
+        yield CandidateMeasurement("reflectors", advice_sentence(key), seconds, grown)
 
 
 def _setup_rows(recording: Recording, station: int) -> Ints:

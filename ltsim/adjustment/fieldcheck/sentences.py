@@ -24,18 +24,18 @@ TILT_COMPONENTS = slice(3, 5)
 """Slice of the six components of a station's motion that holds the tilts of the standing axis [rad]."""
 AZIMUTH_COMPONENT = slice(5, 6)
 """Slice of the six components of a station's motion that holds the rotation about the standing axis [rad]."""
-MAX_LEVEL_SIGMA = 100 * MICRORADIAN
+MAX_STATED_TILT_SIGMA = 100 * MICRORADIAN
 """Standard deviation of a station's tilt [rad] from which the sentence does not state the tilt."""
 
 
-def estimated_noise_text(recording: Recording, declared: Recording) -> str:
+def estimated_noise_text(recording: Recording, declared_recording: Recording) -> str:
     """Text on the noise of the tests relative to the declared noise, by observable; empty if both are equal.
 
-    `declared` is the same recording with the declared noise.
+    `declared_recording` is the same recording with the declared noise.
     """
     if not len(recording):
         return ""
-    ratios = recording.sigma() / declared.sigma()
+    ratios = recording.sigma() / declared_recording.sigma()
     names_by_size: dict[str, list[str]] = {}
     for name, low, high in zip(OBSERVABLES, np.nanmin(ratios, axis=0), np.nanmax(ratios, axis=0), strict=True):
         sizes = list(dict.fromkeys(number_text(ratio, 2) for ratio in (low, high)))
@@ -47,15 +47,15 @@ def estimated_noise_text(recording: Recording, declared: Recording) -> str:
     return f"the estimated noise is {' and '.join(parts)}" if parts else ""
 
 
-def face_sentence(
-    differences: TwoFaceDifferences, recording: Recording, limit: str
+def two_face_sentence(
+    differences: TwoFaceDifferences, recording: Recording, limit_text: str
 ) -> tuple[str, tuple[str, ...], Ints]:
     """Sentence on the two-face differences, names of the targets beyond the limit, and both rows of the worst pair."""
     name, pairs = recording.stations[0], differences.motion_corrected_pairs
     if not differences.exceeds_limit.any():
         sizes = f"{pairs.rms[0] / MICROMETRE:.1f} um, {pairs.rms[1] / ARCSECOND:.2f} and {pairs.rms[2] / ARCSECOND:.2f}"
         sentence = (
-            f"{name}: the half two-face differences of {len(pairs)} pairs are within {limit}, rms {sizes} arcsec "
+            f"{name}: the half two-face differences of {len(pairs)} pairs are within {limit_text}, rms {sizes} arcsec "
             "(range, across the beam, elevation)"
         )
         return sentence, (), np.zeros(0, dtype=np.int64)
@@ -66,34 +66,35 @@ def face_sentence(
     beyond = np.flatnonzero(differences.exceeds_limit.any(axis=1))
     observable = (OBSERVABLES[0], "azimuth across the beam", OBSERVABLES[2])[column]
     sentence = (
-        f"{name}: the two faces differ beyond {limit} at {len(beyond)} of {len(pairs)} pairs, most at {targets[k]}: "
-        f"half the difference in {observable} is {number_text(pairs.half_differences[k, column] / factor)} {unit}, "
+        f"{name}: the two faces differ beyond {limit_text} at {len(beyond)} of {len(pairs)} pairs, "
+        f"most at {targets[k]}: half the difference in {observable} is "
+        f"{number_text(pairs.half_differences[k, column] / factor)} {unit}, "
         f"the limit {number_text(differences.max_half_differences[k, column] / factor)} {unit}"
     )
     return sentence, tuple(dict.fromkeys(targets[i] for i in beyond)), pairs.rows[k]
 
 
-def gross_sentence(occupation: StationOccupation, outliers: Sequence[int], row_numbers: Ints) -> str:
+def gross_pointing_sentence(occupation: StationOccupation, outlier_indices: Sequence[int], row_numbers: Ints) -> str:
     """Sentence on the outliers among the pointings of a set-up.
 
-    `outliers` are the indices of the outliers among the n pointings, the largest first. `row_numbers` (n,) are the rows
-    of the pointings in the recording, from 1.
+    `outlier_indices` are the indices of the outliers among the n pointings, the largest first. `row_numbers` (n,) are
+    the rows of the pointings in the recording, from 1.
     """
     recording, name = occupation.recording, occupation.recording.stations[0]
-    if not outliers:
+    if not outlier_indices:
         return f"{name}: no outlier"
-    first_target = recording.targets[recording.target[outliers[0]]]
-    rows_of_target = np.flatnonzero(recording.target == recording.target[outliers[0]])
-    other_rows = listing([str(row_numbers[i]) for i in outliers[1:]])
+    first_target = recording.targets[recording.target[outlier_indices[0]]]
+    rows_of_target = np.flatnonzero(recording.target == recording.target[outlier_indices[0]])
+    other_rows = listing([str(row_numbers[i]) for i in outlier_indices[1:]])
     others_text = (
         f", and so is row {other_rows}"
-        if len(outliers) == 2
+        if len(outlier_indices) == 2
         else f", and so are rows {other_rows}"
         if other_rows
         else ""
     )
-    distance = occupation.distance_from_mean(outliers[0])
-    row_text = f"{name} to {first_target}: row {row_numbers[outliers[0]]}"
+    distance = occupation.distance_from_mean(outlier_indices[0])
+    row_text = f"{name} to {first_target}: row {row_numbers[outlier_indices[0]]}"
     if not np.isfinite(distance):
         return f"{row_text} does not fit the other readings and is an outlier{others_text}: measure again"
     if len(rows_of_target) == 2:
@@ -111,21 +112,21 @@ def bump_sentence(recording: Recording, motion_interval_text: str, fit: ColumnsF
     return f"{recording.stations[0]} moved {motion_interval_text}{_motion_text(fit)}"
 
 
-def drift_sentence(recording: Recording, fit: ColumnsFit, passed: bool) -> str:
+def station_drift_sentence(recording: Recording, fit: ColumnsFit, passed: bool) -> str:
     """Sentence on the drift of a station during its occupation; if the test passed, with the estimated tilt."""
     name = recording.stations[0]
     minutes = float(np.ptp(recording.time)) / 60
     within = f"in {minutes:.3g} min" if recording.has_clock else f"over {len(recording)} pointings"
     if not passed:
         return f"{name} drifts {within}{_motion_text(fit)}"
-    tilt, sigma = fit.length_and_sigma(TILT_COMPONENTS)
-    if not sigma < MAX_LEVEL_SIGMA:
+    tilt, sigma = fit.estimate_length_and_sigma(TILT_COMPONENTS)
+    if not sigma < MAX_STATED_TILT_SIGMA:
         return f"{name}: no drift of the station detected {within}; the repeated pointings hardly determine its tilt"
     tilt_text = with_sigma(tilt / MICRORADIAN, sigma / MICRORADIAN, "urad")
     return f"{name}: no drift of the station detected {within} (change of its tilt {tilt_text})"
 
 
-def instrument_sentence(recording: Recording, fit: ColumnsFit, passed: bool) -> str:
+def zero_drift_sentence(recording: Recording, fit: ColumnsFit, passed: bool) -> str:
     """Sentence on the drift of the zeros of an instrument (range zero, vertical index) during an occupation."""
     duration = float(np.ptp(recording.time))
     drift_sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
@@ -142,7 +143,7 @@ def instrument_sentence(recording: Recording, fit: ColumnsFit, passed: bool) -> 
     return f"{recording.stations[0]}: {verdict}{drift_text}"
 
 
-def target_sentence(occupation: StationOccupation, target_indices: Ints) -> tuple[str, tuple[str, ...]]:
+def target_scatter_sentence(occupation: StationOccupation, target_indices: Ints) -> tuple[str, tuple[str, ...]]:
     """Sentence on the scatter of targets, and the names of the half of them with the largest scatter.
 
     `target_indices` (k,) are ordered by scatter, the largest first.
@@ -162,7 +163,9 @@ def _motion_text(fit: ColumnsFit) -> str:
         ("turned", AZIMUTH_COMPONENT, "urad", MICRORADIAN),
         ("tilted", TILT_COMPONENTS, "urad", MICRORADIAN),
     )
-    motion_sizes = [(verb, *fit.length_and_sigma(columns), unit, factor) for verb, columns, unit, factor in kinds]
+    motion_sizes = [
+        (verb, *fit.estimate_length_and_sigma(columns), unit, factor) for verb, columns, unit, factor in kinds
+    ]
     motion_texts = [
         f"{verb} by {with_sigma(size / factor, sigma / factor, unit)}"
         for verb, size, sigma, unit, factor in motion_sizes
