@@ -14,7 +14,7 @@ from sphinx.util.docutils import SphinxDirective
 from from_code import attributes, catalogue, command_line, drawn, gallery, keys, mathml, python_names, results
 from from_code.pictures import Pictures
 from ltsim.recordings import FORMATS
-from ltsim.recordings.specification import data_sheet_figures, data_sheet_names
+from ltsim.recordings.specification import data_sheet_names, data_sheet_values
 
 
 def formats() -> str:
@@ -28,7 +28,7 @@ def data_sheets() -> str:
     """Markdown: the built-in data sheets, what they leave open as a question mark."""
     lines = ["| name | across the beam | along it | zero of the ranges | source |", "|---|---|---|---|---|"]
     for name in data_sheet_names():
-        stated = data_sheet_figures(name)
+        stated = data_sheet_values(name)
         across, along = (
             " + ".join(
                 f"{stated[key]:g} {unit}" if key in stated else "?"

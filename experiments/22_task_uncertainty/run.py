@@ -55,7 +55,7 @@ def predicted(truth: CellTruth, tasks: Tasks, dropped: str = "") -> tuple[Linear
     inputs = TaskInputs.from_recording(truth.recording, told)
     measurands = [Measurand.from_task(task, inputs.target_names, inputs.points) for task in told.task]
     names = [(m.task.name, o.name, o.unit, o.si_per_unit) for m in measurands for o in m.outputs]
-    return propagate(inputs, measurands, part_expansion(None)), names, inputs.origin.state.target_points
+    return propagate(inputs, measurands, part_expansion(None)), names, inputs.point_source.state.target_points
 
 
 def table_of(case: str, errors: Floats, linear: LinearUncertainty, names: Names) -> list[Any]:

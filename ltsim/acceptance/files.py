@@ -44,8 +44,8 @@ class TestEntry(Entry):
     """Judgement of a measured error; null for a predicted one."""
 
     @property
-    def guarded_share(self) -> float:
-        """Smallest ratio of error to limit within the expanded uncertainty; more than 1 if the error is rejected."""
+    def guarded_limit_ratio(self) -> float:
+        """Smallest ratio of error to limit that the uncertainty permits; more than 1 if the error is rejected."""
         return (abs(self.error_um) - (self.expanded_um or 0.0)) / self.limit_um
 
 
@@ -60,7 +60,7 @@ class GroupEntry(Entry):
     """Predicted probability that all tests are within their limits; null for measured errors."""
     judgement: Judgement | None = None
     """Judgement of all measured errors; null for predicted ones."""
-    largest_share: Finite
+    largest_limit_ratio: Finite
     """Largest ratio of error to limit; for a prediction the error includes its uncertainty."""
 
 
@@ -87,7 +87,7 @@ GROUPS_TABLE = Table(
         name={"name": "group"},
         passes={"title": "all pass", "digits": 3},
         judgement={"kind": "text"},
-        largest_share={"shown": ".2f"},
+        largest_limit_ratio={"shown": ".2f"},
     ),
 )
 
@@ -107,7 +107,7 @@ class SensitivityEntry(Entry):
     """Test that fails first."""
 
 
-class WorstEntry(Entry):
+class WorstPassingInstrumentEntry(Entry):
     """Instrument with the largest point errors that still passes every test."""
 
     constants: dict[str, Finite]
@@ -152,7 +152,7 @@ class AcceptanceFile(ResultFile):
     """All tests."""
     sensitivities: tuple[SensitivityEntry, ...] = ()
     """Sensitivity of the tests to each constant of the instrument."""
-    worst_passing: WorstEntry | None = None
+    worst_passing: WorstPassingInstrumentEntry | None = None
     """Instrument with the largest point errors that passes every test; null if it was not searched."""
 
     def _lines(self) -> list[str]:
@@ -171,7 +171,7 @@ def group_entries(
     """Summaries of the tests by group; in a prediction the uncertainty of an error is included in it."""
     predicted = pass_probability_by_group or {}
 
-    def share(test_entry: TestEntry) -> float:
+    def limit_ratio(test_entry: TestEntry) -> float:
         margin = (test_entry.expanded_um or 0.0) if predicted else 0.0
         return (abs(test_entry.error_um) + margin) / test_entry.limit_um
 
@@ -184,7 +184,7 @@ def group_entries(
             tests=len(entries),
             passes=predicted.get(name),
             judgement=None if predicted else joint_judgement([t.judgement for t in entries if t.judgement]),
-            largest_share=max(map(share, entries)),
+            largest_limit_ratio=max(map(limit_ratio, entries)),
         )
         for name, entries in by_group.items()
     )

@@ -55,7 +55,7 @@ RECORDING_CAUSE_KINDS: tuple[CauseKind, ...] = (
 """Kinds of causes that are no errors of the tracker and that an adjustment estimates: wrong constants, motions, air."""
 
 
-def may_be_tracker(cause: CauseTest) -> bool:
+def may_be_tracker_error(cause: CauseTest) -> bool:
     """True for an identified cause that may be an error of the tracker itself.
 
     Elevations change with the tracker's vertical index. A constant of the distances that differs at one set-up is that
@@ -67,17 +67,17 @@ def may_be_tracker(cause: CauseTest) -> bool:
 
 
 def is_recording_error(effect: LinearEffect) -> bool:
-    """True for an estimated effect that is no error of the tracker: a motion, or a shift as in `may_be_tracker`."""
+    """True for an estimated effect that is no error of the tracker: a motion, or a shift with another cause."""
     if isinstance(effect, ReadingShift):
         return not (effect.is_drift or effect.observable == "elevation")
     return isinstance(effect, StationMotion | TargetMotion)
 
 
-def _treatment(cause: CauseTest, words: str) -> str:
-    """Words on the treatment of a cause; those of centring errors say that the uncertainties contain them."""
+def _treatment_text(cause: CauseTest, treatment_text: str) -> str:
+    """Text on the treatment of a cause; for centring errors it states that the uncertainties contain them."""
     if cause.kind != CENTRING_KIND:
-        return words
-    return words.partition(",")[0] + ", and the uncertainties of the lengths contain it"
+        return treatment_text
+    return treatment_text.partition(",")[0] + ", and the uncertainties of the lengths contain it"
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class NetworkTests:
     """Errors of the recording that are not removed; the tests are not valid with them."""
     outliers: tuple[CauseTest, ...]
     """Outlying readings, whose pointings are neither adjusted nor tested."""
-    unexplained_factor: float
+    unexplained_noise_ratio: float
     """Ratio of the scatter of the readings to the declared noise if no cause of it is identified; otherwise 1."""
     n_rejected_without_constants: int = 0
     """Number of errors beyond their limits after the correction of the readings by the estimated constants."""
@@ -109,13 +109,17 @@ class NetworkTests:
             (self.corrected_causes, "no error of the tracker, and it is removed before the tests"),
             (self.tracker_causes, "possibly an error of the tracker, and it remains in the tests"),
         )
-        lines = [f"{c.sentence} This is {_treatment(c, words)}." for causes, words in cause_groups for c in causes]
+        lines = [
+            f"{c.sentence} This is {_treatment_text(c, treatment_text)}."
+            for causes, treatment_text in cause_groups
+            for c in causes
+        ]
         if self.outliers:
             lines.append(f"Pointings with outlying readings are not tested: {self._outlier_names}.")
-        if self.unexplained_factor > 1.0:
+        if self.unexplained_noise_ratio > 1.0:
             lines.append(
-                f"The readings scatter {self.unexplained_factor:.2f} times as much as declared, and the cause is not "
-                "identified: the uncertainties of the lengths are multiplied by this factor."
+                f"The readings scatter {self.unexplained_noise_ratio:.2f} times as much as declared, and the cause "
+                "is not identified: the uncertainties of the lengths are multiplied by this factor."
             )
         return tuple(lines)
 
@@ -130,7 +134,7 @@ class NetworkTests:
         """Actions without which the tests are not valid, or which separate the tracker from its surroundings."""
         unexplained = ["Run ltsim diagnose to find the cause of the scatter before you judge the tracker."]
         actions = recommendations_for_causes((*self.uncorrected_causes, *self.tracker_causes))
-        return (*actions, *(unexplained if self.unexplained_factor > 1.0 else []))
+        return (*actions, *(unexplained if self.unexplained_noise_ratio > 1.0 else []))
 
     @property
     def constants_action(self) -> str:
@@ -169,14 +173,14 @@ def evaluate_network(recording: Recording, instrument_specification: Specificati
     network = TestedNetwork(adjustment, calibration.uncertainty_factor)
     test_entries = network.test_entries(instrument_specification)
     if not test_entries:
-        raise NetworkError("no station measured two whole targets; a length needs both ends")
+        raise NetworkError("no station measured the distance and both angles of two targets; a length needs both ends")
     n_rejected = 0
     if any(entry.judgement == "rejected" for entry in test_entries):
-        without_constants = replace(network, is_free_of_constants=True).test_entries(instrument_specification)
+        without_constants = replace(network, is_corrected_for_constants=True).test_entries(instrument_specification)
         n_rejected = sum(entry.judgement == "rejected" for entry in without_constants)
     causes = [test for test in calibration.tests if test.is_fault and test.kind != "outlier"]
-    corrected = tuple(c for c in causes if not may_be_tracker(c) and network.is_corrected(c))
-    tracker = tuple(c for c in causes if may_be_tracker(c))
+    corrected = tuple(c for c in causes if not may_be_tracker_error(c) and network.is_corrected(c))
+    tracker = tuple(c for c in causes if may_be_tracker_error(c))
     other_causes = tuple(c for c in causes if c not in corrected and c not in tracker)
     factor = 1.0 if causes else calibration.uncertainty_factor
     return NetworkTests(tuple(test_entries), corrected, tracker, other_causes, outliers, factor, n_rejected)
@@ -212,7 +216,7 @@ class TestedNetwork:
     """Adjustment with the instrument's constants and the errors of the recording."""
     uncertainty_factor: float
     """Factor on the standard deviations of the adjustment."""
-    is_free_of_constants: bool = False
+    is_corrected_for_constants: bool = False
     """True to test the readings after their correction by the estimated constants of the instrument."""
 
     @cached_property
@@ -244,7 +248,7 @@ class TestedNetwork:
         """Front-face readings (n, 3) [m, rad, rad] without the errors of the recording."""
         adjustment = self.adjustment
         readings = adjustment.recording.readings.copy()
-        if self.is_free_of_constants:
+        if self.is_corrected_for_constants:
             constants = adjustment.state.instrument_parameters[0]
             readings = corrected_readings(adjustment.recording, adjustment.construction, constants)
         for effect, at in self._extra_slices:

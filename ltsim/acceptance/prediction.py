@@ -7,7 +7,13 @@ from functools import cached_property
 
 import numpy as np
 
-from ltsim.acceptance.files import AcceptanceFile, SensitivityEntry, TestEntry, WorstEntry, group_entries
+from ltsim.acceptance.files import (
+    AcceptanceFile,
+    SensitivityEntry,
+    TestEntry,
+    WorstPassingInstrumentEntry,
+    group_entries,
+)
 from ltsim.acceptance.spec import AcceptanceSettings, AcceptanceTest, envelope_points
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.randomness import stream
@@ -39,7 +45,7 @@ class AcceptancePlan:
     declared_noise: Noise
 
     @cached_property
-    def _test_ends(self) -> tuple[Floats, Floats]:
+    def _test_end_points(self) -> tuple[Floats, Floats]:
         """First and second points of all tests, (k, 3) [m] each."""
         return np.array([t.first_point for t in self.tests]), np.array([t.second_point for t in self.tests])
 
@@ -51,7 +57,7 @@ class AcceptancePlan:
     @cached_property
     def permissible_errors(self) -> Floats:
         """Maximum permissible errors by the specification, (k,) [m]."""
-        first, second = self._test_ends
+        first, second = self._test_end_points
         limit = self.specification.two_face_limits(first)
         chosen = self.is_length
         limit[chosen] = self.specification.length_limits(first[chosen], second[chosen])
@@ -63,7 +69,7 @@ class AcceptancePlan:
         They are exact. For a length, they are measured minus true length, and 0. For a two-face test, they are the
         front-face point minus the back-face point, to the left and upwards as seen from the instrument.
         """
-        first, second = self._test_ends
+        first, second = self._test_end_points
         front = np.ones(len(first), dtype=np.int64)
         points = from_polar(self.construction.readings(first, front, constants))
         far_points = from_polar(self.construction.readings(second, np.where(self.is_length, 1, 2), constants))
@@ -82,7 +88,7 @@ class AcceptancePlan:
     @cached_property
     def error_sigmas(self) -> Floats:
         """Standard deviations of the errors due to noise, (k, 2) [m]."""
-        first, second = self._test_ends
+        first, second = self._test_end_points
         squares = np.zeros((len(first), 2))
         near, far = (self._point_noise(points) for points in (first, second))
         way = second - first
@@ -135,14 +141,14 @@ class AcceptancePlan:
             error_sigmas=np.sqrt(variance),
             pass_probabilities=passed / n_trials,
             p_all_pass=every / n_trials,
-            p_group_passes={name: count / n_trials for name, count in groups.items()},
+            pass_probability_by_group={name: count / n_trials for name, count in groups.items()},
         )
 
     def is_within_limits(self, errors: Floats) -> Bools:
         """Flags (...,) of the instruments whose errors (..., k, 2) [m] are all within the limits."""
         return np.hypot(errors[..., 0], errors[..., 1]) <= self.permissible_errors
 
-    def smallest_failing(self) -> tuple[Floats, list[AcceptanceTest]]:
+    def smallest_failing_constants(self) -> tuple[Floats, list[AcceptanceTest]]:
         """Smallest size (p,) [SI] of each constant alone at which a test fails, and that test for each constant.
 
         The size is infinite if no test depends on the constant.
@@ -158,33 +164,37 @@ class AcceptancePlan:
         )
         return failing_sizes, [self.tests[i] for i in indices]
 
-    def worst_passing(self, prior: Floats, points: Floats) -> tuple[Floats, float, float]:
+    def worst_passing_constants(self, prior_sigmas: Floats, points: Floats) -> tuple[Floats, float, float]:
         """Constants (p,) [SI] with the largest point errors that still meet every limit, and two sizes of the errors.
 
         These are the root mean square and the largest error [m] of points (n, 3) [m]. The search is along the
         directions with the largest ratio of point errors to test errors, up to the limits and to `MAX_PRIOR_SIGMAS`
         prior standard deviations (p,).
         """
-        harm = point_errors_by_constant(self.construction, points, prior)
-        directions = (self.sensitivities * prior / self.permissible_errors[:, None, None]).reshape(-1, len(prior))
-        metric = directions.T @ directions + np.eye(len(prior)) / MAX_PRIOR_SIGMAS**2
+        harm = point_errors_by_constant(self.construction, points, prior_sigmas)
+        directions = (self.sensitivities * prior_sigmas / self.permissible_errors[:, None, None]).reshape(
+            -1, len(prior_sigmas)
+        )
+        metric = directions.T @ directions + np.eye(len(prior_sigmas)) / MAX_PRIOR_SIGMAS**2
         root = np.linalg.inv(np.linalg.cholesky(metric))
         _, vectors = np.linalg.eigh(root @ harm.T @ harm @ root.T)
-        tried = np.array([self._longest_passing(way / np.linalg.norm(way), prior) for way in (root.T @ vectors).T])
-        gaps = np.linalg.norm((tried / prior @ harm.T).reshape(len(tried), -1, 3), axis=2)
+        tried = np.array(
+            [self._longest_passing_vector(way / np.linalg.norm(way), prior_sigmas) for way in (root.T @ vectors).T]
+        )
+        gaps = np.linalg.norm((tried / prior_sigmas @ harm.T).reshape(len(tried), -1, 3), axis=2)
         rms = np.sqrt(np.mean(gaps**2, axis=1))
         best_index = int(rms.argmax())
-        tried[np.abs(tried) < MAX_ROUNDING_FRACTION * prior] = 0.0
+        tried[np.abs(tried) < MAX_ROUNDING_FRACTION * prior_sigmas] = 0.0
         return tried[best_index], float(rms[best_index]), float(gaps[best_index].max())
 
-    def _longest_passing(self, unit_direction: Floats, prior: Floats) -> Floats:
+    def _longest_passing_vector(self, unit_direction: Floats, prior_sigmas: Floats) -> Floats:
         """Longest vector (p,) [SI] along a direction in prior units that meets every limit, to 0.1 %."""
         low, high = 0.0, MAX_PRIOR_SIGMAS
         while high - low > 1e-3 * MAX_PRIOR_SIGMAS:
             middle = (low + high) / 2
-            passes = self.is_within_limits(self.test_errors(middle * unit_direction * prior)).all()
+            passes = self.is_within_limits(self.test_errors(middle * unit_direction * prior_sigmas)).all()
             low, high = (middle, high) if passes else (low, middle)
-        return low * unit_direction * prior
+        return low * unit_direction * prior_sigmas
 
 
 @dataclass(frozen=True)
@@ -199,7 +209,7 @@ class AcceptancePrediction:
     """Probability that each test passes, (k,)."""
     p_all_pass: float
     """Probability that all tests pass."""
-    p_group_passes: dict[str, float]
+    pass_probability_by_group: dict[str, float]
     """Probability that all tests of a group pass."""
 
 
@@ -226,17 +236,17 @@ def _covariance_root(covariance: Floats) -> Floats:
 def predicted_result(
     plan: AcceptancePlan,
     prediction: AcceptancePrediction,
-    prior: Floats,
+    prior_sigmas: Floats,
     acceptance_settings: AcceptanceSettings,
     *,
     instrument_description: str,
 ) -> AcceptanceFile:
     """Content of `accept.json` for a prediction: probability that an instrument passes its tests, with expected errors.
 
-    `prior` (p,) [SI] are the standard deviations of the constants of the instrument. The sentence of the result begins
-    with `instrument_description`.
+    `prior_sigmas` (p,) [SI] are the standard deviations of the constants of the instrument. The sentence of the result
+    begins with `instrument_description`.
     """
-    values, rms, largest = plan.worst_passing(prior, envelope_points())
+    values, rms, largest = plan.worst_passing_constants(prior_sigmas, envelope_points())
     error_sizes = np.hypot(prediction.expected_errors[:, 0], prediction.expected_errors[:, 1])
     errors = np.where(plan.is_length, prediction.expected_errors[:, 0], error_sizes)
     expanded_uncertainties = 2 * np.sqrt(np.sum(prediction.error_sigmas**2, axis=1))
@@ -249,13 +259,13 @@ def predicted_result(
             strict=True,
         )
     )
-    smallest, first = plan.smallest_failing()
+    smallest, first = plan.smallest_failing_constants()
     parameters = plan.construction.parameters
     sensitivities = tuple(
         SensitivityEntry(
             name=p.name,
             unit=p.unit,
-            prior_sigma=float(prior[k] / p.si_per_display_unit),
+            prior_sigma=float(prior_sigmas[k] / p.si_per_display_unit),
             smallest_failing=float(smallest[k] / p.si_per_display_unit),
             test=first[k].name if np.isfinite(smallest[k]) else "",
         )
@@ -274,10 +284,10 @@ def predicted_result(
         assumption=plan.specification.assumption_sentence,
         passes=prediction.p_all_pass,
         sentence=sentence,
-        groups=group_entries(tests, prediction.p_group_passes),
+        groups=group_entries(tests, prediction.pass_probability_by_group),
         tests=tests,
         sensitivities=sensitivities,
-        worst_passing=WorstEntry(
+        worst_passing=WorstPassingInstrumentEntry(
             constants={p.name: float(v / p.si_per_display_unit) for p, v in zip(parameters, values, strict=True)},
             rms_um=rms / MICROMETRE,
             largest_um=largest / MICROMETRE,

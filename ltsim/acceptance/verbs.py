@@ -187,7 +187,7 @@ def evaluated_result(
 
 
 def _worst_entry(test_entries: Sequence[TestEntry], judgement: Judgement) -> TestEntry:
-    return max((t for t in test_entries if t.judgement == judgement), key=lambda t: t.guarded_share)
+    return max((t for t in test_entries if t.judgement == judgement), key=lambda t: t.guarded_limit_ratio)
 
 
 def _judgement_sentence(test_entries: Sequence[TestEntry], n_unmeasured_tests: int) -> str:

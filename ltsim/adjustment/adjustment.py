@@ -256,7 +256,7 @@ class Adjustment(Result):
     def is_rejected(self) -> Bools:
         """Flags (n, 3) of the rejected readings, without those to targets that no usable reading determines."""
         determined_problem = drop_undetermined_targets(
-            replace(self.problem, is_used_reading=self.recording.usable), self.state
+            replace(self.problem, is_used_reading=self.recording.is_usable), self.state
         )
         return determined_problem.is_used_reading & ~self.problem.is_used_reading
 

@@ -145,7 +145,7 @@ def with_control_points(recording: Recording, path: Path) -> Recording:
 
     Raises RecordError for a malformed file, for missing standard deviations, and for a list without measured targets.
     """
-    listed, targets, count = read_points(path, requires_all=False), dict(recording.setup.targets), 0
+    listed, targets, count = read_points(path, requires_all_axes=False), dict(recording.setup.targets), 0
     for name, place, covariance, line in zip(
         listed.names, listed.points, listed.covariance, listed.line_numbers, strict=True
     ):

@@ -188,7 +188,7 @@ def _unit_and_face_errors(adjustment: Adjustment, is_gross: Bools) -> Iterator[B
             size = float(_target_distances(adjustment, recording.readings[at], at).max())
             where = f"{', '.join(stations)} to {', '.join(targets[:6])}"
             sentence = f"{len(at)} pointings at station {where} contain {slip.cause}."
-            observables = tuple(OBSERVABLES[c] for c in slip.columns)
+            observables = tuple(OBSERVABLES[c] for c in slip.changed_columns)
             finding = IdentifiedBlunder(effect, at, stations, targets, observables, size, sentence)
             yield finding, readings[at], recording.target[at]
 
@@ -253,7 +253,7 @@ def correct_faces(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
         Blunders, one for each corrected station.
     """
     apparent_faces = np.where(np.cos(recording.readings[:, 2]) < 0.0, 2, 1)
-    wrong = recording.usable[:, 2] & (apparent_faces != recording.face)
+    wrong = recording.is_usable[:, 2] & (apparent_faces != recording.face)
     is_back_face = recording.face == 2
     if not wrong.any() or any(2 * np.sum(wrong & face) > np.sum(face) for face in (is_back_face, ~is_back_face)):
         return recording, []

@@ -74,7 +74,7 @@ class NetworkProblem(NetworkRows):
         """
         recording = model.recording
         marks = StationMarks.from_recording(recording)
-        is_used = recording.usable if reading_mask is None else recording.usable & reading_mask
+        is_used = recording.is_usable if reading_mask is None else recording.is_usable & reading_mask
         gauge, control, levels = (
             GaugeRows.from_recording(recording),
             ControlRows.from_recording(recording),
@@ -351,7 +351,7 @@ class NetworkProblem(NetworkRows):
         """
         n_priors = int(np.isfinite(self.prior.sigma).sum())
         n_lengths = int(np.isfinite(self.gauge_rows.sigma).sum())
-        n_lengths -= n_lengths > 0 and not self.gauge_rows.determine_scale
+        n_lengths -= n_lengths > 0 and not self.gauge_rows.is_scale_determined
         nuisances = sum(len(errors.parameters) for errors in self.model.nuisance_errors)
         references = (
             self.control_rows.n_coordinates

@@ -35,7 +35,7 @@ from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.verbs import name_tuple
 from ltsim.physics.model.construction import GeometricErrorModel, declared_construction, ideal_construction
 from ltsim.recordings.exchange import RecordingSource, load_recording
-from ltsim.recordings.recording import MODE_COLUMN, Recording
+from ltsim.recordings.recording import DISTANCE_METER_COLUMN, Recording
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.gauss_newton import MAX_ALTERNATIONS
 
@@ -70,7 +70,7 @@ def calibrate_network(
     chosen = parameter_selection or ParameterSelection()
     for wanted in extra_effects:
         wanted.require_estimable(recording, model)
-    modes = [RangeMode()] if model.n_parameters and MODE_COLUMN in recording.regressor_covariates else []
+    modes = [RangeMode()] if model.n_parameters and DISTANCE_METER_COLUMN in recording.regressor_covariates else []
     expected_prior = expected_error_sigmas(recording, model) if choose_correction else prior_sigmas(recording, model)
     prior, history_prior = (
         chosen.prior_with_sigma(expected_prior, recording, model),

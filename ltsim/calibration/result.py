@@ -41,7 +41,7 @@ from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.physics.model.measurement import smr_radius_offsets
-from ltsim.recordings.recording import MODE_COLUMN, OBSERVABLES, Recording
+from ltsim.recordings.recording import DISTANCE_METER_COLUMN, OBSERVABLES, Recording
 
 HEIGHT_COMPONENT = np.array([False, False, True])
 """Mask (3,) that selects the height of a point."""
@@ -390,7 +390,7 @@ def _undetermined_height_notes(adjustment: Adjustment) -> tuple[str, ...]:
 
 def range_zero_notes(adjustment: Adjustment) -> tuple[str, ...]:
     """Note on the range zeros of interferometer and absolute distance meter, if both were used."""
-    if MODE_COLUMN not in adjustment.recording.regressor_covariates:
+    if DISTANCE_METER_COLUMN not in adjustment.recording.regressor_covariates:
         return ()
     if not any(isinstance(effect, RangeMode) for effect in adjustment.effects):
         return ("two distance meters were used with one range zero assumed for both; method network estimates both",)

@@ -143,7 +143,7 @@ def recording_of_trial(truth: CellTruth, block: TrialBatch, trial: int) -> Recor
     """Recording of a trial for any calibrator: readings and declared reference lengths, without the truth."""
     recording = truth.recording.with_readings(truth.trial_readings(block, trial))
     lengths = ReferenceLengths.from_recording(recording)
-    return with_certificates(recording, (lengths.lengths + block.length_errors[:, trial]) / lengths.growth_factors)
+    return with_certificates(recording, (lengths.lengths + block.length_errors[:, trial]) / lengths.expansion_factors)
 
 
 def align_targets(adjustment: Adjustment, reference_points: Floats) -> Floats:

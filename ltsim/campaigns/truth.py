@@ -197,7 +197,7 @@ class CellTruth:
             deviation += draw.reading_errors
             deviation = self._round_to_resolution(deviation)
         lengths = self.distributions.reference_lengths
-        length_errors = draw.certified_lengths * lengths.growth_factors[:, None] - lengths.lengths[:, None]
+        length_errors = draw.certified_lengths * lengths.expansion_factors[:, None] - lengths.lengths[:, None]
         return TrialBatch(draw.trials, draw.instrument_values, draw.effect_values, deviation, length_errors)
 
     def _deviations_with_blunders(self, draw: TrialDraw) -> Floats:

@@ -11,13 +11,13 @@ import typer
 import ltsim as lt
 from ltsim.cli.options import (
     CalibrationFileOption,
-    FramedReadingOptions,
     OptionalCalibrationFileOption,
     ReadingOptions,
+    ReadingOptionsWithFrame,
     RecordingArgument,
 )
-from ltsim.cli.places import RECORDING_OUTPUT, ForceOption, write_outputs
-from ltsim.cli.terminal import ResultTerminal, Terminal
+from ltsim.cli.output_checks import RECORDING_OUTPUT, ForceOption, write_outputs
+from ltsim.cli.terminal import ResultFolderTerminal, Terminal
 from ltsim.core.units import ARCSECOND, MICROMETRE
 
 if TYPE_CHECKING:
@@ -46,8 +46,8 @@ NominalPointsOption = Annotated[
 def adjust(
     source: RecordingArgument,
     *,
-    reading: FramedReadingOptions,
-    terminal: ResultTerminal,
+    reading_options: ReadingOptionsWithFrame,
+    terminal: ResultFolderTerminal,
     **options: Any,
 ) -> None:
     """Adjust the network of a recording without instrument parameters: targets, stations, outliers.
@@ -56,14 +56,14 @@ def adjust(
 
     Example: ltsim adjust my-recording --robust --noise-from-data --out adjusted
     """
-    _run_estimation(lt.adjust, source, reading, terminal, options)
+    _run_estimation(lt.adjust, source, reading_options, terminal, options)
 
 
 def calibrate(
     source: RecordingArgument,
     *,
-    reading: FramedReadingOptions,
-    terminal: ResultTerminal,
+    reading_options: ReadingOptionsWithFrame,
+    terminal: ResultFolderTerminal,
     **options: Any,
 ) -> None:
     """Estimate the instrument's parameters from a recording, with uncertainties and the undetermined combinations.
@@ -72,7 +72,7 @@ def calibrate(
 
     Example: ltsim calibrate my-recording --out my-calibration
     """
-    _run_estimation(lt.calibrate, source, reading, terminal, options)
+    _run_estimation(lt.calibrate, source, reading_options, terminal, options)
 
 
 def correct(
@@ -80,7 +80,7 @@ def correct(
     calibration: CalibrationFileOption,
     out: CorrectedRecordingOption,
     *,
-    reading: FramedReadingOptions,
+    reading_options: ReadingOptionsWithFrame,
     allow_rejected: AllowRejectedOption = False,
     force: ForceOption = False,
     terminal: Terminal,
@@ -98,7 +98,7 @@ def correct(
     from ltsim.geometry.polar import wrap_angle
     from ltsim.physics.effects import title_of
 
-    recording, instrument = reading.read(source), read_calibration(calibration)
+    recording, instrument = reading_options.read(source), read_calibration(calibration)
     corrected_recording = lt.correct(recording, instrument, allow_repeated=force, allow_rejected=allow_rejected)
     terminal.print_notes((*recording.notes, *instrument.warnings))
     if not instrument.instrument_parameter_names:
@@ -133,8 +133,8 @@ def evaluate(
     source: RecordingArgument,
     calibration: OptionalCalibrationFileOption = None,
     *,
-    reading: ReadingOptions,
-    terminal: ResultTerminal,
+    reading_options: ReadingOptions,
+    terminal: ResultFolderTerminal,
 ) -> None:
     """Disagreement of the stations in distances and coordinates, before and after a calibration.
 
@@ -146,7 +146,7 @@ def evaluate(
     from ltsim.adjustment.snooping import screen_gross_errors
 
     terminal.check_overwrite(Criteria)
-    recording = reading.read_and_report(source, terminal)
+    recording = reading_options.read_and_report(source, terminal)
     is_gross = screen_gross_errors(recording).is_gross_pointing
     if is_gross.any():
         rows = ", ".join(str(i + 1) for i in is_gross.nonzero()[0][:12])
@@ -160,8 +160,8 @@ def verify(
     nominal: NominalPointsOption,
     calibration: CalibrationFileOption,
     *,
-    reading: ReadingOptions,
-    terminal: ResultTerminal,
+    reading_options: ReadingOptions,
+    terminal: ResultFolderTerminal,
 ) -> None:
     """Apply a calibration to another recording and compare with nominal points, before and after (eq. 13, 14).
 
@@ -172,7 +172,7 @@ def verify(
     from ltsim.adjustment.evaluation import Criteria
 
     terminal.check_overwrite(Criteria)
-    recording = reading.read_and_report(source, terminal)
+    recording = reading_options.read_and_report(source, terminal)
     input_calibration = read_calibration_with_notes(terminal, calibration)
     _write_and_print_criteria(terminal, lt.verify(recording, nominal, input_calibration))
 
@@ -180,8 +180,8 @@ def verify(
 def _run_estimation(
     estimator: Callable[..., Calibration],
     source: Path,
-    reading: FramedReadingOptions,
-    terminal: ResultTerminal,
+    reading_options: ReadingOptionsWithFrame,
+    terminal: ResultFolderTerminal,
     options: dict[str, Any],
 ) -> None:
     """Common part of `adjust` and `calibrate`: estimation, writing and output of the result.
@@ -200,14 +200,14 @@ def _run_estimation(
         *companion_names,
         is_of_same_command=lambda result: (result.method == "adjustment") == is_adjustment,
     )
-    recording = reading.read_and_report(source, terminal)
+    recording = reading_options.read_and_report(source, terminal)
     with terminal.show_progress("adjusting" if is_adjustment else "calibrating"):
         result = estimator(recording, **options)
     result = write_calibration(result, terminal.out) if terminal.out else result
     terminal.print_result(result, notes=result.notes)
 
 
-def _write_and_print_criteria(terminal: ResultTerminal, criteria: Criteria) -> None:
+def _write_and_print_criteria(terminal: ResultFolderTerminal, criteria: Criteria) -> None:
     """Output of criteria on the terminal and, if a folder is given, in its file."""
     criteria = terminal.write_result(criteria)
     terminal.print_json(criteria.content())
@@ -244,8 +244,8 @@ def diagnose(
     held_out: HeldOutOption = None,
     fail_on_mismatch: FailOnMismatchOption = False,
     *,
-    reading: FramedReadingOptions,
-    terminal: ResultTerminal,
+    reading_options: ReadingOptionsWithFrame,
+    terminal: ResultFolderTerminal,
     **options: Any,
 ) -> int:
     """Test whether recording and model agree; if not, report place, cause, probability, and the next measurement.
@@ -259,7 +259,7 @@ def diagnose(
     from ltsim.diagnosis.files import COMPANION_FILES, write_diagnosis
 
     terminal.check_overwrite(Diagnosis, *COMPANION_FILES)
-    recording = reading.read_and_report(source, terminal)
+    recording = reading_options.read_and_report(source, terminal)
     with terminal.show_progress("diagnosing"):
         diagnosis = lt.diagnose(recording, held_out=held_out, **options)
     diagnosis = write_diagnosis(diagnosis, terminal.out, recording) if terminal.out else diagnosis
@@ -292,8 +292,8 @@ def history(
     each_set_up: EachSetUpOption = False,
     fail_on_change: FailOnChangeOption = False,
     *,
-    reading: ReadingOptions,
-    terminal: ResultTerminal,
+    reading_options: ReadingOptions,
+    terminal: ResultFolderTerminal,
     **options: Annotated[Any, "history", "adjust robust noise_from_data"],
 ) -> int:
     """Report an instrument's parameters over several calibrations: course, uncertainty, and changes.
@@ -308,7 +308,7 @@ def history(
     terminal.check_overwrite(History, "history.svg")
     source_by_label: dict[str, Calibration | Recording] = {}
     for source in sources:
-        source_by_label |= _calibrations_or_recordings(terminal, source, reading, each_set_up=each_set_up)
+        source_by_label |= _calibrations_or_recordings(terminal, source, reading_options, each_set_up=each_set_up)
     with terminal.show_progress("calibrating"):
         content = lt.history(source_by_label, **options)
 
@@ -324,7 +324,7 @@ def history(
 
 
 def _calibrations_or_recordings(
-    terminal: Terminal, source: Path, reading: ReadingOptions, *, each_set_up: bool
+    terminal: Terminal, source: Path, reading_options: ReadingOptions, *, each_set_up: bool
 ) -> dict[str, Calibration | Recording]:
     """Calibrations or recordings of a path, by label; with `each_set_up`, one recording per set-up."""
     from ltsim.calibration.calibration import Calibration
@@ -333,7 +333,7 @@ def _calibrations_or_recordings(
     if source.name == file or (source / file).is_file() or source.suffix == ".json":
         label = source.parent.name if source.name == file else source.stem
         return {label or source.stem: read_calibration_with_notes(terminal, source)}
-    recording = reading.read(source)
+    recording = reading_options.read(source)
     terminal.print_notes(recording.notes)
     label = source.stem if source.is_file() else source.name
     if not each_set_up:

@@ -13,9 +13,9 @@ import typer
 
 import ltsim as lt
 from ltsim.campaigns import require_packages
-from ltsim.cli.places import COMMAND_CHECKED_OUTPUT, FILE_OUTPUT, ForceOption
+from ltsim.cli.output_checks import COMMAND_CHECKED_OUTPUT, FILE_OUTPUT, ForceOption
 from ltsim.cli.simulate import ScenarioArgument
-from ltsim.cli.terminal import ResultTerminal, Terminal, write_line
+from ltsim.cli.terminal import ResultFolderTerminal, Terminal, write_line
 from ltsim.core.arguments import bounded_parser, range_text, source_path
 from ltsim.core.errors import SetupError, StoppedError
 from ltsim.core.storage import with_digest_comment
@@ -38,7 +38,7 @@ CampaignFileArgument = Annotated[str | None, typer.Argument(metavar="FILE", help
 ShowTemplateOption = Annotated[
     bool, typer.Option("--show", help="Print a commented template of a campaign file, and stop.")
 ]
-RowsFolderOption = Annotated[
+CampaignFolderOption = Annotated[
     Path | None,
     typer.Option("--out", metavar="DIR", help="Folder for the rows; default: FILE without its suffix."),
     COMMAND_CHECKED_OUTPUT,
@@ -48,7 +48,7 @@ RowsFolderOption = Annotated[
 def campaign(
     file: CampaignFileArgument = None,
     show_example: ShowTemplateOption = False,
-    out: RowsFolderOption = None,
+    out: CampaignFolderOption = None,
     force: ForceOption = False,
     *,
     terminal: Terminal,
@@ -154,7 +154,7 @@ def recover(
     jobs: RecoverJobsOption = None,
     junit: JunitFileOption = None,
     *,
-    terminal: ResultTerminal,
+    terminal: ResultFolderTerminal,
     **options: Any,
 ) -> None:
     """Check that injected instrument errors are recovered: simulate, calibrate and compare with the truth, many times.

@@ -12,8 +12,8 @@ import typer
 
 import ltsim as lt
 from ltsim.cli.examples import example_text
-from ltsim.cli.options import ControlledReadingOptions, ReadingOptions, RecordingArgument
-from ltsim.cli.terminal import ResultTerminal, Terminal, is_reader_gone
+from ltsim.cli.options import ReadingOptions, ReadingOptionsWithControl, RecordingArgument
+from ltsim.cli.terminal import ResultFolderTerminal, Terminal, is_reader_gone
 from ltsim.core.errors import NetworkError, RecordError, SetupError
 from ltsim.core.notation import align_columns
 from ltsim.recordings.files import is_number
@@ -51,8 +51,8 @@ def check(
     mpe: MpeOption = None,
     watch: WatchOption = False,
     *,
-    reading: ControlledReadingOptions,
-    terminal: ResultTerminal,
+    reading_options: ReadingOptionsWithControl,
+    terminal: ResultFolderTerminal,
     **options: Any,
 ) -> int:
     """Go or no-go: two-face differences, gross pointings, bumps, drift, level and scatter; status 1 for no-go.
@@ -66,15 +66,15 @@ def check(
     from ltsim.adjustment.fieldcheck.result import TWO_FACE_TABLE
 
     terminal.check_overwrite(Check, TWO_FACE_TABLE.file, "check.svg")
-    mpe_limit = mpe_of(mpe)
+    mpe_limit = parse_mpe(mpe)
 
     def run_check() -> Check:
-        return lt.check(reading.read(source, is_growing=True), mpe=mpe_limit, **options)
+        return lt.check(reading_options.read(source, is_growing=True), mpe=mpe_limit, **options)
 
     if watch:
         watch_recording(terminal, run_check, wait_for_changes(source))
         return 0
-    recording = reading.read_and_report(source, terminal)
+    recording = reading_options.read_and_report(source, terminal)
     with terminal.show_progress("checking"):
         result = lt.check(recording, mpe=mpe_limit, **options)
     if terminal.out is not None:
@@ -85,8 +85,8 @@ def check(
     return 0 if result.passed else 1
 
 
-def mpe_of(text: str | None) -> tuple[float, float] | None:
-    """Limit of two-face differences as numbers A [um] and B [um/m], from the text `A,B`; None if not given.
+def parse_mpe(text: str | None) -> tuple[float, float] | None:
+    """Limit of two-face differences, numbers A [um] and B [um/m], from the text `A,B`; None if not given.
 
     Raises RecordError unless A > 0 and B >= 0.
     """
@@ -146,21 +146,25 @@ def watch_recording(terminal: Terminal, run_check: Callable[[], Check], changes:
         reported_reasons.clear()
         failed = [item for item in result.items if not item.passed]
         for item in failed:
-            if _item_key(item) not in reported_failures:
-                terminal.print_unbuffered(f"{len(result.arrays.recording)} pointings: NO-GO {item.sentence}", bell=True)
-        if (reported_failures and not failed) or not reported_failures.union(map(_item_key, failed)):
+            if _test_key(item) not in reported_failures:
+                terminal.print_unbuffered(
+                    f"{len(result.arrays.recording)} pointings: NO-GO {item.sentence}", rings_bell=True
+                )
+        if (reported_failures and not failed) or not reported_failures.union(map(_test_key, failed)):
             terminal.print_unbuffered(f"{len(result.arrays.recording)} pointings: {result.sentence}")
-        reported_failures = set(map(_item_key, failed))
+        reported_failures = set(map(_test_key, failed))
         if is_reader_gone():
             return
 
 
-def _item_key(item: CheckItem) -> tuple[str, str, tuple[str, ...]]:
+def _test_key(item: CheckItem) -> tuple[str, str, tuple[str, ...]]:
     """Station, kind and targets of a test, by which repeated failures are recognised."""
     return item.station, item.kind, item.targets
 
 
-def accept(file: AcceptanceFileArgument = None, show: ShowTemplateOption = False, *, terminal: ResultTerminal) -> int:
+def accept(
+    file: AcceptanceFileArgument = None, show: ShowTemplateOption = False, *, terminal: ResultFolderTerminal
+) -> int:
     """Predict acceptance tests of a tracker, or evaluate measured errors, against the limits of its specification.
 
     Measured errors are judged by ISO 14253-1. Exit status 0 if all tests are accepted, 1 if one is rejected or
@@ -183,7 +187,7 @@ def accept(file: AcceptanceFileArgument = None, show: ShowTemplateOption = False
     return int(content.judgement not in (None, "accepted"))
 
 
-def bench(file: BenchTableArgument, *, terminal: ResultTerminal, **options: Any) -> None:
+def bench(file: BenchTableArgument, *, terminal: ResultFolderTerminal, **options: Any) -> None:
     """Estimate a reflector's range error over the angle of incidence from its bench test, with uncertainty.
 
     In the bench test a rotary table turns the reflector. The first harmonic of the probe readings is the eccentricity
@@ -220,8 +224,8 @@ def compare(
     source: RecordingArgument,
     second: LaterRecordingArgument,
     *,
-    reading: ReadingOptions,
-    terminal: ResultTerminal,
+    reading_options: ReadingOptions,
+    terminal: ResultFolderTerminal,
     **options: Any,
 ) -> int:
     """Report the points that moved between two recordings, with displacements and detection limits.
@@ -239,7 +243,7 @@ def compare(
     terminal.check_overwrite(Comparison, DISPLACEMENTS_TABLE.file)
     has_coordinate_lists = is_coordinate_file(source) or is_coordinate_file(second)
     first, later = (
-        _coordinates_or_path(p, terminal) if has_coordinate_lists else reading.read_and_report(p, terminal)
+        _coordinates_or_path(p, terminal) if has_coordinate_lists else reading_options.read_and_report(p, terminal)
         for p in (source, second)
     )
     with terminal.show_progress("comparing"):
@@ -267,7 +271,7 @@ def uncertainty(
     against: ComparedResultsOption = None,
     show: ShowTemplateOption = False,
     *,
-    terminal: ResultTerminal,
+    terminal: ResultFolderTerminal,
     **options: Any,
 ) -> int:
     """Evaluate the uncertainty of the tasks of a file: GUM and Monte Carlo, budget, conformity.

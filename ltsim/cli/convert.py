@@ -7,8 +7,8 @@ from typing import Annotated, Any
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import FramedReadingOptions
-from ltsim.cli.places import (
+from ltsim.cli.options import ReadingOptionsWithFrame
+from ltsim.cli.output_checks import (
     COMPARED_FILE_OUTPUT,
     FILE_OR_FOLDER_OUTPUT,
     RECORDING_OUTPUT,
@@ -32,7 +32,7 @@ def convert(
     destination: OutputArgument,
     to: OutputFormatOption = "native",
     *,
-    reading: FramedReadingOptions,
+    reading_options: ReadingOptionsWithFrame,
     force: ForceOption = False,
     terminal: Terminal,
     **options: Annotated[Any, "convert every"],
@@ -47,7 +47,7 @@ def convert(
     Example: ltsim convert survey.csv my-recording --columns "target=Name,azimuth=Hz[gon]" --hint azimuth=clockwise
     """
     (RECORDING_OUTPUT if to == "native" else COMPARED_FILE_OUTPUT).check(destination, force)
-    source_recording = reading.read(source)
+    source_recording = reading_options.read(source)
     writer = partial(lt.convert, source_recording, to=to, **options)
     (recording,) = write_outputs({destination: writer}, force=force)
     terminal.print_notes(source_recording.notes)

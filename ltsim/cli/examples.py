@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from ltsim.cli.places import COMMAND_CHECKED_OUTPUT, COMPARED_FILE_OUTPUT, ForceOption, write_outputs
+from ltsim.cli.output_checks import COMMAND_CHECKED_OUTPUT, COMPARED_FILE_OUTPUT, ForceOption, write_outputs
 from ltsim.cli.terminal import Terminal
 from ltsim.recordings.files import write_text
 from ltsim.simulation.builtin import builtin_text

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 import typer
 
 import ltsim as lt
-from ltsim.cli.places import OutputPlace, check_outputs
+from ltsim.cli.output_checks import OutputKind, check_outputs
 from ltsim.cli.terminal import Terminal, is_output_closed
 from ltsim.core.arguments import (
     ARGUMENT_BOUNDS,
@@ -135,7 +135,7 @@ class ReadingOptions:
 
 
 @dataclass(frozen=True)
-class ControlledReadingOptions(ReadingOptions):
+class ReadingOptionsWithControl(ReadingOptions):
     """Options for reading a recording, with control points."""
 
     control: ControlFileOption = None
@@ -151,7 +151,7 @@ class ControlledReadingOptions(ReadingOptions):
 
 
 @dataclass(frozen=True)
-class FramedReadingOptions(ControlledReadingOptions):
+class ReadingOptionsWithFrame(ReadingOptionsWithControl):
     """Options for reading a recording with control points and the axes of the results."""
 
     frame: FrameFileOption = None
@@ -204,10 +204,10 @@ def typer_command(name: str, function: Callable[..., Any]) -> Callable[..., Any]
     return run
 
 
-def _output_options(parameters: list[inspect.Parameter]) -> Iterator[tuple[str, str, OutputPlace]]:
+def _output_options(parameters: list[inspect.Parameter]) -> Iterator[tuple[str, str, OutputKind]]:
     """Name, flag (or placeholder of an argument) and check of each parameter that names an output."""
     for option in parameters:
-        places: list[Any] = [item for item in get_args(option.annotation)[1:] if isinstance(item, OutputPlace)]
+        places: list[Any] = [item for item in get_args(option.annotation)[1:] if isinstance(item, OutputKind)]
         if places:
             info: Any = get_args(option.annotation)[1]
             flags = [word for word in (info.default, *(info.param_decls or ())) if str(word).startswith("--")]
@@ -218,7 +218,7 @@ def _keyword_parameter(name: str, annotation: Any, default: Any) -> inspect.Para
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
-PYTHON_ONLY = ("advise", "allow_repeated", "geometry", "about", "format", "hints", "callbacks")
+PYTHON_ONLY_PARAMETERS = ("advise", "allow_repeated", "geometry", "about", "format", "hints", "callbacks")
 """Parameters of public functions that are not made into options."""
 SHORT_FLAGS = {"trials": "-n", "jobs": "-j"}
 """Short spelling of an option, by the name of its parameter."""
@@ -341,7 +341,7 @@ def function_options(function_name: str, parameter_names: list[str]) -> list[Fun
         value = _constant_value(tree, default.id) if isinstance(default, ast.Name) else default
         if (
             (parameter_names and name not in parameter_names)
-            or name in PYTHON_ONLY
+            or name in PYTHON_ONLY_PARAMETERS
             or not isinstance(value, ast.Constant | ast.Tuple)
         ):
             continue
@@ -388,7 +388,7 @@ def with_axes_of_frame(recording: Recording, frame: Path) -> Recording:
 
     if frame.exists() and str(frame) not in builtin_names():
         if frame.suffix.lower() != ".toml":
-            return with_axes_from_points(recording, read_points(frame, requires_all=False).by_name, str(frame))
+            return with_axes_from_points(recording, read_points(frame, requires_all_axes=False).by_name, str(frame))
         frame_table = read_toml(frame, "frame")
         keys = ("origin", "x_axis", "xy_plane")
         if set(keys) <= frame_table.keys():

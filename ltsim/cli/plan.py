@@ -11,7 +11,7 @@ import typer
 
 import ltsim as lt
 from ltsim.cli.options import JobsOption, ReadingOptions
-from ltsim.cli.places import COMMAND_CHECKED_OUTPUT, ForceOption, check_overwrite
+from ltsim.cli.output_checks import COMMAND_CHECKED_OUTPUT, ForceOption, check_overwrite
 from ltsim.cli.terminal import Terminal
 from ltsim.core.errors import RecordError, SetupError
 
@@ -75,7 +75,7 @@ def plan(
     site: SiteOption = None,
     without: WithoutOption = None,
     *,
-    reading: ReadingOptions,
+    reading_options: ReadingOptions,
     force: ForceOption = False,
     terminal: Terminal,
     **options: Any,
@@ -99,7 +99,7 @@ def plan(
         if source is not None:
             raise SetupError("ltsim plan needs either FILE or --after REC, not both")
         check_overwrite(out, NextMeasurement, (PROPOSALS_TABLE.file,), force=force)
-        return _propose_next_measurement(terminal, reading.read(after), _effect_names(between), site, out)
+        return _propose_next_measurement(terminal, reading_options.read(after), _effect_names(between), site, out)
     if between is not None:
         raise SetupError("--between needs --after REC, the recording that has several explanations")
     if site is not None:

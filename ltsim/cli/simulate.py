@@ -13,8 +13,8 @@ import typer
 
 import ltsim as lt
 from ltsim.campaigns import require_packages
-from ltsim.cli.options import FramedReadingOptions, RecordingArgument
-from ltsim.cli.places import (
+from ltsim.cli.options import ReadingOptionsWithFrame, RecordingArgument
+from ltsim.cli.output_checks import (
     COMMAND_CHECKED_OUTPUT,
     COMPARED_FILE_OUTPUT,
     EMPTY_FOLDER_OUTPUT,
@@ -135,7 +135,7 @@ def inject(
     truth: InjectedValuesFileOption = None,
     curve: DetectionCurveOption = False,
     *,
-    reading: FramedReadingOptions,
+    reading_options: ReadingOptionsWithFrame,
     force: ForceOption = False,
     terminal: Terminal,
     **options: Annotated[Any, "inject", "injection_curve injections"],
@@ -151,11 +151,13 @@ def inject(
         if file is not None:
             check_new_file(file, force)
         del options["noncentrality"]
-        return _run_injection_curve(terminal, reading.read_and_report(source, terminal), causes[0], file, options)
+        return _run_injection_curve(
+            terminal, reading_options.read_and_report(source, terminal), causes[0], file, options
+        )
     if out is None:
         raise ModelError("ltsim inject has no output: give --out with a folder for the changed recording, or --curve")
     check_recording_folder(out, force)
-    recording = reading.read_and_report(source, terminal)
+    recording = reading_options.read_and_report(source, terminal)
     del options["injections"]
     injected_recording, injected_values = lt.inject(recording, *causes, **options)
     outputs: dict[Path, Callable[[Path], None]] = {out: partial(lt.write, injected_recording)}

@@ -16,15 +16,15 @@ from typing import IO, TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from ltsim.cli.places import COMMAND_CHECKED_OUTPUT, ForceOption, check_overwrite
+from ltsim.cli.output_checks import COMMAND_CHECKED_OUTPUT, ForceOption, check_overwrite
 from ltsim.core.errors import printable
 
 if TYPE_CHECKING:
     from ltsim.recordings.result_file import ResultFile
 
-_CLOSED_AT_START: set[int] = set()
+_STREAMS_CLOSED_AT_START: set[int] = set()
 """File descriptors of the standard streams that were closed when the process started."""
-_DROPPED_STREAMS: set[int] = set()
+_DISCARDED_STREAMS: set[int] = set()
 """File descriptors of the standard streams whose further output is discarded."""
 
 
@@ -36,7 +36,7 @@ def prepare_streams() -> None:
     """
     for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
-            _CLOSED_AT_START.add(descriptor)
+            _STREAMS_CLOSED_AT_START.add(descriptor)
             null_device = Path(os.devnull).open("r+", encoding="utf-8")  # noqa: SIM115  # takes the lowest free number
             os.set_inheritable(null_device.fileno(), True)
             setattr(sys, name, null_device)
@@ -50,29 +50,29 @@ def prepare_streams() -> None:
 
 def is_output_closed() -> bool:
     """True if this process was started with a closed standard output."""
-    return 1 in _CLOSED_AT_START
+    return 1 in _STREAMS_CLOSED_AT_START
 
 
 def is_reader_gone() -> bool:
     """True if the program that reads standard output (such as `head`) has closed it."""
-    return 1 in _DROPPED_STREAMS
+    return 1 in _DISCARDED_STREAMS
 
 
 def write_line(text: str, stream: IO[str]) -> None:
     """Output of a line whose control characters are replaced; raises OSError if standard output cannot be written."""
-    with _discard_when_lost(stream):
+    with _discard_if_unwritable(stream):
         print(printable(text), file=stream)
 
 
 def flush_streams() -> None:
     """Flush of both streams; raises OSError if standard output cannot be written."""
     for stream in (sys.stdout, sys.stderr):
-        with _discard_when_lost(stream):
+        with _discard_if_unwritable(stream):
             stream.flush()
 
 
 @contextmanager
-def _discard_when_lost(stream: IO[str]) -> Iterator[None]:
+def _discard_if_unwritable(stream: IO[str]) -> Iterator[None]:
     """Context after which a stream discards its output, if its reader is gone or standard error cannot be written.
 
     Raises OSError if standard output cannot be written for another reason.
@@ -87,7 +87,7 @@ def _discard_when_lost(stream: IO[str]) -> Iterator[None]:
 
 def discard_output(stream: IO[str]) -> None:
     """Redirection of a stream to the null device, so that Python does not fail at exit."""
-    _DROPPED_STREAMS.add(stream.fileno())
+    _DISCARDED_STREAMS.add(stream.fileno())
     null_device = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null_device, stream.fileno())
     os.close(null_device)
@@ -120,9 +120,9 @@ class Terminal:
         """Output of a text that was requested, such as a template or an address; it is printed also with `--quiet`."""
         write_line(text.removesuffix("\n"), sys.stdout)
 
-    def print_unbuffered(self, text: str, *, bell: bool = False) -> None:
+    def print_unbuffered(self, text: str, *, rings_bell: bool = False) -> None:
         """Unbuffered output of a line, optionally with a bell on a terminal."""
-        if bell and not self.is_silent and sys.stdout.isatty():
+        if rings_bell and not self.is_silent and sys.stdout.isatty():
             print("\a", end="")
         self.print_text(text)
         flush_streams()
@@ -184,7 +184,7 @@ class Terminal:
             yield lambda steps: progress_bar.advance(task, steps)
 
     @contextmanager
-    def _print_progress_lines(self, progress_text: Callable[[], str]) -> Iterator[None]:
+    def _print_progress_lines(self, get_progress_text: Callable[[], str]) -> Iterator[None]:
         """Lines of progress on standard error, after `PROGRESS_DELAY_S` seconds and whenever the time has doubled."""
         if self.quiet:
             yield
@@ -195,7 +195,7 @@ class Terminal:
             wait_s = PROGRESS_DELAY_S
             while not is_finished.wait(wait_s):
                 wait_s = time.monotonic() - start_time
-                self.print_note(f"{progress_text()} ({wait_s:.0f} s)")
+                self.print_note(f"{get_progress_text()} ({wait_s:.0f} s)")
                 flush_streams()
 
         thread = threading.Thread(target=print_lines, daemon=True)
@@ -208,7 +208,7 @@ class Terminal:
 
 
 @dataclass(frozen=True)
-class ResultTerminal(Terminal):
+class ResultFolderTerminal(Terminal):
     """Terminal of a command that writes its results to a folder."""
 
     out: Annotated[

@@ -10,12 +10,12 @@ import typer
 from pydantic import ValidationError
 
 import ltsim as lt
-from ltsim.cli.options import FramedReadingOptions
-from ltsim.cli.places import COMMAND_CHECKED_OUTPUT, FILE_OUTPUT, ForceOption, OutputPlace, check_new_file
+from ltsim.cli.options import ReadingOptionsWithFrame
+from ltsim.cli.output_checks import COMMAND_CHECKED_OUTPUT, FILE_OUTPUT, ForceOption, OutputKind, check_new_file
 from ltsim.cli.terminal import QuietOption, Terminal, flush_streams
 from ltsim.core.errors import RecordError, SetupError, require
 from ltsim.recordings.settings import validation_sentence
-from ltsim.recordings.setup import About
+from ltsim.recordings.setup import ReportHeader
 
 
 def check_page_folder(folder: Path, force: bool) -> None:
@@ -53,7 +53,7 @@ PageFileOption = Annotated[
 ReportFolderArgument = Annotated[
     Path,
     typer.Argument(metavar="DIR", help="A folder of results, or a folder of such folders."),
-    OutputPlace(check_page_folder),
+    OutputKind(check_page_folder),
 ]
 HeaderLineOption = Annotated[
     str | None, typer.Option(metavar="TEXT", help="Line in the header; default from [report] of setup.toml.")
@@ -67,7 +67,7 @@ def view(
     png: PictureFileOption = None,
     html: PageFileOption = None,
     *,
-    reading: FramedReadingOptions,
+    reading_options: ReadingOptionsWithFrame,
     force: ForceOption = False,
     out: MovedPlanFolderOption = None,
     port: PortOption = 0,
@@ -96,7 +96,7 @@ def view(
             "no display is available for a window; use --png FILE for a picture or --html FILE for a page"
         )
     with terminal.show_progress("drawing the workshop"):
-        source = place if reading == FramedReadingOptions() else reading.read(Path(place))
+        source = place if reading_options == ReadingOptionsWithFrame() else reading_options.read(Path(place))
         scene_view = lt.view(source, **options)
         if png is not None:
             scene_view.write_png(png)
@@ -161,9 +161,9 @@ def report(
     terminal.print_text(f"written to {page}")
 
 
-def _page_header(**header_values: str | None) -> About:
+def _page_header(**header_values: str | None) -> ReportHeader:
     """Header of the page from the options; raises SetupError."""
     try:
-        return About.model_validate(header_values)
+        return ReportHeader.model_validate(header_values)
     except ValidationError as problem:
-        raise SetupError(f"--{validation_sentence(problem.errors()[0], About)}") from None
+        raise SetupError(f"--{validation_sentence(problem.errors()[0], ReportHeader)}") from None

@@ -35,7 +35,7 @@ DISPLACEMENTS_TABLE = Table(
         *number_columns("", ".1f", a_um="semi-axis of the 95 % confidence ellipsoid", b_um="as a_um", c_um="as a_um"),
         Column("p_value", "p-value of no motion, corrected for the number of points", "chance"),
         *number_columns(
-            "", ".0f", visible_um="smallest motion that is detected with a probability of 80 % in any direction"
+            "", ".0f", detectable_um="smallest motion that is detected with a probability of 80 % in any direction"
         ),
     ),
 )
@@ -61,7 +61,7 @@ class Displacement(Entry):
     p_value: Finite
     """p-value of the hypothesis that the point did not move, with the displacements of other points in the model. It is
     corrected for the number of tested points."""
-    visible_um: tuple[Finite, Finite]
+    detectable_um: tuple[Finite, Finite]
     """Displacement that is detected with a probability of 80 % [um], in the most and the least favourable direction."""
     point_chi2: OptionalFloat = None
     """Chi-square of the difference of this point alone between the epochs, in one frame; independent of other points.
@@ -71,7 +71,7 @@ class Displacement(Entry):
     def row(self) -> list[Any]:
         """Row of the table `DISPLACEMENTS_TABLE`."""
         numbers = *self.place_mm, *self.shift_um, *self.sigma_um, *self.semi_axes_um
-        return [self.target, self.moved, *numbers, self.p_value, self.visible_um[1]]
+        return [self.target, self.moved, *numbers, self.p_value, self.detectable_um[1]]
 
 
 class Comparison(ResultFile):
@@ -120,12 +120,12 @@ class Comparison(ResultFile):
         return tuple(d.target for d in self.displacements if d.moved)
 
 
-def coordinate_rows(points: Sequence[int] | Ints, axes: int) -> Ints:
+def coordinate_rows(points: Sequence[int] | Ints, n_axes: int) -> Ints:
     """Indices of the coordinates of the given points in a vector that lists the coordinates point by point.
 
-    `axes` is the number of coordinates per point.
+    `n_axes` is the number of coordinates per point.
     """
-    return (axes * np.asarray(points, dtype=np.int64)[:, None] + np.arange(axes)).ravel()
+    return (n_axes * np.asarray(points, dtype=np.int64)[:, None] + np.arange(n_axes)).ravel()
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ class EpochDifference:
         """Degrees of freedom of the global test."""
         return len(self._whitening_root) - self.free_motions.shape[1]
 
-    def chi2_of(self, point: int) -> float | None:
+    def chi2_of_point(self, point: int) -> float | None:
         """Chi-square of the difference of one point alone; None if the frames of the epochs are free."""
         if self.free_motions.shape[1]:
             return None
@@ -285,15 +285,15 @@ def _displacement_of_point(
         covariance_um2=(covariance / MICROMETRE**2).tolist(),
         semi_axes_um=(semi_axes / MICROMETRE).tolist(),
         p_value=float(min(1.0, count * special.chdtrc(a, max(drop, 0.0)))),
-        visible_um=(float(visible[0]), float(visible[-1])),
-        point_chi2=difference.chi2_of(point),
+        detectable_um=(float(visible[0]), float(visible[-1])),
+        point_chi2=difference.chi2_of_point(point),
     )
 
 
 def _result_sentence(displacements: Sequence[Displacement]) -> str:
     size_by_target = {d.target: float(np.linalg.norm(d.shift_um)) for d in displacements if d.moved}
     if not size_by_target:
-        sure = max(d.visible_um[1] for d in displacements)
+        sure = max(d.detectable_um[1] for d in displacements)
         return f"no point moved; a motion of {sure:.0f} um would have been found anywhere in 4 of 5 cases"
     names_by_size = sorted(size_by_target, key=lambda name: -size_by_target[name])
     names = listing([f"{name} by {size_by_target[name]:.0f} um" for name in names_by_size])

@@ -55,7 +55,7 @@ def compare_adjustments(
     """
     undetermined = {*first.undetermined_targets, *second.undetermined_targets}
     common = [n for n in first.recording.targets if n in second.recording.targets and n not in undetermined]
-    stable_points = _stable_point_mask("recordings", common, stable_names, n_held=3)
+    stable_points = _stable_point_mask("recordings", common, stable_names, n_frame_points=3)
     indices = [np.array([a.recording.targets.index(n) for n in common]) for a in (first, second)]
     common_groups = _common_observations(first, second, same_instrument)
     before, after = (_Epoch.from_adjustment(a, i, common_groups) for a, i in zip((first, second), indices, strict=True))
@@ -82,11 +82,13 @@ def compare_coordinates(
         raise ModelError(
             f"the first list has the axes {first.axes}, the second {second.axes}; the axes must be the same"
         )
-    second, renamed = _with_names_of(second, first.names)
+    second, renamed = _with_spelling_of(second, first.names)
     common_names = [name for name in first.names if name in second.names]
     open_ = [np.eye(6) if has_free_motions else free_motions_of_epoch(epoch) for epoch in (first, second)]
     is_open = with_scale or any(motions.shape[1] for motions in open_)
-    stable_points = _stable_point_mask("lists", common_names, stable_names, n_held=len(first.axes) if is_open else 0)
+    stable_points = _stable_point_mask(
+        "lists", common_names, stable_names, n_frame_points=len(first.axes) if is_open else 0
+    )
     before, after = (
         _Epoch.from_coordinates(epoch, common_names, motions)
         for epoch, motions in zip((first, second), open_, strict=True)
@@ -108,7 +110,7 @@ def compare_coordinates(
     )
 
 
-def _with_names_of(epoch: EpochCoordinates, names: Sequence[str]) -> tuple[EpochCoordinates, list[str]]:
+def _with_spelling_of(epoch: EpochCoordinates, names: Sequence[str]) -> tuple[EpochCoordinates, list[str]]:
     """Epoch with the spelling of `names` for points whose names differ only in case, blanks or leading zeros.
 
     The second element of the result is a note on these names.
@@ -154,7 +156,7 @@ def _compare_epochs(
     second: _Epoch,
     with_scale: bool,
     stable_mask: Bools,
-    declared_stable: Bools,
+    is_declared_stable: Bools,
     alpha: float,
     epoch_sources: tuple[SourceEntry, SourceEntry],
     compared_axes: Ints = ALL_AXES,
@@ -162,12 +164,12 @@ def _compare_epochs(
 ) -> Comparison:
     """Comparison of epochs with the same points; points whose names are exchanged are compared by their positions."""
     gap = _align_epochs(first, second, with_scale, stable_mask, compared_axes)
-    result = congruence_test(gap, declared_stable, alpha, epoch_sources)
+    result = congruence_test(gap, is_declared_stable, alpha, epoch_sources)
     order = exchanged_names(gap, [i for i, d in enumerate(result.displacements) if d.moved])
     if order is not None:
         result = congruence_test(
             _align_epochs(first, second.with_order(order, len(compared_axes)), with_scale, stable_mask, compared_axes),
-            declared_stable,
+            is_declared_stable,
             alpha,
             epoch_sources,
         )
@@ -176,20 +178,20 @@ def _compare_epochs(
 
 
 def _stable_point_mask(
-    point_noun: str, common_names: Sequence[str], stable_names: Sequence[str] | None, *, n_held: int
+    point_noun: str, common_names: Sequence[str], stable_names: Sequence[str] | None, *, n_frame_points: int
 ) -> Bools:
     """Mask of the common points that may define the frame: all, or the points declared stable.
 
-    At least `n_held` points are necessary.
+    At least `n_frame_points` points are necessary.
     """
     for name in stable_names or ():
         if name not in common_names:
             raise unknown_name("common point", name, common_names)
-    if len(common_names) < n_held + 1:
-        needed = f"at least {n_held + 1} are needed to see one of them move"
+    if len(common_names) < n_frame_points + 1:
+        needed = f"at least {n_frame_points + 1} are needed to see one of them move"
         raise NetworkError(f"the {point_noun} share {len(common_names)} points; {needed}")
-    if stable_names is not None and len(stable_names) < n_held:
-        raise ModelError(f"{len(stable_names)} stable points do not define a frame; name at least {n_held}")
+    if stable_names is not None and len(stable_names) < n_frame_points:
+        raise ModelError(f"{len(stable_names)} stable points do not define a frame; name at least {n_frame_points}")
     return np.array([stable_names is None or name in stable_names for name in common_names])
 
 

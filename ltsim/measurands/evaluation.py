@@ -21,9 +21,9 @@ from ltsim.measurands.propagation import (
 )
 from ltsim.measurands.spec import Task, Tasks
 from ltsim.measurands.uncertainty import (
-    BudgetPart,
+    BudgetEntry,
     Distribution,
-    HiddenPart,
+    HiddenErrorEntry,
     TaskResult,
     Uncertainty,
     evaluate_conformity,
@@ -86,11 +86,15 @@ class TaskEvaluation:
     @property
     def to_result(self) -> Uncertainty:
         """Result with values and uncertainties in the units of the tasks."""
-        origin = self.inputs.origin
-        if isinstance(origin, EpochCoordinates):
-            source, frame, sigma0 = SourceEntry.from_coordinates(origin), "that of the list of coordinates", None
+        point_source = self.inputs.point_source
+        if isinstance(point_source, EpochCoordinates):
+            source, frame, sigma0 = SourceEntry.from_coordinates(point_source), "that of the list of coordinates", None
         else:
-            source, frame, sigma0 = SourceEntry.from_recording(origin.recording), frame_text(origin), origin.sigma0
+            source, frame, sigma0 = (
+                SourceEntry.from_recording(point_source.recording),
+                frame_text(point_source),
+                point_source.sigma0,
+            )
         return Uncertainty(
             recording=source,
             title=self.tasks.title,
@@ -134,7 +138,7 @@ class TaskEvaluation:
             else evaluate_conformity(value, sigma, tolerance, self.tasks.decision, draws),
         )
 
-    def _hidden_errors(self, result_index: int, unit: float, sigma: float) -> tuple[HiddenPart, ...]:
+    def _hidden_errors(self, result_index: int, unit: float, sigma: float) -> tuple[HiddenErrorEntry, ...]:
         """Errors without effect on the readings that change a result noticeably, compared with its uncertainty."""
         change_by_target = {
             name: abs(float(self.linear.point_derivatives[result_index] @ moved)) / unit
@@ -142,12 +146,12 @@ class TaskEvaluation:
         }
         ranked = sorted(change_by_target, key=lambda name: -change_by_target[name])
         return tuple(
-            HiddenPart(source=name, change=change_by_target[name])
+            HiddenErrorEntry(source=name, change=change_by_target[name])
             for name in ranked
             if change_by_target[name] > MIN_RELATIVE_HIDDEN_DISPLACEMENT * sigma
         )
 
-    def _budget_parts(self, result_index: int, sigma: float) -> tuple[BudgetPart, ...]:
+    def _budget_parts(self, result_index: int, sigma: float) -> tuple[BudgetEntry, ...]:
         """Budget of one result: the fraction of its variance from each source, the largest first; the sum is 1."""
         shares, kinds = (
             {name: float(share[result_index]) for name, share in self.linear.variance_by_source.items()},
@@ -159,7 +163,7 @@ class TaskEvaluation:
             for name in sorted(shares, key=lambda n: -shares[n])
         ]
         return tuple(
-            BudgetPart(source=name, type=kinds[name], share=share, standard_uncertainty=float(np.sqrt(share)) * sigma)
+            BudgetEntry(source=name, type=kinds[name], share=share, standard_uncertainty=float(np.sqrt(share)) * sigma)
             for name, share in ranked
         )
 

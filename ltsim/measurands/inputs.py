@@ -22,7 +22,7 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import ModelError, SetupError, unknown_name
 from ltsim.core.units import MILLIMETRE
 from ltsim.core.values import ValueEquality
-from ltsim.measurands.spec import Tasks, TypeB
+from ltsim.measurands.spec import Tasks, TypeBEffect
 from ltsim.physics.effects.air import air_uncertainty_text
 from ltsim.physics.effects.air_gradient import AirGradient
 from ltsim.physics.effects.effect import Effect, NoiseEffect, design_from_displacements
@@ -76,7 +76,7 @@ class UncertaintySource(ValueEquality):
 class TaskInputs(ValueEquality):
     """Points that tasks use, and the sources of their uncertainty."""
 
-    origin: Adjustment | EpochCoordinates
+    point_source: Adjustment | EpochCoordinates
     """Adjusted network, or list of coordinates with its covariance."""
     target_names: tuple[str, ...]
     """Names of the points that the tasks use."""
@@ -257,7 +257,7 @@ def _reduce_variates(variate_response: Floats) -> Floats:
 
 
 def _type_b_source(
-    adjustment: Adjustment, point_response: Floats, type_b_entry: TypeB, entry_number: int
+    adjustment: Adjustment, point_response: Floats, type_b_entry: TypeBEffect, entry_number: int
 ) -> UncertaintySource:
     effect, sizes = _effect_and_sizes(adjustment.recording, type_b_entry, entry_number)
     sigma = sizes * SIGMA_OF_UNIT_SIZE[type_b_entry.distribution]
@@ -285,7 +285,7 @@ def _type_b_source(
     return UncertaintySource(name, "B", response.reshape(len(response), -1), type_b_entry.distribution)
 
 
-def _effect_and_sizes(recording: Recording, type_b_entry: TypeB, entry_number: int) -> tuple[Effect, Floats]:
+def _effect_and_sizes(recording: Recording, type_b_entry: TypeBEffect, entry_number: int) -> tuple[Effect, Floats]:
     """Effect of an entry in the task file, and the sizes of its parameters, shape (parameters,) [SI]."""
     try:
         effect = make_effect(

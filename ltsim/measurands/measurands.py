@@ -117,7 +117,7 @@ class Measurand(ValueEquality):
         change[:, columns] = (stepped_values[:n_coordinates] - stepped_values[n_coordinates:]).T / (2 * DIFFERENCE_STEP)
         return change
 
-    def stretch_derivatives(self, points: Floats, scale_change: float = 1.0) -> Floats:
+    def scale_derivatives(self, points: Floats, scale_change: float = 1.0) -> Floats:
         """Derivative of the results with respect to the scale of the points, shape (results,)."""
         scales = np.array([scale_change + DIFFERENCE_STEP, scale_change - DIFFERENCE_STEP])
         stepped_values = self.values(np.broadcast_to(points, (2, *points.shape)), scales)

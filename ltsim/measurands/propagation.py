@@ -25,7 +25,7 @@ from ltsim.core.values import ValueEquality
 from ltsim.geometry.expansion import ThermalExpansion
 from ltsim.measurands.inputs import STREAM_KEYS, TaskInputs
 from ltsim.measurands.measurands import Measurand
-from ltsim.measurands.spec import MonteCarlo, PartExpansion
+from ltsim.measurands.spec import MonteCarloSettings, PartExpansion
 from ltsim.recordings.coordinates import EpochCoordinates
 
 N_CURVATURE_CHECKS = 8
@@ -72,7 +72,7 @@ class LinearUncertainty(ValueEquality):
     """Type of evaluation of each source, ``A`` or ``B``."""
     point_derivatives: Floats
     """Derivative of the results with respect to the coordinates of all T points, shape (results, 3 T)."""
-    stretch_derivatives: Floats
+    scale_derivatives: Floats
     """Derivative of each result with respect to the scale of the part."""
 
     @property
@@ -99,7 +99,7 @@ def propagate(
     points = task_inputs.points
     result_values = np.concatenate([m.values(points, thermal_expansion.length_ratio) for m in measurands])
     by_points = np.concatenate([m.point_derivatives(points, thermal_expansion.length_ratio) for m in measurands])
-    by_stretch = np.concatenate([m.stretch_derivatives(points, thermal_expansion.length_ratio) for m in measurands])
+    by_stretch = np.concatenate([m.scale_derivatives(points, thermal_expansion.length_ratio) for m in measurands])
     covariance = np.zeros((len(result_values), len(result_values)))
     shares: dict[str, Floats] = {}
     kinds: dict[str, Literal["A", "B"]] = {}
@@ -122,10 +122,10 @@ def curvature_differences(task_inputs: TaskInputs, measurands: Sequence[Measuran
     The adjustment is repeated with a few draws of noise. The difference is zero for a list of coordinates, whose
     readings are not available.
     """
-    origin = task_inputs.origin
-    if isinstance(origin, EpochCoordinates):
+    point_source = task_inputs.point_source
+    if isinstance(point_source, EpochCoordinates):
         return np.zeros(sum(len(m.outputs) for m in measurands))
-    recording, problem = origin.recording, origin.problem
+    recording, problem = point_source.recording, point_source.problem
     indices = [recording.targets.index(name) for name in task_inputs.target_names]
     used, count = problem.is_used_reading, int(problem.is_used_reading.sum())
     largest_differences = np.zeros(sum(len(m.outputs) for m in measurands))
@@ -135,11 +135,11 @@ def curvature_differences(task_inputs: TaskInputs, measurands: Sequence[Measuran
         readings[used] += noise * problem.sigma[used]
         again = adjust(
             recording.with_readings(readings),
-            origin.construction,
+            point_source.construction,
             sigma=problem.sigma,
             reading_mask=problem.is_used_reading,
-            start_state=origin.state,
-            datum_names=origin.datum.point_names if origin.datum is not None else None,
+            start_state=point_source.state,
+            datum_names=point_source.datum.point_names if point_source.datum is not None else None,
         )
         shift = (noise @ task_inputs.point_response[:count]).reshape(-1, 3)
         linear = np.concatenate([m.values(task_inputs.points + shift) for m in measurands])
@@ -205,7 +205,7 @@ def run_monte_carlo(
     task_inputs: TaskInputs,
     measurands: Sequence[Measurand],
     thermal_expansion: ThermalExpansion,
-    monte_carlo_settings: MonteCarlo,
+    monte_carlo_settings: MonteCarloSettings,
     linear_uncertainty: LinearUncertainty,
 ) -> MonteCarloUncertainty:
     """Distribution of the results from trials, until all are known to a fifth of their tolerance, or to a limit."""
@@ -224,7 +224,7 @@ def run_monte_carlo(
         by_line = (
             linear_uncertainty.values
             + shift @ linear_uncertainty.point_derivatives.T
-            + np.outer(grown, linear_uncertainty.stretch_derivatives)
+            + np.outer(grown, linear_uncertainty.scale_derivatives)
         )
         points = task_inputs.points + shift.reshape(TRIALS_PER_BATCH, *task_inputs.points.shape)
         samples.append(_evaluate_results(measurands, points, thermal_expansion.length_ratio + grown))
@@ -264,10 +264,10 @@ def _draw_errors(
     return shift, grown
 
 
-def _evaluate_results(measurands: Sequence[Measurand], points: Floats, factor: Floats) -> Floats:
-    """Results (trials, results) for points (trials, T, 3) [m] of a part that is scaled by `factor` (trials,)."""
+def _evaluate_results(measurands: Sequence[Measurand], points: Floats, scale_factor: Floats) -> Floats:
+    """Results (trials, results) for points (trials, T, 3) [m] of a part that is scaled by `scale_factor` (trials,)."""
     pieces = list(batches(len(points), points[0].size))
-    result_rows = [np.concatenate([m.values(points[p], factor[p]) for m in measurands], axis=1) for p in pieces]
+    result_rows = [np.concatenate([m.values(points[p], scale_factor[p]) for m in measurands], axis=1) for p in pieces]
     return np.concatenate(result_rows)
 
 

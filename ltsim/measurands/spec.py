@@ -43,7 +43,7 @@ class ToleranceLimits(TomlSection):
     """Upper limit."""
 
     @model_validator(mode="after")
-    def _positive_width(self) -> Self:
+    def _check_limit_order(self) -> Self:
         if self.lower is None and self.upper is None:
             raise ValueError("it should give lower, upper or both")
         if self.lower is not None and self.upper is not None and self.lower >= self.upper:
@@ -96,7 +96,7 @@ class Task(TomlSection):
         return self
 
 
-class TypeB(TomlSection):
+class TypeBEffect(TomlSection):
     """Effect that is not visible in the readings, with the distribution of its size.
 
     `sizes` holds a standard deviation (`normal`) or a half-width (the others) for parameters of the effect, in their
@@ -137,7 +137,7 @@ class PartExpansion(TomlSection):
     """Temperature to which results refer."""
 
 
-class MonteCarlo(TomlSection):
+class MonteCarloSettings(TomlSection):
     """Settings of the Monte Carlo simulation (JCGM 101), which ends when all results are stable to `digits` digits."""
 
     coverage: CoverageLevel = 0.95
@@ -150,7 +150,7 @@ class MonteCarlo(TomlSection):
     """Seed of the random draws."""
 
 
-class Decision(TomlSection):
+class DecisionRule(TomlSection):
     """Rule for the decision on conformity with a tolerance (JCGM 106)."""
 
     rule: Literal["guarded", "simple"] = "guarded"
@@ -176,19 +176,19 @@ class Tasks(TomlSection):
     """True if outlying readings are removed."""
     task: Annotated[tuple[Task, ...], Field(min_length=1)]
     """Tasks, tables `[[task]]`."""
-    type_b: tuple[TypeB, ...] = ()
+    type_b: tuple[TypeBEffect, ...] = ()
     """Effects that are not visible in the readings (type B), tables `[[type_b]]`."""
     air: AirUncertainty | None = None
     """Uncertainty of the air for long ranges, without effects in `type_b`; default that of the recording."""
     growth: PartExpansion | None = None
     """Thermal expansion of the part."""
-    monte_carlo: MonteCarlo = MonteCarlo()
+    monte_carlo: MonteCarloSettings = MonteCarloSettings()
     """Settings of the propagation of distributions."""
-    decision: Decision = Decision()
+    decision: DecisionRule = DecisionRule()
     """Rule of the decision on conformity."""
 
     @model_validator(mode="after")
-    def _names_once(self) -> Self:
+    def _check_unique_names(self) -> Self:
         names = [task.name for task in self.task]
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:

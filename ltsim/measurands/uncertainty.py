@@ -10,7 +10,7 @@ from scipy import special
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import with_expanded_uncertainty
 from ltsim.core.results import Column, Table, number_columns, text_columns
-from ltsim.measurands.spec import Decision, ToleranceLimits
+from ltsim.measurands.spec import DecisionRule, ToleranceLimits
 from ltsim.recordings.result_file import Entry, OptionalFloat, ResultFile
 
 RESULTS_TABLE = Table(
@@ -86,7 +86,7 @@ class Distribution(Entry):
     """True if the interval by propagation agrees with that by Monte Carlo (JCGM 101, clause 8)."""
 
 
-class BudgetPart(Entry):
+class BudgetEntry(Entry):
     """Contribution of one source to the uncertainty of a result."""
 
     source: str
@@ -99,7 +99,7 @@ class BudgetPart(Entry):
     """Standard uncertainty in the result's unit."""
 
 
-class HiddenPart(Entry):
+class HiddenErrorEntry(Entry):
     """Error that does not change the readings, so that the uncertainty does not include it."""
 
     source: str
@@ -152,9 +152,9 @@ class TaskResult(Entry):
     """Distribution by Monte Carlo."""
     curvature: float
     """Difference between the exact and the linearised adjustment, in standard uncertainties."""
-    budget: tuple[BudgetPart, ...] = Field(min_length=1)
+    budget: tuple[BudgetEntry, ...] = Field(min_length=1)
     """Contributions of the sources to the uncertainty, the largest first."""
-    hidden: tuple[HiddenPart, ...] = ()
+    hidden: tuple[HiddenErrorEntry, ...] = ()
     """Noticeable errors that do not change the readings, the largest first; the uncertainty does not include them."""
     conformity: Conformity | None = None
     """Conformity with the tolerance; null without one."""
@@ -242,7 +242,7 @@ def evaluate_conformity(
     result_value: float,
     sigma: float,
     tolerance: ToleranceLimits,
-    decision_rule: Decision,
+    decision_rule: DecisionRule,
     trial_results: Floats | None = None,
 ) -> Conformity:
     """Decision on the conformity of a result with its tolerance, from its trials or from a normal distribution.

@@ -28,23 +28,25 @@ MAX_ROWS_AHEAD = 100
 """Number of rows after a rotation in which `MIN_AGREEING_TARGETS` targets must be repeated."""
 
 
-def circle_orientations(occupation: Ints, sight: Ints, readings: Floats) -> Ints | None:
+def circle_orientations(occupation: Ints, sight_number: Ints, readings: Floats) -> Ints | None:
     """Number (n,) of the orientation of each row within its occupation; None if no circle was set anew.
 
-    `sight` (n,) numbers the pointings from one occupation to one target on one face, `readings` are (n, 3) [m, rad]. An
-    occupation whose rows cannot all be assigned has one orientation.
+    `sight_number` (n,) numbers the pointings from one occupation to one target on one face, `readings` are (n, 3) [m,
+    rad]. An occupation whose rows cannot all be assigned has one orientation.
     """
-    _, first_row, code = np.unique(sight, return_index=True, return_inverse=True)
-    change = readings - readings[first_row[code]]
-    rotation = wrap_angle(change[:, 1])
+    _, first_rows, code = np.unique(sight_number, return_index=True, return_inverse=True)
+    change = readings - readings[first_rows[code]]
+    rotations_from_first = wrap_angle(change[:, 1])
     is_moved = (np.abs(change[:, 0]) > MAX_DISTANCE_DIFFERENCE_M) | (np.abs(change[:, 2]) > MAX_DIRECTION_DIFFERENCE)
-    rotation[is_moved | (first_row[code] == np.arange(len(sight)))] = np.nan  # new targets, and those that moved
-    turned_setups = np.unique(occupation[np.abs(rotation) > MIN_CIRCLE_RESET_ROTATION])
+    rotations_from_first[is_moved | (first_rows[code] == np.arange(len(sight_number)))] = (
+        np.nan
+    )  # new targets, and those that moved
+    turned_setups = np.unique(occupation[np.abs(rotations_from_first) > MIN_CIRCLE_RESET_ROTATION])
     orientation = np.zeros(len(occupation), dtype=np.int64)
     for number in turned_setups.tolist():
         rows = np.flatnonzero(occupation == number)
-        local = np.searchsorted(rows, first_row[code[rows]])
-        orientation[rows] = _orientations_of_occupation(local.tolist(), rotation[rows].tolist())
+        local = np.searchsorted(rows, first_rows[code[rows]])
+        orientation[rows] = _orientations_of_occupation(local.tolist(), rotations_from_first[rows].tolist())
     return orientation if orientation.any() else None
 
 
@@ -56,21 +58,21 @@ def zeroed_circle_note(n_orientations: int, n_occupations: int) -> str:
     )
 
 
-def _orientations_of_occupation(first_row: list[int], rotation: list[float]) -> list[int]:
+def _orientations_of_occupation(first_rows: list[int], rotations_from_first: list[float]) -> list[int]:
     """Number of the orientation of each row of one occupation; all 0 if too many rows contradict the orientations.
 
-    `first_row` holds, for each row, the row of the first pointing to the same target. `rotation` is the direction of
-    the row minus the direction in that first row [rad], NaN for a first pointing.
+    `first_rows` holds, for each row, the row of the first pointing to the same target. `rotations_from_first` is
+    the direction of the row minus the direction in that first row [rad], NaN for a first pointing.
     """
     rotations, orientations = [0.0], list[int]()
     n_repeated = n_contradictory = 0
-    for row, first in enumerate(first_row):
-        circle_rotation = math.nan if first == row else rotation[row] + rotations[orientations[first]]
+    for row, first in enumerate(first_rows):
+        circle_rotation = math.nan if first == row else rotations_from_first[row] + rotations[orientations[first]]
         if not math.isnan(circle_rotation):
             n_repeated += 1
             if not _is_equal_direction(circle_rotation, rotations[-1]):
                 if abs(_wrap(circle_rotation - rotations[-1])) > MIN_CIRCLE_RESET_ROTATION and _is_confirmed(
-                    row, first_row, rotation, circle_rotation, rotations, orientations
+                    row, first_rows, rotations_from_first, circle_rotation, rotations, orientations
                 ):
                     rotations.append(circle_rotation)
                 else:
@@ -81,8 +83,8 @@ def _orientations_of_occupation(first_row: list[int], rotation: list[float]) -> 
 
 def _is_confirmed(
     row: int,
-    first_row: list[int],
-    rotation: list[float],
+    first_rows: list[int],
+    rotations_from_first: list[float],
     circle_rotation: float,
     rotations: list[float],
     orientations: list[int],
@@ -92,12 +94,12 @@ def _is_confirmed(
     `rotations` holds the rotation [rad] of each earlier orientation, `orientations` the number of the orientation of
     each earlier row.
     """
-    agreeing = {first_row[row]}
-    for later in range(row + 1, min(row + MAX_ROWS_AHEAD, len(first_row))):
-        first = first_row[later]
-        if first >= row or first in agreeing or math.isnan(rotation[later]):
+    agreeing = {first_rows[row]}
+    for later in range(row + 1, min(row + MAX_ROWS_AHEAD, len(first_rows))):
+        first = first_rows[later]
+        if first >= row or first in agreeing or math.isnan(rotations_from_first[later]):
             continue
-        if not _is_equal_direction(rotation[later] + rotations[orientations[first]], circle_rotation):
+        if not _is_equal_direction(rotations_from_first[later] + rotations[orientations[first]], circle_rotation):
             return False
         agreeing.add(first)
         if len(agreeing) == MIN_AGREEING_TARGETS:

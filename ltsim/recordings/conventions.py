@@ -41,11 +41,11 @@ MIN_MISFIT_RATIO = 10.0
 """Ratio of the second-smallest to the smallest misfit of the conventions, from which the data decide."""
 MAX_MIRROR_MISFIT = 1e-3
 """Misfit of a mirror image, divided by the size of the network, below which the mirror image fits."""
-MAX_LISTED_NOTES = 3
+MAX_ROWS_IN_A_NOTE = 3
 """Largest number of rows that a note lists, and of contradictions that are reported."""
-MIN_PLAUSIBLE_PACE_S = 0.1
+MIN_TARGET_INTERVAL_S = 0.1
 """Shortest plausible median time [s] between consecutive targets; below it a question about the clock is asked."""
-MAX_PLAUSIBLE_PACE_S = 7200.0
+MAX_TARGET_INTERVAL_S = 7200.0
 """Longest plausible median time [s] between consecutive targets; above it a question about the clock is asked."""
 MIN_TARGET_CHANGES = 8
 """Number of changes from one target to the next below which the time between targets is not judged."""
@@ -100,7 +100,7 @@ class PolarReadings:
         return from_polar(np.stack([self.distance, self.horizontal * SI_PER_UNIT[angle], elevation], axis=1))
 
 
-def angle_convention(table: PolarReadings, hints: Hints, file: object) -> tuple[AngleUnit, VerticalKind, list[str]]:
+def angle_convention(polar: PolarReadings, hints: Hints, file: object) -> tuple[AngleUnit, VerticalKind, list[str]]:
     """Unit of the angles, kind of the vertical angle, and notes on what the data decided.
 
     Raises RecordError, which asks for a hint, if the data do not decide.
@@ -111,16 +111,16 @@ def angle_convention(table: PolarReadings, hints: Hints, file: object) -> tuple[
         (a, v)
         for a in angles
         for v in verticals
-        if _is_possible_convention(table, a, v, is_declared=hints.vertical is not None)
+        if _is_possible_convention(polar, a, v, is_declared=hints.vertical is not None)
     ]
     if not candidates:
         raise RecordError("the angles have none of the units deg, gon and rad; check the columns", file=file)
     convention, reason = candidates[0], "no other interpretation fits the values"
     if len(candidates) > 1:
         convention, reason = (
-            _convention_from_faces(table, candidates)
-            or _convention_from_lengths(table, candidates)
-            or _missing_hint_error(candidates, file)
+            _convention_from_faces(polar, candidates)
+            or _convention_from_lengths(polar, candidates)
+            or _raise_missing_hint(candidates, file)
         )
     notes = []
     if hints.angle is None or hints.vertical is None:
@@ -131,7 +131,7 @@ def angle_convention(table: PolarReadings, hints: Hints, file: object) -> tuple[
 
 
 def _is_possible_convention(
-    table: PolarReadings, angle: AngleUnit, vertical: VerticalKind, *, is_declared: bool
+    polar: PolarReadings, angle: AngleUnit, vertical: VerticalKind, *, is_declared: bool
 ) -> bool:
     """True if every value lies within the circle, and the vertical angles are within the travel of an instrument.
 
@@ -139,43 +139,43 @@ def _is_possible_convention(
     therefore holds zenith angles, unless the user declared the kind of vertical angle (`is_declared`).
     """
     circle = FULL_CIRCLE_BY_UNIT[angle]
-    horizontal, readings = table.horizontal, table.vertical
+    horizontal, readings = polar.horizontal, polar.vertical
     if np.nanmax(np.abs(horizontal), initial=0) > circle * 1.001 or np.nanmax(np.abs(readings), initial=0) > circle:
         return False
     if vertical == "elevation":
         highest = float(np.nanmax(readings, initial=0))
         within = float(np.nanmin(readings, initial=0)) >= -circle / 4 and highest <= 0.75 * circle
-        return within and (is_declared or highest <= circle / 4 or _count_two_face_pairs(table, angle, vertical) > 0)
+        return within and (is_declared or highest <= circle / 4 or _count_two_face_pairs(polar, angle, vertical) > 0)
     return bool(np.nanmin(readings, initial=0) >= 0)
 
 
-def _same_target_rows(table: PolarReadings) -> tuple[Ints, Ints]:
+def _same_target_rows(polar: PolarReadings) -> tuple[Ints, Ints]:
     """Rows (k,) of repeated pointings, and rows (k,) of the next pointing from the same station to the same target."""
-    order = np.lexsort((np.arange(len(table.station)), table.target, table.station))
+    order = np.lexsort((np.arange(len(polar.station)), polar.target, polar.station))
     first, next_ = order[:-1], order[1:]
-    is_repeated = (table.station[first] == table.station[next_]) & (table.target[first] == table.target[next_])
+    is_repeated = (polar.station[first] == polar.station[next_]) & (polar.target[first] == polar.target[next_])
     return first[is_repeated], next_[is_repeated]
 
 
-def _count_two_face_pairs(table: PolarReadings, angle: AngleUnit, vertical: VerticalKind) -> int:
+def _count_two_face_pairs(polar: PolarReadings, angle: AngleUnit, vertical: VerticalKind) -> int:
     """Number of pairs of rows with one target on both faces: azimuths half a circle apart, matching vertical angles."""
-    first, other = _same_target_rows(table)
+    first, other = _same_target_rows(polar)
     circle = FULL_CIRCLE_BY_UNIT[angle]
     sum_of_faces = circle if vertical == "zenith" else circle / 2
-    azimuth_misfit = np.abs(np.mod(table.horizontal[first] - table.horizontal[other], circle) - circle / 2)
-    vertical_misfit = np.abs(table.vertical[first] + table.vertical[other] - sum_of_faces)
+    azimuth_misfit = np.abs(np.mod(polar.horizontal[first] - polar.horizontal[other], circle) - circle / 2)
+    vertical_misfit = np.abs(polar.vertical[first] + polar.vertical[other] - sum_of_faces)
     is_two_face_pair: Bools = (azimuth_misfit < 1e-3 * circle) & (vertical_misfit < 1e-3 * circle)
     return int(is_two_face_pair.sum())
 
 
 def _convention_from_faces(
-    table: PolarReadings, candidates: list[AngleConvention]
+    polar: PolarReadings, candidates: list[AngleConvention]
 ) -> tuple[AngleConvention, str] | None:
     """Unit and kind of vertical angle under which most repeated targets are on two faces, and a text with this reason.
 
     None if it is not clear which choice that is.
     """
-    counts = [_count_two_face_pairs(table, angle, vertical) for angle, vertical in candidates]
+    counts = [_count_two_face_pairs(polar, angle, vertical) for angle, vertical in candidates]
     best_index = int(np.argmax(counts))
     if counts[best_index] < 2 or sorted(counts)[-2] * MIN_MISFIT_RATIO > counts[best_index]:
         return None
@@ -183,13 +183,13 @@ def _convention_from_faces(
 
 
 def _convention_from_lengths(
-    table: PolarReadings, candidates: list[AngleConvention]
+    polar: PolarReadings, candidates: list[AngleConvention]
 ) -> tuple[AngleConvention, str] | None:
     """Unit and kind of vertical angle under which stations measure equal lengths between targets, and a text with it.
 
     None if no choice, or more than one, makes the lengths equal.
     """
-    misfits = [length_disagreement(table.points(unit, kind), table.station, table.target) for unit, kind in candidates]
+    misfits = [length_disagreement(polar.points(unit, kind), polar.station, polar.target) for unit, kind in candidates]
     if not np.all(np.isfinite(misfits)):
         return None
     first, second = np.argsort(misfits)[:2]
@@ -199,7 +199,7 @@ def _convention_from_lengths(
     return candidates[first], f"two stations then measure equal lengths within 1 part in {accuracy:.0f}"
 
 
-def _missing_hint_error(candidates: list[AngleConvention], file: object) -> tuple[AngleConvention, str]:
+def _raise_missing_hint(candidates: list[AngleConvention], file: object) -> tuple[AngleConvention, str]:
     """Question to the user which of several conventions holds: raises RecordError with the option to type."""
     has_common_unit = len({a for a, _ in candidates}) == 1
     choices = " or ".join(f"{v} angles" if has_common_unit else f"{v} angles in {a}" for a, v in candidates)
@@ -209,7 +209,7 @@ def _missing_hint_error(candidates: list[AngleConvention], file: object) -> tupl
     raise RecordError(message, file=file)
 
 
-def length_meaning(distance: Floats, hints: Hints) -> tuple[LengthUnit, list[str]]:
+def length_unit_from_size(distance: Floats, hints: Hints) -> tuple[LengthUnit, list[str]]:
     """Unit of the distances, and notes on it: m if the longest one is below `MIN_DISTANCE_MM`, otherwise mm."""
     if hints.length is not None:
         return hints.length, []
@@ -226,17 +226,17 @@ SENSE_UNKNOWN_NOTE = (
 
 
 def azimuth_sense_from_points(
-    local_points: Floats, table: PolarReadings, targets: Sequence[str], file: Path
+    local_points: Floats, polar: PolarReadings, targets: Sequence[str], file: Path
 ) -> tuple[AzimuthSense, list[str]]:
     """Sense of the azimuth from coordinates of targets in `file`, and notes on it.
 
     `local_points` (n, 3) [m] are measured positions in each station's frame, with counter-clockwise azimuths, and
-    `targets` the names to which `table.target` refers. Raises RecordError if the coordinates do not decide.
+    `targets` the names to which `polar.target` refers. Raises RecordError if the coordinates do not decide.
     """
-    listed = read_points(file, requires_all=False)
+    listed = read_points(file, requires_all_axes=False)
     index_of = {name: i for i, name in enumerate(targets)}
     points = {index_of[n]: p for n, p in zip(listed.names, listed.points, strict=True) if n in index_of}
-    azimuth = _azimuth_sense_by_alignment(local_points, table, points)
+    azimuth = _azimuth_sense_by_alignment(local_points, polar, points)
     if azimuth is None:
         message = f"the coordinates of {len(points)} targets do not decide whether azimuths run clockwise; give "
         raise RecordError(message + "--hint azimuth=clockwise or --hint azimuth=counter-clockwise", file=file)
@@ -247,7 +247,7 @@ def azimuth_sense_from_points(
 
 
 def _azimuth_sense_by_alignment(
-    local_points: Floats, table: PolarReadings, points_by_target: Mapping[int, Floats]
+    local_points: Floats, polar: PolarReadings, points_by_target: Mapping[int, Floats]
 ) -> AzimuthSense | None:
     """Sense of the azimuth under which the targets of each station fit known points (by target index) rigidly.
 
@@ -255,19 +255,19 @@ def _azimuth_sense_by_alignment(
     times better than the other, for example if all points lie in one plane.
     """
     station_senses = []
-    for s in np.unique(table.station):
-        rows = np.flatnonzero((table.station == s) & np.isin(table.target, list(points_by_target)))
+    for s in np.unique(polar.station):
+        rows = np.flatnonzero((polar.station == s) & np.isin(polar.target, list(points_by_target)))
         rows = rows[np.all(np.isfinite(local_points[rows]), axis=1)]
-        if len(np.unique(table.target[rows])) < 4:
+        if len(np.unique(polar.target[rows])) < 4:
             continue
-        misfit = _misfits(local_points[rows], np.array([points_by_target[int(t)] for t in table.target[rows]]))
+        misfit = _misfits(local_points[rows], np.array([points_by_target[int(t)] for t in polar.target[rows]]))
         if max(misfit) > MIN_MISFIT_RATIO * min(misfit):
             station_senses.append(int(np.argmin(misfit)))
     return _unanimous_sense(station_senses)
 
 
-def _misfits(points: Floats, goal_points: Floats) -> list[float]:
-    """Median misfits [m] of points (n, 3), and of their mirror image, to `goal_points` (n, 3) after a rigid alignment.
+def _misfits(points: Floats, fixed_points: Floats) -> list[float]:
+    """Median misfits [m] of points (n, 3), and of their mirror image, to `fixed_points` (n, 3) after a rigid alignment.
 
     A misfit is 1 if no alignment exists.
     """
@@ -275,15 +275,15 @@ def _misfits(points: Floats, goal_points: Floats) -> list[float]:
     for y_sign in (1.0, -1.0):
         image = points * [1.0, y_sign, 1.0]
         try:
-            rotation, shift = align_rigidly(image, goal_points)
-            misfits.append(float(np.median(np.linalg.norm(image @ rotation.T + shift - goal_points, axis=1))) + 1e-9)
+            rotation, shift = align_rigidly(image, fixed_points)
+            misfits.append(float(np.median(np.linalg.norm(image @ rotation.T + shift - fixed_points, axis=1))) + 1e-9)
         except NetworkError:
             misfits.append(1.0)
     return misfits
 
 
 def azimuth_sense_from_poses(
-    local_points: Floats, table: PolarReadings, poses: Mapping[int, StationPoseArrays]
+    local_points: Floats, polar: PolarReadings, poses: Mapping[int, StationPoseArrays]
 ) -> AzimuthSense | None:
     """Sense of the azimuth under which stations of known pose (by station index) measure the same points.
 
@@ -293,18 +293,18 @@ def azimuth_sense_from_poses(
     for y_sign in (1.0, -1.0):
         points = np.full_like(local_points, np.nan)
         for s, (rotation, position) in poses.items():
-            rows = table.station == s
+            rows = polar.station == s
             points[rows] = (local_points[rows] * [1.0, y_sign, 1.0]) @ rotation.T + position
-        misfits.append(_median_station_distance(points, table))
+        misfits.append(_median_station_distance(points, polar))
     if not np.all(np.isfinite(misfits)) or max(misfits) < MIN_MISFIT_RATIO * min(misfits):
         return None
     return _unanimous_sense([int(np.argmin(misfits))])
 
 
-def _median_station_distance(points: Floats, table: PolarReadings) -> float:
+def _median_station_distance(points: Floats, polar: PolarReadings) -> float:
     """Median over targets of the distance [m] between their positions from different stations; NaN without any."""
     positions_of: dict[int, list[Floats]] = {}
-    for cloud in station_clouds(points, table.station, table.target).values():
+    for cloud in station_clouds(points, polar.station, polar.target).values():
         for target, point in cloud.items():
             positions_of.setdefault(target, []).append(point)
     distances = [
@@ -328,7 +328,7 @@ def clock_question(recording: Recording) -> tuple[str, ...]:
     if not recording.has_clock or len(paces) < MIN_TARGET_CHANGES:
         return ()
     pace = float(np.median(paces))
-    if MIN_PLAUSIBLE_PACE_S <= pace <= MAX_PLAUSIBLE_PACE_S:
+    if MIN_TARGET_INTERVAL_S <= pace <= MAX_TARGET_INTERVAL_S:
         return ()
     span_s = float(np.nanmax(recording.time) - np.nanmin(recording.time))
     return (
@@ -339,17 +339,17 @@ def clock_question(recording: Recording) -> tuple[str, ...]:
 
 def vertical_pointings_note(recording: Recording) -> tuple[str, ...]:
     """Note on pointings along the vertical axis, of which an adjustment uses only the distances; empty without them."""
-    vertical_rows = np.flatnonzero(recording.vertical & recording.is_measured[:, 1:].any(axis=1))
+    vertical_rows = np.flatnonzero(recording.is_vertical & recording.is_measured[:, 1:].any(axis=1))
     if not len(vertical_rows):
         return ()
-    listed_rows = listing([recording.where(int(row) + 1) for row in vertical_rows], MAX_LISTED_NOTES)
+    listed_rows = listing([recording.row_text(int(row) + 1) for row in vertical_rows], MAX_ROWS_IN_A_NOTE)
     return (
         f"{listed_rows}: along the vertical axis of the tracker the azimuth is undefined, so the angles are not used; "
         "to locate this target from there, tilt or move the tracker",
     )
 
 
-def convention_contradictions(recording: Recording) -> tuple[str, ...]:
+def mirror_image_sentences(recording: Recording) -> tuple[str, ...]:
     """Sentences on stations whose readings fit the declared positions, or another station, only as a mirror image.
 
     Coordinates in one plane, or a floor plan that fits neither sense, are no contradiction. None are sought among more
@@ -358,10 +358,10 @@ def convention_contradictions(recording: Recording) -> tuple[str, ...]:
     if len(recording.stations) > max_pointings(MAX_NETWORK_SETUPS):
         return ()
     local_points = from_polar(recording.readings)
-    table = PolarReadings(recording.station, recording.target, *recording.readings[:, [1, 2, 0]].T)
+    polar = PolarReadings(recording.station, recording.target, *recording.readings[:, [1, 2, 0]].T)
     poses = rough_poses(recording.setup, recording.stations)
     notes = []
-    if len(poses) > 1 and azimuth_sense_from_poses(local_points, table, poses) == "clockwise":
+    if len(poses) > 1 and azimuth_sense_from_poses(local_points, polar, poses) == "clockwise":
         notes.append(
             "the declared places of the stations fit only the mirror image of the readings: if the azimuths run "
             "clockwise give --hint azimuth=clockwise, otherwise the floor plan is left-handed"
@@ -371,7 +371,7 @@ def convention_contradictions(recording: Recording) -> tuple[str, ...]:
             f"the targets of {recording.stations[first]} and {recording.stations[other]} fit each other only as mirror "
             "images: the azimuths of one of them run clockwise"
         )
-    return tuple(notes[:MAX_LISTED_NOTES])
+    return tuple(notes[:MAX_ROWS_IN_A_NOTE])
 
 
 def _mirrored_station_pairs(local_points: Floats, recording: Recording) -> list[tuple[int, int]]:

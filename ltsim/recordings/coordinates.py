@@ -29,7 +29,7 @@ from ltsim.recordings.tables.header import (
     READING_ROLES,
     SIGMA_ROLES,
     TableColumn,
-    count_role_titles,
+    count_recognised_titles,
     header_columns,
     title_words_and_unit,
 )
@@ -41,7 +41,7 @@ AXIS_NAMES = "xyz"
 TARGETS_FILE = "targets.csv"
 MAX_ASYMMETRY = 1e-6
 """Largest difference of entries ij and ji, relative to the largest variance, at which a covariance is accepted."""
-MIN_ROUNDED_EIGENVALUE = -1e-9
+MIN_RELATIVE_EIGENVALUE = -1e-9
 """Smallest eigenvalue of a correlation matrix, divided by its size, at which it is accepted, because of rounding."""
 MAX_COORDINATE_IN_METRES = 500.0
 """Largest coordinate of a list without a unit below which the unit is metres, and from which it is millimetres."""
@@ -49,11 +49,11 @@ MIN_GRID_COORDINATE = 1e6
 """Largest coordinate of a list without a unit from which the list is taken as one in a national grid, in metres."""
 GEODETIC_TITLES = ("rechtswert", "hochwert", "easting", "northing", "east", "north", "e", "n")
 """Column titles, in lower case, by which a list without a unit is taken as one in metres."""
-FIELD_COUNTS = (4, 7, 8, 16, 17)
+HEADERLESS_FIELD_COUNTS = (4, 7, 8, 16, 17)
 """Numbers of fields in lines without header: name, x, y, z; with 3 or 4 sigmas; with these and a covariance."""
 NAME_ROLES = ("target", "station", "", "time", "date")
 """Roles of the column that names the points; the first that a header has counts."""
-EXPECTED_CONTENT = (
+POINT_LIST_CONTENT_TEXT = (
     "expected a header that names the point and its coordinates, such as target,x_mm,y_mm,z_mm or "
     "Name;X [m];Y [m];Z [m], or lines of a name, x, y and z"
 )
@@ -90,7 +90,7 @@ class PointList:
         return {name: p for name, p, whole in zip(self.names, self.points, is_whole.tolist(), strict=True) if whole}
 
 
-def read_points(path: str | Path, *, requires_all: bool = True) -> PointList:
+def read_points(path: str | Path, *, requires_all_axes: bool = True) -> PointList:
     """List of points from a file.
 
     Without a unit in the header it is in metres if no coordinate reaches 500, and a note reports that.
@@ -98,7 +98,7 @@ def read_points(path: str | Path, *, requires_all: bool = True) -> PointList:
     Parameters
     ----------
     path : str or Path
-    requires_all : bool
+    requires_all_axes : bool
         Refuse a point that is listed twice with other coordinates; otherwise the first are used and a note reports it.
 
     Raises
@@ -110,8 +110,8 @@ def read_points(path: str | Path, *, requires_all: bool = True) -> PointList:
     for sheet in read_sheets(path):
         header = _header_columns(sheet.rows) or _headerless_columns(sheet)
         if header is not None:
-            return _PointRowReader(sheet, *header).points(requires_all=requires_all)
-    raise RecordError(f"is not a list of coordinates, {EXPECTED_CONTENT}", file=path)
+            return _PointRowReader(sheet, *header).points(requires_all_axes=requires_all_axes)
+    raise RecordError(f"is not a list of coordinates, {POINT_LIST_CONTENT_TEXT}", file=path)
 
 
 def recognises(beginning: str) -> bool:
@@ -122,7 +122,7 @@ def recognises(beginning: str) -> bool:
     if header is not None:
         return not data_rows or data_rows[0].n_values > 1
     sample = [_drop_trailing_field(row) for row in data_rows[: max(1, min(6, len(data_rows)) - 1)]]
-    return bool(sample) and all(len(r) in FIELD_COUNTS and all(map(cells.is_value, r[1:])) for r in sample)
+    return bool(sample) and all(len(r) in HEADERLESS_FIELD_COUNTS and all(map(cells.is_value, r[1:])) for r in sample)
 
 
 def _drop_trailing_field(row: SheetRow) -> Sequence[str]:
@@ -136,8 +136,8 @@ def _headerless_columns(sheet: TableSheet) -> tuple[int, list[TableColumn]] | No
     if first_row is None or not all(map(cells.is_value, _drop_trailing_field(first_row)[1:])):
         return None
     width = len(_drop_trailing_field(first_row))
-    if width not in FIELD_COUNTS:
-        raise SourceLocation(sheet.file, first_row.line).error(f"{width} fields, {EXPECTED_CONTENT}")
+    if width not in HEADERLESS_FIELD_COUNTS:
+        raise SourceLocation(sheet.file, first_row.line).error(f"{width} fields, {POINT_LIST_CONTENT_TEXT}")
     names = ["target", *COORDINATE_ROLES, *(SIGMA_ROLES[axis] for axis in COORDINATE_ROLES if width > 6)]
     covariance = [f"covariance {i}" for i in range(9 * (width > 15))]
     names += [""] * (width - len(names) - len(covariance)) + covariance
@@ -147,7 +147,7 @@ def _headerless_columns(sheet: TableSheet) -> tuple[int, list[TableColumn]] | No
 def _header_columns(sheet_rows: Sequence[SheetRow]) -> tuple[int, list[TableColumn]] | None:
     """Number of rows before the first point, and columns that the header names; None without the header of a list."""
     for place, row in enumerate(sheet_rows):
-        if not count_role_titles(row.fields) or row.n_values:
+        if not count_recognised_titles(row.fields) or row.n_values:
             continue
         columns = header_columns(row.fields)
         roles = {c.role for c in columns}
@@ -172,7 +172,7 @@ class _PointRowReader:
         self.numbers = {c.role: c for c in self.columns if c.role in COORDINATE_ROLES or c.role.startswith(sigmas)}
         self.name = next(c for c in columns if c.role == "target")
 
-    def points(self, *, requires_all: bool) -> PointList:
+    def points(self, *, requires_all_axes: bool) -> PointList:
         """List of the points in these rows, with notes on decisions; raises RecordError."""
         self.sheet.require_complete_end(self.width)
         named_rows: dict[str, tuple[SheetRow, list[float]]] = {}
@@ -181,10 +181,10 @@ class _PointRowReader:
         for row in self.rows:
             if row.is_comment or not any(row.fields):
                 continue
-            name, values = self._values(row)
+            name, values = self._name_and_numbers(row)
             if name in named_rows and not np.array_equal(named_rows[name][1], values, equal_nan=True):
                 what = f"the point {quoted_text(name)} was listed before with other coordinates"
-                if requires_all:
+                if requires_all_axes:
                     raise SourceLocation(self.sheet.file, row.line).error(what)
                 notes.append(f"{what} in {self.sheet.file.name}; the first ones are used")
                 ignored.append((named_rows[name][1], values))
@@ -192,7 +192,7 @@ class _PointRowReader:
         if not named_rows:
             raise RecordError("holds no points", file=self.sheet.file)
         table = np.array([values for _, values in named_rows.values()])
-        scale, decisions = self._scales(table)
+        scale, decisions = self._unit_factors(table)
         numbers_by_column = dict(zip(self.numbers, (table * scale).T, strict=True))
         missing = np.full(len(named_rows), np.nan)
         points = np.stack([numbers_by_column.get(axis, missing) for axis in COORDINATE_ROLES], axis=1)
@@ -206,7 +206,7 @@ class _PointRowReader:
         names, sentences = tuple(named_rows), (*notes, *decisions)
         return PointList(names, points, covariance, sentences, texts, lines, len(notes), largest_gap_m)
 
-    def _values(self, row: SheetRow) -> tuple[str, list[float]]:
+    def _name_and_numbers(self, row: SheetRow) -> tuple[str, list[float]]:
         """Name of the point in one row, and its numbers; NaN for an empty cell."""
         where = SourceLocation(self.sheet.file, row.line)
         if len(_drop_trailing_field(row)) != self.width:
@@ -220,7 +220,7 @@ class _PointRowReader:
             coordinates.append(np.nan if number is None else float(number))
         return where.name(unguard_formula(row.cell(self.name.position)), "point"), coordinates
 
-    def _scales(self, table: Floats) -> tuple[Floats, list[str]]:
+    def _unit_factors(self, table: Floats) -> tuple[Floats, list[str]]:
         """Factor of each column of numbers to metres (square metres for covariances), and notes on the unit."""
         axes = [c for c in self.numbers.values() if c.role in COORDINATE_ROLES]
         largest = np.nanmax(np.abs(table[:, [role in COORDINATE_ROLES for role in self.numbers]]), initial=0.0)
@@ -301,7 +301,7 @@ def read_coordinates(path: Path) -> EpochCoordinates:
         position = divmod(int(np.argmin(sigma)), len(epoch.axes))
         what = f"{quoted_text(epoch.names[position[0]])}.{epoch.axes[position[1]]}"
         raise RecordError(f"the variance of {what} is 0; leave out coordinates that are held fixed", file=path)
-    if np.linalg.eigvalsh(epoch.covariance / np.outer(sigma, sigma))[0] < MIN_ROUNDED_EIGENVALUE * len(sigma):
+    if np.linalg.eigvalsh(epoch.covariance / np.outer(sigma, sigma))[0] < MIN_RELATIVE_EIGENVALUE * len(sigma):
         raise RecordError("has a covariance matrix that is not positive definite; correct its entries", file=path)
     return epoch if folder == path else replace(epoch, title=folder.name)
 

@@ -13,12 +13,12 @@ from ltsim.recordings.conventions import (
     NO_HINTS,
     Hints,
     clock_question,
-    convention_contradictions,
+    mirror_image_sentences,
     vertical_pointings_note,
 )
 from ltsim.recordings.files import decode_head, with_unix_line_ends
 from ltsim.recordings.formats import cern_lgc, gama, gama_writer, gsi, openindy, polar_text, sdr, spatialanalyzer
-from ltsim.recordings.formats.unread import UNREAD_FORMATS
+from ltsim.recordings.formats.unsupported import UNSUPPORTED_FORMATS
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.settings import validation_sentence
 from ltsim.recordings.setup import Setup
@@ -29,11 +29,11 @@ from ltsim.recordings.tables.unnamed_targets import UnnamedTargetsError
 
 RecordingSource = Recording | str | Path
 """Recording, or the path of a file or folder that contains one."""
-HEAD_SIZE = 16_384
+MAX_HEAD_BYTES = 16_384
 """Number of bytes at the beginning of a file that are read to recognise its format."""
 MIN_CONTRADICTORY_ROWS = 2
 """Number of rows that repeat a name with other coordinates, from which a list counts as those of a moving target."""
-ASSUMED_STATION = "S1"
+TRIAL_STATION_NAME = "S1"
 """Name of a set-up with which a table of positions is tried."""
 MAX_REPEATED_POINT_M = 1e-3
 """Distance [m] between rows with one name below which they count as repeated measurements of one point."""
@@ -78,11 +78,11 @@ def _is_list_of_points(path: Path, beginning: str) -> bool:
     return path.is_file() and not beginning.startswith(("<", "PK")) and coordinates.recognises(beginning)
 
 
-def _point_list_error(path: Path, hints: Hints) -> Recording:
-    point_list = coordinates.read_points(path, requires_all=False)
+def _refuse_point_list(path: Path, hints: Hints) -> Recording:
+    point_list = coordinates.read_points(path, requires_all_axes=False)
     n_points, n_repeated = len(point_list.names), point_list.n_contradictory_rows
     if n_repeated:
-        for station in (None, ASSUMED_STATION):
+        for station in (None, TRIAL_STATION_NAME):
             try:
                 tables.read(path, replace(hints, station=station))
             except (UnnamedStationsError, UnnamedTargetsError):
@@ -119,7 +119,7 @@ FORMATS: tuple[FileFormat, ...] = (
     _make_format(gsi, "gsi", "Leica GSI-8 and GSI-16", ".gsi", has_signature=True),
     _make_format(sdr, "sdr", "Sokkia SDR20 and SDR33", ".sdr", has_signature=True),
     _make_format(polar_text, "polar-text", POLAR_TEXT_FORMAT, ".txt", ".dat", ".asc", write=polar_text.write),
-    FileFormat("point-list", POINT_LIST_FORMAT, (".txt", ".xyz", ".csv"), _is_list_of_points, _point_list_error),
+    FileFormat("point-list", POINT_LIST_FORMAT, (".txt", ".xyz", ".csv"), _is_list_of_points, _refuse_point_list),
     _make_format(tables, "table", TABLE_FORMAT, ".csv", ".tsv", ".txt", ".xlsx"),
 )
 
@@ -151,7 +151,7 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
         raise RecordError(validation_sentence(problem.errors()[0], Setup), file=path) from None
     notes = (
         *recording.notes,
-        *convention_contradictions(recording),
+        *mirror_image_sentences(recording),
         *clock_question(recording),
         *vertical_pointings_note(recording),
     )
@@ -186,12 +186,14 @@ def recognise_format(path: Path) -> FileFormat:
     if path.is_file():
         try:
             with path.open("rb") as stream:
-                beginning = with_unix_line_ends(decode_head(stream.read(HEAD_SIZE)))
+                beginning = with_unix_line_ends(decode_head(stream.read(MAX_HEAD_BYTES)))
         except OSError as problem:
             raise RecordError(f"cannot be read ({problem.strerror})", file=path) from None
-    unread_format = next((f for f in UNREAD_FORMATS if f.pattern.match(beginning)), None)
+    unread_format = next((f for f in UNSUPPORTED_FORMATS if f.pattern.match(beginning)), None)
     if unread_format is not None:
-        raise RecordError(f"is {unread_format.name}, which ltsim does not read; {unread_format.alternative}", file=path)
+        raise RecordError(
+            f"is {unread_format.name}, which ltsim does not read; {unread_format.export_advice}", file=path
+        )
     fitting_formats = [f for f in FORMATS if f.recognises(path, beginning)]
     if not fitting_formats:
         formats = "; ".join(f"{f.name} ({f.about})" for f in FORMATS)

@@ -115,10 +115,10 @@ def is_not_finite(text: str) -> bool:
     return len(text) <= 10 and _NOT_FINITE_PATTERN.fullmatch(text) is not None
 
 
-def quoted_text(text: str, length: int = 40) -> str:
-    """`text` for a one-line message: without unprintable characters, cut after `length` characters."""
-    printable_text = "".join(c if c.isprintable() else "?" for c in text[: length + 1])
-    return printable_text if len(printable_text) <= length else printable_text[:length] + "..."
+def quoted_text(text: str, max_length: int = 40) -> str:
+    """`text` for a one-line message: without unprintable characters, cut after `max_length` characters."""
+    printable_text = "".join(c if c.isprintable() else "?" for c in text[: max_length + 1])
+    return printable_text if len(printable_text) <= max_length else printable_text[:max_length] + "..."
 
 
 @dataclass(frozen=True, slots=True)

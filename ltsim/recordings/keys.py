@@ -70,7 +70,7 @@ Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False), AfterValid
 Elevation = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
 Height = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]
-Line = Annotated[str, Field(max_length=200), AfterValidator(_require_single_line)]
+SingleLine = Annotated[str, Field(max_length=200), AfterValidator(_require_single_line)]
 Date = Annotated[str, AfterValidator(_require_calendar_date)]
 MIN_SIGMA = 1e-6
 """Smallest permitted standard deviation [mm, arcsec, ppm]; the weights of smaller ones lose their digits."""
@@ -80,7 +80,7 @@ Covariance = Annotated[
     tuple[Finite, Finite, Finite, Finite, Finite, Finite], AfterValidator(_require_positive_definite)
 ]
 Direction = Annotated[Vector, AfterValidator(_require_nonzero)]
-EXACT_LEVEL_ARCSEC = 1e-3
+EXACT_LEVELLING_SIGMA_ARCSEC = 1e-3
 """Standard deviation [arcsec] of levelling for formats that assume exact levelling (gama-local, LGC without ROT3D)."""
 
 

@@ -29,8 +29,8 @@ from ltsim.recordings.files import (
 from ltsim.recordings.occupations import check_centring
 from ltsim.recordings.pointings import index_names
 from ltsim.recordings.recording import (
-    KIND_COLUMN,
-    MODE_COLUMN,
+    DISTANCE_KIND_COLUMN,
+    DISTANCE_METER_COLUMN,
     OCCUPATION_COLUMNS,
     REFLECTOR_COLUMN,
     SIGMA_COLUMNS,
@@ -49,7 +49,7 @@ SETUP_FILE = "setup.toml"
 REQUIRED_COLUMNS = ("station", "target", "face", "azimuth_deg", "elevation_deg", "distance_mm")
 READING_COLUMNS = ("distance_mm", "azimuth_deg", "elevation_deg")
 BASIC_COLUMNS = (*REQUIRED_COLUMNS, "repeat", "time_s")
-ENUMERATED_COLUMNS = {MODE_COLUMN: ("adm", "ifm", ""), KIND_COLUMN: ("slope", "horizontal", "")}
+ENUMERATED_COLUMNS = {DISTANCE_METER_COLUMN: ("adm", "ifm", ""), DISTANCE_KIND_COLUMN: ("slope", "horizontal", "")}
 TEXT_COLUMNS = (*ENUMERATED_COLUMNS, REFLECTOR_COLUMN, *OCCUPATION_COLUMNS)
 COLUMN_BOUNDS = {
     "distance_mm": (0.001, 1e9),
@@ -62,7 +62,7 @@ COLUMN_BOUNDS = {
     **dict.fromkeys(SIGMA_COLUMNS, (1e-9, 1e9)),
 }
 """Smallest and largest permitted number of each column, in the unit of its name."""
-FURTHER_UNIT_SUFFIXES = ("k", "f", "pa", "bar", "inch")
+WRONG_UNIT_SUFFIXES = ("k", "f", "pa", "bar", "inch")
 """Suffixes of column names that are recognised as a wrong unit, in addition to the units of ltsim."""
 
 
@@ -189,7 +189,7 @@ def _check_header(header: Sequence[str], file: Path) -> None:
         right = next((k for k in COLUMN_BOUNDS if k.rpartition("_")[0] == stem and k != name), None)
         if (
             right is not None
-            and unit.lower() in (*UNITS_BY_SPELLING, *SI_PER_UNIT, *FURTHER_UNIT_SUFFIXES)
+            and unit.lower() in (*UNITS_BY_SPELLING, *SI_PER_UNIT, *WRONG_UNIT_SUFFIXES)
             and name not in COLUMN_BOUNDS
         ):
             raise location.error(f"the unit '{unit}' is not one of this format, expected {right}", name)

@@ -11,8 +11,8 @@ from ltsim.core.errors import RecordError
 from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.files import SourceLocation
 from ltsim.recordings.recording import (
+    DISTANCE_KIND_COLUMN,
     HEIGHT_COLUMNS,
-    KIND_COLUMN,
     OBSERVABLES,
     SIGMA_COLUMNS,
     SIGMA_UNITS,
@@ -221,7 +221,7 @@ def _pointing(row: dict[str, SingleObservation], file: str) -> Pointing:
         covariates={
             name: value for name, value in (sigmas | height_columns | shared_columns).items() if value == value
         },
-        labels={KIND_COLUMN: "horizontal"} if is_horizontal else {},
+        labels={DISTANCE_KIND_COLUMN: "horizontal"} if is_horizontal else {},
         source=f"{file}, line{'s' * (len(lines) > 1)} {', '.join(map(str, lines))}" if lines else "",
     )
 

@@ -27,22 +27,22 @@ UNIT_SUFFIXES = tuple(name.removeprefix("sigma_") for name in SIGMA_COLUMNS)
 """Ends of the names of columns for each observable, with the unit, such as `distance_mm`."""
 HEIGHT_COLUMNS = ("instrument_height_mm", "target_height_mm")
 """Covariates with the heights of single pointings; an empty cell means the height in the set-up."""
-SHARED_COLUMN = re.compile(f"shared_(.+)_({'|'.join(UNIT_SUFFIXES)})")
+SHARED_ERROR_COLUMN_PATTERN = re.compile(f"shared_(.+)_({'|'.join(UNIT_SUFFIXES)})")
 """Name of a covariate with the change of each reading by one standard deviation of an error that readings share."""
 BOOKKEEPING_COLUMNS = (*SIGMA_COLUMNS, *HEIGHT_COLUMNS)
 """Covariates with standard deviations and heights, which a diagnosis does not use as regressors."""
-KIND_COLUMN = "distance_kind"
+DISTANCE_KIND_COLUMN = "distance_kind"
 """Text column with the kind of a distance: ``slope`` (or empty) or ``horizontal``."""
-MODE_COLUMN = "distance_mode"
+DISTANCE_METER_COLUMN = "distance_mode"
 """Text column with the meter that measured a distance: ``adm``, ``ifm`` or empty."""
 REFLECTOR_COLUMN = "reflector"
 """Text column with the name of the SMR of a pointing; an empty cell means the SMR of the target."""
 _DEFAULT_STATION, _DEFAULT_TARGET = Station(), Target()
-MAX_TIME = 2e18
+MAX_TIME_S = 2e18
 """Largest permitted time of a pointing [s]. Unix time in nanoseconds that is read as seconds (1.8e18) is smaller."""
 MIN_COS_ELEVATION = 1e-6
 """Smallest cosine of the elevation by which noise across the beam is divided, to avoid a division by zero."""
-MAX_COS_STEEP = 1e-4
+MIN_COS_ELEVATION_FOR_ANGLES = 1e-4
 """Cosine of the elevation below which a network does not use the angles of a pointing (21 arcsec from the vertical
 axis).
 
@@ -111,13 +111,13 @@ class Recording(Result):
     """File and line of each row; empty for a native recording, whose rows are those of its table."""
 
     def __post_init__(self) -> None:
-        """Check that all times are finite and at most `MAX_TIME` in magnitude; raises ModelError."""
-        invalid_rows = np.flatnonzero(~(np.abs(np.asarray(self.time, dtype=np.float64)) <= MAX_TIME))
+        """Check that all times are finite and at most `MAX_TIME_S` in magnitude; raises ModelError."""
+        invalid_rows = np.flatnonzero(~(np.abs(np.asarray(self.time, dtype=np.float64)) <= MAX_TIME_S))
         if len(invalid_rows):
             row, value = int(invalid_rows[0]) + 1, self.time[invalid_rows[0]]
             raise ModelError(
-                f"the time of row {row} is {value}, expected seconds of at most {MAX_TIME:g}; of a recording without a "
-                "clock give time=np.arange(n) and has_clock=False"
+                f"the time of row {row} is {value}, expected seconds of at most {MAX_TIME_S:g}; for a recording "
+                "without a clock give time=np.arange(n) and has_clock=False"
             )
 
     def __len__(self) -> int:
@@ -156,7 +156,7 @@ class Recording(Result):
             **self.labels,
         }
 
-    def where(self, row: int) -> str:
+    def row_text(self, row: int) -> str:
         """Text that names row `row` (from 1), with the file and line from which it was read."""
         return f"row {row} ({self.sources[row - 1]})" if self.sources else f"row {row}"
 
@@ -166,14 +166,14 @@ class Recording(Result):
         return np.isfinite(self.readings)
 
     @property
-    def usable(self) -> Bools:
+    def is_usable(self) -> Bools:
         """Flags (n, 3) of the readings that an adjustment uses: all measured ones except angles of vertical sights."""
-        return self.is_measured & ~(self.vertical[:, None] & [False, True, True])
+        return self.is_measured & ~(self.is_vertical[:, None] & [False, True, True])
 
     @property
-    def vertical(self) -> Bools:
+    def is_vertical(self) -> Bools:
         """Flags (n,) of the pointings along the vertical axis of the tracker, to the zenith or the nadir."""
-        return np.asarray(np.abs(np.cos(self.readings[:, 2])) < MAX_COS_STEEP)
+        return np.asarray(np.abs(np.cos(self.readings[:, 2])) < MIN_COS_ELEVATION_FOR_ANGLES)
 
     @cached_property
     def instruments(self) -> tuple[str, ...]:
@@ -245,16 +245,18 @@ class Recording(Result):
     def regressor_covariates(self) -> Mapping[str, Floats]:
         """Covariates (n,) by name on which readings may depend; with both meters also `distance_mode`, 1 for `ifm`."""
         columns = {name: column for name, column in self.covariates.items() if name not in BOOKKEEPING_COLUMNS}
-        regressors = {name: column for name, column in columns.items() if not SHARED_COLUMN.fullmatch(name)}
-        modes = self.labels.get(MODE_COLUMN, ())
+        regressors = {
+            name: column for name, column in columns.items() if not SHARED_ERROR_COLUMN_PATTERN.fullmatch(name)
+        }
+        modes = self.labels.get(DISTANCE_METER_COLUMN, ())
         if {"adm", "ifm"} <= set(modes):
-            regressors[MODE_COLUMN] = np.array([mode == "ifm" for mode in modes], dtype=np.float64)
+            regressors[DISTANCE_METER_COLUMN] = np.array([mode == "ifm" for mode in modes], dtype=np.float64)
         return regressors
 
     @property
     def is_horizontal(self) -> Bools:
         """Flags (n,) of the pointings whose distance is reduced to the horizontal plane of the instrument."""
-        kinds = self.labels.get(KIND_COLUMN, ("",) * len(self))
+        kinds = self.labels.get(DISTANCE_KIND_COLUMN, ("",) * len(self))
         return np.array([kind == "horizontal" for kind in kinds], dtype=bool)
 
     def select(self, selection: Bools | Ints) -> Recording:

@@ -34,7 +34,7 @@ class ReferenceLengths:
     """Index (g,) of the target at the first end of each length."""
     second_targets: Ints
     """Index (g,) of the target at the second end of each length."""
-    growth_factors: Floats
+    expansion_factors: Floats
     """Ratio (g,) of each length at the temperature of use to the length at its calibration."""
     lengths: Floats
     """Length (g,) [m] at the temperature of use."""
@@ -55,11 +55,11 @@ class ReferenceLengths:
         index = {name: i for i, name in enumerate(recording.targets)}
         indexed_lengths = [(i, d) for i, d in enumerate(recording.gauge.distance) if d.from_ in index and d.to in index]
         ratios_and_changes = [
-            _growth_and_changes(recording, d, {"file": file, "column": f"gauge.distance {i + 1}"})
+            _expansion_factor_and_changes(recording, d, {"file": file, "column": f"gauge.distance {i + 1}"})
             for i, d in indexed_lengths
         ]
         certified = np.array([d.length_mm * MILLIMETRE for _, d in indexed_lengths])
-        growth_factors = np.array([growth for growth, _ in ratios_and_changes])
+        expansion_factors = np.array([growth for growth, _ in ratios_and_changes])
         scale_change = (
             {SCALE_ERROR_NAME: recording.gauge.sigma_scale_ppm * PPM} if recording.gauge.sigma_scale_ppm else {}
         )
@@ -71,14 +71,14 @@ class ReferenceLengths:
         return cls(
             np.array([index[d.from_] for _, d in indexed_lengths], dtype=np.int64),
             np.array([index[d.to] for _, d in indexed_lengths], dtype=np.int64),
-            growth_factors,
-            certified * growth_factors,
+            expansion_factors,
+            certified * expansion_factors,
             np.array([d.sigma_mm * MILLIMETRE for _, d in indexed_lengths]),
             shared,
         )
 
     @property
-    def determine_scale(self) -> bool:
+    def is_scale_determined(self) -> bool:
         """True if the lengths constrain their common scale."""
         return SCALE_ERROR_NAME not in self.shared_error_changes or bool(
             np.any(self.shared_error_changes[SCALE_ERROR_NAME] < 0.99 * MIN_UNKNOWN_SCALE_PPM * PPM * self.lengths)
@@ -90,7 +90,7 @@ class ReferenceLengths:
         return np.sqrt(self.certificate_sigmas**2 + sum(change**2 for change in self.shared_error_changes.values()))
 
 
-def _growth_and_changes(
+def _expansion_factor_and_changes(
     recording: Recording, gauge_distance: GaugeDistance, location: dict[str, Any]
 ) -> tuple[float, dict[str, float]]:
     """Ratio of a length at use to that at calibration, and change of the ratio by one sigma of each error, by name."""

@@ -100,7 +100,7 @@ def _with_data_sheet(table: Any, place: str, file: object) -> Any:
     if not isinstance(table, dict) or not isinstance(table.get("sheet"), str):
         return table
     from ltsim.recordings.specification import (  # most files name no sheet and need not wait
-        data_sheet_figures,
+        data_sheet_values,
         noise_and_prior_tables,
     )
 
@@ -108,7 +108,7 @@ def _with_data_sheet(table: Any, place: str, file: object) -> Any:
         defaults = noise_and_prior_tables(table["sheet"], table)
     except ModelError as problem:
         raise RecordError(str(problem), file=file, column=f"{place}.sheet") from None
-    return merge_defaults({"model": data_sheet_figures(table["sheet"])["name"], **table}, defaults)
+    return merge_defaults({"model": data_sheet_values(table["sheet"])["name"], **table}, defaults)
 
 
 def merge_defaults(table: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:

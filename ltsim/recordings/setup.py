@@ -10,11 +10,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from ltsim.recordings.about import About as About
 from ltsim.recordings.air import AirUncertainty
 from ltsim.recordings.centring_errors import CentringUncertainty
 from ltsim.recordings.keys import (
-    EXACT_LEVEL_ARCSEC as EXACT_LEVEL_ARCSEC,
+    EXACT_LEVELLING_SIGMA_ARCSEC as EXACT_LEVELLING_SIGMA_ARCSEC,
     MIN_SIGMA as MIN_SIGMA,
     Axes as Axes,
     Covariance as Covariance,
@@ -23,16 +22,17 @@ from ltsim.recordings.keys import (
     Elevation as Elevation,
     Finite as Finite,
     Height as Height,
-    Line as Line,
     NonNegative as NonNegative,
     Positive as Positive,
     Sigma as Sigma,
+    SingleLine as SingleLine,
     TomlSection as TomlSection,
     Vector as Vector,
     symmetric_matrix as symmetric_matrix,
 )  # fmt: skip
+from ltsim.recordings.report_header import ReportHeader as ReportHeader
 
-MIN_ANGLES = 3
+MIN_BENCH_ANGLES = 3
 """Smallest permitted number of angles of a bench test: normal incidence and one angle on each side."""
 
 
@@ -51,7 +51,7 @@ class Noise(TomlSection):
     """Standard deviation of elevation readings."""
 
     @model_validator(mode="after")
-    def _positive_range_noise(self) -> Noise:
+    def _check_range_noise(self) -> Noise:
         if max(self.distance_mm, self.distance_ppm) < MIN_SIGMA:
             raise ValueError("it should not be 0 in both distance_mm and distance_ppm")
         return self
@@ -73,7 +73,7 @@ class Prior(TomlSection):
     above."""
 
 
-class Limits(TomlSection):
+class ElevationLimits(TomlSection):
     """Range of elevations that the instrument can measure."""
 
     elevation_min_deg: Elevation = -55.0
@@ -82,7 +82,7 @@ class Limits(TomlSection):
     """Highest elevation."""
 
     @model_validator(mode="after")
-    def _upward(self) -> Limits:
+    def _check_elevation_order(self) -> ElevationLimits:
         if self.elevation_min_deg >= self.elevation_max_deg:
             raise ValueError("it should have elevation_min_deg below elevation_max_deg")
         return self
@@ -93,11 +93,11 @@ class Instrument(TomlSection):
 
     construction: Literal["source-in-head", "steering-mirror"] = "source-in-head"
     """Origin of the beam: a source in the turning head, or a mirror that steers it."""
-    model: Line | None = None
+    model: SingleLine | None = None
     """Manufacturer and model, such as "Leica AT960", for the header of a report."""
-    serial: Line | None = None
+    serial: SingleLine | None = None
     """Serial number, for the header of a report."""
-    sheet: Line | None = None
+    sheet: SingleLine | None = None
     """Name of a built-in data sheet, from which the model, the noise and the prior are taken if the file gives none."""
     corrected: bool = False
     """True if the readings already contain the corrections of the manufacturer or of an earlier calibration."""
@@ -105,7 +105,7 @@ class Instrument(TomlSection):
     """Standard deviations of the white noise."""
     prior: Prior = Prior()
     """Prior standard deviations of the instrument's parameters, from the manufacturer's specification."""
-    limits: Limits | None = None
+    limits: ElevationLimits | None = None
     """Range of elevations that the instrument can measure; without this table -55 to 77 degrees."""
 
 
@@ -118,10 +118,10 @@ class Material(TomlSection):
     """Standard deviation of the coefficient of thermal expansion; by default the coefficient is exact."""
 
 
-class LengthUse(TomlSection):
+class LengthConditions(TomlSection):
     """Material of a reference length, and its temperature during use."""
 
-    measured_at_c: Finite | Line | None = None
+    measured_at_c: Finite | SingleLine | None = None
     """Temperature of this length: a number, or the name of a column of the recording, whose mean over the pointings to
     both ends is used; default the temperature of the gauge.
     """
@@ -129,14 +129,14 @@ class LengthUse(TomlSection):
     """Standard deviation of that temperature, an error that all lengths with the same column share; default that of the
     gauge.
     """
-    material: Line | None = None
+    material: SingleLine | None = None
     """Name of a table `[gauge.materials.NAME]`; default the expansion coefficient of the gauge."""
     measured_in_place: bool = False
     """True for a length that was measured in the hall, such as by an interferometer: it needs no correction for
     expansion."""
 
 
-class GaugeDistance(LengthUse):
+class GaugeDistance(LengthConditions):
     """Reference length between two targets at the temperature `calibrated_at_c` of the gauge."""
 
     from_: str = Field(alias="from")
@@ -154,7 +154,7 @@ class Gauge(TomlSection):
 
     calibrated_at_c: Finite = 20.0
     """Temperature to which the lengths refer."""
-    measured_at_c: Finite | Line = 20.0
+    measured_at_c: Finite | SingleLine = 20.0
     """Temperature of the gauge during the recording: a number, or the name of a column."""
     expansion_per_k: Finite = 0.0
     """Coefficient of thermal expansion."""
@@ -252,7 +252,7 @@ class ReferenceDifference(TomlSection):
     difference.
     """
 
-    name: Line | None = None
+    name: SingleLine | None = None
     """Name of the difference, needed if several differences join the same marks; default `A-B` for marks A and B."""
     from_: str = Field(alias="from")
     """Mark at the start."""
@@ -306,11 +306,11 @@ class BenchTest(TomlSection):
     @model_validator(mode="after")
     def _check_lengths(self) -> BenchTest:
         counts = len(self.angle_deg), len(self.error_um), len(self.sigma_um)
-        if len(set(counts)) > 1 or counts[0] < MIN_ANGLES:
+        if len(set(counts)) > 1 or counts[0] < MIN_BENCH_ANGLES:
             angles, errors, sigmas = counts
             raise ValueError(
                 f"it has {angles} angles, {errors} errors and {sigmas} sigmas, expected as many of each, "
-                f"{MIN_ANGLES} or more"
+                f"{MIN_BENCH_ANGLES} or more"
             )
         return self
 
@@ -324,7 +324,7 @@ class Setup(TomlSection):
     """Free text."""
     started: str = ""
     """Start of the recording (time 0): date and time in ISO format, or the time alone."""
-    axes: Line | None = None
+    axes: SingleLine | None = None
     """Source of the coordinates of the datum's targets. With this key each target is tested against the others; one
     that contradicts them is removed from the datum and reported.
     """
@@ -344,7 +344,7 @@ class Setup(TomlSection):
     """Centring errors of the targets, one table `[[centring]]` each."""
     air: AirUncertainty | None = None
     """Uncertainty of the air along the beams, a table `[air]`; the default values of its keys are for halls."""
-    report: About | None = None
+    report: ReportHeader | None = None
     """Header of a report: instrument, date, operator, customer."""
     instrument: Instrument = Instrument()
     """Instrument of a recording made with one instrument."""
@@ -388,7 +388,7 @@ class Setup(TomlSection):
             return None
 
     @property
-    def instruments_in_words(self) -> str:
+    def instruments_text(self) -> str:
         """Model and serial number of each instrument that has them, with its name if there are several."""
         tables = self.instruments or {"": self.instrument}
         words_by_name = {name: [word for word in (i.model, i.serial) if word] for name, i in tables.items()}

@@ -62,7 +62,7 @@ class Specification(TomlSection):
     """Fraction of the variance that is noise; the rest belongs to the instrument's constants."""
 
     @model_validator(mode="after")
-    def _permits_errors(self) -> Self:
+    def _check_positive_limits(self) -> Self:
         for kind in ("transverse", "range"):
             if not getattr(self, f"{kind}_um") and not getattr(self, f"{kind}_um_per_m"):
                 raise ValueError(f"it should not be 0 in both {kind}_um and {kind}_um_per_m")
@@ -144,7 +144,7 @@ def data_sheet_names() -> tuple[str, ...]:
     return tuple(_data_sheets())
 
 
-def data_sheet_figures(name: str) -> dict[str, Any]:
+def data_sheet_values(name: str) -> dict[str, Any]:
     """Values of a built-in data sheet by key of a `Specification`; keys that the sheet does not give are missing.
 
     Raises ModelError if there is no such sheet.
@@ -154,12 +154,12 @@ def data_sheet_figures(name: str) -> dict[str, Any]:
     return dict(_data_sheets()[name])
 
 
-def complete_figures(name: str, declared_values: Mapping[str, Any]) -> dict[str, Any]:
+def complete_values(name: str, declared_values: Mapping[str, Any]) -> dict[str, Any]:
     """Values of a specification by key: those that the user declares, otherwise those of a built-in data sheet.
 
     Raises ModelError if there is no such sheet, or neither gives a required limit.
     """
-    keys = data_sheet_figures(name)
+    keys = data_sheet_values(name)
     missing = [key for key in REQUIRED_LIMITS if key not in keys and key not in declared_values]
     if missing:
         message = f"the data sheet {name} does not give {' and '.join(missing)}"
@@ -171,21 +171,21 @@ def complete_figures(name: str, declared_values: Mapping[str, Any]) -> dict[str,
 
 def data_sheet(name: str) -> Specification:
     """Specification from a built-in data sheet; raises ModelError if the sheet does not give all required limits."""
-    return Specification.model_validate(complete_figures(name, {}))
+    return Specification.model_validate(complete_values(name, {}))
 
 
 def noise_and_prior_tables(
-    name: str, declared_tables: Mapping[str, Any], limits: Iterable[str] = ()
+    name: str, declared_tables: Mapping[str, Any], limit_keys: Iterable[str] = ()
 ) -> dict[str, dict[str, float]]:
     """Tables ``noise`` and ``prior`` from a built-in data sheet.
 
     `declared_tables` are the tables of the instrument that the user declares. They must contain the values that the
-    sheet does not give, and the keys `limits` of the table ``limits``, because no available sheet gives the range of
-    elevations.
+    sheet does not give, and the keys `limit_keys` of the table ``limits``, because no available sheet gives the range
+    of elevations.
 
     Raises ModelError if there is no such sheet, or such a value is missing.
     """
-    figures = data_sheet_figures(name)
+    figures = data_sheet_values(name)
     specification = Specification.model_validate({**dict.fromkeys(REQUIRED_LIMITS, 1.0), **figures}).to_instrument()
     unrounded_tables = {
         "noise": specification.noise.model_dump(),
@@ -209,7 +209,7 @@ def noise_and_prior_tables(
             raise ModelError(f"the data sheet {name} does not give the error of ranges; set {', '.join(missing)}")
     declared_limits = declared_tables.get("limits")
     missing_limits = [
-        f"limits.{key}" for key in limits if not isinstance(declared_limits, Mapping) or key not in declared_limits
+        f"limits.{key}" for key in limit_keys if not isinstance(declared_limits, Mapping) or key not in declared_limits
     ]
     if missing_limits:
         raise ModelError(
@@ -224,7 +224,7 @@ def deviating_keys(instrument: Instrument) -> list[str]:
         return []
     declared_tables: dict[str, dict[str, float]] = instrument.model_dump(include={"noise", "prior"})
     skipped_prefixes = (
-        () if all(key in data_sheet_figures(instrument.sheet) for key in REQUIRED_LIMITS) else RANGE_PREFIXES
+        () if all(key in data_sheet_values(instrument.sheet) for key in REQUIRED_LIMITS) else RANGE_PREFIXES
     )
     return [
         f"{table}.{key}"
@@ -237,10 +237,10 @@ def deviating_keys(instrument: Instrument) -> list[str]:
 @functools.cache
 def _data_sheets() -> dict[str, dict[str, Any]]:
     text = Path(__file__).with_name("sheets.csv").read_text(encoding="utf-8")
-    return {row["name"]: _figures_from_row(row) for row in csv.DictReader(text.splitlines())}
+    return {row["name"]: _values_from_row(row) for row in csv.DictReader(text.splitlines())}
 
 
-def _figures_from_row(row: dict[str, str]) -> dict[str, Any]:
+def _values_from_row(row: dict[str, str]) -> dict[str, Any]:
     number_by_key = {
         key: float(text) for key, text in row.items() if text and key not in ("name", "instrument", "source")
     }

@@ -26,13 +26,13 @@ class TranscriptionError:
     """Text for what the columns contain, such as "metres"."""
     right_content: str
     """Text for what the columns should contain, such as "millimetres"."""
-    changes: tuple[tuple[int, float, float], ...]
+    changed_readings: tuple[tuple[int, float, float], ...]
     """Column (0 range, 1 azimuth, 2 elevation), factor, and offset [rad] of each changed reading."""
 
     @property
-    def columns(self) -> tuple[int, ...]:
+    def changed_columns(self) -> tuple[int, ...]:
         """Columns that the error changes."""
-        return tuple(column for column, _, _ in self.changes)
+        return tuple(column for column, _, _ in self.changed_readings)
 
     @property
     def cause(self) -> str:
@@ -42,14 +42,14 @@ class TranscriptionError:
     def with_error(self, readings: Floats) -> Floats:
         """Readings (n, 3) [m, rad, rad] with the error, from readings without it."""
         changed_readings = readings.copy()
-        for column, factor, offset in self.changes:
+        for column, factor, offset in self.changed_readings:
             changed_readings[:, column] = factor * readings[:, column] + offset
         return changed_readings
 
     def without_error(self, readings: Floats) -> Floats:
         """Readings (n, 3) [m, rad, rad] without the error, from readings with it."""
         corrected = readings.copy()
-        for column, factor, offset in self.changes:
+        for column, factor, offset in self.changed_readings:
             corrected[:, column] = (readings[:, column] - offset) / factor
         return corrected
 
@@ -91,7 +91,7 @@ MAX_CIRCLE_RADIANS = 2 * np.pi + 0.01
 """Largest angle [rad] up to which a column may be in radians: a full circle, with a margin for rounding."""
 MIN_DISTANCE_MM = 200.0
 """Longest distance of a recording, as a number, below which its distances are in metres, not millimetres."""
-MAX_COMPARED_CHORDS = 400
+MAX_COMPARED_PAIRS = 400
 """Largest number of pairs of stations, and of lengths between targets, that are compared."""
 MIN_WRONG_DISAGREEMENT = 2e-3
 """Median relative difference of the lengths between targets from two stations, above which an error is searched."""
@@ -145,9 +145,9 @@ def length_disagreement(points: Floats, station: Ints, target: Ints) -> float:
     """
     clouds = station_clouds(points, station, target).values()
     disagreements: list[float] = []
-    for first, other in itertools.islice(itertools.combinations(clouds, 2), MAX_COMPARED_CHORDS):
+    for first, other in itertools.islice(itertools.combinations(clouds, 2), MAX_COMPARED_PAIRS):
         common = sorted(first.keys() & other.keys())[:60]
-        if len(common) < 2 or len(disagreements) >= MAX_COMPARED_CHORDS:
+        if len(common) < 2 or len(disagreements) >= MAX_COMPARED_PAIRS:
             continue
         first_points = np.array([first[k] for k in common])
         other_points = np.array([other[k] for k in common])
@@ -195,12 +195,12 @@ def require_degrees_and_millimetres(
     _require_not_radians(measured_columns, station, target, file)
     _require_consistent_faces(elevation, face, file)
     readings = measured_columns * [MILLIMETRE, DEGREE, DEGREE]
-    if (error := error_by_lengths(readings, station, target)) is not None:
+    if (error := error_from_lengths(readings, station, target)) is not None:
         message = (
             "two stations disagree on the lengths between their targets, and agree if the column holds "
             f"{error.wrong_content}; expected {error.right_content}"
         )
-        raise SourceLocation(file, column=("azimuth_deg", "elevation_deg")[error.columns[0] - 1]).error(message)
+        raise SourceLocation(file, column=("azimuth_deg", "elevation_deg")[error.changed_columns[0] - 1]).error(message)
 
 
 def _face_sum_with_error(error: TranscriptionError) -> float | None:
@@ -208,14 +208,14 @@ def _face_sum_with_error(error: TranscriptionError) -> float | None:
 
     None if the error leaves vertical angles unchanged.
     """
-    for column, factor, offset in error.changes:
+    for column, factor, offset in error.changed_readings:
         if column == 2:
             total = factor * 180.0 + 2.0 * offset / DEGREE
             return total if abs(total) > 1e-9 else abs(factor) * 360.0
     return None
 
 
-def error_by_lengths(readings: Floats, station: Ints, target: Ints) -> TranscriptionError | None:
+def error_from_lengths(readings: Floats, station: Ints, target: Ints) -> TranscriptionError | None:
     """Transcription error of all angles whose correction makes lengths between targets equal from all stations.
 
     `readings` (n, 3) [m, rad, rad] are raw. None if there is no such error, or the lengths are already equal. Lengths
@@ -223,7 +223,7 @@ def error_by_lengths(readings: Floats, station: Ints, target: Ints) -> Transcrip
     """
     if not length_disagreement(from_polar(readings), station, target) > MIN_WRONG_DISAGREEMENT:
         return None
-    angle_errors = [error for error in UNIT_ERRORS if 0 not in error.columns]
+    angle_errors = [error for error in UNIT_ERRORS if 0 not in error.changed_columns]
     disagreements = [
         length_disagreement(from_polar(error.without_error(readings)), station, target) for error in angle_errors
     ]

@@ -24,7 +24,7 @@ LINE_ATTRIBUTE = "{ltsim}line"
 """Attribute that the parser adds to each element: the number of its line. A value in the file is overwritten."""
 
 
-class _NumberedBuilder(TreeBuilder):
+class _LineNumberBuilder(TreeBuilder):
     """Tree builder that adds to each element the line where it begins and raises RecordError beyond a depth limit."""
 
     def __init__(self, file: Path) -> None:
@@ -94,7 +94,7 @@ def parse_xml(path: Path) -> XmlNode:
         raise RecordError(f"holds more than {most}, the limit for reading", file=path)
     check_tag_attributes(content, path)
     try:
-        builder = _NumberedBuilder(path)
+        builder = _LineNumberBuilder(path)
         builder.parser = parser = DefusedXMLParser(target=builder)  # without entities and external references
         parser.feed(content)
         root = parser.close()

@@ -21,7 +21,7 @@ from ltsim.recordings import read
 from ltsim.recordings.native import OBSERVATIONS_FILE, SETUP_FILE
 from ltsim.recordings.result_file import read_json, recording_digest
 from ltsim.recordings.settings import read_setup
-from ltsim.recordings.setup import About
+from ltsim.recordings.setup import ReportHeader
 from ltsim.reports.document import (
     CONTENT_SECURITY_POLICY,
     Block,
@@ -116,7 +116,7 @@ def section_of_part(page_part: PagePart, detail: WorkshopDetail = "none") -> Sec
 
 
 def document_of_folder(
-    folder: Path, *, recording: Path | None = None, title: str | None = None, header: About | None = None
+    folder: Path, *, recording: Path | None = None, title: str | None = None, header: ReportHeader | None = None
 ) -> Document:
     """Document of the page of a folder.
 
@@ -137,7 +137,7 @@ def document_of_folder(
         assessment=first_section.assessment,
         sections=sections,
         versions=package_versions(),
-        header_lines=_header_lines(page_parts, sections, header or About()),
+        header_lines=_header_lines(page_parts, sections, header or ReportHeader()),
         headline=HEADLINES.get((first_section.kind, first_section.assessment), ""),
         next_actions=_page_actions(sections),
         simulation_notice=first_section.simulation_notice,
@@ -151,7 +151,7 @@ def _page_actions(sections: list[Section]) -> list[str]:
     return list(dict.fromkeys(first_section.next_actions or chosen.next_actions))[:MAX_PAGE_ACTIONS]
 
 
-def _header_lines(page_parts: list[PagePart], sections: list[Section], header: About) -> list[tuple[str, str]]:
+def _header_lines(page_parts: list[PagePart], sections: list[Section], header: ReportHeader) -> list[tuple[str, str]]:
     """Header lines (name, text): instrument, date, operator, customer, axes; unknown ones are omitted."""
     folders = dict.fromkeys(part.recording for part in page_parts if part.recording)
     setups = [
@@ -161,12 +161,12 @@ def _header_lines(page_parts: list[PagePart], sections: list[Section], header: A
     ]
     reports = [setup.report for setup in setups if setup.report is not None]
     instruments = "; ".join(
-        dict.fromkeys(filter(None, [*(s.instruments_in_words for s in setups), *(s.instrument for s in sections)]))
+        dict.fromkeys(filter(None, [*(s.instruments_text for s in setups), *(s.instrument for s in sections)]))
     )
     dates = ", ".join(dict.fromkeys(s.measured_on[:10] for s in sections if s.measured_on))
     fallback = {"instrument": instruments, "date": dates}
     lines = []
-    for key in About.model_fields:
+    for key in ReportHeader.model_fields:
         values = [getattr(header, key)] if getattr(header, key) else [getattr(entry, key) for entry in reports]
         text = ", ".join(dict.fromkeys(value for value in values if value)) or fallback.get(key)
         lines += [(key, text)] if text else []

@@ -12,7 +12,7 @@ from ltsim.core.storage import check_writable
 from ltsim.recordings import Recording
 from ltsim.recordings.exchange import read
 from ltsim.recordings.files import write_text
-from ltsim.recordings.setup import About
+from ltsim.recordings.setup import ReportHeader
 from ltsim.reports.page import PAGE_FILE, UNREADABLE_KIND, document_of_folder, page_html
 from ltsim.reports.workshop import PlacedWorkshop, workshop_from_recording, workshop_from_scenario, workshop_with_cad
 from ltsim.scene.cad import UNIT_WORDS
@@ -122,7 +122,7 @@ def report(
     *,
     recording: str | Path | None = None,
     title: str | None = None,
-    about: About | Mapping[str, str] | None = None,
+    about: ReportHeader | Mapping[str, str] | None = None,
     tell: Callable[[str], None] = lambda words: None,
 ) -> Path:
     """Write `report.html` into a folder: one page that works offline.
@@ -158,7 +158,7 @@ def report(
     >>> lt.report("my-recording").name
     'report.html'
     """
-    header = About(**about) if isinstance(about, Mapping) else about
+    header = ReportHeader(**about) if isinstance(about, Mapping) else about
     recording_path = None if recording is None else Path(recording)
     target, content = (
         Path(folder) / PAGE_FILE,

@@ -15,7 +15,7 @@ from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.setup import Limits, Setup
+from ltsim.recordings.setup import ElevationLimits, Setup
 from ltsim.scene.cad import implausible_size_question, read_mesh
 from ltsim.scene.visibility import InvisibilityReason, Visibility, shadow_cone_opening, shadow_radii
 from ltsim.simulation.scenario import Scenario
@@ -200,7 +200,7 @@ def workshop_with_surroundings(network: PlacedWorkshop, setup: Setup) -> PlacedW
             for g in lengths
             if g.from_ in index_by_name and g.to in index_by_name
         ),
-        elevation_min=(instrument.limits or Limits()).elevation_min_deg * DEGREE,
+        elevation_min=(instrument.limits or ElevationLimits()).elevation_min_deg * DEGREE,
         target_covariances=None
         if network.target_covariances is None
         else rotation @ network.target_covariances @ rotation.T,

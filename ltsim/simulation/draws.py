@@ -220,17 +220,19 @@ class TrialDistributions:
     def _draw_certified_lengths(self, effect_values: tuple[Floats, ...], normal_source: StandardNormalSource) -> Floats:
         """Lengths on the certificates, computed with the true and not the declared coefficient and temperature."""
         lengths = self.reference_lengths
-        growth_factors = np.repeat(lengths.growth_factors[:, None], len(normal_source.trials), axis=1)
+        expansion_factors = np.repeat(lengths.expansion_factors[:, None], len(normal_source.trials), axis=1)
         for name, change in lengths.shared_error_changes.items():
-            growth_factors += (change / (lengths.lengths / lengths.growth_factors))[:, None] * normal_source(1, name)
+            expansion_factors += (change / (lengths.lengths / lengths.expansion_factors))[:, None] * normal_source(
+                1, name
+            )
         true_lengths = lengths.lengths[:, None] + self.length_change(effect_values)
         draws = [
             normal_source(1, "cmm", self.length_end_names[a], self.length_end_names[b])
             for a, b in zip(lengths.first_targets, lengths.second_targets, strict=True)
         ]
-        unit_errors = np.reshape(draws, growth_factors.shape)
+        unit_errors = np.reshape(draws, expansion_factors.shape)
         certificate_errors = self.certificate_factor * lengths.certificate_sigmas[:, None] * unit_errors
-        return CERTIFICATE_STEP * np.round((true_lengths / growth_factors + certificate_errors) / CERTIFICATE_STEP)
+        return CERTIFICATE_STEP * np.round((true_lengths / expansion_factors + certificate_errors) / CERTIFICATE_STEP)
 
     def length_change(self, effect_values: tuple[Floats, ...]) -> Floats:
         """Change of the true lengths by effects, (lengths, trials) [m], or (lengths, 1) without random effects."""

@@ -12,9 +12,9 @@ from ltsim.physics.effects.smr_incidence import PAPER_RANGE_ERRORS, TABLE_ANGLES
 from ltsim.physics.effects.verbs import SizedEffect, display_constants, make_effect
 from ltsim.recordings.setup import (
     MIN_SIGMA,
+    ElevationLimits,
     Finite,
-    LengthUse,
-    Limits,
+    LengthConditions,
     Noise,
     NonNegative,
     Positive,
@@ -143,7 +143,7 @@ class Resolution(TomlSection):
     """Smallest step of both angles."""
 
 
-class PointingLimits(Limits):
+class PointingLimits(ElevationLimits):
     """Limits of elevation and range."""
 
     range_min_mm: NonNegative = 500.0
@@ -315,7 +315,7 @@ class ScenarioGauge(TomlSection):
     """Standard deviation of each length; default that of the measuring machine."""
 
 
-class Length(LengthUse):
+class Length(LengthConditions):
     """Reference length between two reflectors of the mesh: a scale bar, or a length measured by an interferometer."""
 
     from_: str = Field(alias="from")

@@ -13,11 +13,11 @@ from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
 from ltsim.recordings.recording import OBSERVABLES, REFLECTOR_COLUMN, Recording
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.setup import (
+    ElevationLimits,
     Gauge,
     GaugeDistance,
     Instrument,
-    LengthUse,
-    Limits,
+    LengthConditions,
     Prior,
     Setup,
     Station,
@@ -208,7 +208,7 @@ def _data_sheet(tracker: ScenarioInstrument) -> Instrument:
         corrected=tracker.corrected,
         noise=tracker.noise,
         prior=_nominal_prior(tracker),
-        limits=Limits(**tracker.limits.model_dump(include=set(Limits.model_fields))),
+        limits=ElevationLimits(**tracker.limits.model_dump(include=set(ElevationLimits.model_fields))),
     )
 
 
@@ -288,7 +288,7 @@ def with_exact_lengths(recording: Recording, geometry: MeasurementGeometry) -> R
     blank = recording.replace(setup=recording.setup.model_copy(update={"gauge": nominal}))
     there = ReferenceLengths.from_recording(blank)
     certified = (
-        np.linalg.norm(points[there.first_targets] - points[there.second_targets], axis=1) / there.growth_factors
+        np.linalg.norm(points[there.first_targets] - points[there.second_targets], axis=1) / there.expansion_factors
     )
     by_machine = length_sigmas(scenario.cmm, certified).tolist()
     sigma = [s if um is None else um * MICROMETRE for (_, um), s in zip(lines_of_targets, by_machine, strict=True)]
@@ -305,7 +305,7 @@ def _declared_reference_lengths(scenario: Scenario) -> Iterator[tuple[GaugeDista
         for a, b in combinations(scenario.gauge.targets, 2):
             yield GaugeDistance.model_validate({"from": a, "to": b, **blank}), scenario.gauge.sigma_um
     for length in scenario.lengths:
-        use = length.model_dump(include=set(LengthUse.model_fields))
+        use = length.model_dump(include=set(LengthConditions.model_fields))
         ends = {"from": length.from_, "to": length.to}
         yield GaugeDistance.model_validate(ends | use | blank), length.sigma_um
 

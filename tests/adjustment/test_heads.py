@@ -11,14 +11,16 @@ from ltsim.core.units import EARTH_RADIUS
 from ltsim.physics.model.measurement import with_plumb_lines
 from ltsim.recordings.native import read_recording, write_recording
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.setup import EXACT_LEVEL_ARCSEC, Station
+from ltsim.recordings.setup import EXACT_LEVELLING_SIGMA_ARCSEC, Station
 from tests.networks import mesh, network
 
 
 def set_up_anew(seed: int, sigma_mm: float = 1.0) -> tuple[Recording, np.ndarray]:
     """Levelled stations that see reflectors set up anew for each of them, and the heights (S, T) [m] of these."""
     recording, _ = network(seed=seed, stations=4)
-    stations = {name: Station(levelled=True, levelling_sigma_arcsec=EXACT_LEVEL_ARCSEC) for name in recording.stations}
+    stations = {
+        name: Station(levelled=True, levelling_sigma_arcsec=EXACT_LEVELLING_SIGMA_ARCSEC) for name in recording.stations
+    }
     told = {"stations": stations, "heads_sigma_mm": sigma_mm}
     higher = 1e-3 * sigma_mm * stream(seed, "heads").standard_normal((4, len(mesh())))
     change = higher[recording.station, recording.target, None] * [0.0, 0.0, 1.0]

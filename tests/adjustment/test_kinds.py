@@ -14,7 +14,7 @@ from ltsim.geometry.polar import to_polar
 from ltsim.geometry.rigid import align_rigidly, matrix_from_rotation_vector, rotation_about_z
 from ltsim.physics.model.construction import ideal_construction, misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel
-from ltsim.recordings.recording import HEIGHT_COLUMNS, KIND_COLUMN, Recording
+from ltsim.recordings.recording import DISTANCE_KIND_COLUMN, HEIGHT_COLUMNS, Recording
 from ltsim.recordings.setup import Gauge, Instrument, Noise, Setup, Station, Target
 from tests.families import family
 from tests.networks import drawn, network
@@ -349,7 +349,7 @@ def test_heights_of_single_pointings_and_horizontal_distances():
     flat = np.arange(len(recording)) % 2 == 0
     readings = recording.readings.copy()
     readings[flat, 0] *= np.cos(readings[flat, 2])
-    labels = {KIND_COLUMN: tuple("horizontal" if f else "" for f in flat)}
+    labels = {DISTANCE_KIND_COLUMN: tuple("horizontal" if f else "" for f in flat)}
     assert_same_shape(adjust(recording.with_readings(readings).replace(labels=labels)), marks)
 
 
@@ -511,7 +511,7 @@ def test_a_network_in_plan_needs_no_elevations() -> None:
     for name, place in zip(recording.stations, truth.state.station_positions, strict=True):
         targets[f"M{name}"] = Target(known_mm=(0.0, 0.0, 1e3 * float(place[2])), known_axes="z", known_sigma_mm=1e-3)
     setup = recording.setup.model_copy(update={"targets": targets, "stations": stations, "gauge": None})
-    kind = {KIND_COLUMN: ("horizontal",) * len(recording)}
+    kind = {DISTANCE_KIND_COLUMN: ("horizontal",) * len(recording)}
     found = adjust(recording.replace(readings=flat, setup=setup, labels={**recording.labels, **kind}))
     assert found.solution.has_converged
     assert found.sigma0 == pytest.approx(1.0, abs=0.3)

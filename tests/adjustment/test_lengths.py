@@ -53,8 +53,8 @@ def test_a_length_grows_with_its_own_material_and_temperature(measured: Recordin
         expansion_per_k=23e-6,
     )
     known = ReferenceLengths.from_recording(recording)
-    np.testing.assert_allclose(known.growth_factors - 1.0, [7 * 11.5e-6, 3 * 11.5e-6, 3 * 1.2e-6, 0.0], atol=1e-15)
-    np.testing.assert_allclose(known.lengths, 2.0 * known.growth_factors, rtol=1e-15)
+    np.testing.assert_allclose(known.expansion_factors - 1.0, [7 * 11.5e-6, 3 * 11.5e-6, 3 * 1.2e-6, 0.0], atol=1e-15)
+    np.testing.assert_allclose(known.lengths, 2.0 * known.expansion_factors, rtol=1e-15)
     expected = {
         "expansion of steel": [14e-6, 6e-6, 0, 0],
         "temperature of T01-T02": [2.3e-6, 0, 0, 0],
@@ -70,7 +70,7 @@ def test_a_column_gives_the_temperature_while_both_ends_were_measured(measured: 
     warm = np.where(np.isin(measured.target, [0, 1]), 25.0 + measured.station, np.nan)
     recording = measured.replace(covariates={**measured.covariates, "bar_c": warm})
     stated = with_gauge(recording, line("T01", "T02", material="steel", measured_at_c="bar_c"))
-    assert ReferenceLengths.from_recording(stated).growth_factors[0] == pytest.approx(1 + 7 * 11.5e-6, abs=1e-12)
+    assert ReferenceLengths.from_recording(stated).expansion_factors[0] == pytest.approx(1 + 7 * 11.5e-6, abs=1e-12)
     for wrong, said in (
         (line("T01", "T02", measured_at_c="bar_k"), "not a column of numbers"),
         (line("T03", "T04", measured_at_c="bar_c"), "is empty where T03 and T04"),
@@ -166,7 +166,7 @@ def test_the_budget_names_what_lengths_share_and_adds_up(tmp_path: Path) -> None
     assert found.linear.evaluation_types["expansion of steel"] == "B"
     total = sum(share[0] for share in shares.values())
     assert total == pytest.approx(found.linear.covariance[0, 0], rel=1e-9)
-    adjusted = found.inputs.origin
+    adjusted = found.inputs.point_source
     names = [adjusted.recording.targets.index(name) for name in ("T01", "T20")]
     arm = adjusted.state.target_points[names[0]] - adjusted.state.target_points[names[1]]
     unit = np.concatenate([arm, -arm]) / np.linalg.norm(arm)

@@ -12,7 +12,7 @@ from ltsim.adjustment.fieldcheck import check
 from ltsim.core.randomness import stream
 from ltsim.geometry.polar import to_polar
 from ltsim.recordings import Recording
-from ltsim.recordings.setup import EXACT_LEVEL_ARCSEC, Instrument, Noise, Setup, Station
+from ltsim.recordings.setup import EXACT_LEVELLING_SIGMA_ARCSEC, Instrument, Noise, Setup, Station
 from tests.families import family
 
 PILLARS = np.array([[0, 0, 0], [90, 5, 2], [60, 80, -3], [-20, 60, 4], [30, 35, 1]], dtype=np.float64)
@@ -41,7 +41,7 @@ def local_tie(seed: int, shift: tuple[float, float, float] = (0.0, 0.0, 0.0), sp
     readings[:, 1] -= rng.uniform(-3, 3, 10)[5 * day + pillar]
     noise = Noise(distance_mm=0.1, distance_ppm=0.0, azimuth_arcsec=1.0, elevation_arcsec=1.0)
     names = [f"P{p + 1}" for p in range(5)]
-    over = {"levelled": True, "levelling_sigma_arcsec": EXACT_LEVEL_ARCSEC}
+    over = {"levelled": True, "levelling_sigma_arcsec": EXACT_LEVELLING_SIGMA_ARCSEC}
     recording = Recording(
         setup=Setup(
             instrument=Instrument(noise=noise),

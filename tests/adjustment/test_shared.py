@@ -13,7 +13,7 @@ from ltsim.physics.model.construction import ideal_construction
 from ltsim.physics.model.measurement import MeasurementModel
 from ltsim.physics.model.nuisances import read_shared_errors
 from ltsim.recordings import Recording, read, write
-from ltsim.recordings.recording import KIND_COLUMN, OBSERVABLES
+from ltsim.recordings.recording import DISTANCE_KIND_COLUMN, OBSERVABLES
 from ltsim.solve.design import to_dense
 
 
@@ -29,7 +29,7 @@ def recording() -> Recording:
     kinds = tuple("horizontal" if row % 3 == 0 else "slope" for row in range(len(plain)))
     cosine = np.where([kind == "horizontal" for kind in kinds], np.abs(np.cos(plain.readings[:, 2])), 1.0)
     flat = plain.readings * np.stack([cosine, np.ones(len(plain)), np.ones(len(plain))], axis=1)
-    return plain.replace(readings=flat, covariates=columns, labels={**plain.labels, KIND_COLUMN: kinds})
+    return plain.replace(readings=flat, covariates=columns, labels={**plain.labels, DISTANCE_KIND_COLUMN: kinds})
 
 
 def test_it_is_the_adjustment_by_their_covariance(recording: Recording) -> None:

@@ -135,7 +135,7 @@ def test_readers_take_no_attribute_whose_name_a_file_gives(path: Path) -> None:
         "ltsim/recordings/pointings.py": {"kind"},  # ("station", "target")
         "ltsim/recordings/settings.py": {"kind"},  # ("stations", "targets", "reflectors")
         "ltsim/recordings/formats/polar_text.py": {"name"},  # names of hints, keys of a table in the same file
-        "ltsim/recordings/formats/cern_declared.py": {"kind"},  # names of fields of the same class
+        "ltsim/recordings/formats/cern_declarations.py": {"kind"},  # names of fields of the same class
         "ltsim/calibration/files.py": {"name"},  # fields of the model
     }
     names = {

@@ -117,7 +117,7 @@ def test_free_networks_are_compared_whatever_their_frames(axes: str) -> None:
     assert 0.35 < np.mean([c.p_value for c in found]) < 0.65
     assert sum(bool(c.moved_points) for c in found) <= 6
     shift = np.zeros((10, 3))
-    shift[4, "xyz".index(axes[0])] = 2e-6 * found[0].displacements[4].visible_um[1]
+    shift[4, "xyz".index(axes[0])] = 2e-6 * found[0].displacements[4].detectable_um[1]
     moved = compare_coordinates(network(axes, 0), network(axes, 1, shift, turned=turned), has_free_motions=True)
     assert moved.moved_points == ("P4",)
     assert moved.displacements[0].point_chi2 is None

@@ -54,7 +54,7 @@ def test_no_motion_is_told_where_there_is_none() -> None:
 def test_a_point_that_moved_is_named_and_no_other() -> None:
     first = epoch(1)
     plain = compare_adjustments(first, epoch(2), same_instrument=True)
-    size = 1.5e-6 * plain.displacements[5].visible_um[1]
+    size = 1.5e-6 * plain.displacements[5].detectable_um[1]
     direction = np.array([1.0, -2.0, 1.0]) / np.sqrt(6.0)
     shift = (size * direction[0], size * direction[1], size * direction[2])
     found = compare_adjustments(first, epoch(2, ("T06", shift)), same_instrument=True)
@@ -80,7 +80,7 @@ def test_what_both_epochs_share_does_not_count() -> None:
     apart, same = compare_adjustments(first, second), compare_adjustments(first, second, same_instrument=True)
     assert same.statistic > apart.statistic
     assert all(
-        s.visible_um[1] <= a.visible_um[1] * (1 + 1e-9)
+        s.detectable_um[1] <= a.detectable_um[1] * (1 + 1e-9)
         for s, a in zip(same.displacements, apart.displacements, strict=True)
     )
 

@@ -18,7 +18,7 @@ from ltsim.measurands.evaluation import TaskEvaluation, evaluate_tasks
 from ltsim.measurands.inputs import LENGTHS_SOURCE, PRIOR_SOURCE, TaskInputs, UncertaintySource
 from ltsim.measurands.measurands import Measurand
 from ltsim.measurands.propagation import part_expansion, propagate, run_monte_carlo, shortest_intervals
-from ltsim.measurands.spec import Decision, MonteCarlo, Task, Tasks, ToleranceLimits, validate_tasks
+from ltsim.measurands.spec import DecisionRule, MonteCarloSettings, Task, Tasks, ToleranceLimits, validate_tasks
 from ltsim.measurands.uncertainty import Uncertainty, evaluate_conformity, normalised_error, normalised_errors_of_files
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import write
@@ -62,7 +62,7 @@ def test_observed_sources_add_up_to_the_covariance_of_the_adjustment() -> None:
     in_adjustment = {name for name, kind in evaluation_types.items() if kind == "A"} | {PRIOR_SOURCE, LENGTHS_SOURCE}
     own = np.sum([source.covariance for source in inputs.sources if source.name in in_adjustment], axis=0)
     for i, name in enumerate(inputs.target_names):
-        block = inputs.origin.target_covariance[inputs.origin.recording.targets.index(name)]
+        block = inputs.point_source.target_covariance[inputs.point_source.recording.targets.index(name)]
         assert np.allclose(own[3 * i : 3 * i + 3, 3 * i : 3 * i + 3], block, atol=1e-4 * block.max())
 
 
@@ -76,7 +76,7 @@ def test_errors_of_a_known_size_are_in_the_budget() -> None:
     type_b_names = {source.name for source in inputs.sources if source.evaluation_type == "B"}
     assert type_b_names == names | {PRIOR_SOURCE, LENGTHS_SOURCE}
     for i, name in enumerate(inputs.target_names):
-        block = inputs.origin.target_covariance[inputs.origin.recording.targets.index(name)]
+        block = inputs.point_source.target_covariance[inputs.point_source.recording.targets.index(name)]
         own = inputs.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
         assert np.allclose(own, block, atol=5e-4 * block.max())  # the rows of the datum are no source
     largest = max(np.trace(source.covariance) for source in inputs.sources if source.name in names)
@@ -123,14 +123,16 @@ def test_spread_of_simulated_tasks_is_what_was_predicted_and_falls_by_the_budget
     from ltsim.physics.effects import find_effect
 
     weather = find_effect("station-weather")()
-    design = weather.design(inputs.origin.sightings)[:, :, 0] * weather.parameters[0].prior_sigma / np.sqrt(3)
+    design = weather.design(inputs.point_source.sightings)[:, :, 0] * weather.parameters[0].prior_sigma / np.sqrt(3)
     for i in range(60):
         rng = stream(5, "spread", i)
         error = rng.standard_normal(recording.readings.shape) * recording.sigma()
         shift = design * rng.uniform(-np.sqrt(3), np.sqrt(3), len(recording.stations))[recording.station][:, None]
         for weather_too in (True, False):
             again = recording.with_readings(recording.readings + error + (shift if weather_too else 0.0))
-            points = adjust(again, misalignment_construction(), start_state=inputs.origin.state).state.target_points
+            points = adjust(
+                again, misalignment_construction(), start_state=inputs.point_source.state
+            ).state.target_points
             at = [recording.targets.index(name) for name in ("T01", "T12")]
             lengths[weather_too].append(float(np.linalg.norm(points[at[1]] - points[at[0]])))
     # The standard deviation of 60 draws is known to 9 %; three of that.
@@ -178,7 +180,7 @@ def test_published_distributions() -> None:
         source = UncertaintySource("inputs", "B", response, "rectangular")
         inputs = TaskInputs(cast(Adjustment, None), ("P",), np.zeros((1, 3)), np.zeros((0, 3)), (source,))
         linear = propagate(inputs, [measurand], part_expansion(None))
-        found = run_monte_carlo(inputs, [measurand], part_expansion(None), MonteCarlo(), linear)
+        found = run_monte_carlo(inputs, [measurand], part_expansion(None), MonteCarloSettings(), linear)
         assert found.sigmas[0] == pytest.approx(sigma, rel=1e-3)
         assert found.symmetric_intervals[0] == pytest.approx([-half, half], abs=0.02)
         assert found.n_trials == 20_000, "the sum is linear: its distribution is known without drawing"
@@ -197,7 +199,9 @@ def test_a_normal_linear_task_is_never_told_otherwise_by_the_noise_of_trials(dig
     )
     linear = propagate(inputs, [measurand], part_expansion(None))
     for seed in range(100):
-        found = run_monte_carlo(inputs, [measurand], part_expansion(None), MonteCarlo(digits=digits, seed=seed), linear)
+        found = run_monte_carlo(
+            inputs, [measurand], part_expansion(None), MonteCarloSettings(digits=digits, seed=seed), linear
+        )
         assert found.is_stable.all(), seed
         assert np.all(5 * found.numerical_errors <= found.tolerances), seed
         assert found.interval_agrees(linear, 0.95).all(), seed
@@ -212,7 +216,7 @@ def test_a_curved_task_is_told_and_its_interval_is_the_true_one() -> None:
         cast(Adjustment, None), ("A", "B"), points, np.zeros((0, 6)), (UncertaintySource("in", "A", response),)
     )
     linear = propagate(inputs, [measurand], part_expansion(None))
-    found = run_monte_carlo(inputs, [measurand], part_expansion(None), MonteCarlo(), linear)
+    found = run_monte_carlo(inputs, [measurand], part_expansion(None), MonteCarloSettings(), linear)
     assert not found.interval_agrees(linear, 0.95)[0]
     expected = np.sqrt(stats.ncx2.ppf([0.025, 0.975], 3, 9.0))
     assert found.symmetric_intervals[0] == pytest.approx(expected, abs=2 * found.numerical_errors[0])
@@ -226,16 +230,16 @@ def test_the_shortest_interval_of_a_skew_distribution_is_shorter() -> None:
 
 def test_conformity() -> None:
     limits = ToleranceLimits(lower=0.0, upper=10.0)
-    at_limit = evaluate_conformity(10.0, 1.0, limits, Decision(rule="simple"))
+    at_limit = evaluate_conformity(10.0, 1.0, limits, DecisionRule(rule="simple"))
     assert at_limit.probability == pytest.approx(0.5, abs=1e-6)
     assert at_limit.judgement == "accepted"
-    guarded = evaluate_conformity(9.0, 1.0, limits, Decision(risk=0.05))
+    guarded = evaluate_conformity(9.0, 1.0, limits, DecisionRule(risk=0.05))
     assert guarded.guard_band == pytest.approx(1.645, abs=1e-3)
     assert guarded.judgement == "undecided"
-    inside = evaluate_conformity(10.0 - 1.645, 1.0, limits, Decision(risk=0.05))
+    inside = evaluate_conformity(10.0 - 1.645, 1.0, limits, DecisionRule(risk=0.05))
     assert inside.judgement == "accepted"
     assert inside.wrong == pytest.approx(0.05, abs=1e-3)
-    assert evaluate_conformity(12.0, 1.0, limits, Decision()).judgement == "rejected"
+    assert evaluate_conformity(12.0, 1.0, limits, DecisionRule()).judgement == "rejected"
 
 
 def test_normalised_error() -> None:

@@ -62,10 +62,10 @@ def test_pointings_know_their_lines(name: str, files: dict[str, Path]) -> None:
     found = read(files[name], hints=HINTS)
     lines = files[name].read_text(encoding="latin-1").splitlines()
     for row in range(1, len(found) + 1):
-        told = re.search(r", lines? ([\d, ]+)\)$", found.where(row))
-        assert told is not None, found.where(row)
+        told = re.search(r", lines? ([\d, ]+)\)$", found.row_text(row))
+        assert told is not None, found.row_text(row)
         target = "<observation" if name == "openindy" else found.targets[found.target[row - 1]].split("/")[-1]
-        assert all(target in lines[int(number) - 1] for number in told[1].split(",")), found.where(row)
+        assert all(target in lines[int(number) - 1] for number in told[1].split(",")), found.row_text(row)
 
 
 def test_unknown_things(tmp_path: Path) -> None:

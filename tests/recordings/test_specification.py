@@ -16,8 +16,8 @@ from ltsim.recordings.specification import (
     REQUIRED_LIMITS,
     Specification,
     data_sheet,
-    data_sheet_figures,
     data_sheet_names,
+    data_sheet_values,
     noise_and_prior_tables,
 )
 
@@ -25,7 +25,7 @@ RANGE_TABLES = {
     "noise": {"distance_mm": 0.004, "distance_ppm": 0.1},
     "prior": {"range_scale_ppm": 0.2, "range_offset_mm": 0.003},
 }
-WHOLE = [name for name in data_sheet_names() if all(key in data_sheet_figures(name) for key in REQUIRED_LIMITS)]
+WHOLE = [name for name in data_sheet_names() if all(key in data_sheet_values(name) for key in REQUIRED_LIMITS)]
 
 
 def limits_of(noise: dict[str, float], prior: dict[str, float], *, own_zero: bool) -> dict[str, float]:
@@ -45,7 +45,7 @@ def limits_of(noise: dict[str, float], prior: dict[str, float], *, own_zero: boo
 
 @pytest.mark.parametrize("name", data_sheet_names())
 def test_noise_and_prior_give_the_stated_limits_back(name: str) -> None:
-    stated = data_sheet_figures(name)
+    stated = data_sheet_values(name)
     tables = noise_and_prior_tables(name, RANGE_TABLES)
     made = limits_of(tables["noise"], tables["prior"], own_zero="range_offset_um" in stated)
     known = [key for key in made if key in stated and (name in WHOLE or key.startswith("transverse"))]
@@ -55,8 +55,8 @@ def test_noise_and_prior_give_the_stated_limits_back(name: str) -> None:
 
 def test_every_sheet_says_where_its_figures_stand() -> None:
     for name in data_sheet_names():
-        assert re.search(r"\d{4}|p\. \d|\.com/", data_sheet_figures(name)["source"]), name
-        assert data_sheet_figures(name)["name"]
+        assert re.search(r"\d{4}|p\. \d|\.com/", data_sheet_values(name)["source"]), name
+        assert data_sheet_values(name)["name"]
     assert set(WHOLE) == {"leica-at500", "faro-vantage", "sensors-2021"}
 
 
@@ -103,7 +103,7 @@ def test_a_scenario_takes_a_sheet_as_preset() -> None:
     tracker = lt.scenario("paper-workshop", {"instrument.preset": "leica-at901", **own, **LIMITS_KNOWN}).instrument
     assert tracker.noise.distance_mm == 0.004
     assert tracker.noise.azimuth_arcsec == pytest.approx(
-        data_sheet_figures("leica-at901")["transverse_um_per_m"] * 0.0729, rel=1e-3
+        data_sheet_values("leica-at901")["transverse_um_per_m"] * 0.0729, rel=1e-3
     )
 
 

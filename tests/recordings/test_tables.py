@@ -195,11 +195,11 @@ def test_what_is_kept_and_what_is_left_out_is_said(tmp_path: Path) -> None:
 
 def test_rows_know_the_line_they_came_from(tmp_path: Path) -> None:
     found = read(a_file_a_station(tmp_path / "a"))
-    assert found.where(1) == "row 1 (S1.csv, line 2)"
+    assert found.row_text(1) == "row 1 (S1.csv, line 2)"
     second = found.select(found.station == 1)
-    assert second.where(3) == "row 3 (S2.csv, line 4)"
+    assert second.row_text(3) == "row 3 (S2.csv, line 4)"
     write(found, tmp_path / "native")
-    assert read(tmp_path / "native").where(3) == "row 3"
+    assert read(tmp_path / "native").row_text(3) == "row 3"
 
 
 def test_the_sentence_shows_what_to_type(tmp_path: Path) -> None:

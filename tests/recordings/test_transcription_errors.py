@@ -11,10 +11,10 @@ from ltsim.core.errors import ModelError, RecordError
 from ltsim.physics.effects.wrong_unit import WrongUnit
 from ltsim.recordings.native import write_recording
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.transcription_errors import FACE_ERRORS, UNIT_ERRORS, TranscriptionError, error_by_lengths
+from ltsim.recordings.transcription_errors import FACE_ERRORS, UNIT_ERRORS, TranscriptionError, error_from_lengths
 from tests.networks import network
 
-ANGULAR = [slip for slip in UNIT_ERRORS if 0 not in slip.columns and slip.name != "clockwise"]
+ANGULAR = [slip for slip in UNIT_ERRORS if 0 not in slip.changed_columns and slip.name != "clockwise"]
 
 
 def slipped(recording: Recording, slip: TranscriptionError) -> Recording:
@@ -26,7 +26,7 @@ def test_what_is_mended_is_what_was_read(slip: TranscriptionError) -> None:
     readings = np.random.default_rng(3).uniform(0.1, 3.0, (9, 3))
     written = slip.with_error(readings)
     np.testing.assert_allclose(slip.without_error(written), readings, rtol=1e-14)
-    untouched = [c for c in range(3) if c not in slip.columns]
+    untouched = [c for c in range(3) if c not in slip.changed_columns]
     np.testing.assert_array_equal(written[:, untouched], readings[:, untouched])
 
 
@@ -40,8 +40,8 @@ def test_the_effect_knows_every_slip_and_no_other() -> None:
 def test_lengths_tell_which_slip_a_network_on_one_face_holds(slip: TranscriptionError) -> None:
     recording, _ = network(seed=2)
     wrong = slipped(recording, slip)
-    assert error_by_lengths(recording.readings, recording.station, recording.target) is None
-    found = error_by_lengths(wrong.readings, recording.station, recording.target)
+    assert error_from_lengths(recording.readings, recording.station, recording.target) is None
+    found = error_from_lengths(wrong.readings, recording.station, recording.target)
     assert found is not None
     np.testing.assert_allclose(found.without_error(wrong.readings), recording.readings, atol=1e-12)
 

@@ -63,7 +63,7 @@ CONTENTS: dict[str, dict[str, Any]] = {
         "displacements": [{
             "target": "T1", "moved": True, "place_mm": [1.0, 2.0, 3.0], "shift_um": [90.0, 1.0, 1.0],
             "sigma_um": [9.0, 9.0, 9.0], "covariance_um2": [[81.0, 0, 0], [0, 81.0, 0], [0, 0, 81.0]],
-            "semi_axes_um": [25.0, 25.0, 25.0], "p_value": 1e-5, "visible_um": [30.0, 40.0],
+            "semi_axes_um": [25.0, 25.0, 25.0], "p_value": 1e-5, "detectable_um": [30.0, 40.0],
         }],
     },
     "uncertainty.json": {
@@ -89,7 +89,7 @@ CONTENTS: dict[str, dict[str, Any]] = {
         "sentence": "fine",
         "specification": {"name": "a tracker", "transverse_um": 15, "transverse_um_per_m": 6, "range_um": 10,
                           "range_um_per_m": 1},
-        "groups": [{"name": "length", "tests": 1, "passes": 0.9, "largest_share": 0.8}],
+        "groups": [{"name": "length", "tests": 1, "passes": 0.9, "largest_limit_ratio": 0.8}],
         "tests": [{"name": "a", "group": "length", "limit_um": 30.0, "error_um": 9.0, "expanded_um": 4.0,
                    "passes": 0.9}],
         "sensitivities": [{"name": "beam-tilt", "unit": "urad", "prior_sigma": 9.7, "smallest_failing": 30.0,

@@ -133,7 +133,7 @@ def error_to_limit_figure() -> Figure:
             "specification": data_sheet("leica-at500"),
             "passes": 0,
             "sentence": "",
-            "groups": [{"name": g, "tests": 4, "passes": 0, "largest_share": 1.1} for g in groups],
+            "groups": [{"name": g, "tests": 4, "passes": 0, "largest_limit_ratio": 1.1} for g in groups],
             "tests": tests,
         }
     )
@@ -201,7 +201,7 @@ def check_figure() -> Figure:
 def displacement_figure() -> Figure:
     draws = stream(3, "figure").standard_normal((2, 6, 3))
     names = ["T1", "T1", "T1", "T1", "T1", MARKUP]
-    told = {"sigma_um": (1, 1, 1), "covariance_um2": np.eye(3).tolist(), "p_value": 0.5, "visible_um": (1, 2)}
+    told = {"sigma_um": (1, 1, 1), "covariance_um2": np.eye(3).tolist(), "p_value": 0.5, "detectable_um": (1, 2)}
     displacements = [
         {"target": name, "moved": i in (0, 5), "place_mm": (1e3 * place).tolist(), "shift_um": (20 * shift).tolist(),
          "semi_axes_um": (15, 15, 15), **told}

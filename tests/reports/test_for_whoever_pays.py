@@ -10,12 +10,12 @@ import pytest
 
 from ltsim.core.errors import RecordError
 from ltsim.recordings import read, write
-from ltsim.recordings.setup import About, Instrument
+from ltsim.recordings.setup import Instrument, ReportHeader
 from ltsim.reports.document import CodeBlock, Document, Section, TableBlock
 from ltsim.reports.page import document_of_folder, page_html
 from tests.reports import samples
 
-ABOUT = About(instrument="Model 9, 751234", date="2026-05-31", operator="A. Muster", customer="Hall <3>")
+ABOUT = ReportHeader(instrument="Model 9, 751234", date="2026-05-31", operator="A. Muster", customer="Hall <3>")
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def test_instruments_head_a_report_where_nobody_says_which(folder: Path, tmp_pat
     trackers = {"A": Instrument(model="AT960", serial="751234"), "B": Instrument(serial="9")}
     write(made.replace(setup=made.setup.model_copy(update={"instruments": trackers})), tmp_path / "recording")
     assert dict(document_of_folder(place).header_lines)["instrument"] == "A, AT960, 751234; B, 9"
-    assert dict(document_of_folder(place, header=About(instrument="C")).header_lines)["instrument"] == "C"
+    assert dict(document_of_folder(place, header=ReportHeader(instrument="C")).header_lines)["instrument"] == "C"
 
 
 def test_results_of_one_recording_share_it(tmp_path: Path) -> None:
@@ -62,7 +62,7 @@ def test_results_of_one_recording_share_it(tmp_path: Path) -> None:
 
 
 def test_an_option_stands_before_the_file(folder: Path) -> None:
-    content = document_of_folder(folder, title="Hall 3, May", header=About(operator="B. Person"))
+    content = document_of_folder(folder, title="Hall 3, May", header=ReportHeader(operator="B. Person"))
     assert content.title == "Hall 3, May"
     assert dict(content.header_lines) == ABOUT.model_dump() | {"operator": "B. Person"}
 

@@ -105,7 +105,7 @@ ACCEPT: dict[str, Any] = {
     "specification": {"transverse_um": 1, "transverse_um_per_m": 1, "range_um": 1, "range_um_per_m": 1},
     "passes": 1,
     "sentence": "all errors are within their limits",
-    "groups": [{"name": "bar", "tests": 1, "passes": 1, "largest_share": 0.5}],
+    "groups": [{"name": "bar", "tests": 1, "passes": 1, "largest_limit_ratio": 0.5}],
     "tests": [{"name": "bar", "group": "bar", "limit_um": 10, "error_um": 5, "passes": 1}],
 }
 

@@ -99,7 +99,7 @@ class StationOccupation:
         `row_mask` (n,) selects pointings, `sigma` (n, 3) [m, rad, rad] replaces the declared standard deviations.
         """
         mask = np.ones(len(recording), dtype=bool) if row_mask is None else row_mask
-        weight = recording.usable & mask[:, None]
+        weight = recording.is_usable & mask[:, None]
         sigma = recording.sigma() if sigma is None else sigma
         sightings = replace(sightings_of(recording, _initial_state(recording, mask)), sight_vector_offsets=None)
         prior = prior_sigmas(recording, construction)[0]
@@ -130,7 +130,7 @@ class StationOccupation:
     @property
     def inverse_sigmas(self) -> Floats:
         """Inverse standard deviations (n, 3) of the readings; 0 for readings that are not in use."""
-        return np.where(self.recording.usable & self.row_mask[:, None], 1.0 / self.sigma, 0.0)
+        return np.where(self.recording.is_usable & self.row_mask[:, None], 1.0 / self.sigma, 0.0)
 
     def project_columns(self, columns: Floats) -> Floats:
         """Whitened columns (n, 3, c) without the part that target coordinates and instrument errors explain."""
@@ -346,7 +346,7 @@ class TwoFacePairs:
 
 def face_pair_rows(recording: Recording) -> Ints:
     """Rows (m, 2) of complete pointings on face 1 and face 2 of the same station, target and repeat."""
-    is_complete = np.all(recording.usable, axis=1)
+    is_complete = np.all(recording.is_usable, axis=1)
     rows_by_key: dict[tuple[int, int, int], dict[int, int]] = {}
     keys = zip(recording.station.tolist(), recording.target.tolist(), recording.repeat.tolist(), strict=True)
     for row, key in enumerate(keys):

@@ -22,7 +22,7 @@ from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rigid import MIN_RIGID_POINTS, rotation_about_z
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.setup import Limits, Setup
+from ltsim.recordings.setup import ElevationLimits, Setup
 from ltsim.scene.visibility import SightLimits, compute_visibility
 
 VisibilityFunction = Callable[[Floats, Floats], Bools]
@@ -269,7 +269,7 @@ def station_candidates(
         return
     plan, name = FloorPlan.from_recording(recording, state), _unused_station_name(recording)
     frame = "floor plan" if plan.has_plan else f"frame of {recording.stations[0]}"
-    travel = recording.instrument_of(recording.stations[0]).limits or Limits()
+    travel = recording.instrument_of(recording.stations[0]).limits or ElevationLimits()
     limits = SightLimits(travel.elevation_min_deg * DEGREE, travel.elevation_max_deg * DEGREE)
     low, high = state.station_positions.min(axis=0), state.station_positions.max(axis=0)
     margin = 0.2 * (high - low) + 0.2

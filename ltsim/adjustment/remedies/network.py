@@ -19,7 +19,7 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
-from ltsim.recordings.recording import KIND_COLUMN, SHARED_COLUMN, Recording
+from ltsim.recordings.recording import DISTANCE_KIND_COLUMN, SHARED_ERROR_COLUMN_PATTERN, Recording
 from ltsim.recordings.setup import GaugeDistance
 
 DEFAULT_POINTING_TIME = 15.0
@@ -109,11 +109,11 @@ class PlannedNetwork:
             time=append_rows(recording.time, times),
             readings=append_rows(recording.readings, np.nan),
             covariates={
-                key: append_rows(column, np.nan if SHARED_COLUMN.fullmatch(key) else column[last_index])
+                key: append_rows(column, np.nan if SHARED_ERROR_COLUMN_PATTERN.fullmatch(key) else column[last_index])
                 for key, column in recording.covariates.items()
             },
             labels={
-                key: (*column, *([distance_kind if key == KIND_COLUMN else ""] * count))
+                key: (*column, *([distance_kind if key == DISTANCE_KIND_COLUMN else ""] * count))
                 for key, column in recording.labels.items()
             },
         )

@@ -5,7 +5,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_front_face_corrections
-from ltsim.recordings.recording import MODE_COLUMN
+from ltsim.recordings.recording import DISTANCE_METER_COLUMN
 from ltsim.scene.sightings import Sightings
 
 
@@ -26,16 +26,16 @@ class RangeMode(Effect):
     name = "range-mode"
     stage = LightPathStage.RANGE
     observables = ("distance",)
-    covariates = (MODE_COLUMN,)
+    covariates = (DISTANCE_METER_COLUMN,)
     parameters = (Parameter("interferometer-zero", "um", "missing length of interferometer ranges", 30 * MICROMETRE),)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Candidate of the effect if both modes were used; none otherwise."""
-        return [cls()] if MODE_COLUMN in sightings.covariates else []
+        return [cls()] if DISTANCE_METER_COLUMN in sightings.covariates else []
 
     def design(self, sightings: Sightings) -> Floats:
-        interferometer = sightings.covariates.get(MODE_COLUMN, np.zeros(len(sightings)))
+        interferometer = sightings.covariates.get(DISTANCE_METER_COLUMN, np.zeros(len(sightings)))
         return design_from_front_face_corrections(sightings, distance=self.row_weights(sightings) * interferometer)[
             :, :, None
         ]

@@ -42,7 +42,7 @@ class WrongUnit(Blunder):
     def __post_init__(self) -> None:
         if self.mistake not in UNIT_ERRORS_BY_NAME:
             raise unknown_name("slip", self.mistake, UNIT_ERRORS_BY_NAME)
-        object.__setattr__(self, "observables", tuple(OBSERVABLES[c] for c in self.transcription_error.columns))
+        object.__setattr__(self, "observables", tuple(OBSERVABLES[c] for c in self.transcription_error.changed_columns))
 
     @property
     def transcription_error(self) -> TranscriptionError:

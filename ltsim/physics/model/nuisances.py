@@ -18,7 +18,7 @@ from ltsim.recordings.occupations import target_occupations
 from ltsim.recordings.recording import (
     OBSERVABLES,
     OCCUPATION_COLUMNS,
-    SHARED_COLUMN,
+    SHARED_ERROR_COLUMN_PATTERN,
     SIGMA_UNITS,
     UNIT_SUFFIXES,
     Recording,
@@ -160,7 +160,7 @@ class SharedErrors(LinearEffect):
 
 def read_shared_errors(recording: Recording) -> tuple[SharedErrors, ...]:
     """Errors declared in the columns `shared_NAME_...` of a recording; an empty cell means none."""
-    columns = {name: parts for name in recording.covariates if (parts := SHARED_COLUMN.fullmatch(name))}
+    columns = {name: parts for name in recording.covariates if (parts := SHARED_ERROR_COLUMN_PATTERN.fullmatch(name))}
     names = list(dict.fromkeys(parts[1] for parts in columns.values()))
     if not names:
         return ()

@@ -26,7 +26,7 @@ from ltsim.core.errors import RecordError
 from ltsim.core.units import EARTH_RADIUS, GON, MILLIMETRE
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import SourceLocation, as_title, quoted_text, read_lines
-from ltsim.recordings.formats.cern_declared import (
+from ltsim.recordings.formats.cern_declarations import (
     FIXED_AXES,
     FIXED_SIGMA_M,
     DeclaredPoint,
@@ -45,7 +45,7 @@ from ltsim.recordings.pointings import (
     separate_constant_heights,
 )
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.setup import EXACT_LEVEL_ARCSEC, Setup, Station, Target, Vector
+from ltsim.recordings.setup import EXACT_LEVELLING_SIGMA_ARCSEC, Setup, Station, Target, Vector
 
 OBSERVATION_KEYWORDS: dict[str, tuple[ObservationKind, ...]] = {
     "PLR3D": ("azimuth", "elevation", "distance"),
@@ -76,21 +76,21 @@ class _SetUp:
 
 
 @dataclass
-class _File:
+class _LgcContent:
     """Content of the lines that were read so far."""
 
     path: Path
     title: list[str] = field(default_factory=list)
-    curved_reference: str = ""
+    curved_reference_keyword: str = ""
     points: dict[str, DeclaredPoint] = field(default_factory=dict)
     frames: list[str] = field(default_factory=list)
     points_in_frames: list[str] = field(default_factory=list)
     observed_points: list[tuple[str, Floats, Floats]] = field(default_factory=list)
     orientation_points: list[str] = field(default_factory=list)
-    polar: dict[str, PolarInstrument] = field(default_factory=dict)
+    instruments: dict[str, PolarInstrument] = field(default_factory=dict)
     setups: dict[str, _SetUp] = field(default_factory=dict)
     observations: list[SingleObservation] = field(default_factory=list)
-    skipped: dict[str, int] = field(default_factory=dict)
+    n_skipped_by_keyword: dict[str, int] = field(default_factory=dict)
     n_switched_off: int = 0
     notes: list[str] = field(default_factory=list)
 
@@ -115,7 +115,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
     Raises RecordError for a malformed line, an instrument or target that is not declared, or a file without ``*END``.
     """
-    file = _File(path)
+    file = _LgcContent(path)
     keyword, in_frame = "", False
     for words in _lines(file):
         first = words.tokens[0]
@@ -129,7 +129,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
         elif in_frame and keyword == "OBSXYZ":
             file.points_in_frames.append(first)
         elif in_frame or not _process_line(keyword, words, file):
-            file.skipped[keyword] = file.skipped.get(keyword, 0) + 1
+            file.n_skipped_by_keyword[keyword] = file.n_skipped_by_keyword.get(keyword, 0) + 1
         if keyword == "END":
             break
     if keyword != "END" or in_frame:
@@ -138,7 +138,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     return _make_recording(file)
 
 
-def _lines(file: _File) -> Iterator[LineWords]:
+def _lines(file: _LgcContent) -> Iterator[LineWords]:
     """Words of each line that is not empty, without comments after % and $."""
     for i, line in enumerate(read_lines(file.path, replaces_undecodable=True)):
         text = line.partition("%")[0].partition("$")[0]
@@ -148,35 +148,37 @@ def _lines(file: _File) -> Iterator[LineWords]:
             yield LineWords(text.split(), SourceLocation(file.path, i + 1))
 
 
-def _begin_block(keyword: str, words: LineWords, file: _File) -> None:
+def _begin_block(keyword: str, words: LineWords, file: _LgcContent) -> None:
     if keyword in CURVED_KEYWORDS:
-        file.curved_reference = keyword
+        file.curved_reference_keyword = keyword
     elif keyword == "POLAR":
         name, default, _ = words.first_words(3, "*POLAR needs an instrument, its default target and a height")
-        file.polar[words.location.name(name, "instrument")] = PolarInstrument(default, words.numbers(2, "height")[0])
+        file.instruments[words.location.name(name, "instrument")] = PolarInstrument(
+            default, words.numbers(2, "height")[0]
+        )
     elif keyword == "TSTN":
         _begin_setup(words, file)
     elif keyword == "V0":
         _begin_set(words, file)
     elif keyword not in (*OPTION_KEYWORDS, *FIXED_AXES, *OBSERVATION_KEYWORDS, "OBSXYZ", "FRAME", "ENDFRAME"):
-        file.skipped.setdefault(keyword, 0)
+        file.n_skipped_by_keyword.setdefault(keyword, 0)
 
 
-def _begin_setup(words: LineWords, file: _File) -> None:
+def _begin_setup(words: LineWords, file: _LgcContent) -> None:
     instrument = "".join(words.tokens[1:2])
-    if instrument not in file.polar:
+    if instrument not in file.instruments:
         given = quoted_text(instrument) or "nothing"
         raise words.location.error(f"*TSTN names {given}, expected an instrument declared as *POLAR")
     point = words.location.name(words.tokens[0], "station")
     if point not in file.points:
         raise words.location.error(f"the set-up is on {point}, which no block of points declares")
-    options, polar = words.options(2), file.polar[instrument]
+    options, polar = words.options(2), file.instruments[instrument]
     height = options.number("IH", polar.height if "IHFIX" in options.values else 0.0)
     default = options.values.get("TRGT", polar.default)
     file.add_setup(_SetUp(point, instrument, height, "ROT3D" not in options.values, default))
 
 
-def _begin_set(words: LineWords, file: _File) -> None:
+def _begin_set(words: LineWords, file: _LgcContent) -> None:
     """Begin of a set of directions with one orientation of the circle.
 
     The first set of a set-up belongs to this set-up; each further set creates another set-up over the same point.
@@ -193,7 +195,7 @@ def _begin_set(words: LineWords, file: _File) -> None:
         file.setups[name] = setup
 
 
-def _process_line(keyword: str, words: LineWords, file: _File) -> bool:
+def _process_line(keyword: str, words: LineWords, file: _LgcContent) -> bool:
     """Processing of one line in a block of the kind `keyword`; returns False if such blocks are not supported."""
     if keyword in ("TITR", ""):
         file.title += words.tokens
@@ -202,20 +204,20 @@ def _process_line(keyword: str, words: LineWords, file: _File) -> bool:
         if name in file.points:
             raise words.location.error(f"the point {name} is declared twice")
         file.points[name] = point
-    elif keyword == "OBSXYZ" and not file.curved_reference:
+    elif keyword == "OBSXYZ" and not file.curved_reference_keyword:
         file.observed_points.append(parse_observed_point(words))
     elif keyword == "PDOR":
         file.orientation_points.append(words.tokens[0])
     elif keyword == "POLAR":
-        file.notes += filter(None, [file.polar[next(reversed(file.polar))].declare(words)])
+        file.notes += filter(None, [file.instruments[next(reversed(file.instruments))].declare(words)])
     elif keyword in OBSERVATION_KEYWORDS:
-        _observation(keyword, words, file)
+        _add_observation(keyword, words, file)
     else:
         return keyword in OPTION_KEYWORDS
     return True
 
 
-def _observation(keyword: str, words: LineWords, file: _File) -> None:
+def _add_observation(keyword: str, words: LineWords, file: _LgcContent) -> None:
     kinds, where = OBSERVATION_KEYWORDS[keyword], words.location
     if not file.setups:
         raise where.error(f"*{keyword} has no set-up (*TSTN) before it")
@@ -227,7 +229,7 @@ def _observation(keyword: str, words: LineWords, file: _File) -> None:
     options = words.options(1 + len(kinds))
     kind_of_target, sigmas_by_target = (
         options.values.get("TRGT", setup.default_target),
-        file.polar[setup.instrument].targets,
+        file.instruments[setup.instrument].targets,
     )
     if kind_of_target not in sigmas_by_target:
         raise where.error(
@@ -260,7 +262,7 @@ def _reading_in_si(kind: ObservationKind, value: float, setup: _SetUp, location:
     return value
 
 
-def _make_recording(file: _File) -> Recording:
+def _make_recording(file: _LgcContent) -> Recording:
     pointings, instrument_heights, target_heights = separate_constant_heights(
         merge_observations(file.observations, file.path.name)
     )
@@ -270,11 +272,12 @@ def _make_recording(file: _File) -> Recording:
     _use_observed_coordinates(file)
     occupied_marks = [s.point for s in file.setups.values() if file.points[s.point].axes or s.point in targets]
     plane = _TangentPlane.from_points(
-        [file.points[name] for name in {*targets, *(s.point for s in file.setups.values())}], file.curved_reference
+        [file.points[name] for name in {*targets, *(s.point for s in file.setups.values())}],
+        file.curved_reference_keyword,
     )
     setup = Setup(
         title=as_title(" ".join(file.title)),
-        instruments={name: polar.instrument(name) for name, polar in file.polar.items()},
+        instruments={name: polar.instrument(name) for name, polar in file.instruments.items()},
         stations={
             name: Station(
                 **plane.setup_keys(file.points[s.point], levelled=s.levelled),
@@ -298,7 +301,7 @@ def _make_recording(file: _File) -> Recording:
     )
 
 
-def _use_observed_coordinates(file: _File) -> None:
+def _use_observed_coordinates(file: _LgcContent) -> None:
     """Addition of observed coordinates to the points that are not fixed; raises RecordError."""
     for name, point, covariance in file.observed_points:
         if name not in file.points:
@@ -337,7 +340,7 @@ class _TangentPlane:
             {} if point.is_placeholder else {"position_mm": self.plane_coordinates(point.declared_point)}
         )
         if levelled:
-            keys |= {"levelled": True, "levelling_sigma_arcsec": EXACT_LEVEL_ARCSEC}
+            keys |= {"levelled": True, "levelling_sigma_arcsec": EXACT_LEVELLING_SIGMA_ARCSEC}
         if levelled and self.is_curved and keys.get("position_mm"):
             x, y = ((point.declared_point[:2] - self.centre) / EARTH_RADIUS).round(12).tolist()
             keys["vertical"] = (x, y, 1.0)
@@ -356,11 +359,13 @@ class _TangentPlane:
         return keys if axes == "xyz" else keys | {"approximate_mm": self.plane_coordinates(point.declared_point)}
 
 
-def _notes(file: _File) -> Iterator[str]:
+def _notes(file: _LgcContent) -> Iterator[str]:
     if file.n_switched_off:
         yield f"{file.n_switched_off} lines are switched off with % and are not used"
-    for keyword, count in file.skipped.items():
-        axes_reason = f"observes coordinates in the axes of *{file.curved_reference}, not in those of its heights"
+    for keyword, count in file.n_skipped_by_keyword.items():
+        axes_reason = (
+            f"observes coordinates in the axes of *{file.curved_reference_keyword}, not in those of its heights"
+        )
         reason = axes_reason if keyword == "OBSXYZ" else "is not supported"
         yield f"*{quoted_text(keyword)} {reason}: {count} lines are skipped"
     if file.points_in_frames:
@@ -370,8 +375,8 @@ def _notes(file: _File) -> Iterator[str]:
             yield f"{sentence}: they are not used, because all of them are fixed"
         else:
             yield f"{sentence}: they are skipped, because ltsim does not adjust the pose of this frame"
-    if file.curved_reference:
+    if file.curved_reference_keyword:
         sphere = "heights refer to a curved surface, for which ltsim uses a sphere: plumb lines differ between stations"
-        yield f"*{file.curved_reference}: {sphere}"
+        yield f"*{file.curved_reference_keyword}: {sphere}"
     for name in file.orientation_points:
         yield f"the approximate coordinates of {quoted_text(name)} orient the frame (*PDOR)"

@@ -20,7 +20,7 @@ from ltsim.recordings.pointings import (
     recording_of_pointings,
     separate_constant_heights,
 )
-from ltsim.recordings.recording import HEIGHT_COLUMNS, KIND_COLUMN, Recording
+from ltsim.recordings.recording import DISTANCE_KIND_COLUMN, HEIGHT_COLUMNS, Recording
 from ltsim.recordings.resolution import default_total_station
 from ltsim.recordings.setup import Setup, Station, Target, Vector
 from ltsim.recordings.tables.setups import marks_with_other_spelling, spelling_note
@@ -82,7 +82,7 @@ class FieldBook:
                 float(np.mod(-horizontal, 2 * np.pi)),
                 elevation,
                 covariates={HEIGHT_COLUMNS[1]: height / MILLIMETRE} if np.isfinite(height) else {},
-                labels={KIND_COLUMN: "horizontal"} if is_horizontal and np.isfinite(distance) else {},
+                labels={DISTANCE_KIND_COLUMN: "horizontal"} if is_horizontal and np.isfinite(distance) else {},
                 source=f"{self.path.name}, line {location.row}",
             )
         )

@@ -40,23 +40,15 @@ from ltsim.recordings.pointings import (
 )
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import check_differences
-from ltsim.recordings.setup import (
-    EXACT_LEVEL_ARCSEC,
-    Gauge,
-    Instrument,
-    Noise,
-    Setup,
-    Station,
-    Target,
-)
+from ltsim.recordings.setup import EXACT_LEVELLING_SIGMA_ARCSEC, Gauge, Instrument, Noise, Setup, Station, Target
 from ltsim.recordings.xml import XmlNode, parse_xml
 
 MIRRORED_AXES = ("ne", "sw", "es", "wn")
 """Directions of x and y that form a left-handed frame, in which the sign of y is changed."""
-DIRECT_AXES = ("en", "nw", "se", "ws")
+UNMIRRORED_AXES = ("en", "nw", "se", "ws")
 """Directions of x and y that form a right-handed frame."""
 CENTESIMAL_SECOND = SI_PER_UNIT["cc"]
-STDEV_ATTRIBUTES = {"z-angle": "zenith-angle", "s-distance": "distance"} | {
+STDEV_ATTRIBUTE_PREFIXES = {"z-angle": "zenith-angle", "s-distance": "distance"} | {
     k: k for k in ("direction", "azimuth", "distance")
 }
 """Beginning of the attribute with the default standard deviation (``KIND-stdev``), by element of the observation."""
@@ -95,9 +87,11 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
         else:
             _read_parameters(node, network)
     for section in root.descendants("points-observations"):
-        network.stdev |= {k.removesuffix("-stdev"): v for k, v in section.element.attrib.items() if k[-6:] == "-stdev"}
+        network.default_sigmas |= {
+            k.removesuffix("-stdev"): v for k, v in section.element.attrib.items() if k[-6:] == "-stdev"
+        }
         for node in section:
-            _read_part(node, network)
+            _read_element(node, network)
     return _make_recording(network)
 
 
@@ -121,7 +115,7 @@ def _replace_slashes(root: XmlNode, network: GamaNetwork) -> None:
 
 def _read_axes(node: XmlNode, network: GamaNetwork) -> None:
     axes, angles = node.get("axes-xy", "ne"), node.get("angles", "left-handed")
-    if axes not in (*MIRRORED_AXES, *DIRECT_AXES) or angles not in ("left-handed", "right-handed"):
+    if axes not in (*MIRRORED_AXES, *UNMIRRORED_AXES) or angles not in ("left-handed", "right-handed"):
         message = (
             f"axes-xy='{quoted_text(axes)}', angles='{quoted_text(angles)}' is no system of axes that gama-local has"
         )
@@ -144,11 +138,11 @@ def _read_parameters(node: XmlNode, network: GamaNetwork) -> None:
         network.notes.append("latitude and ellipsoid are not used: observations are not reduced to an ellipsoid")
 
 
-def _read_part(node: XmlNode, network: GamaNetwork) -> None:
+def _read_element(node: XmlNode, network: GamaNetwork) -> None:
     if node.tag == "point":
         _read_point(node, network)
     elif node.tag == "obs":
-        _read_obs(node, network)
+        _read_observation_block(node, network)
     elif node.tag == "coordinates":
         _read_coordinates(node, network)
     elif node.tag in ("height-differences", "vectors"):
@@ -174,9 +168,9 @@ def _read_point(node: XmlNode, network: GamaNetwork) -> GamaPoint:
             raise node.location.error(f"point {name}: '{quoted_text(word)}' is not one of xyz, xy, z")
     if any(axis not in point.values for axis in fixed.lower()):
         raise node.location.error(f"point {name} is fixed, but lacks coordinates")
-    point.fixed = "".join(sorted({*point.fixed, *fixed.lower()}))
-    point.datum = _parse_axes(point.datum + "".join(filter(str.isupper, adjusted)))
-    point.active = _parse_axes(point.active + fixed + adjusted)
+    point.fixed_axes = "".join(sorted({*point.fixed_axes, *fixed.lower()}))
+    point.datum_axes = _parse_axes(point.datum_axes + "".join(filter(str.isupper, adjusted)))
+    point.active_axes = _parse_axes(point.active_axes + fixed + adjusted)
     return point
 
 
@@ -203,13 +197,13 @@ def _read_coordinates(node: XmlNode, network: GamaNetwork) -> None:
             raise child.location.error("observed coordinates have no positive variance each, expected one")
         if np.any(numbers[is_row_of_point & ~is_block_of_point]):
             network.notes.append(CORRELATIONS_NOTE)
-        point.fixed = "".join("xyz"[axis] for axis in axes)
+        point.fixed_axes = "".join("xyz"[axis] for axis in axes)
         point.sigma = float(np.sqrt(np.mean(variances)))
         if np.any(np.triu(covariance, 1)) or max(variances) > 1.0001 * min(variances):
             point.covariance = tuple((covariance * np.outer(sign, sign))[np.triu_indices(3)].tolist())
 
 
-def _read_obs(block: XmlNode, network: GamaNetwork) -> None:
+def _read_observation_block(block: XmlNode, network: GamaNetwork) -> None:
     """Addition of the observations of a block, from the point in `from` of the block or of each observation."""
     children = [child for child in block if child.tag != "cov-mat"]
     row, column, numbers = covariance_entries(block)
@@ -225,12 +219,12 @@ def _read_obs(block: XmlNode, network: GamaNetwork) -> None:
     network.n_shared_errors += shared_effects.shape[1]
     circles = {(_start_point(child, block), child.tag) for child in children if child.tag in ("direction", "azimuth")}
     names = {circle: network.station(circle[0], with_directions=True) for circle in sorted(circles, reverse=True)}
-    network.oriented |= {name for (_, kind), name in names.items() if kind == "azimuth"}
+    network.oriented_setups |= {name for (_, kind), name in names.items() if kind == "azimuth"}
     for child, sigma, errors in zip(children, sigmas, shared, strict=True):
-        if child.tag in STDEV_ATTRIBUTES:
+        if child.tag in STDEV_ATTRIBUTE_PREFIXES:
             point = _start_point(child, block)
             station = names.get((point, child.tag)) or names.get((point, "direction")) or network.station(point)
-            network.observations.append(_observation(child, block, station, (sigma, errors), network))
+            network.observations.append(_parse_observation(child, block, station, (sigma, errors), network))
         elif child.tag == "angle":
             _read_angle(child, block, (sigma, errors), network)
         else:
@@ -242,7 +236,7 @@ def _start_point(child: XmlNode, block: XmlNode) -> str:
     return (child if "from" in child else block).name("from", "point")
 
 
-def _observation(
+def _parse_observation(
     child: XmlNode, block: XmlNode, station: str, sigma_and_errors: SigmaAndSharedErrors, network: GamaNetwork
 ) -> SingleObservation:
     target = child.name("to", "point")
@@ -310,8 +304,8 @@ def _sigma_of_observation(child: XmlNode, network: GamaNetwork, distance: float 
 
     The attribute is ``a``, or ``a b c`` for a + b D^c with the distance D in km. Raises RecordError.
     """
-    kind = STDEV_ATTRIBUTES.get(child.tag, child.tag)
-    words = child.get("stdev", network.stdev.get(kind, "")).split()
+    kind = STDEV_ATTRIBUTE_PREFIXES.get(child.tag, child.tag)
+    words = child.get("stdev", network.default_sigmas.get(kind, "")).split()
     if not 0 < len(words) < 4:
         message = (
             f"no standard deviation is given for <{quoted_text(child.tag)}>, expected one (stdev, or {kind}-stdev)"
@@ -343,11 +337,11 @@ def _make_recording(network: GamaNetwork) -> Recording:
     stations = {
         name: Station(
             levelled=True,
-            levelling_sigma_arcsec=EXACT_LEVEL_ARCSEC,
+            levelling_sigma_arcsec=EXACT_LEVELLING_SIGMA_ARCSEC,
             over=network.point_of_station[name],
-            position_mm=network.points.get(network.point_of_station[name], GamaPoint()).place,
-            yaw_deg=network.north_direction_deg if name in network.oriented else None,
-            yaw_sigma_arcsec=EXACT_LEVEL_ARCSEC if name in network.oriented else None,
+            position_mm=network.points.get(network.point_of_station[name], GamaPoint()).complete_coordinates,
+            yaw_deg=network.north_direction_deg if name in network.oriented_setups else None,
+            yaw_sigma_arcsec=EXACT_LEVELLING_SIGMA_ARCSEC if name in network.oriented_setups else None,
             instrument_height_mm=instrument_heights.get(name, 0.0),
         )
         for name in dict.fromkeys(p.station for p in pointings)
@@ -369,17 +363,17 @@ def _make_recording(network: GamaNetwork) -> Recording:
 
 def _target(point: GamaPoint, height: float) -> Target:
     reference_keys = {
-        "known_axes": point.fixed,
+        "known_axes": point.fixed_axes,
         "known_sigma_mm": point.sigma,
         "known_covariance_mm2": point.covariance,
     }
     return Target(
-        known_mm=point.coordinates if point.fixed else None,
-        **reference_keys if point.fixed else {},  # type: ignore[arg-type]
-        in_plan=point.active == "xy",
-        approximate_mm=None if point.fixed == "xyz" else point.place,
-        datum=bool(point.datum),
-        datum_axes=point.datum or "xyz",  # type: ignore[arg-type]
+        known_mm=point.coordinates_or_zeros if point.fixed_axes else None,
+        **reference_keys if point.fixed_axes else {},  # type: ignore[arg-type]
+        in_plan=point.active_axes == "xy",
+        approximate_mm=None if point.fixed_axes == "xyz" else point.complete_coordinates,
+        datum=bool(point.datum_axes),
+        datum_axes=point.datum_axes or "xyz",  # type: ignore[arg-type]
         height_mm=height,
     )
 
@@ -388,7 +382,7 @@ def _noise(network: GamaNetwork) -> Noise:
     """Noise with the default standard deviations of the file; those of single observations are in columns."""
 
     def default(kind: str, fallback: float) -> float:
-        words = network.stdev.get(kind, "").split()
+        words = network.default_sigmas.get(kind, "").split()
         value = SourceLocation(network.file).number(words[0], f"{kind}-stdev") if words else fallback
         return max(value, 1e-6)
 

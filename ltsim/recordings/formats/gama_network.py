@@ -25,11 +25,11 @@ class GamaPoint:
 
     values: dict[str, float] = field(default_factory=dict)
     """Coordinates [m] by axis."""
-    fixed: str = ""
+    fixed_axes: str = ""
     """Axes along which the point is fixed or has observed coordinates."""
-    datum: str = ""
+    datum_axes: str = ""
     """Axes along which the point defines the datum."""
-    active: str = ""
+    active_axes: str = ""
     """Axes along which the point is fixed or adjusted."""
     sigma: float = FIXED_SIGMA_MM
     """Standard deviation [mm] of the coordinates along the fixed axes."""
@@ -37,12 +37,12 @@ class GamaPoint:
     """Covariance xx, xy, xz, yy, yz, zz [mm^2]; None if not given."""
 
     @property
-    def place(self) -> Vector | None:
+    def complete_coordinates(self) -> Vector | None:
         """Coordinates [mm]; None if one of the three is missing."""
-        return self.coordinates if len(self.values) == 3 else None
+        return self.coordinates_or_zeros if len(self.values) == 3 else None
 
     @property
-    def coordinates(self) -> Vector:
+    def coordinates_or_zeros(self) -> Vector:
         """Coordinates [mm]; a missing coordinate is 0."""
         x, y, z = (round(self.values.get(axis, 0.0) / MILLIMETRE, 9) for axis in "xyz")
         return x, y, z
@@ -58,7 +58,7 @@ class GamaNetwork:
     """-1 if the sign of y is changed, otherwise 1."""
     angle_sign: float = -1.0
     """-1 if angles in the file are clockwise, otherwise 1."""
-    stdev: dict[str, str] = field(default_factory=dict)
+    default_sigmas: dict[str, str] = field(default_factory=dict)
     """Text of the default standard deviation, by kind of observation."""
     points: dict[str, GamaPoint] = field(default_factory=dict)
     n_direction_sets: Counter[str] = field(default_factory=Counter)
@@ -66,7 +66,7 @@ class GamaNetwork:
     point_of_station: dict[str, str] = field(default_factory=dict)
     north_direction_deg: float = 0.0
     """Direction [deg] of north, counter-clockwise from x."""
-    oriented: set[str] = field(default_factory=set)
+    oriented_setups: set[str] = field(default_factory=set)
     """Set-ups with azimuths, whose circle is zero in the north."""
     observations: list[SingleObservation] = field(default_factory=list)
     apriori_sigma: float = 10.0
@@ -90,7 +90,7 @@ def drop_undetermined_heights(network: GamaNetwork) -> None:
 
     The heights of such points are fixed, as in Gama.
     """
-    plan_points = {name for name, point in network.points.items() if point.active == "xy"}
+    plan_points = {name for name, point in network.points.items() if point.active_axes == "xy"}
     if not plan_points:
         return
     observations = []
@@ -112,7 +112,7 @@ def drop_undetermined_heights(network: GamaNetwork) -> None:
     ]
     for name in plan_points:
         network.points[name].values.setdefault("z", 0.0)
-        network.points[name].fixed += "z"
+        network.points[name].fixed_axes += "z"
     network.notes.append(
         f'{len(plan_points)} points are adjusted in plan only (adj="xy"): they have no heights, and '
         f"{n_removed} observations that need heights are left out, as Gama does"
@@ -192,14 +192,16 @@ def read_differences(section: XmlNode, y_sign: float, apriori_sigma: float) -> t
     for k, child in enumerate(children):
         block = slice(size * k, size * (k + 1))
         covariance = (
-            full_covariance[block, block].copy() if len(numbers) else np.array([[_sigma(child, apriori_sigma) ** 2]])
+            full_covariance[block, block].copy()
+            if len(numbers)
+            else np.array([[_sigma_of_difference(child, apriori_sigma) ** 2]])
         )
-        differences.append(_difference(child, y_sign, covariance))
+        differences.append(_reference_difference(child, y_sign, covariance))
         full_covariance[block, block] = 0.0
     return differences, bool(full_covariance.any())
 
 
-def _sigma(child: XmlNode, apriori_sigma: float) -> float:
+def _sigma_of_difference(child: XmlNode, apriori_sigma: float) -> float:
     """Standard deviation [mm] of a height difference, as declared or from the length of the levelling line."""
     attributes = [name for name in ("stdev", "dist") if name in child and child.tag == "dh"]
     if not attributes:
@@ -209,7 +211,7 @@ def _sigma(child: XmlNode, apriori_sigma: float) -> float:
     return value if attributes[0] == "stdev" else apriori_sigma * float(np.sqrt(value))
 
 
-def _difference(child: XmlNode, y_sign: float, covariance: Floats) -> ReferenceDifference:
+def _reference_difference(child: XmlNode, y_sign: float, covariance: Floats) -> ReferenceDifference:
     """Reference difference of an element with its covariance (1, 1) or (3, 3) [mm^2]."""
     end_names = {"from": child.name("from", "point"), "to": child.name("to", "point")}
     x, y, z = (0.0, 0.0, child.number("val")) if child.tag == "dh" else (child.number(f"d{a}") for a in "xyz")

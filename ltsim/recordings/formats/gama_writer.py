@@ -12,7 +12,7 @@ from ltsim.geometry.polar import from_polar, to_face
 from ltsim.recordings.files import write_text
 from ltsim.recordings.formats.gama import CENTESIMAL_SECOND
 from ltsim.recordings.formats.gama_network import FIXED_SIGMA_MM
-from ltsim.recordings.recording import SHARED_COLUMN, Recording
+from ltsim.recordings.recording import SHARED_ERROR_COLUMN_PATTERN, Recording
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.reflectors import excess_radii
 from ltsim.recordings.setup import Target, Vector, symmetric_matrix
@@ -33,7 +33,7 @@ def write(recording: Recording, path: Path) -> None:
     if excess_radii(recording) is not None:
         message = "SMRs of several radii are offset along the normals of nests, which gama-local does not support"
         raise RecordError(f"{message}; write the recording as native", file=path)
-    if any(SHARED_COLUMN.fullmatch(name) for name in recording.covariates):
+    if any(SHARED_ERROR_COLUMN_PATTERN.fullmatch(name) for name in recording.covariates):
         raise RecordError("contains errors that readings share, which only the native format supports", file=path)
     for name in recording.stations:
         if not recording.station_setup(name).levelled:

@@ -33,14 +33,14 @@ GSI_ANGLE_FACTORS = {"2": 1e-5 * GON, "3": 1e-5 * DEGREE, "5": 1e-4 * 2 * np.pi 
 
 
 @dataclass(frozen=True)
-class _GsiLine:
-    """Block of the file: information and signed data of each word by its index."""
+class _GsiBlock:
+    """Block (line) of a GSI file: information and signed data of each word by its index."""
 
     words: dict[str, tuple[str, str]]
     location: SourceLocation
 
     @classmethod
-    def from_line(cls, line: str, location: SourceLocation) -> _GsiLine:
+    def from_line(cls, line: str, location: SourceLocation) -> _GsiBlock:
         is_wide = line.startswith("*")
         words = {}
         for text in line.lstrip("*").split():
@@ -109,7 +109,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     if hints.station is not None:
         file.add_setup(hints.station, 0.0, None, SourceLocation(path))
     lines = read_lines(path)
-    survey = _SurveyOfBlocks.from_blocks(_blocks(lines, path))
+    survey = _BlockFacts.from_blocks(_blocks(lines, path))
     setup_code = survey.setup_code(path, is_line_broken=not lines[-1].strip())
     for block in _blocks(lines, path):
         _process_block(block, file, setup_code)
@@ -119,15 +119,15 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     return file.make_recording("a GSI file", *notes)
 
 
-def _blocks(lines: Sequence[str], path: Path) -> Iterator[_GsiLine]:
+def _blocks(lines: Sequence[str], path: Path) -> Iterator[_GsiBlock]:
     """Blocks of the lines that are not blank; none is kept, since a block takes ten times the memory of its line."""
     return (
-        _GsiLine.from_line(line.strip(), SourceLocation(path, i + 1)) for i, line in enumerate(lines) if line.strip()
+        _GsiBlock.from_line(line.strip(), SourceLocation(path, i + 1)) for i, line in enumerate(lines) if line.strip()
     )
 
 
 @dataclass
-class _SurveyOfBlocks:
+class _BlockFacts:
     """Facts on all blocks of a file that decide how each of them is read."""
 
     has_stations: bool = False
@@ -140,20 +140,20 @@ class _SurveyOfBlocks:
     """Code (41) of the first block with a name and a height."""
     code_with_name: str | None = None
     """Code (41) of the first block with a name."""
-    last: _GsiLine | None = None
+    last_block: _GsiBlock | None = None
     """Last block."""
     keys_before_last: frozenset[str] = frozenset()
     """Indices of the words of the block before the last."""
 
     @classmethod
-    def from_blocks(cls, blocks: Iterable[_GsiLine]) -> _SurveyOfBlocks:
+    def from_blocks(cls, blocks: Iterable[_GsiBlock]) -> _BlockFacts:
         """Facts on all blocks."""
         survey = cls()
         for block in blocks:
-            survey._add(block)
+            survey._add_block(block)
         return survey
 
-    def _add(self, block: _GsiLine) -> None:
+    def _add_block(self, block: _GsiBlock) -> None:
         self.has_stations = self.has_stations or _is_station(block)
         self.has_directions = self.has_directions or block.has_words("21")
         self.has_staff_readings = self.has_staff_readings or block.has_words("33")
@@ -161,8 +161,8 @@ class _SurveyOfBlocks:
             self.code_with_name = self.code_with_name or block.name("41")
             if block.has_words("43"):
                 self.code_with_height = self.code_with_height or block.name("41")
-        self.keys_before_last = frozenset() if self.last is None else frozenset(self.last.words)
-        self.last = block
+        self.keys_before_last = frozenset() if self.last_block is None else frozenset(self.last_block.words)
+        self.last_block = block
 
     def setup_code(self, path: Path, *, is_line_broken: bool) -> str | None:
         """Code (41) of the blocks that name a set-up, the first with a name and a height; None if no code does.
@@ -170,31 +170,31 @@ class _SurveyOfBlocks:
         Other codes describe points. Where blocks with coordinates name the set-ups, all codes do. RecordError is raised
         for a last line without a line break that differs from the one before, and for the file of a level.
         """
-        if self.last is not None and not is_line_broken and self.last.words.keys() != self.keys_before_last:
-            raise self.last.location.error("the last line has no line break and is incomplete")
+        if self.last_block is not None and not is_line_broken and self.last_block.words.keys() != self.keys_before_last:
+            raise self.last_block.location.error("the last line has no line break and is incomplete")
         if self.has_staff_readings and not self.has_directions:
             raise RecordError("is the file of a level: it has staff readings (33) and no directions (21)", file=path)
         return None if self.has_stations else self.code_with_height or self.code_with_name
 
 
-def _is_station(block: _GsiLine) -> bool:
+def _is_station(block: _GsiBlock) -> bool:
     """True for a block with the coordinates of a station."""
     return block.has_words("84", "85", "11") and not block.has_words("21")
 
 
-def _process_block(block: _GsiLine, file: FieldBook, setup_code: str | None) -> None:
+def _process_block(block: _GsiBlock, file: FieldBook, setup_code: str | None) -> None:
     if block.has_words("41", "42") and block.name("41") == setup_code:
         file.add_setup(block.name("42"), block.length("43"), None, block.location)
     elif _is_station(block):
         x, y, z = (block.length(key) / MILLIMETRE for key in ("84", "85", "86"))
         file.add_setup(block.name("11"), block.length("88"), (x, y, z), block.location)
     elif block.has_words("11") and any(block.has_words(key) for key in ("21", "22", "31", "32")):
-        _pointing(block, file)
+        _add_pointing(block, file)
     else:
         file.n_skipped += 1
 
 
-def _pointing(block: _GsiLine, file: FieldBook) -> None:
+def _add_pointing(block: _GsiBlock, file: FieldBook) -> None:
     is_horizontal = not block.has_words("31")
     file.add_pointing(
         block.name("11"),

@@ -24,8 +24,8 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Instrument, Setup, Station
 from ltsim.recordings.specification import NO_NOISE_NOTE
 from ltsim.recordings.tables.header import title_words_and_unit
-from ltsim.recordings.tables.meaning import interpret_readings
-from ltsim.recordings.tables.printed import PointingTable
+from ltsim.recordings.tables.interpretation import interpret_readings
+from ltsim.recordings.tables.pointing_table import PointingTable
 from ltsim.recordings.tables.reader import assemble_recording
 from ltsim.recordings.tables.rows import read_pointing_table
 from ltsim.recordings.tables.sheets import SheetRow, TableSheet
@@ -50,7 +50,7 @@ class _Block:
     collection: str
     number: str
     model: str
-    declared_count: int | None = None
+    n_declared_observations: int | None = None
     """Number of observations that the block announces."""
     position: Floats | None = None
     """Position (3,) [m] of the instrument."""
@@ -160,8 +160,8 @@ def _read_blocks(path: Path) -> list[_Block]:
             row.check_width(len(block_of_row.rows[0].fields), path)
             block_of_row.rows.append(row)
     for block in blocks.values():
-        if block.rows and block.declared_count not in (None, len(block.rows) - 1):
-            held = f"{block.declared_count} observations and holds {len(block.rows) - 1}"
+        if block.rows and block.n_declared_observations not in (None, len(block.rows) - 1):
+            held = f"{block.n_declared_observations} observations and holds {len(block.rows) - 1}"
             message = f"set-up {quoted_text(block.number)} announces {held}: the report is incomplete or was edited"
             raise RecordError(message, file=path)
     return list(blocks.values())
@@ -177,7 +177,7 @@ def _parse_heading(cell: str, location: SourceLocation) -> tuple[str, str, str]:
 
 def _read_pose(block: _Block, fields: Sequence[str], location: SourceLocation) -> None:
     if fields[0] == "# Meas." and len(fields) > 1:
-        block.declared_count = int(location.number(fields[1], "# Meas.", comma=True))
+        block.n_declared_observations = int(location.number(fields[1], "# Meas.", comma=True))
     if fields[0].startswith("(") and len(fields) > 3:
         values = np.array([location.number(text, comma=True) for text in fields[1:4]])
         unit = UNITS_BY_SPELLING.get(fields[0].strip("()").lower(), "")
@@ -235,7 +235,7 @@ def _prefix_ambiguous_points(
         pose = poses[station]
         position = point if pose is None else pose[0] @ point + pose[1]
         sightings.setdefault(target, {}).setdefault(group_name, []).append((station, position))
-    names = {name: _names_by_place(name, groups) for name, groups in sightings.items()}
+    names = {name: _new_names_by_group(name, groups) for name, groups in sightings.items()}
     ambiguous_names = sorted(name for name, of in names.items() if any(new != name for new in of.values()))
     printed.target = [names[target][group_name] for target, group_name in zip(printed.target, group_names, strict=True)]
     if not ambiguous_names:
@@ -247,7 +247,7 @@ def _prefix_ambiguous_points(
     ]
 
 
-def _names_by_place(name: str, groups: dict[str, list[tuple[str, Floats]]]) -> dict[str, str]:
+def _new_names_by_group(name: str, groups: dict[str, list[tuple[str, Floats]]]) -> dict[str, str]:
     """New name, by group, of the points called `name`.
 
     `groups` holds the station and the position (3,) [m] of each pointing, by group. The place that was measured from

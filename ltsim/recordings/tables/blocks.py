@@ -13,11 +13,11 @@ INSTRUMENT_WORDS = frozenset(
     ("instrument", "instrumentname", "tracker", "trackername", "device", "deviceid", "devicename")
 )
 """Words before the name of an instrument, which names the set-up if no line names a station."""
-WORDS_BEFORE_SIGN = frozenset(("from", "fromstn", "fromstation", "frompoint", "frompointid", "von"))
+STATION_WORDS_BEFORE_SIGN = frozenset(("from", "fromstn", "fromstation", "frompoint", "frompointid", "von"))
 """Words that precede the name of a station only before a colon or an equals sign; otherwise they belong to a text."""
-MAX_KEY_WORDS = 4
+MAX_HEIGHT_TITLE_WORDS = 4
 """Largest number of words before a height that are tested as its title."""
-_SIGNED_PATTERN = re.compile(r"#?\s*([^:=]{1,60}?)\s*[:=]\s*(\S.*?)[\s;,]*")
+_WORDS_AND_VALUE_PATTERN = re.compile(r"#?\s*([^:=]{1,60}?)\s*[:=]\s*(\S.*?)[\s;,]*")
 """Pattern of words and a value, separated by a colon or an equals sign."""
 _WORD_PATTERN = re.compile(r"#?\s*([^\W\d_]+)\s*[:=;,\t ]\s*(\S.*?)[\s;,]*")
 """Pattern of one word and a value."""
@@ -43,7 +43,7 @@ class TableBlock:
         if len(line) > MAX_TEXT_LENGTH:
             return False
         rest, heights = _split_heights(line)
-        station = self._station_of(rest)
+        station = self._station_name(rest)
         if station is not None:
             self.station, self.heights = station, {}
         for column, text in heights:
@@ -52,15 +52,15 @@ class TableBlock:
                 self.height_columns.append(column)
         return station is not None or bool(heights)
 
-    def height_columns_after(self, columns: Sequence[TableColumn]) -> list[TableColumn]:
+    def missing_height_columns(self, columns: Sequence[TableColumn]) -> list[TableColumn]:
         """Columns of the heights, to be added after the columns of a header, without those that the header has."""
         roles = {column.role for column in columns}
         further_columns = [column for column in self.height_columns if column.role not in roles]
         return [replace(column, position=len(columns) + i) for i, column in enumerate(further_columns)]
 
-    def _station_of(self, line: str) -> str | None:
+    def _station_name(self, line: str) -> str | None:
         """Name of the station in a line; None if the line names none."""
-        sign_match = _SIGNED_PATTERN.fullmatch(line)
+        sign_match = _WORDS_AND_VALUE_PATTERN.fullmatch(line)
         if sign_match is not None and title_role(sign_match[1]) == "station":
             word, name = title_words_and_unit(sign_match[1])[0], sign_match[2]
         else:
@@ -68,7 +68,7 @@ class TableBlock:
             if word_match is None or title_role(word_match[1]) != "station":
                 return None
             word, name = title_words_and_unit(word_match[1])[0], word_match[2]
-            if word in WORDS_BEFORE_SIGN or (sign_match is not None and word in INSTRUMENT_WORDS):
+            if word in STATION_WORDS_BEFORE_SIGN or (sign_match is not None and word in INSTRUMENT_WORDS):
                 return None
         if word in INSTRUMENT_WORDS and self.is_station_named:
             return None
@@ -81,7 +81,7 @@ def _split_heights(line: str) -> tuple[str, list[tuple[TableColumn, str]]]:
     heights = []
     while (match := _HEIGHT_PATTERN.fullmatch(line)) is not None:
         words = match[1].rstrip(" \t:=;,").split()
-        for count in range(min(MAX_KEY_WORDS, len(words)), 0, -1):
+        for count in range(min(MAX_HEIGHT_TITLE_WORDS, len(words)), 0, -1):
             title = " ".join(words[-count:]).lstrip("#(,; ")
             name, unit = title_words_and_unit(title)
             role = title_role(name)

@@ -20,7 +20,7 @@ FACE_WORDS = (
 """Words for face 1, and words for face 2."""
 FACE_BY_WORD = {word: face for face, words in enumerate(FACE_WORDS, start=1) for word in words.split()}
 """Face by each of its words."""
-MISSING_MARKS = frozenset(("-", "--", "---", "----", "-----", "\u2013", "\u2014", "n/a", "N/A", "#N/A"))
+MISSING_VALUE_TEXTS = frozenset(("-", "--", "---", "----", "-----", "\u2013", "\u2014", "n/a", "N/A", "#N/A"))
 """Texts that programs write in cells without a value."""
 ValueType = TypeVar("ValueType")
 DAY = timedelta(days=1)
@@ -30,13 +30,13 @@ MAX_VALUE_LENGTH = 60
 _DEGREES_PATTERN = r"°|º|˚|\^|\*|deg|d"
 _MINUTES_PATTERN = r"'|′|’|‘|´|`|ʹ|min|m"
 _SECONDS_PATTERN = rf"\"|″|”|“|ʺ|(?:{_MINUTES_PATTERN})(?:{_MINUTES_PATTERN})|sec|s"
-_GAP_PATTERN = r":|-|\s"
-_PART_PATTERN = r"\d{1,2}(?:[.,]\d+)?"
+_ANGLE_SEPARATOR_PATTERN = r":|-|\s"
+_MINUTES_OR_SECONDS_PATTERN = r"\d{1,2}(?:[.,]\d+)?"
 _SEXAGESIMAL_PATTERN = re.compile(
-    rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES_PATTERN}|{_GAP_PATTERN})\s*(\d{{1,2}})\s*(?:{_MINUTES_PATTERN}|{_GAP_PATTERN})\s*({_PART_PATTERN})\s*(?:{_SECONDS_PATTERN})?"
+    rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES_PATTERN}|{_ANGLE_SEPARATOR_PATTERN})\s*(\d{{1,2}})\s*(?:{_MINUTES_PATTERN}|{_ANGLE_SEPARATOR_PATTERN})\s*({_MINUTES_OR_SECONDS_PATTERN})\s*(?:{_SECONDS_PATTERN})?"
 )
-_TO_MINUTES_PATTERN = re.compile(
-    rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES_PATTERN})\s*({_PART_PATTERN})\s*(?:{_MINUTES_PATTERN})()"
+_DEGREES_AND_MINUTES_PATTERN = re.compile(
+    rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES_PATTERN})\s*({_MINUTES_OR_SECONDS_PATTERN})\s*(?:{_MINUTES_PATTERN})()"
 )
 """Pattern of degrees and minutes, each with its mark; `_SEXAGESIMAL_PATTERN` is that of degrees, minutes and
 seconds."""
@@ -44,14 +44,14 @@ _CENTESIMAL_PATTERN = re.compile(
     r"([+-]?)\s*(\d{1,3})\s*g\s*(\d{1,2})\s*c\s*(\d{1,2}(?:[.,]\d+)?)\s*(?:cc)?", re.IGNORECASE
 )
 """Pattern of an angle in gon with its hundredths (c) and ten-thousandths (cc)."""
-UNIT_MARKS = {
+UNIT_BY_MARK = {
     **dict.fromkeys(("g", "gon", "gr", "grd", "ᵍ"), "gon"),
     **dict.fromkeys(("°", "º", "deg"), "deg"),
     **{unit: unit for unit in ("rad", "mm", "cm", "m", "ft", "in")},
 }
 """Unit by the mark after the number in a cell."""
-_MARKED_PATTERN = re.compile(
-    rf"([+-]?\d[\d.,]*)\s*({'|'.join(sorted(UNIT_MARKS, key=len, reverse=True))})", re.IGNORECASE
+_NUMBER_WITH_UNIT_PATTERN = re.compile(
+    rf"([+-]?\d[\d.,]*)\s*({'|'.join(sorted(UNIT_BY_MARK, key=len, reverse=True))})", re.IGNORECASE
 )
 _PACKED_PATTERN = re.compile(r"([+-]?)(\d{1,3})(?:[.,](\d*))?")
 _DIGIT_CHARACTERS = re.compile(r"[0-9.+eE-]*")
@@ -75,7 +75,7 @@ _MONTH_NAMES = (
     "nov november",
     "dec december dez dezember",
 )
-_MONTHS = {name: str(number) for number, names in enumerate(_MONTH_NAMES, start=1) for name in names.split()}
+_MONTH_BY_NAME = {name: str(number) for number, names in enumerate(_MONTH_NAMES, start=1) for name in names.split()}
 _MONTH_NAME_PATTERN = re.compile(r"(\d{1,2})[.\s-]*([^\W\d_]+)[.,\s-]+(\d{4})|([^\W\d_]+)\.?\s+(\d{1,2}),?\s+(\d{4})")
 """Pattern of a date with the name of its month: ``1-Mar-2026``, ``1. März 2026``, ``Mar 1, 2026``."""
 _COMPACT_STAMP_PATTERN = re.compile(
@@ -143,8 +143,8 @@ def split_unit_mark(text: str) -> tuple[str, str] | None:
         sign, whole, minutes, seconds = centesimal_match.groups()
         parts = Decimal(minutes) * 100 + Decimal(seconds.replace(",", "."))
         return f"{sign}{Decimal(whole) + parts / 10_000}", "gon"
-    marked_match = _MARKED_PATTERN.fullmatch(text)
-    return None if marked_match is None else (marked_match[1], UNIT_MARKS[marked_match[2].casefold()])
+    marked_match = _NUMBER_WITH_UNIT_PATTERN.fullmatch(text)
+    return None if marked_match is None else (marked_match[1], UNIT_BY_MARK[marked_match[2].casefold()])
 
 
 def split_common_unit(texts: Sequence[str]) -> tuple[Sequence[str], str]:
@@ -214,7 +214,7 @@ def parse_packed_degrees(text: str) -> Decimal | None:
         return _parse_sexagesimal(text)
     sign, degrees, rest = match.groups(default="")
     digits = rest.ljust(4, "0")
-    return _degrees(sign, degrees, digits[:2], f"{digits[2:4]}.{digits[4:] or 0}")
+    return _degrees_from_parts(sign, degrees, digits[:2], f"{digits[2:4]}.{digits[4:] or 0}")
 
 
 def _parse_sexagesimal(text: str) -> Decimal | None:
@@ -222,11 +222,11 @@ def _parse_sexagesimal(text: str) -> Decimal | None:
     if len(text) > MAX_VALUE_LENGTH:
         return None
     text = text.strip().replace("\u2212", "-").replace("\u00a0", " ")
-    match = _SEXAGESIMAL_PATTERN.fullmatch(text) or _TO_MINUTES_PATTERN.fullmatch(text)
-    return None if match is None else _degrees(*(part.replace(",", ".") for part in match.groups()))
+    match = _SEXAGESIMAL_PATTERN.fullmatch(text) or _DEGREES_AND_MINUTES_PATTERN.fullmatch(text)
+    return None if match is None else _degrees_from_parts(*(part.replace(",", ".") for part in match.groups()))
 
 
-def _degrees(sign: str, degrees: str, minutes: str, seconds: str) -> Decimal | None:
+def _degrees_from_parts(sign: str, degrees: str, minutes: str, seconds: str) -> Decimal | None:
     """Degrees from degrees, minutes and seconds; None for minutes of 60 or more, or seconds above 60."""
     minutes_and_seconds = Decimal(minutes), Decimal(seconds or 0)
     if minutes_and_seconds[0] >= 60 or minutes_and_seconds[1] > 60:
@@ -240,11 +240,11 @@ def parse_face(text: str) -> int | None:
     return FACE_BY_WORD.get(re.sub(r"[\s._-]", "", text.casefold()) if text not in ("1.0", "2.0") else text)
 
 
-def parse_times(texts: Sequence[str], order: str | None = None) -> tuple[list[float] | None, str]:
+def parse_times(texts: Sequence[str], date_order: str | None = None) -> tuple[list[float] | None, str]:
     """Seconds since the earliest of several times, dates, or dates with times, and the earliest in ISO format.
 
-    `order` is the order of day and month in dates with slashes, ``dmy`` or ``mdy``. The seconds are None if a text is
-    not understood (with the text ''), and if the order is ambiguous (with the text "?").
+    `date_order` is the order of day and month in dates with slashes, ``dmy`` or ``mdy``. The seconds are None if a
+    text is not understood (with the text ''), and if the order is ambiguous (with the text "?").
     """
     texts = [_without_apostrophe(text) for text in texts]
     clocks = _convert_all(_parse_clock, texts)
@@ -252,7 +252,7 @@ def parse_times(texts: Sequence[str], order: str | None = None) -> tuple[list[fl
         return _seconds_since_first([datetime.min + clock for clock in _unwrap_midnight(clocks)], has_date=False)
     orders = _DATE_ORDERS_12_HOURS if texts and texts[0][-2:].casefold() in ("am", "pm") else _DATE_ORDERS
     stamps_by_order = (
-        _convert_all(partial(_parse_date_and_time, letters=letters, order=order), texts) for letters in orders
+        _convert_all(partial(_parse_date_and_time, letters=letters, date_order=date_order), texts) for letters in orders
     )
     readings = [_seconds_since_first(stamps, has_date=True) for stamps in stamps_by_order if stamps is not None]
     if any(seconds != readings[0][0] for seconds, _ in readings):
@@ -336,21 +336,22 @@ def _numeric_date(text: str) -> str:
     if match is None:
         return text
     day, name, year = match.group(1, 2, 3) if match[1] else match.group(5, 4, 6)
-    month = _MONTHS.get(name.casefold())
+    month = _MONTH_BY_NAME.get(name.casefold())
     return text if month is None else f"{year}-{month}-{day}{text[match.end() :].replace(',', ' ', 1)}"
 
 
-def _parse_date_and_time(text: str, letters: str, order: str | None) -> datetime | None:
+def _parse_date_and_time(text: str, letters: str, date_order: str | None) -> datetime | None:
     """Date with or without time of day, in the order of `letters` (such as "dmy"); None for any other text.
 
-    `order` excludes the other order of day and month. The time zone is ignored, because all times of a file have one.
+    `date_order` excludes the other order of day and month. The time zone is ignored, because it is the same for all
+    times of a file.
     """
     day, _, clock_text = re.sub(r"(?<=\d)T(?=\d)", " ", _numeric_date(text.strip())).partition(" ")
     clock_text = re.sub(r"(Z|[+-]\d{2}:?\d{2})$", "", clock_text.strip())
     match, clock_time = _DATE_PATTERN.fullmatch(day), _parse_clock(clock_text) if clock_text else timedelta(0)
     if match is None or clock_time is None or (len(match[1]) == 4) != (letters == "ymd"):
         return None
-    is_excluded = letters == "mdy" if match[2] == "." else letters != "ymd" and order not in (None, letters)
+    is_excluded = letters == "mdy" if match[2] == "." else letters != "ymd" and date_order not in (None, letters)
     number_by_letter = {letter: int(part) for letter, part in zip(letters, match.group(1, 3, 4), strict=True)}
     year = number_by_letter["y"] + (2000 if number_by_letter["y"] < 100 else 0)
     if is_excluded or year < 1000:

@@ -45,7 +45,7 @@ ROLE_BY_TITLE = {
     },
 }
 """Role by each known title, in the form of `normalised_title`."""
-ROLE_UNITS = {
+UNITS_BY_ROLE = {
     **dict.fromkeys((*HORIZONTAL_ROLES, *VERTICAL_ROLES), ANGLE_UNITS),
     **dict.fromkeys(
         (*DISTANCE_ROLES, *COORDINATE_ROLES, *HEIGHT_ROLES, COMMON_SIGMA_ROLE, "sigma_distance_mm"), LENGTH_UNITS
@@ -81,9 +81,9 @@ ANGLE_MARKS = ("°", "'", '"')
 """Marks that are added to degrees, minutes and seconds from separate columns."""
 ANGLE_PART_UNITS = ("min", "sec", "'", '"', "m", "s")
 """Units in titles of separate columns with the minutes or seconds of an angle."""
-PART_ROLE = "part"
+ANGLE_PART_ROLE = "part"
 """Role of a column with the minutes or seconds of an angle whose degrees are in an earlier column."""
-_PART_PATTERNS = tuple(
+_ANGLE_PART_PATTERNS = tuple(
     re.compile(rf"(.*?)[\s_.-]*[\[({{]?\s*(?:{words})\s*[\])}}]?", re.IGNORECASE)
     for words in (
         "d|deg|degrees?|grad|°|º",
@@ -163,7 +163,7 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
             or (is_polar and assigned.role in (*COORDINATE_ROLES, COMMON_SIGMA_ROLE))
         ):
             assigned = replace(assigned, role="", face=0)
-        if assigned.role != PART_ROLE:
+        if assigned.role != ANGLE_PART_ROLE:
             used_roles.add((assigned.role, assigned.face))
         columns.append(assigned)
     return distinct_titles(columns)
@@ -189,10 +189,10 @@ def _join_angle_parts(columns: list[TableColumn]) -> list[TableColumn]:
     """Columns in which adjacent columns with degrees, minutes and possibly seconds of one angle are joined."""
     joined_columns = list(columns)
     for place, column in enumerate(columns):
-        stem = _match_unit_ending(_PART_PATTERNS[0], column.title)
+        stem = _match_unit_ending(_ANGLE_PART_PATTERNS[0], column.title)
         names = [stem[1] if stem is not None else column.title]
         has_letters = [c.title.casefold() for c in columns[place + 1 : place + 3]] == ["m", "s"]
-        for form, after in zip(_PART_PATTERNS[1:], columns[place + 1 : place + 3], strict=False):
+        for form, after in zip(_ANGLE_PART_PATTERNS[1:], columns[place + 1 : place + 3], strict=False):
             part = _match_unit_ending(form, after.title)
             letter = len(after.title) == 1 and after.title.isalpha() and not has_letters
             whole_word = part is not None and not part[1] and not letter
@@ -204,7 +204,7 @@ def _join_angle_parts(columns: list[TableColumn]) -> list[TableColumn]:
             places = tuple(range(place + 1, place + len(names)))
             joined_columns[place] = TableColumn(place, column.title, role, "deg", part_positions=places)
             for other in places:
-                joined_columns[other] = TableColumn(other, columns[other].title, PART_ROLE)
+                joined_columns[other] = TableColumn(other, columns[other].title, ANGLE_PART_ROLE)
     return joined_columns
 
 
@@ -214,14 +214,14 @@ def _count_reading_kinds(columns: Sequence[TableColumn]) -> int:
     return sum(bool(roles.intersection(kind)) for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES))
 
 
-def count_role_titles(fields: Sequence[str]) -> int:
+def count_recognised_titles(fields: Sequence[str]) -> int:
     """Number of fields that are titles with a known meaning; a header has at least two."""
     return sum(map(_has_role, fields))
 
 
 @lru_cache(maxsize=65_536)
 def _has_role(title: str) -> bool:
-    degrees_match = _match_unit_ending(_PART_PATTERNS[0], title)
+    degrees_match = _match_unit_ending(_ANGLE_PART_PATTERNS[0], title)
     return bool(_column_from_title(0, title).role) or (degrees_match is not None and bool(title_role(degrees_match[1])))
 
 
@@ -238,7 +238,7 @@ def unknown_unit_sentence(titles: Sequence[str]) -> str:
     """Sentence on the first title of a reading with an unknown unit; empty without such a title."""
     for title in titles:
         name, unit = title_words_and_unit(title)
-        units = ROLE_UNITS.get(title_role(name), ())
+        units = UNITS_BY_ROLE.get(title_role(name), ())
         is_polar = title_role(name) in (*HORIZONTAL_ROLES, *VERTICAL_ROLES, *DISTANCE_ROLES)
         if is_polar and unit and unit not in (*units, *ANGLE_PART_UNITS, *LENGTH_UNITS):
             wrong = f"the unit '{quoted_text(unit)}' of column '{quoted_text(title)}' is unknown"
@@ -303,7 +303,7 @@ def _column_from_title(position: int, title: str, *, has_face: bool = True) -> T
     if face_match is not None:
         role = title_role(face_match.group(1))
         face = {"1": 1, "i": 1, "2": 2, "ii": 2}[face_match.group(2).lower()] if role else 0
-    if role in ROLE_UNITS and unit and unit not in ROLE_UNITS[role]:
+    if role in UNITS_BY_ROLE and unit and unit not in UNITS_BY_ROLE[role]:
         # surveyors' lists have heights in a column called elevation
         is_zenith = name == "z" and unit in ANGLE_UNITS
         role, face = "zenith" if is_zenith else "z" if role == "elevation" and unit in LENGTH_UNITS else "", 0
@@ -327,7 +327,7 @@ def mapped_columns(fields: Sequence[str], assignments: str, file: object) -> lis
         assigned_columns[position] = TableColumn(
             position, fields[position], role, unit or columns[position].unit, face, tuple(parts)
         )
-        assigned_columns |= {part: TableColumn(part, fields[part], PART_ROLE) for part in parts}
+        assigned_columns |= {part: TableColumn(part, fields[part], ANGLE_PART_ROLE) for part in parts}
     kinds = {_reading_kind(column.role) for column in assigned_columns.values()}
     other_columns = [c if _reading_kind(c.role) not in kinds else replace(c, role="", face=0) for c in columns]
     return [assigned_columns.get(c.position, c) for c in other_columns]
@@ -348,8 +348,8 @@ def parse_assignments(assignments: str, file: object = None) -> list[tuple[str, 
             )
             raise RecordError(message, file=file)
         name, unit = _split_unit(title.strip())
-        if unit and unit not in ROLE_UNITS.get(stem, ()):
-            units = ", ".join(ROLE_UNITS.get(stem, ("none",)))
+        if unit and unit not in UNITS_BY_ROLE.get(stem, ()):
+            units = ", ".join(UNITS_BY_ROLE.get(stem, ("none",)))
             raise RecordError(
                 f"--columns {quoted_text(part, 60)}: expected one of the units {units} for {stem}", file=file
             )

@@ -5,7 +5,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import listing
 from ltsim.recordings.recording import HEIGHT_COLUMNS
-from ltsim.recordings.tables.printed import PointingTable, indices_by_value
+from ltsim.recordings.tables.pointing_table import PointingTable, indices_by_value
 
 
 def with_heights_of_setups(table: PointingTable, covariates: dict[str, Floats]) -> tuple[dict[str, Floats], list[str]]:

@@ -8,7 +8,7 @@ from ltsim.recordings.conventions import Hints
 from ltsim.recordings.files import quoted_text
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import HORIZONTAL_ROLES, VERTICAL_ROLES, TableColumn
-from ltsim.recordings.tables.printed import Digits, PointingTable, to_digits
+from ltsim.recordings.tables.pointing_table import Digits, PointingTable, to_digits
 
 MIN_PACKED_CELLS = 10
 """Number of distinct angles from which a column whose minutes and seconds are all below 60 counts as packed.
@@ -36,8 +36,8 @@ def with_unpacked_angles(table: PointingTable, hints: Hints) -> PointingTable:
     table.pointings.numbers |= {role: _decimal_degrees(digits) for role, digits in digits_by_role.items()}
     table.columns = [replace(c, unit="deg") if c in columns else c for c in table.columns]
     table.notes.append(
-        f"the angles in {_titles(columns)} are interpreted as ddd.mmss: all {len(all_values)} have minutes and seconds "
-        "below 60 (otherwise give --hint angle=deg or --hint angle=gon)"
+        f"the angles in {_titles_text(columns)} are interpreted as ddd.mmss: all {len(all_values)} have minutes and "
+        "seconds below 60 (otherwise give --hint angle=deg or --hint angle=gon)"
     )
     return table
 
@@ -57,5 +57,5 @@ def _n_decimals(text: str) -> int:
     return len(text.partition(".")[2])
 
 
-def _titles(columns: list[TableColumn]) -> str:
+def _titles_text(columns: list[TableColumn]) -> str:
     return " and ".join(dict.fromkeys(f"'{quoted_text(c.title)}'" for c in columns))

@@ -14,17 +14,23 @@ from ltsim.recordings.curvature import with_earth_curvature
 from ltsim.recordings.files import MAX_TEXT_LENGTH, quoted_text
 from ltsim.recordings.occupations import check_centring
 from ltsim.recordings.pointings import NOT_MEASURED, PointingColumns, declares_noise, recording_from_columns
-from ltsim.recordings.recording import HEIGHT_COLUMNS, KIND_COLUMN, OCCUPATION_COLUMNS, SIGMA_COLUMNS, Recording
+from ltsim.recordings.recording import (
+    DISTANCE_KIND_COLUMN,
+    HEIGHT_COLUMNS,
+    OCCUPATION_COLUMNS,
+    SIGMA_COLUMNS,
+    Recording,
+)
 from ltsim.recordings.resolution import FOOT_STEPS, LENGTH_STEPS, default_total_station, reading_step
 from ltsim.recordings.settings import read_setup
 from ltsim.recordings.setup import Instrument, Setup
 from ltsim.recordings.specification import NO_NOISE_NOTE
 from ltsim.recordings.tables import cells
-from ltsim.recordings.tables.header import DISTANCE_ROLES, ROLE_UNITS, TableColumn, has_named_coordinates
+from ltsim.recordings.tables.header import DISTANCE_ROLES, UNITS_BY_ROLE, TableColumn, has_named_coordinates
 from ltsim.recordings.tables.heights import with_heights_of_setups
-from ltsim.recordings.tables.meaning import ColumnInterpretation, interpret_readings, sigmas_from_coordinates
+from ltsim.recordings.tables.interpretation import ColumnInterpretation, interpret_readings, sigmas_from_coordinates
 from ltsim.recordings.tables.packed_angles import with_unpacked_angles
-from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, decimal_places, indices_by_value
+from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, decimal_places, indices_by_value
 from ltsim.recordings.tables.rows import parse_header, read_pointing_table
 from ltsim.recordings.tables.setups import (
     common_target_names,
@@ -194,7 +200,9 @@ def assemble_recording(
         labels["date"] = printed.moment
     if "flat" in printed.numbers:
         slope = printed.digits_of_roles(("distance",))
-        labels[KIND_COLUMN] = np.where((printed.numbers["flat"] != b"") & (slope == b""), "horizontal", "").tolist()
+        labels[DISTANCE_KIND_COLUMN] = np.where(
+            (printed.numbers["flat"] != b"") & (slope == b""), "horizontal", ""
+        ).tolist()
     note_groups = [
         table.notes,
         interpretation.notes,
@@ -308,18 +316,18 @@ def _unit_reason(role: str, unit: str, interpretation: ColumnInterpretation) -> 
 
 
 def _covariate_values(
-    column: TableColumn, pointings: PrintedPointings, interpretation: ColumnInterpretation
+    column: TableColumn, pointings: UnconvertedPointings, interpretation: ColumnInterpretation
 ) -> tuple[Floats, str] | None:
     """Numbers (n,) of a column in the unit of its kind, NaN for an empty cell, and unit of the cells; None for text."""
     texts = pointings.additional_cells.get(column.title, [])
     if not any(texts):
         return None
-    bare_texts, cell_unit = cells.split_common_unit(texts) if column.role in ROLE_UNITS else (texts, "")
+    bare_texts, cell_unit = cells.split_common_unit(texts) if column.role in UNITS_BY_ROLE else (texts, "")
     column_numbers = cells.plain_numbers(bare_texts) if not any(pointings.group_separator) else None
     if column_numbers is None:
         column_numbers = np.full(len(texts), NOT_MEASURED)
         for i, (text, group_separator) in enumerate(zip(bare_texts, pointings.group_separator, strict=True)):
-            if text and text not in cells.MISSING_MARKS:
+            if text and text not in cells.MISSING_VALUE_TEXTS:
                 number = cells.parse_quantity(text, group_separator)
                 if number is None and column.role in HEIGHT_COLUMNS:
                     message = f"found '{quoted_text(texts[i])}', expected a height, with the same unit in all cells"
@@ -329,7 +337,7 @@ def _covariate_values(
                 column_numbers[i] = number
     unit = cell_unit or column.unit or interpretation.unit_of(column.role, column_numbers)
     target_unit = column.role.rpartition("_")[2]
-    if target_unit in ("mm", "arcsec") and unit in (*ROLE_UNITS[column.role], "dms"):
+    if target_unit in ("mm", "arcsec") and unit in (*UNITS_BY_ROLE[column.role], "dms"):
         column_numbers = column_numbers * float(unit_ratio(unit, target_unit))
     return column_numbers, unit
 

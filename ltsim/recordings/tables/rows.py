@@ -11,12 +11,12 @@ from ltsim.core.limits import MAX_TABLE_HEADERS
 from ltsim.recordings.conventions import Hints
 from ltsim.recordings.files import SourceLocation, is_number, quoted_text
 from ltsim.recordings.tables import cells
-from ltsim.recordings.tables.advice import unrecognised_header_sentence
 from ltsim.recordings.tables.blocks import TableBlock
+from ltsim.recordings.tables.column_suggestions import unrecognised_header_sentence
 from ltsim.recordings.tables.header import (
     READING_ROLES,
     TableColumn,
-    count_role_titles,
+    count_recognised_titles,
     has_named_coordinates,
     header_columns,
     is_header,
@@ -26,18 +26,18 @@ from ltsim.recordings.tables.header import (
     title_role,
     title_words_and_unit,
 )
-from ltsim.recordings.tables.printed import (
+from ltsim.recordings.tables.pointing_table import (
     ROWS_PER_BATCH,
     PointingTable,
-    PrintedPointings,
+    UnconvertedPointings,
     join_pointings,
 )
-from ltsim.recordings.tables.runs import HeaderRun, RunReader, pad_cells
+from ltsim.recordings.tables.row_batches import RowBatch, RowBatchReader, pad_cells
 from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 
 POSITIONAL_ROLES = ("station", "target", "azimuth", "vertical", "distance")
 """Roles of the columns of a table without header whose lines have names and three numbers."""
-MIN_TITLES = 2
+MIN_HEADER_TITLES = 2
 """Smallest number of titles with a known meaning in a header: two angles, or an angle and a distance."""
 
 
@@ -66,7 +66,9 @@ def read_pointing_table(
             joined_table.add_sheet(table, sheet.file)
             parts.append(table.pointings)
         elif len(sheets) == 1 or any(row.n_values > 2 for row in sheet.rows[:50]):
-            raise RecordError(unrecognised_header_sentence(sheet, partial(_is_readable, sheet, hints)), file=sheet.file)
+            raise RecordError(
+                unrecognised_header_sentence(sheet, partial(_is_readable_with_columns, sheet, hints)), file=sheet.file
+            )
     if not any(map(len, parts)):
         unread = (
             f": {joined_table.unread_lines[0]} has no number in a column of readings"
@@ -83,7 +85,7 @@ def parse_header(row: SheetRow, hints: Hints, file: object = None) -> list[Table
     """Columns whose titles are in a row; None if the row is not a header."""
     if hints.columns is not None:
         return mapped_columns(row.fields, hints.columns, file) if any(row.fields) else None
-    if count_role_titles(row.fields) < MIN_TITLES or any(map(cells.is_value, row.fields)):
+    if count_recognised_titles(row.fields) < MIN_HEADER_TITLES or any(map(cells.is_value, row.fields)):
         return None
     columns = header_columns(row.fields)
     return columns if is_header(columns, allows_unnamed=hints.station is not None) else None
@@ -114,7 +116,7 @@ class _SheetReader:
         self.sheet, self.hints = sheet, hints
         self.block = TableBlock(sheet.station or hints.station or "")
         self.table = PointingTable([])
-        self.parts: list[PrintedPointings] = []
+        self.parts: list[UnconvertedPointings] = []
         self.header: list[TableColumn] = []
         """Columns of the current header."""
         self.columns: list[TableColumn] = []
@@ -126,7 +128,7 @@ class _SheetReader:
         self.reading_positions: list[int] = []
         """Positions of the columns with readings."""
         self.n_headers = 0
-        self.run = HeaderRun()
+        self.row_batch = RowBatch()
         """Rows of pointings that are not converted yet."""
 
     def read(self, header_row: int) -> PointingTable:
@@ -160,7 +162,7 @@ class _SheetReader:
         if self.hints.columns is None:
             require_readable_units(columns, SourceLocation(self.sheet.file, row))
         self.header = columns
-        columns = [*columns, *self.block.height_columns_after(columns)]
+        columns = [*columns, *self.block.missing_height_columns(columns)]
         if columns != self.columns:
             self._convert_rows()
         self.table.add_header(columns, self.sheet.file, row)
@@ -181,13 +183,13 @@ class _SheetReader:
                 self._add_pointing(row)
             elif not self.hints.incomplete_tail:  # otherwise it may not be whole yet
                 self._convert_rows()
-                self.sheet.require_complete_end(len(self.header), requires_all=self.table.is_positional)
+                self.sheet.require_complete_end(len(self.header), requires_line_break=self.table.is_positional)
                 self._add_pointing(row)
         self._convert_rows()
         self.table.notes += _duplicate_role_warnings(self.columns)
         if self.n_unnamed:
             self.table.notes.append(f"{self.n_unnamed} rows without a station belong to the station of the row above")
-        self.table.pointings = join_pointings(self.parts) if self.parts else PrintedPointings()
+        self.table.pointings = join_pointings(self.parts) if self.parts else UnconvertedPointings()
         return self.table
 
     def _is_measured(self, row: SheetRow) -> bool:
@@ -208,7 +210,7 @@ class _SheetReader:
             self.table.unread_lines.append(f"line {row.line} of {self.sheet.file.name} ('{row}')")
 
     def _add_pointing(self, row: SheetRow) -> None:
-        if len(self.run.line) == ROWS_PER_BATCH:
+        if len(self.row_batch.line) == ROWS_PER_BATCH:
             self._convert_rows()
         width = len(self.header)
         if len(row.fields) > width and any(row.fields[width:]):
@@ -222,21 +224,21 @@ class _SheetReader:
             station = row.fields[self.station_position] if self.station_position < len(row.fields) else ""
             self.n_unnamed += not station and bool(self.block.station)
             self.block.station = station or self.block.station
-        self.run.add_row(row, self.block.station)
+        self.row_batch.add_row(row, self.block.station)
 
     def _convert_rows(self) -> None:
         """Conversion of the rows since the last header to columns, all at once.
 
         If this fails, the rows are converted one by one, to report the first error.
         """
-        run, self.run = self.run, HeaderRun()
-        if not run.line:
+        row_batch, self.row_batch = self.row_batch, RowBatch()
+        if not row_batch.line:
             return
-        reader = RunReader(self.sheet, self.columns)
+        reader = RowBatchReader(self.sheet, self.columns)
         try:
-            converted = [reader.read(run)]
+            converted = [reader.read(row_batch)]
         except RecordError:
-            converted = [reader.read(row) for row in run.single_rows()]
+            converted = [reader.read(row) for row in row_batch.single_rows()]
         self.table.lacks_station_names |= reader.lacks_station_names
         self.table.add_cell_units(reader.cell_units, self.sheet.file)
         self.parts.append(join_pointings(converted))
@@ -260,7 +262,7 @@ def _duplicate_role_warnings(columns: Sequence[TableColumn]) -> list[str]:
     ]
 
 
-def _is_readable(sheet: TableSheet, hints: Hints, columns: str) -> bool:
+def _is_readable_with_columns(sheet: TableSheet, hints: Hints, columns: str) -> bool:
     """True if a sheet can be read with the value `columns` of the option ``--columns``."""
     hints = replace(hints, columns=columns)
     try:

@@ -18,16 +18,16 @@ from ltsim.recordings.circle_orientations import circle_orientations, zeroed_cir
 from ltsim.recordings.files import MAX_RECORDING_NAME_LENGTH, quoted_text
 from ltsim.recordings.pointings import numbered_name
 from ltsim.recordings.recording import OCCUPATION_COLUMNS
-from ltsim.recordings.setup import EXACT_LEVEL_ARCSEC, Setup, Station
+from ltsim.recordings.setup import EXACT_LEVELLING_SIGMA_ARCSEC, Setup, Station
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import HEIGHT_ROLES
-from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, indices_by_value
+from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, indices_by_value
 
-NAME_DIFFERENCES = "case, blanks or leading zeros"
+SPELLING_DIFFERENCES_TEXT = "case, blanks or leading zeros"
 """Differences of spelling between names of one point."""
 MAX_NAMES_IN_SETUP_NOTE = 4
 """Largest number of names that a note on set-ups lists."""
-OCCUPATION_NAMES = (
+OCCUPATION_TEXT_BY_ROLE = (
     ("instrument_setup", "set-up"),
     ("date", "day"),
     ("instrument_height_mm", "height of the instrument"),
@@ -35,7 +35,7 @@ OCCUPATION_NAMES = (
 """Roles of the columns that distinguish occupations, the first available one being used, and their names in a note."""
 MIN_ROWS_OF_OCCUPATION = 3
 """Number of rows with one height of the instrument from which the height distinguishes an occupation."""
-MIN_CLOSED_LINES = 4
+MIN_RECIPROCAL_LINES = 4
 """Number of lines measured in both directions below which they do not decide whether heights are applied."""
 MAX_CLOSURE_RATIO = 0.5
 """Closure of lines measured in both directions without heights, divided by that with heights, below which the heights
@@ -57,7 +57,7 @@ OccupationKey = tuple[str, ...]
 """Station, occupation, and round or orientation if the circle was rotated."""
 
 
-def common_target_names(pointings: PrintedPointings) -> tuple[list[str], list[str]]:
+def common_target_names(pointings: UnconvertedPointings) -> tuple[list[str], list[str]]:
     """Name of the target of each pointing, common to all set-ups, and notes on changed names.
 
     The name of the set-up in the names of all its targets is removed if set-ups then have common targets. Names that
@@ -70,8 +70,8 @@ def common_target_names(pointings: PrintedPointings) -> tuple[list[str], list[st
     if (
         all(plain_names)
         and len({*stations}) > 1
-        and not _shared_names(stations, targets)
-        and _shared_names(stations, plain_names)
+        and not _have_shared_names(stations, targets)
+        and _have_shared_names(stations, plain_names)
     ):
         notes.append(
             f"the name of the set-up is removed from the names of its targets: '{targets[0]}' is '{plain_names[0]}'"
@@ -94,7 +94,7 @@ def common_target_names(pointings: PrintedPointings) -> tuple[list[str], list[st
         examples = listing(
             [f"'{name}' and '{first}'" for name, first in spelling_by_name.items()], MAX_NAMES_IN_SETUP_NOTE
         )
-        notes.append(f"names that differ only in {NAME_DIFFERENCES} are the same target: {examples}")
+        notes.append(f"names that differ only in {SPELLING_DIFFERENCES_TEXT} are the same target: {examples}")
     names = [spelling_by_name.get(target, target) for target in targets]
     return [names[i] for i in row.tolist()], notes
 
@@ -107,7 +107,7 @@ def _without_station_name(station: str, target: str) -> str:
     return (match[1] or match[2]) if match else ""
 
 
-def _shared_names(stations: Sequence[str], targets: Sequence[str]) -> bool:
+def _have_shared_names(stations: Sequence[str], targets: Sequence[str]) -> bool:
     return len({*zip(stations, targets, strict=True)}) > len({*targets})
 
 
@@ -136,7 +136,7 @@ def marks_with_other_spelling(stations: Sequence[str], targets: Sequence[str]) -
 def spelling_note(mark_by_setup: Mapping[str, str]) -> list[str]:
     """Note on set-ups over targets with another spelling; none for an empty mapping."""
     examples = listing([f"'{name}' and '{mark}'" for name, mark in mark_by_setup.items()], MAX_NAMES_IN_SETUP_NOTE)
-    text = f"a set-up and a target whose names differ only in {NAME_DIFFERENCES} are one mark: {examples}"
+    text = f"a set-up and a target whose names differ only in {SPELLING_DIFFERENCES_TEXT} are one mark: {examples}"
     return [text] if mark_by_setup else []
 
 
@@ -179,7 +179,7 @@ def split_occupations(
     pointings.station = [names[i] for i in code.tolist()]
     notes = []
     if len(occupations) > len(marks):
-        column_name = next((name for role, name in OCCUPATION_NAMES if table.column((role,)) is not None), "")
+        column_name = next((name for role, name in OCCUPATION_TEXT_BY_ROLE if table.column((role,)) is not None), "")
         occupations_text = f"{len(occupations)} occupations of {len(marks)} marks"
         notes.append(f"{occupations_text}, distinguished by {column_name}, are separate set-ups")
     if is_rotated:
@@ -267,11 +267,11 @@ def with_setups_over_marks(
     names = dict.fromkeys(table.pointings.station)
     marks = {name: table.marks.get(name, name) for name in names}
     over_mark = Counter(marks.values())
-    if heights or (levelled and _has_closed_lines(table, readings)):
+    if heights or (levelled and _reciprocal_lines_agree(table, readings)):
         shared = {mark for mark in marks.values() if mark in targets or over_mark[mark] > 1}
     else:
         shared = {marks[name] for name in rounds}
-    levelling_sigma = EXACT_LEVEL_ARCSEC if heights else Station().levelling_sigma_arcsec
+    levelling_sigma = EXACT_LEVELLING_SIGMA_ARCSEC if heights else Station().levelling_sigma_arcsec
     stations = {
         name: Station(
             levelled=heights or levelled, over=mark if mark in shared else None, levelling_sigma_arcsec=levelling_sigma
@@ -295,7 +295,7 @@ def with_setups_over_marks(
     return setup, notes
 
 
-def _has_closed_lines(table: PointingTable, readings: Floats) -> bool:
+def _reciprocal_lines_agree(table: PointingTable, readings: Floats) -> bool:
     """True if lines measured in both directions agree in length, and in height if elevations were measured.
 
     The median closure decides, without heights above marks, and with the curvature of the earth.
@@ -303,7 +303,7 @@ def _has_closed_lines(table: PointingTable, readings: Floats) -> bool:
     lengths = readings[:, 0] * np.cos(np.nan_to_num(readings[:, 2]))
     rises = readings[:, 0] * np.sin(readings[:, 2]) + lengths**2 / (2.0 * EARTH_RADIUS)
     lines: dict[tuple[str, str], list[tuple[float, float]]] = {}
-    for line, length, rise in zip(_mark_and_target(table), lengths.tolist(), rises.tolist(), strict=True):
+    for line, length, rise in zip(_marks_and_targets(table), lengths.tolist(), rises.tolist(), strict=True):
         lines.setdefault(line, []).append((length, rise))
     mean_rise = {line: np.mean(both, axis=0) for line, both in lines.items()}
     closures = [mean_rise[a, b] - mean_rise[b, a] * [1.0, -1.0] for a, b in lines if a < b and (b, a) in lines]
@@ -315,7 +315,7 @@ def _has_closed_lines(table: PointingTable, readings: Floats) -> bool:
     return max(medians) < MAX_CLOSURE_M
 
 
-def _mark_and_target(table: PointingTable) -> Iterator[tuple[str, str]]:
+def _marks_and_targets(table: PointingTable) -> Iterator[tuple[str, str]]:
     """Mark under the station, and target, of each pointing."""
     return zip(table.mark, table.pointings.target, strict=True)
 
@@ -344,14 +344,14 @@ def heights_not_applied(table: PointingTable, readings: Floats, height: Floats) 
     lines: dict[tuple[str, str], list[tuple[float, float]]] = {}
     rise = readings[:, 0] * np.sin(readings[:, 2])
     with_heights = rise + heights[:, 0] - heights[:, 1]
-    for line, up, other in zip(_mark_and_target(table), rise.tolist(), with_heights.tolist(), strict=True):
+    for line, up, other in zip(_marks_and_targets(table), rise.tolist(), with_heights.tolist(), strict=True):
         if up == up:
             lines.setdefault(line, []).append((up, other))
     mean_rise = {line: np.mean(rises, axis=0) for line, rises in lines.items()}
     closures = np.abs(
         [mean_rise[a, b] + mean_rise[b, a] for a, b in mean_rise if a < b and (b, a) in mean_rise]
     ).reshape(-1, 2)
-    if len(closures) < MIN_CLOSED_LINES:
+    if len(closures) < MIN_RECIPROCAL_LINES:
         return []
     if np.median(closures[:, 0]) > MAX_UNAPPLIED_CLOSURE_M:
         return []

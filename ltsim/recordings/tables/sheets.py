@@ -125,11 +125,11 @@ class TableSheet:
         number_rows = self.rows.rows_with_comma_and_point if isinstance(self.rows, TextRows) else self.rows
         return thousands_separator((row.fields for row in number_rows), self.file)
 
-    def require_complete_end(self, width: int, *, requires_all: bool = False) -> None:
+    def require_complete_end(self, width: int, *, requires_line_break: bool = False) -> None:
         """Check that the last line is complete; raises RecordError.
 
-        It is complete if it has a line break or, unless `requires_all`, `width` fields and as many decimals at its end
-        as the line before it.
+        It is complete if it has a line break or, unless `requires_line_break`, has `width` fields and as many
+        decimals at its end as the line before it.
         """
         if not self.has_incomplete_end:
             return
@@ -137,7 +137,7 @@ class TableSheet:
         earlier = map(self.rows.__getitem__, range(len(self.rows) - 2, -1, -1))
         before = next((candidate for candidate in earlier if len(candidate.fields) == width), None)
         decimals = [len(r.fields[-1].replace(",", ".").partition(".")[2]) for r in (row, before) if r is not None]
-        if requires_all or len(row.fields) != width or (len(decimals) == 2 and decimals[0] < decimals[1]):
+        if requires_line_break or len(row.fields) != width or (len(decimals) == 2 and decimals[0] < decimals[1]):
             raise SourceLocation(self.file, row.line).error("the file ends inside this row and is incomplete")
 
 

@@ -6,7 +6,7 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.recordings.files import quoted_text
 from ltsim.recordings.tables.header import title_words_and_unit
-from ltsim.recordings.tables.printed import PointingTable, indices_by_value
+from ltsim.recordings.tables.pointing_table import PointingTable, indices_by_value
 
 MAX_SETUP_SPREADS = (0.1, 0.02)
 """Median differences of the ranges [m] and elevations [rad] of one target above which a table has several set-ups.

@@ -10,7 +10,7 @@ from ltsim.core.errors import RecordError
 from ltsim.core.notation import listing
 from ltsim.geometry.polar import from_polar
 from ltsim.recordings.files import quoted_text
-from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, indices_by_value
+from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, indices_by_value
 
 MAX_SAME_PLACE_RATIO = 3e-4
 """Largest distance between rows at one position, relative to the largest range: 1 mm at 3 m, more than the
@@ -75,7 +75,7 @@ def name_targets_by_position(table: PointingTable, readings: Floats) -> Pointing
     return table
 
 
-def _coincident_targets_note(pointings: PrintedPointings, readings: Floats) -> list[str]:
+def _coincident_targets_note(pointings: UnconvertedPointings, readings: Floats) -> list[str]:
     """Note on targets with separate names that one set-up sees at one position, as shots of one point are numbered."""
     points = from_polar(readings)
     tolerance = min(MAX_COINCIDENT_M, MAX_SAME_PLACE_RATIO * float(np.nanmax(readings[:, 0], initial=0.0)))

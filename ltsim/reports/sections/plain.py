@@ -127,7 +127,7 @@ def comparison_section(content: Comparison, _: ReportContext) -> Section:
     )
     note += "smallest motion that is detected with probability 80 %."
     shown_table = DISPLACEMENTS_TABLE.with_rows(d.row for d in points).with_columns(
-        "target moved dx_um dy_um dz_um a_um visible_um p_value"
+        "target moved dx_um dy_um dz_um a_um detectable_um p_value"
     )
     table = table_block(
         "Every point", shown_table, note=note, marked_rows=frozenset(range(len(moved_targets))), is_foldable=False
@@ -160,7 +160,9 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
     caption = "Error of each test divided by its limit, with its expanded uncertainty; the limit is at +-1. "
     caption += "Crosses are beyond it" + ("." if predicted else ", open circles are undecided.")
     note = f"Assumed: {content.assumption}." if content.assumption else ""
-    least_likely_tests = sorted(content.tests, key=lambda t: (t.passes or 0.0, -t.guarded_share))[:MAX_LISTED_TESTS]
+    least_likely_tests = sorted(content.tests, key=lambda t: (t.passes or 0.0, -t.guarded_limit_ratio))[
+        :MAX_LISTED_TESTS
+    ]
     last_column = "passes" if predicted else "judgement"
     blocks: list[Block] = [
         PictureBlock("Errors over limits", lambda: figures.points.error_to_limit_figure(content), caption),

@@ -18,7 +18,7 @@ from ltsim.adjustment.fieldcheck.check import best_bump
 from ltsim.adjustment.fieldcheck.occupation import StationOccupation, two_face_pairs
 from ltsim.adjustment.fieldcheck.sentences import number_text
 from ltsim.adjustment.reliability import neg_log_p_chi2
-from ltsim.cli.check import mpe_of, wait_for_changes, watch_recording
+from ltsim.cli.check import parse_mpe, wait_for_changes, watch_recording
 from ltsim.cli.main import run
 from ltsim.cli.options import ReadingOptions
 from ltsim.cli.terminal import Terminal
@@ -383,10 +383,10 @@ def test_numbers_are_written_out() -> None:
 
 
 def test_limits_as_text() -> None:
-    assert mpe_of("20,6") == (20.0, 6.0)
+    assert parse_mpe("20,6") == (20.0, 6.0)
     for text in ("20", "a,b", "-1,2", "1,2,3", "0,1"):
         with pytest.raises(RecordError, match="for instance 20,6"):
-            mpe_of(text)
+            parse_mpe(text)
 
 
 @pytest.mark.parametrize("dialect", ["native", "table"])

@@ -149,13 +149,13 @@ def along_axes(recording: Recording, points: Points, away: float, stations: tupl
 def exactly_vertical(recording: Recording) -> Recording:
     """The recording with pi/2 in place of the elevation of each pointing along the vertical axis."""
     readings = recording.readings.copy()
-    readings[recording.vertical, 2] = 0.5 * np.pi
+    readings[recording.is_vertical, 2] = 0.5 * np.pi
     return recording.with_readings(readings)
 
 
 def without_angles(recording: Recording) -> Recording:
     """The recording without the angles of its pointings along the vertical axis."""
-    return recording.with_readings(np.where(recording.usable, recording.readings, np.nan))
+    return recording.with_readings(np.where(recording.is_usable, recording.readings, np.nan))
 
 
 AXES = {
@@ -188,7 +188,7 @@ VERBS = {
 def test_the_angles_along_the_vertical_axis_are_used_by_no_verb(verb: str, way: str) -> None:
     recording, state = workshop()
     vertical = AXES[way](recording, state.target_points)
-    assert vertical.vertical.any()
+    assert vertical.is_vertical.any()
     assert VERBS[verb](vertical) == VERBS[verb](without_angles(vertical))
 
 
@@ -197,11 +197,11 @@ def test_azimuths_along_the_vertical_axis_change_nothing_in_a_check_of_one_set_u
     once = along_axes(recording, state.target_points, 2.0, (1,)).select(recording.station == 1)
     twice = once.select(np.tile(np.arange(len(once)), 2))
     face, count = np.repeat([1, 2], len(once)), len(twice)
-    noise = stream(5, "two faces").standard_normal((count, 3)) * np.where(twice.usable, twice.sigma(), 1e-6)
+    noise = stream(5, "two faces").standard_normal((count, 3)) * np.where(twice.is_usable, twice.sigma(), 1e-6)
     readings = to_face(twice.readings, face) + noise
     twice = twice.replace(readings=readings, face=face, time=np.arange(count) * 1.0, has_clock=False)
-    turned = np.where(twice.vertical[:, None] & [False, True, False], 1.0 + face[:, None], readings)
-    assert twice.vertical.sum() == 2 and check(twice).passed
+    turned = np.where(twice.is_vertical[:, None] & [False, True, False], 1.0 + face[:, None], readings)
+    assert twice.is_vertical.sum() == 2 and check(twice).passed
     assert str(check(twice.with_readings(turned))) == str(check(twice))
     assert len(face_pair_rows(twice)) == len(once) - 1
 

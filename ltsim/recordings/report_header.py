@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from ltsim.recordings.keys import Date, Line, TomlSection
+from ltsim.recordings.keys import Date, SingleLine, TomlSection
 
 
-class About(TomlSection):
+class ReportHeader(TomlSection):
     """Header of a report, table `[report]`; it has no influence on results."""
 
-    instrument: Line | None = None
+    instrument: SingleLine | None = None
     """Manufacturer, model and serial number, such as "Leica AT960, 751234"; by default those that the tables of the
     instruments declare.
     """
     date: Date | None = None
     """Day of the measurement, year-month-day."""
-    operator: Line | None = None
+    operator: SingleLine | None = None
     """Name of the operator."""
-    customer: Line | None = None
+    customer: SingleLine | None = None
     """Name of the customer."""

@@ -93,7 +93,7 @@ def decimal_places(digits: Digits) -> Ints:
 
 
 @dataclass
-class PrintedPointings:
+class UnconvertedPointings:
     """Pointings of a table before conversion of units: columns of n entries, and numbers in the units of the table."""
 
     file: list[Path] = field(default_factory=list)
@@ -146,16 +146,16 @@ class PrintedPointings:
         names = {key: file.name for key, file in dict(zip(map(id, self.file), self.file, strict=True)).items()}
         return [f"{names[key]}, line {line}" for key, line in zip(map(id, self.file), self.line, strict=True)]
 
-    def take(self, order: Iterable[int]) -> PrintedPointings:
+    def take(self, order: Iterable[int]) -> UnconvertedPointings:
         """Pointings at the given positions, in this order."""
         positions = list(order)
         list_columns: list[Any] = [[column[i] for i in positions] for column in self.complete_columns]
         digits_by_role = {role: digits[positions] for role, digits in self.numbers.items()}
         additional_cells = {title: [column[i] for i in positions] for title, column in self.additional_cells.items()}
-        return PrintedPointings(*[*list_columns, digits_by_role, additional_cells])
+        return UnconvertedPointings(*[*list_columns, digits_by_role, additional_cells])
 
 
-def join_pointings(tables: Sequence[PrintedPointings]) -> PrintedPointings:
+def join_pointings(tables: Sequence[UnconvertedPointings]) -> UnconvertedPointings:
     """Pointings of several tables, one after the other; a column that a table does not have is empty there."""
     if len(tables) == 1:
         return tables[0]
@@ -169,7 +169,7 @@ def join_pointings(tables: Sequence[PrintedPointings]) -> PrintedPointings:
         for role in roles
     }
     additional_cells = {title: _concatenate(part.texts(title) for part in tables) for title in titles}
-    return PrintedPointings(*[*list_columns, digits_by_role, additional_cells])
+    return UnconvertedPointings(*[*list_columns, digits_by_role, additional_cells])
 
 
 def _concatenate(columns: Iterable[list[ValueType]]) -> list[ValueType]:
@@ -188,7 +188,7 @@ class PointingTable:
     """All pointings of a file or folder, and their columns."""
 
     columns: list[TableColumn]
-    pointings: PrintedPointings = field(default_factory=PrintedPointings)
+    pointings: UnconvertedPointings = field(default_factory=UnconvertedPointings)
     unread_lines: list[str] = field(default_factory=list)
     """Lines that are no pointing and were not used, as texts for a note."""
     lacks_station_names: bool = False

@@ -4,8 +4,8 @@ Without --force a command writes only to a folder that is new, empty or written 
 files of the same command. An existing recording, or a file without a mark of ltsim, is never replaced by other
 content; it stays unchanged if it already has the content to be written (`write_outputs`).
 
-An option or argument for an output has an `OutputPlace` in its annotation; `typer_command` calls the check of the
-`OutputPlace` before the command.
+An option or argument for an output has an `OutputKind` in its annotation; `typer_command` calls the check of the
+`OutputKind` before the command.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ LTSIM_FILE_PATTERN = re.compile(rf'"?format"? ?[:=] ?"ltsim-|{re.escape(GENERATO
 
 
 @dataclass(frozen=True)
-class OutputPlace:
+class OutputKind:
     """Annotation of an option or argument that names an output file or folder, with its check."""
 
     check: Callable[[Path, bool], None]
@@ -47,8 +47,8 @@ class OutputPlace:
     another file."""
 
 
-def check_outputs(outputs: Iterable[tuple[str, Path, OutputPlace]], *, force: bool) -> None:
-    """Check of outputs, each given by its option, path and `OutputPlace`.
+def check_outputs(outputs: Iterable[tuple[str, Path, OutputKind]], *, force: bool) -> None:
+    """Check of outputs, each given by its option, path and `OutputKind`.
 
     Raises RecordError if a check fails, and SetupError if two options have the same path.
     """
@@ -262,15 +262,15 @@ def _raise_occupied_folder(folder: Path, existing_names: list[str]) -> None:
     )
 
 
-COMPARED_FILE_OUTPUT = OutputPlace(check_compared_file)
+COMPARED_FILE_OUTPUT = OutputKind(check_compared_file)
 """Check of an output file whose content `write_outputs` compares with an existing file."""
-FILE_OUTPUT = OutputPlace(check_new_file)
+FILE_OUTPUT = OutputKind(check_new_file)
 """Check of an output file that must be new, or replace a page or an unmodified XML file of ltsim."""
-RECORDING_OUTPUT = OutputPlace(check_recording_folder)
+RECORDING_OUTPUT = OutputKind(check_recording_folder)
 """Check of an output folder for a recording, which must not contain files of other programs."""
-EMPTY_FOLDER_OUTPUT = OutputPlace(check_empty_folder)
+EMPTY_FOLDER_OUTPUT = OutputKind(check_empty_folder)
 """Check of an output folder that must be new or empty."""
-COMMAND_CHECKED_OUTPUT = OutputPlace(lambda folder, force: check_writable(folder, folder=True))
+COMMAND_CHECKED_OUTPUT = OutputKind(lambda folder, force: check_writable(folder, folder=True))
 """Check that an output folder can be written to; the command checks the files that it would replace."""
-FILE_OR_FOLDER_OUTPUT = OutputPlace(lambda path, force: check_writable(path, folder=path.is_dir()))
+FILE_OR_FOLDER_OUTPUT = OutputKind(lambda path, force: check_writable(path, folder=path.is_dir()))
 """Check that an output can be written to, which is a file or a folder depending on other options."""

@@ -16,19 +16,19 @@ WORKBOOKS_ADVICE = "save it as xlsx or CSV"
 
 
 @dataclass(frozen=True)
-class UnreadFormat:
+class UnsupportedFormat:
     """Format that is recognised by a pattern of its first characters, with advice on what to export instead."""
 
     name: str
     pattern: re.Pattern[str]
-    alternative: str = OBSERVATIONS_ADVICE
+    export_advice: str = OBSERVATIONS_ADVICE
 
 
-def _make_format(name: str, pattern: str, alternative: str = OBSERVATIONS_ADVICE) -> UnreadFormat:
-    return UnreadFormat(name, re.compile(pattern, re.DOTALL), alternative)
+def _make_format(name: str, pattern: str, export_advice: str = OBSERVATIONS_ADVICE) -> UnsupportedFormat:
+    return UnsupportedFormat(name, re.compile(pattern, re.DOTALL), export_advice)
 
 
-UNREAD_FORMATS = (
+UNSUPPORTED_FORMATS = (
     _make_format("a field book in the format M5 or Rec (Trimble, Zeiss)", r"\s*For[ _](?:M5|REC|R[45E])\|Adr"),
     _make_format("a job in the format JobXML (Trimble)", r"\s*(?:<\?xml[^>]*>\s*)?(?:<!--.*?-->\s*)*<JOBFile\b"),
     _make_format("a job in the format LandXML", r"\s*(?:<\?xml[^>]*>\s*)?(?:<!--.*?-->\s*)*<LandXML\b"),

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from ltsim.cli.main import run
-from ltsim.cli.places import GENERATOR_TAG
+from ltsim.cli.output_checks import GENERATOR_TAG
 from ltsim.recordings.files import write_text, write_texts
 
 

@@ -14,11 +14,11 @@ from ltsim.recordings.tables.header import (
     DISTANCE_ROLES,
     HORIZONTAL_ROLES,
     READING_ROLES,
-    ROLE_UNITS,
+    UNITS_BY_ROLE,
     VERTICAL_ROLES,
     TableColumn,
 )
-from ltsim.recordings.tables.printed import Digits, PrintedPointings, join_pointings, to_digits
+from ltsim.recordings.tables.pointing_table import Digits, UnconvertedPointings, join_pointings, to_digits
 from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 
 MAX_READING_MAGNITUDE = 10**9
@@ -26,7 +26,7 @@ MAX_READING_MAGNITUDE = 10**9
 
 
 @dataclass
-class HeaderRun:
+class RowBatch:
     """Consecutive rows below one header: line number, cells, and station of the block of each row."""
 
     line: list[int] = field(default_factory=list)
@@ -42,13 +42,13 @@ class HeaderRun:
         self.fields.append(row.fields)
         self.station.append(station)
 
-    def single_rows(self) -> Iterator[HeaderRun]:
-        """Runs with one row each, for each row of this run."""
+    def single_rows(self) -> Iterator[RowBatch]:
+        """Batches with one row each, for each row of this batch."""
         for line, fields, station in zip(self.line, self.fields, self.station, strict=True):
-            yield HeaderRun([line], [fields], [station])
+            yield RowBatch([line], [fields], [station])
 
 
-class RunReader:
+class RowBatchReader:
     """Reader of the rows below one header of a sheet.
 
     `lacks_station_names` and `cell_units` have the meaning as in `PointingTable`.
@@ -60,54 +60,57 @@ class RunReader:
         self.lacks_station_names = False
         self.cell_units: dict[str, str] = {}
 
-    def read(self, run: HeaderRun) -> PrintedPointings:
+    def read(self, row_batch: RowBatch) -> UnconvertedPointings:
         """Pointings of the rows; a row that names no station has the station of its block.
 
-        Raises RecordError for an invalid cell, which need not be the first one if the run has several rows.
+        Raises RecordError for an invalid cell, which need not be the first one if the batch has several rows.
         """
         width = len(self.columns)
-        padded_rows = [fields if len(fields) == width else pad_cells(fields, width) for fields in run.fields]
+        padded_rows = [fields if len(fields) == width else pad_cells(fields, width) for fields in row_batch.fields]
         table = list(zip(*padded_rows, strict=True))
         if self.faces == (0,):
-            return self._pointings_of_face(0, run, table)
-        pointings = join_pointings([self._pointings_of_face(face, run, table) for face in self.faces])
+            return self._pointings_of_face(0, row_batch, table)
+        pointings = join_pointings([self._pointings_of_face(face, row_batch, table) for face in self.faces])
         angles = pointings.digits_of_roles((*HORIZONTAL_ROLES, *VERTICAL_ROLES)) != b""
-        by_row = np.arange(2 * len(run)).reshape(2, -1).T.ravel()
+        by_row = np.arange(2 * len(row_batch)).reshape(2, -1).T.ravel()
         return pointings.take(by_row[angles[by_row]].tolist())
 
-    def _pointings_of_face(self, face: int, run: HeaderRun, table: Sequence[Sequence[str]]) -> PrintedPointings:
+    def _pointings_of_face(
+        self, face: int, row_batch: RowBatch, table: Sequence[Sequence[str]]
+    ) -> UnconvertedPointings:
         """Pointings, one for each row, from the columns of one face and the common columns.
 
         `face` is 0 if the columns do not distinguish faces. `table` has the cells of each column.
         """
         columns = [c for c in self.columns if c.face in (0, face)]
         cells_by_role = {c.role: table[c.position] for c in reversed(columns) if c.role}
-        empty_cells = ("",) * len(run)
+        empty_cells = ("",) * len(row_batch)
         stations = [
-            name or block for name, block in zip(cells_by_role.get("station", empty_cells), run.station, strict=True)
+            name or block
+            for name, block in zip(cells_by_role.get("station", empty_cells), row_batch.station, strict=True)
         ]
         self.lacks_station_names |= "" in stations
-        faces = self._faces(cells_by_role["face"], run.line) if "face" in cells_by_role else [0] * len(run)
+        faces = self._faces(cells_by_role["face"], row_batch.line) if "face" in cells_by_role else [0] * len(row_batch)
         digits_by_role: dict[str, Digits] = {}
         for c in columns:
             if c.role in READING_ROLES:
-                digits = self._numbers(c.texts(table), c, run.line)
+                digits = self._numbers(c.texts(table), c, row_batch.line)
                 filled = digits != b""
                 if filled.any():
                     earlier_digits = digits_by_role.get(c.role)
                     digits_by_role[c.role] = (
                         digits if earlier_digits is None else np.where(filled, digits, earlier_digits)
                     )
-        additional_cells = {c.title: self._texts(table[c.position], run.line) for c in columns if c.is_additional}
-        return PrintedPointings(
-            [self.sheet.file] * len(run),
-            run.line,
+        additional_cells = {c.title: self._texts(table[c.position], row_batch.line) for c in columns if c.is_additional}
+        return UnconvertedPointings(
+            [self.sheet.file] * len(row_batch),
+            row_batch.line,
             [intern(name or "S1") for name in stations],
             list(map(intern, cells_by_role.get("target", empty_cells))),
-            [face] * len(run) if face else faces,
+            [face] * len(row_batch) if face else faces,
             _joined_cells(cells_by_role.get("date"), cells_by_role.get("time")) or [*empty_cells],
             _joined_cells(cells_by_role.get("date"), cells_by_role.get("round")) or [*empty_cells],
-            [self.sheet.thousands_separator] * len(run),
+            [self.sheet.thousands_separator] * len(row_batch),
             digits_by_role,
             additional_cells,
         )
@@ -117,7 +120,7 @@ class RunReader:
         faces = {text: cells.parse_face(text) if text else 0 for text in {*texts}}
         for text, line in zip(texts, lines, strict=True) if None in faces.values() else ():
             if faces[text] is None:
-                raise self._place(line).error(f"found '{quoted_text(text)}', expected 1 or 2", "face")
+                raise self._source_location(line).error(f"found '{quoted_text(text)}', expected 1 or 2", "face")
         return [faces[text] or 0 for text in texts]
 
     def _numbers(self, texts: Sequence[str], column: TableColumn, lines: Sequence[int]) -> Digits:
@@ -125,7 +128,7 @@ class RunReader:
 
         Raises RecordError.
         """
-        texts = ["" if text in cells.MISSING_MARKS else text for text in texts]
+        texts = ["" if text in cells.MISSING_VALUE_TEXTS else text for text in texts]
         plain_values = (
             cells.plain_numbers(texts) if column.unit != "dms" and not self.sheet.thousands_separator else None
         )
@@ -135,7 +138,7 @@ class RunReader:
         ):
             return to_digits(texts)
         numbers, unit = cells.split_common_unit(texts)
-        if unit in ROLE_UNITS[column.role] and column.unit in ("", unit):
+        if unit in UNITS_BY_ROLE[column.role] and column.unit in ("", unit):
             texts = numbers
         elif not column.unit and any(map(cells.is_sexagesimal, texts)):
             unit = "deg"
@@ -143,7 +146,7 @@ class RunReader:
             unit = ""
         if unit and self.cell_units.setdefault(column.title, unit) != unit:
             what = f"found '{quoted_text(texts[0])}' in {unit}, expected one unit in all cells"
-            raise self._place(lines[0]).error(what, quoted_text(column.title))
+            raise self._source_location(lines[0]).error(what, quoted_text(column.title))
         return to_digits(
             [self._number(text, column, line) if text else "" for text, line in zip(texts, lines, strict=True)]
         )
@@ -154,7 +157,7 @@ class RunReader:
         exact_value = (
             cells.parse_packed_degrees(text) if packed else cells.parse_value(text, self.sheet.thousands_separator)
         )
-        location = self._place(line)
+        location = self._source_location(line)
         if packed and exact_value is None:
             what = "degrees, minutes and seconds, such as 33°12'07.5\" or 33.12075"
             raise location.error(f"found '{quoted_text(text)}', expected {what}", quoted_text(column.title))
@@ -176,10 +179,10 @@ class RunReader:
             or max(map(len, distinct)) > MAX_TEXT_LENGTH
         ):
             for text, line in zip(texts, lines, strict=True):
-                self._place(line).text(text)
+                self._source_location(line).text(text)
         return list(map(intern, texts)) if 2 * len(distinct) < len(texts) else list(texts)
 
-    def _place(self, line: int) -> SourceLocation:
+    def _source_location(self, line: int) -> SourceLocation:
         return SourceLocation(self.sheet.file, line)
 
 

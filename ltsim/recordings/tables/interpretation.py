@@ -28,7 +28,7 @@ from ltsim.recordings.conventions import (
     angle_convention,
     azimuth_sense_from_points,
     azimuth_sense_from_poses,
-    length_meaning,
+    length_unit_from_size,
 )
 from ltsim.recordings.files import quoted_text
 from ltsim.recordings.pointings import index_names
@@ -43,7 +43,7 @@ from ltsim.recordings.tables.header import (
     VERTICAL_ROLES,
     TableColumn,
 )
-from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, apply_exactly, to_floats
+from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, apply_exactly, to_floats
 from ltsim.recordings.tables.title_words import COMMON_SIGMA_ROLE
 from ltsim.recordings.transcription_errors import MIN_DISTANCE_MM
 
@@ -54,9 +54,9 @@ QUARTER_CIRCLE_DEG = 90
 HEIGHT_RANGE_M = (0.2, 3.0)
 """Smallest and largest height [m] above a mark, between which heights without a unit show that the table is in
 metres."""
-PLAUSIBLE_HEIGHTS = (("m", 0.2, 5.0), ("mm", 100.0, 5000.0))
+PLAUSIBLE_HEIGHT_RANGES = (("m", 0.2, 5.0), ("mm", 100.0, 5000.0))
 """Unit, smallest and largest number of plausible heights above marks; in the other unit they would be implausible."""
-MAX_AMBIGUOUS_MM = 1000.0
+MAX_AMBIGUOUS_DISTANCE_MM = 1000.0
 """Longest distance of a table without unit below which it may be in metres or millimetres, and a hint is needed."""
 MAX_COMMON_FRAME_DIFFERENCE_M = 2e-3
 """Median difference [m] of coordinates of common targets below which set-ups count as transformed into one frame."""
@@ -77,16 +77,16 @@ class ColumnInterpretation:
     azimuth: AzimuthSense
     notes: tuple[str, ...] = ()
 
-    def readings(self, pointings: PrintedPointings) -> Floats:
+    def readings(self, pointings: UnconvertedPointings) -> Floats:
         """Raw ranges, azimuths and elevations (n, 3) [m, rad, rad], exactly as from a native file of these numbers."""
         clockwise, zenith = self.azimuth == "clockwise", self.vertical == "zenith"
 
-        def azimuth(turn: Any, degree: Any) -> Any:
-            return -turn % (FULL_CIRCLE_DEG * degree) if clockwise else turn
+        def azimuth(reading: Any, units_per_degree: Any) -> Any:
+            return -reading % (FULL_CIRCLE_DEG * units_per_degree) if clockwise else reading
 
-        def elevation(rise: Any, degree: Any) -> Any:
-            up = QUARTER_CIRCLE_DEG * degree - rise if zenith else rise
-            return np.where(up < -QUARTER_CIRCLE_DEG * degree, up + FULL_CIRCLE_DEG * degree, up)
+        def elevation(reading: Any, units_per_degree: Any) -> Any:
+            up = QUARTER_CIRCLE_DEG * units_per_degree - reading if zenith else reading
+            return np.where(up < -QUARTER_CIRCLE_DEG * units_per_degree, up + FULL_CIRCLE_DEG * units_per_degree, up)
 
         polar = [
             apply_exactly(pointings.digits_of_roles(DISTANCE_ROLES), unit_ratio(self.length_unit, "mm")),
@@ -105,7 +105,7 @@ class ColumnInterpretation:
         if role in HEIGHT_ROLES and self.length_unit in ("m", "mm"):
             sizes = np.abs(column_values[np.isfinite(column_values) & (column_values != 0)])
             height = float(np.median(sizes)) if len(sizes) else 0.0
-            for unit, low, high in PLAUSIBLE_HEIGHTS:
+            for unit, low, high in PLAUSIBLE_HEIGHT_RANGES:
                 if unit != self.length_unit and low < height < high:
                     return unit
         return {"sigma_azimuth_arcsec": self.horizontal_unit, "sigma_elevation_arcsec": self.vertical_unit}.get(
@@ -185,8 +185,8 @@ def _length_convention(
     if declared_unit or not np.isfinite(polar.distance).any():
         return declared_unit or hints.length or "mm", []
     longest = float(np.nanmax(polar.distance))
-    if hints.length is not None or not MIN_DISTANCE_MM <= longest < MAX_AMBIGUOUS_MM:
-        return length_meaning(polar.distance, hints)
+    if hints.length is not None or not MIN_DISTANCE_MM <= longest < MAX_AMBIGUOUS_DISTANCE_MM:
+        return length_unit_from_size(polar.distance, hints)
     if table.column(("flat",)) is not None:
         return "m", ["distances are interpreted as m (horizontal distances are written in metres)"]
     column = next((c for c in table.columns if c.role in HEIGHT_ROLES and not c.unit), None)
@@ -254,7 +254,7 @@ def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -
     length_unit = next((c.unit for c in table.columns if c.role in COORDINATE_ROLES and c.unit), "")
     notes: list[str] = []
     if not length_unit:
-        length_unit, notes = length_meaning(np.linalg.norm(coordinates, axis=1), hints)
+        length_unit, notes = length_unit_from_size(np.linalg.norm(coordinates, axis=1), hints)
     readings = to_polar(coordinates * SI_PER_UNIT[length_unit])
     coincident_rows = np.flatnonzero(readings[:, 0] < MILLIMETRE)
     if len(coincident_rows):
