@@ -34,11 +34,11 @@ from benchmarks.peers import (
 )
 from ltsim.adjustment import adjust
 from ltsim.adjustment.evaluation.clouds import align_to_points
-from ltsim.campaigns.distance import BatchDistance
-from ltsim.campaigns.engine import BatchCalibrator, recording_of_trial
+from ltsim.campaigns.batch_distance import BatchDistance
 from ltsim.campaigns.rows import ShardTask, make_shard_rows, run_task
 from ltsim.campaigns.spec import CampaignFile
 from ltsim.campaigns.store import CampaignFolder
+from ltsim.campaigns.trial_calibrators import BatchCalibrator, recording_of_trial
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
 from ltsim.campaigns.truth import TRIALS_PER_STREAM, TrialBatch
 from ltsim.core.arrays import Floats
@@ -178,12 +178,12 @@ def other_paths() -> None:
     truth, every = workshop(), np.arange(TRIALS_PER_STREAM)
     batch, block = BatchDistance(truth, misalignment_construction()), truth.draw_block(SEED, 0)
     found = batch.calibrate(block, every)
-    worst = max(batch.largest_difference(block, k, found) for k in range(3))
+    worst = max(batch.largest_solver_difference(block, k, found) for k in range(3))
     each = seconds(lambda: batch.calibrate(block, every), 5) / TRIALS_PER_STREAM
     single = seconds(lambda: batch.serial_calibrator.calibrate(block, np.array([0])), 3)
     absolute, some = BatchDistance(truth, misalignment_construction(), method="distance-l1"), np.arange(16)
     settled = absolute.calibrate(block, some)
-    apart = max(absolute.largest_difference(block, k, settled) for k in range(8))
+    apart = max(absolute.largest_solver_difference(block, k, settled) for k in range(8))
     programmed = seconds(lambda: absolute.calibrate(block, some), 3) / len(some)
     alone = seconds(lambda: absolute.serial_calibrator.calibrate(block, np.array([0])), 3)
     campaign = CampaignFile(format="ltsim-campaign/1", trials=256, geometry="per-trial", verify=0)

@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 from ltsim.core.randomness import stream
 from ltsim.planning.loading import load_plan
 from ltsim.planning.search import LayoutSearcher
-from ltsim.planning.workshop import layout_objective, make_search_space
+from ltsim.planning.search_inputs import layout_objective, make_search_space
 
 PROCESSES, BATCH, SECONDS, REPEATS = 2, 64, 4.0, 3
 Rate = tuple[int, float, float]

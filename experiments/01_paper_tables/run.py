@@ -14,7 +14,7 @@ from ltsim.adjustment.evaluation.criteria import (
     distance_differences,
     distance_errors,
 )
-from ltsim.campaigns.rows import CellContext, TrialBlock
+from ltsim.campaigns.rows import CellContext, TrialBatchRows
 from ltsim.campaigns.spec import CampaignCell, CampaignFile
 from ltsim.core.arrays import Floats
 from ltsim.core.parallel import run_parallel
@@ -70,7 +70,7 @@ def figures_of(campaign: CampaignFile, cell: CampaignCell) -> dict[tuple[str, st
     trials: dict[tuple[str, str], list[dict[str, float]]] = {}
     for here, calibrators, block in ready.trial_blocks(0, campaign.trials):
         wanted = np.flatnonzero(block.trials < campaign.trials)
-        work = TrialBlock(campaign, here, block, ready.validation_geometry, wanted, wanted[:0])
+        work = TrialBatchRows(campaign, here, block, ready.validation_evaluator, wanted, wanted[:0])
         assert work.validation_block is not None
         assert cell.validation_scenario is not None
         there, elsewhere, _ = work.validation_block

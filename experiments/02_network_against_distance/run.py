@@ -10,11 +10,13 @@ def run(given: Options) -> Made:
     results = campaign("config.toml", given)
     write_figure(
         given.out / "new_points.svg",
-        factor_panels_figure(sweep_points(results, ERROR, "prior_factor", panel="title"), label=NEW_POINTS, axis=AXIS),
+        factor_panels_figure(
+            sweep_points(results, ERROR, "prior_factor", panel="title"), y_title=NEW_POINTS, x_title=AXIS
+        ),
     )
     shown = sweep_points(results, "distance_improvement_percent", "prior_factor", panel="title")
     label = "improvement shown [%]"
-    write_figure(given.out / "criterion.svg", factor_panels_figure(shown, label=label, axis=AXIS))
+    write_figure(given.out / "criterion.svg", factor_panels_figure(shown, y_title=label, x_title=AXIS))
     # The same draws by both methods, with one prior: differences are known better than either mean.
     rivals = [name for name in results.manifest.methods if name != "network"]
     write_pairs(

@@ -8,9 +8,9 @@ import pandas as pd
 from experiments.common import ERROR, NEW_POINTS, Made, Options, cells_of, summary, write_figure, write_table
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.evaluation.clouds import align_to_points
-from ltsim.campaigns.engine import CalibratedBlock, recording_of_trial
-from ltsim.campaigns.rows import CellContext, TrialBlock
+from ltsim.campaigns.rows import CellContext, TrialBatchRows
 from ltsim.campaigns.spec import CampaignCell, CampaignFile
+from ltsim.campaigns.trial_calibrators import CalibratedBlock, recording_of_trial
 from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Ints
 from ltsim.core.parallel import run_parallel
@@ -84,7 +84,7 @@ def errors_of(campaign: CampaignFile, cell: CampaignCell, percent: float) -> dic
     for here, calibrators, clean in ready.trial_blocks(0, campaign.trials):
         block = with_outliers(here.truth, clean, percent, campaign.seed)
         wanted = np.flatnonzero(block.trials < campaign.trials)
-        work = TrialBlock(campaign, here, block, ready.validation_geometry, wanted, wanted[:0])
+        work = TrialBatchRows(campaign, here, block, ready.validation_evaluator, wanted, wanted[:0])
         named = {method.title: own for method, own in zip(campaign.methods, calibrators, strict=True)}
         for title, calibrator in (named | {"network, outliers removed": WithoutOutliers(here.truth)}).items():
             columns = {name: own[wanted] for name, own in work.method_columns(calibrator).items()}
@@ -105,6 +105,7 @@ def run(given: Options) -> Made:
             rows.append(SweepPoint(percent, title, "", *(new[k] for k in ("mean", "low", "high", "p5", "p95"))))
     write_table(given.out / "methods.csv", table)
     write_figure(
-        given.out / "new_points.svg", factor_panels_figure(rows, label=NEW_POINTS, axis="outliers [% of the readings]")
+        given.out / "new_points.svg",
+        factor_panels_figure(rows, y_title=NEW_POINTS, x_title="outliers [% of the readings]"),
     )
     return Made(campaign.seed, campaign.trials)

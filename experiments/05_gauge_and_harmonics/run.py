@@ -13,9 +13,9 @@ def run(given: Options) -> Made:
     write_figure(given.out / "gauge.svg", figure)
     rows = sweep_points(orders, ERROR, "beyond_second_urad")
     # True parameters leave what lies beyond the second order: the noise alone shows where there is nothing beyond it.
-    floor = next(row for row in rows if row.line == NOISE_FLOOR_LABEL and not row.level)
-    rows = [replace(floor, level=row.level) if row.line == NOISE_FLOOR_LABEL else row for row in rows]
+    floor = next(row for row in rows if row.line_label == NOISE_FLOOR_LABEL and not row.level)
+    rows = [replace(floor, level=row.level) if row.line_label == NOISE_FLOOR_LABEL else row for row in rows]
     axis = "each coefficient of orders 3 and 4 in the truth [µrad]"
-    write_figure(given.out / "harmonics.svg", factor_panels_figure(rows, label=NEW_POINTS, axis=axis))
+    write_figure(given.out / "harmonics.svg", factor_panels_figure(rows, y_title=NEW_POINTS, x_title=axis))
     write_pairs(given.out / "paired.csv", orders.paired_differences(ERROR, method=("order 2", "order 4")))
     return Made(orders.manifest.seed, orders.manifest.trials)

@@ -18,8 +18,8 @@ def run(given: Options) -> Made:
             replace(s, level=drift) for s in sweep_points(results, ERROR, "gauge_scale_ppm", panel="gauge_scale_ppm")
         ]
         as_read = sweep_points(results, AS_READ, "gauge_scale_ppm", panel="gauge_scale_ppm", method="network")
-        rows += [replace(s, level=drift, line="not calibrated") for s in as_read]
-    figure = factor_panels_figure(rows, label=NEW_POINTS, axis="change until it is used, over the prior")
+        rows += [replace(s, level=drift, line_label="not calibrated") for s in as_read]
+    figure = factor_panels_figure(rows, y_title=NEW_POINTS, x_title="change until it is used, over the prior")
     for ax in figure.axes:
         # A wrong gauge makes eq. 9 many times worse than nothing: it is shown.
         ax.set(yscale="log", yticks=(ticks := (10, 20, 50, 100, 200, 500)), yticklabels=ticks)

@@ -12,17 +12,17 @@ from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
 from ltsim.planning.information import CriteriaPredictor, LayoutInformation
 from ltsim.planning.loading import load_plan
-from ltsim.planning.making import make_plan
 from ltsim.planning.objective import a_criterion, d_criterion, e_criterion
+from ltsim.planning.plan_search import make_plan
 from ltsim.planning.planner import PlannedNetwork
-from ltsim.planning.reasons import cheapest_equal_option
+from ltsim.planning.reasons import equally_good_with_fewest_stations
 from ltsim.planning.result import Plan, with_layout
 from ltsim.planning.search import LayoutSearcher
+from ltsim.planning.search_inputs import layout_objective, make_search_space, planned_survey
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
-from ltsim.planning.workshop import layout_objective, make_search_space, planned_survey
 from ltsim.reports.figures.floor_plan import floor_plan
-from ltsim.reports.workshop import workshop_from_scenario
+from ltsim.reports.workshop_scene import workshop_from_scenario
 from ltsim.simulation.scenario import Scenario, scenario_to_toml
 
 MICRO = 1.0 / MICROMETRE
@@ -65,7 +65,7 @@ def unsearched(file: PlanFile, scenario: Scenario, count: int, seed: int) -> tup
 
 def candidates_of(plan: PlannedNetwork, drawn: int, best: PlannedSurvey) -> dict[str, tuple[str, Scenario]]:
     """The paper's own layout, the best of those drawn, the searched one, and the fewest that match the paper's."""
-    few, chosen = cheapest_equal_option(plan), plan.layout.survey
+    few, chosen = equally_good_with_fewest_stations(plan), plan.layout.survey
     surveys = {"drawn": (f"best of {drawn} drawn", best)}
     surveys["searched"] = f"searched, {len(chosen.station_positions)} stations", chosen
     if few is not None:
@@ -104,7 +104,7 @@ def quality(scenario: Scenario) -> Row:
     """Every criterion of a layout, and what calibration is expected to do for the paper's."""
     information = LayoutInformation.from_survey(planned_survey(scenario))
     covariance, rows = information.scaled_covariance, corrections(information)
-    expected, promised = CriteriaPredictor.from_information(information).expected_errors(), {}
+    expected, promised = CriteriaPredictor.from_information(information).expected_criteria(), {}
     for kind, (what, unit, factor) in product(("distance", "coordinate"), PROMISED):
         promised[f"{kind}_{what}_{unit}"] = factor * getattr(expected, f"{kind}_{what}")[0]
     return {

@@ -4,14 +4,14 @@ from experiments.common import Made, Options, Row, show_table, write_figure, wri
 from ltsim.core.units import MICROMETRE
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan
-from ltsim.planning.making import make_plan
 from ltsim.planning.objective import d_criterion
+from ltsim.planning.plan_search import make_plan
 from ltsim.planning.planner import PlannedNetwork
 from ltsim.planning.result import Plan, scenario_of_plan
+from ltsim.planning.search_inputs import planned_survey
 from ltsim.planning.survey import PlannedSurvey
-from ltsim.planning.workshop import planned_survey
 from ltsim.reports.figures.floor_plan import floor_plan
-from ltsim.reports.workshop import workshop_from_scenario
+from ltsim.reports.workshop_scene import workshop_from_scenario
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Obstacle
 from ltsim.simulation.workshop import make_visibility

@@ -18,7 +18,7 @@ from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import Effect
 from ltsim.planning.information import CriteriaPredictor, LayoutInformation
-from ltsim.planning.workshop import planned_survey
+from ltsim.planning.search_inputs import planned_survey
 from ltsim.simulation.scenario import load_scenario
 
 OUTPUTS = ("distance improvement", "coordinate improvement", "distance after", "coordinate after")
@@ -31,7 +31,7 @@ def sensitivity(predictor: CriteriaPredictor, ranges: Ranges, samples: int, seed
     names, logs = list(ranges), np.log(list(ranges.values()))
 
     def criteria(sizes: Floats) -> Floats:
-        expected = predictor.expected_errors(dict(zip(names, np.exp(sizes), strict=True)))
+        expected = predictor.expected_criteria(dict(zip(names, np.exp(sizes), strict=True)))
         return np.stack([getattr(expected, output.replace(" ", "_")) for output in OUTPUTS])
 
     dists = [stats.uniform(loc=low, scale=high - low) for low, high in logs]
@@ -67,7 +67,7 @@ def improvement_rows(predictor: CriteriaPredictor, ranges: Ranges, seed: int) ->
     """Both improvements over 2,000 draws of the sizes, and what is left afterwards."""
     rng = np.random.default_rng(seed)
     sizes = {g: np.exp(rng.uniform(np.log(low), np.log(high), 2000)) for g, (low, high) in ranges.items()}
-    expected, rows = predictor.expected_errors(sizes), []
+    expected, rows = predictor.expected_criteria(sizes), []
     for kind in ("distance", "coordinate"):
         gains = np.percentile(getattr(expected, f"{kind}_improvement"), [5, 50, 95])
         named = dict(zip(("improvement_p5", "improvement_median", "improvement_p95"), gains, strict=True))

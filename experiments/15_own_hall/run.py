@@ -11,11 +11,11 @@ from ltsim.core.arrays import Floats
 from ltsim.core.parallel import run_parallel
 from ltsim.core.units import MICROMETRE
 from ltsim.planning.loading import load_plan
-from ltsim.planning.making import make_plan
+from ltsim.planning.plan_search import make_plan
 from ltsim.planning.reflector_changes import PlanChange
 from ltsim.planning.result import Plan, scenario_of_plan
 from ltsim.reports.figures.marked_floor_plans import reflector_changes_figure
-from ltsim.reports.workshop import workshop_from_scenario
+from ltsim.reports.workshop_scene import workshop_from_scenario
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import PlannedTarget
 

@@ -73,5 +73,7 @@ def run(given: Options) -> Made:
     rows += [row_of("all within", found[found.share <= 1]), row_of("all beyond", found[found.share > 1])]
     show_table(given.out / "population.csv", rows)
     axis = "largest point error over its limit, in steps"
-    write_figure(given.out / "population.svg", factor_panels_figure(curves, label="pass every test [%]", axis=axis))
+    write_figure(
+        given.out / "population.svg", factor_panels_figure(curves, y_title="pass every test [%]", x_title=axis)
+    )
     return Made(config["seed"], trials)

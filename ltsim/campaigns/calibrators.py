@@ -16,12 +16,18 @@ import numpy as np
 from scipy.linalg.lapack import dpotrs
 
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.campaigns.distance import BatchDistance
-from ltsim.campaigns.engine import BatchCalibrator, CalibratedBlock, SerialCalibrator, TrialCalibrator, is_suspect_trial
+from ltsim.campaigns.batch_distance import BatchDistance
+from ltsim.campaigns.batch_network import BatchNetwork, SharedQuantities
+from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.kernels import compute_readings
-from ltsim.campaigns.network import BatchNetwork, SharedQuantities
-from ltsim.campaigns.program import ChainProgram
 from ltsim.campaigns.spec import Method
+from ltsim.campaigns.trial_calibrators import (
+    BatchCalibrator,
+    CalibratedBlock,
+    SerialCalibrator,
+    TrialCalibrator,
+    is_suspect_trial,
+)
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
 from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Floats, Ints
@@ -44,7 +50,7 @@ def estimated_effects(method: Method) -> tuple[Effect, ...]:
 
 def make_calibrator(method: Method, truth: CellTruth) -> TrialCalibrator:
     """Calibrator of a method in a campaign file."""
-    if method.method != "network" and not truth.recorded_observables.all():
+    if method.method != "network" and not truth.is_recorded_observable.all():
         raise SetupError(f"methods.{method.title}: {method.method} compares points, which need ranges and angles")
     built, effects = estimated_construction(method), estimated_effects(method)
     if method.solver == "single":
@@ -63,7 +69,7 @@ class GeometryStack(CellTruth):
 
     truths: tuple[CellTruth, ...] = ()
     """True geometry of each trial. Quantities that all trials share are taken from the first one."""
-    row_of_pointing: Ints = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int64))
+    recording_row_of_pointing: Ints = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int64))
     """Row number of each pointing of the first trial in the recording of every trial, (n, B); recordings may list the
     pointings in different orders.
     """
@@ -85,47 +91,47 @@ class GeometryStack(CellTruth):
             **shared_fields,
             state=NetworkState(position, rotation, points, first_truth.state.instrument_parameters),
             truths=truths,
-            row_of_pointing=row_order,
+            recording_row_of_pointing=row_order,
         )
 
-    def gather(self, arrays: Iterable[Floats]) -> Floats:
+    def stack_arrays(self, arrays: Iterable[Floats]) -> Floats:
         """Stacked array (n, ..., B) of one array (n, ...) per trial, in the order of the first trial's pointings."""
         return np.ascontiguousarray(
-            np.stack([a[r] for a, r in zip(arrays, self.row_of_pointing.T, strict=True)], axis=-1)
+            np.stack([a[r] for a, r in zip(arrays, self.recording_row_of_pointing.T, strict=True)], axis=-1)
         )
 
     def array_of_trial(self, stacked_array: Floats, trial: int) -> Floats:
         """Array (n, ...) of one trial, in the order of that trial's pointings, from a stacked array (n, ..., B)."""
         trial_array = np.empty(stacked_array.shape[:-1])
-        trial_array[self.row_of_pointing[:, trial]] = stacked_array[..., trial]
+        trial_array[self.recording_row_of_pointing[:, trial]] = stacked_array[..., trial]
         return trial_array
 
     @cached_property
     def nominal_readings(self) -> Floats:
         """Nominal readings of all trials, (n, 3, B)."""
-        return self.gather(truth.recording.readings for truth in self.truths)
+        return self.stack_arrays(truth.recording.readings for truth in self.truths)
 
     @cached_property
     def local_points(self) -> Floats:
         """Targets in the instruments' frames, (n, 3, B) [m]."""
-        return self.gather(truth.sightings.local_points for truth in self.truths)
+        return self.stack_arrays(truth.sightings.local_points for truth in self.truths)
 
     @cached_property
     def reading_derivatives(self) -> Floats:
         """Derivative of an ideal tracker's readings with respect to the local point, (n, 3, 3, B)."""
-        return self.gather(truth.sightings.local_derivatives for truth in self.truths)
+        return self.stack_arrays(truth.sightings.local_derivatives for truth in self.truths)
 
     def _effect_design(self, effects: tuple[Effect, ...]) -> Floats:
-        return self.gather(truth.effect_design_function(effects)[..., 0] for truth in self.truths)
+        return self.stack_arrays(truth.effect_design_function(effects)[..., 0] for truth in self.truths)
 
-    def _compute_chain_and_design(self, built: GeometricErrorModel) -> tuple[ChainProgram, Floats]:
+    def _compute_chain_and_design(self, construction: GeometricErrorModel) -> tuple[ChainProgram, Floats]:
         """Kinematic chain of all trials, and derivative of the readings with respect to p parameters, (n, 3, p, B)."""
         flattened = np.swapaxes(self.nominal_readings, 1, 2).reshape(-1, 3)
-        by_value = built.reading_design(flattened, np.zeros(built.n_parameters))[1]
-        by_trial = np.moveaxis(by_value.reshape(*self.row_of_pointing.shape, *by_value.shape[1:]), 1, -1)
-        return ChainProgram.from_construction(built, flattened).split_trials(len(self.truths)), np.ascontiguousarray(
-            by_trial
-        )
+        by_value = construction.reading_design(flattened, np.zeros(construction.n_parameters))[1]
+        by_trial = np.moveaxis(by_value.reshape(*self.recording_row_of_pointing.shape, *by_value.shape[1:]), 1, -1)
+        return ChainProgram.from_construction(construction, flattened).with_trial_axis(
+            len(self.truths)
+        ), np.ascontiguousarray(by_trial)
 
     def _exact_deviations(self, true_parameters: Floats) -> Floats:
         """Exact minus nominal readings (n, 3, B) for true parameters (I, p, B) of the instruments."""
@@ -152,7 +158,7 @@ class GeometryStack(CellTruth):
             for parts in zip(*(block.effect_values for block in single_trials), strict=True)
         )
         length_errors = np.concatenate([block.length_errors for block in single_trials], axis=1)
-        deviation = self.gather(block.reading_deviations[:, :, 0] for block in single_trials)
+        deviation = self.stack_arrays(block.reading_deviations[:, :, 0] for block in single_trials)
         return TrialBatch(trial_numbers, instrument_values, effect_values, deviation, length_errors, single_trials)
 
 
@@ -204,7 +210,7 @@ class StackCalibrator(TrialCalibrator):
 
     def calibrate(self, block: TrialBatch, trial_numbers: Ints) -> CalibratedBlock:
         """Calibrated trials of a block; a trial with undetermined parameters is marked as failed."""
-        calibrated = CalibratedBlock.without_solution(
+        calibrated = CalibratedBlock.from_failed_trials(
             self.truth, self.construction, self.effects, len(block.single_trials)
         )
         is_batch = self.method == "network" and self.requested_method.solver == "batch" and not self.effects
@@ -219,10 +225,10 @@ class StackCalibrator(TrialCalibrator):
             calibrated.copy_trial(trial, single, 0)
         return calibrated
 
-    def _calibrate_batch(self, block: TrialBatch, results: CalibratedBlock) -> Ints:
+    def _calibrate_batch(self, block: TrialBatch, calibrated_block: CalibratedBlock) -> Ints:
         """Indices of the trials that the batch did not calibrate.
 
-        The estimates of all other trials are stored in `results`.
+        The estimates of all other trials are stored in `calibrated_block`.
         """
         stack, built = self.truth, self.construction
         program, by_value = stack.chain_and_design(built)
@@ -239,7 +245,7 @@ class StackCalibrator(TrialCalibrator):
                     built,
                     program,
                     shared_quantities=shared,
-                    adjusted_observables=truth.recorded_observables,
+                    is_adjusted_observable=truth.is_recorded_observable,
                 )
             )
         network = StackedNetwork(stack.recording, stack.state, built, program, networks=tuple(blocks))
@@ -258,10 +264,10 @@ class StackCalibrator(TrialCalibrator):
         )
         is_doubtful = ~fit.has_converged | is_suspect_trial(block.reading_deviations, stack.local_points)
         for trial in np.flatnonzero(~is_doubtful):
-            results.copy_trial(int(trial), batch_results, int(trial))
+            calibrated_block.copy_trial(int(trial), batch_results, int(trial))
         return np.flatnonzero(is_doubtful)
 
-    def largest_difference(self, block: TrialBatch, trial: int, results: CalibratedBlock) -> float:
+    def largest_solver_difference(self, block: TrialBatch, trial: int, results: CalibratedBlock) -> float:
         """Largest difference [sigma] between the batch and the full solver for a trial, as in `TrialCalibrator`."""
         trial_slice = slice(trial, trial + 1)
         arrays = (
@@ -270,7 +276,9 @@ class StackCalibrator(TrialCalibrator):
             results.target_errors[..., trial_slice],
         )
         single_block = CalibratedBlock(*arrays, results.chi2[trial_slice], results.status_indices[trial_slice])
-        return self.single_trial_calibrator(trial).largest_difference(block.single_trials[trial], 0, single_block)
+        return self.single_trial_calibrator(trial).largest_solver_difference(
+            block.single_trials[trial], 0, single_block
+        )
 
 
 @dataclass(frozen=True)

@@ -327,7 +327,7 @@ def _pending_shards(
         task = ShardTask(
             campaign, cells[cell].scenario, cells[cell].digest, cell, shard, cells[cell].validation_scenario
         )
-        state = store.shard_status(cell, shard, task.key, n_rows_of_shard(campaign, shard), digests)
+        state = store.shard_status(cell, shard, task.shard_metadata, n_rows_of_shard(campaign, shard), digests)
         if state == "whole":
             if store.shard_path(cell, shard).relative_to(store.folder).as_posix() not in digests:
                 store.record_digest(cell, shard)
@@ -340,13 +340,13 @@ def _pending_shards(
     return waiting, notes
 
 
-def _half_intervals(folder: Path, statistic: str, shards: int) -> dict[tuple[int, str], float]:
+def _half_intervals(folder: Path, statistic: str, n_shards: int) -> dict[tuple[int, str], float]:
     """Half-width of the 95 % confidence interval of a statistic's mean, by combination of settings (cell) and method.
 
-    Only the first `shards` shards of each cell are used.
+    Only the first `n_shards` shards of each cell are used.
     """
     return {
-        (s.cell, s.method): 0.5 * (s.high - s.low) for s in CampaignStatistics(folder, shards).distribution(statistic)
+        (s.cell, s.method): 0.5 * (s.high - s.low) for s in CampaignStatistics(folder, n_shards).distribution(statistic)
     }
 
 

@@ -7,7 +7,7 @@ replace a singular value decomposition.
 
 import numpy as np
 
-from ltsim.campaigns.compiled import compile_function, trial_value
+from ltsim.campaigns.compilation import compile_function, trial_value
 from ltsim.core.arrays import Bools, Floats, Ints
 
 N_ROTATION_STEPS = 3
@@ -51,12 +51,12 @@ def transform_to_network(clouds: Floats, rotation: Floats, position: Floats) -> 
 
 
 @compile_function
-def _centre_cloud(cloud: Floats, used_targets: Bools, centred_cloud: Floats) -> None:
+def _centre_cloud(cloud: Floats, is_used_target: Bools, centred_cloud: Floats) -> None:
     """Subtraction of the mean over the used targets (T,) from a cloud (T, 3, B)."""
     centred_cloud[:] = 0.0
     n_points = 0
     for k in range(len(cloud)):
-        if used_targets[k]:
+        if is_used_target[k]:
             n_points += 1
             for c in range(3):
                 for t in range(centred_cloud.shape[1]):
@@ -67,18 +67,18 @@ def _centre_cloud(cloud: Floats, used_targets: Bools, centred_cloud: Floats) -> 
 
 
 @compile_function
-def align_rigidly(cloud: Floats, reference_cloud: Floats, used_targets: Bools, aligned_cloud: Floats) -> None:
+def align_rigidly(cloud: Floats, reference_cloud: Floats, is_used_target: Bools, aligned_cloud: Floats) -> None:
     """Rigid least-squares alignment of a cloud (T, 3, B) to another cloud, written to `aligned_cloud`.
 
-    Only the targets flagged in `used_targets` (T,) are fitted.
+    Only the targets flagged in `is_used_target` (T,) are fitted.
     """
     trials = cloud.shape[2]
     middle, aim = np.empty((3, trials)), np.empty((3, trials))
-    _centre_cloud(cloud, used_targets, middle)
-    _centre_cloud(reference_cloud, used_targets, aim)
+    _centre_cloud(cloud, is_used_target, middle)
+    _centre_cloud(reference_cloud, is_used_target, aim)
     k = np.zeros((3, 3, trials))
     for i in range(len(cloud)):
-        if used_targets[i]:
+        if is_used_target[i]:
             for a in range(3):
                 for b in range(3):
                     for t in range(trials):
@@ -149,11 +149,11 @@ def _rotate_columns(rotations: Floats, columns: Floats) -> None:
 
 
 @compile_function
-def add_square_error(aligned_cloud: Floats, reference_cloud: Floats, used_targets: Bools, square_sum: Floats) -> int:
+def add_square_error(aligned_cloud: Floats, reference_cloud: Floats, is_used_target: Bools, square_sum: Floats) -> int:
     """Number of used targets; the sum of their squared distances between two clouds is added to `square_sum` (B,)."""
     n_points = 0
     for i in range(len(aligned_cloud)):
-        if used_targets[i]:
+        if is_used_target[i]:
             n_points += 1
             for c in range(3):
                 for t in range(len(square_sum)):
@@ -255,15 +255,15 @@ def _add_line_derivative(
 
 
 @compile_function
-def _difference_vector(first_point: Floats, second_point: Floats, difference: Floats) -> None:
-    """Distances (B,) between two points (3, B), written to `difference`."""
-    for t in range(len(difference)):
+def _point_distances(first_point: Floats, second_point: Floats, distances: Floats) -> None:
+    """Distances (B,) between two points (3, B), written to `distances`."""
+    for t in range(len(distances)):
         x, y, z = (
             first_point[0, t] - second_point[0, t],
             first_point[1, t] - second_point[1, t],
             first_point[2, t] - second_point[2, t],
         )
-        difference[t] = np.sqrt(x * x + y * y + z * z)
+        distances[t] = np.sqrt(x * x + y * y + z * z)
 
 
 @compile_function
@@ -296,7 +296,7 @@ def distance_gradient(
             middle[:] = 0.0
             for s in range(sets):
                 if is_visible[s, i] and is_visible[s, j]:
-                    _difference_vector(clouds[s, i], clouds[s, j], lengths[s])
+                    _point_distances(clouds[s, i], clouds[s, j], lengths[s])
                     count += 1
                     for t in range(trials):
                         middle[t] += lengths[s, t]

@@ -30,7 +30,7 @@ MAX_DESIGN_SETTINGS = 64
 """Largest number of settings that a design varies, each over one range of values."""
 
 
-class Range(TomlSection):
+class SettingRange(TomlSection):
     """Range of one setting in a design, in the unit of its key; values are integers if the key takes integers."""
 
     low: Finite
@@ -41,7 +41,7 @@ class Range(TomlSection):
     """Spacing of the points: uniform in the value, or in its logarithm."""
 
     @model_validator(mode="after")
-    def _upward(self) -> Self:
+    def _check_limits_ascend(self) -> Self:
         if self.low >= self.high or (self.scale == "log" and self.low <= 0):
             raise ValueError("it should have low below high, and low above 0 for a log scale")
         return self
@@ -60,7 +60,7 @@ class Design(TomlSection):
     """Kind of design: Latin hypercube (McKay 1979), or scrambled Sobol sequence (Owen 1998)."""
     cells: Annotated[int, Field(ge=2)]
     """Number of points; for a Sobol sequence a power of two."""
-    ranges: Annotated[dict[str, Range], Field(min_length=1, max_length=MAX_DESIGN_SETTINGS)]
+    ranges: Annotated[dict[str, SettingRange], Field(min_length=1, max_length=MAX_DESIGN_SETTINGS)]
     """Range of each key, by dotted key or by a name in `[link]`: tables `[design.ranges.KEY]`."""
 
     @model_validator(mode="after")

@@ -63,21 +63,21 @@ def split_command(command: str) -> list[str]:
 
 
 def run_external_calibrator(
-    calibrator: ExternalCalibrator, recording: Recording, origin: str
+    calibrator: ExternalCalibrator, recording: Recording, trial_text: str
 ) -> dict[str, ParameterEstimate]:
     """Parameters that an external calibrator estimates from a recording, by name.
 
-    Raises CalibratorError, with `origin`, when it ends without a valid result (a status other than 0, None, no file, a
-    value that is not finite); SetupError when it cannot be started.
+    Raises CalibratorError, with `trial_text`, when it ends without a valid result (a status other than 0, None, no
+    file, a value that is not finite); SetupError when it cannot be started.
     """
     if not isinstance(calibrator, str):
         given = calibrator(recording)
         if given is None:
-            raise CalibratorError(f"the calibrator gave no result (None) for {origin}")
+            raise CalibratorError(f"the calibrator gave no result (None) for {trial_text}")
         try:
             return _validated_estimates(given)
         except RecordError as problem:
-            raise CalibratorError(f"the calibrator's result for {origin} is not valid: {problem}") from None
+            raise CalibratorError(f"the calibrator's result for {trial_text} is not valid: {problem}") from None
     words = split_command(calibrator)
     with TemporaryDirectory() as place:
         folder, out = Path(place) / "recording", Path(place) / "estimates.json"
@@ -93,7 +93,7 @@ def run_external_calibrator(
         except OSError as problem:
             message = f"{option('calibrator')}: {quoted_text(words[0])} cannot be started ({problem.strerror})"
             raise SetupError(message) from None
-        what = f"'{quoted_text(calibrator, MAX_LINE_LENGTH)}' ended with status {done.returncode} for {origin}"
+        what = f"'{quoted_text(calibrator, MAX_LINE_LENGTH)}' ended with status {done.returncode} for {trial_text}"
         lines = done.stderr.decode("utf-8", "replace").split("\n")
         last = next((line.strip() for line in reversed(lines) if line.strip()), "")
         detail = f"its last line was: {quoted_text(last, MAX_LINE_LENGTH)}" if last else "standard error is empty"
@@ -120,10 +120,10 @@ def _read_estimates(file: Path) -> dict[str, list[object]]:
         raise RecordError("the file is no list of parameters with name, value and unit") from None
 
 
-def _validated_estimates(answer: object) -> dict[str, ParameterEstimate]:
+def _validated_estimates(raw_estimates: object) -> dict[str, ParameterEstimate]:
     """Estimates by name, checked; raises RecordError."""
     try:
-        estimates = _ESTIMATES_ADAPTER.validate_python(answer)
+        estimates = _ESTIMATES_ADAPTER.validate_python(raw_estimates)
     except ValidationError as problem:
         first = problem.errors()[0]
         name, *index = first["loc"] or ("the result",)

@@ -165,14 +165,14 @@ def _catalogue_name(cause: str | CandidateEffect | SizedEffect) -> str:
 
 
 def compare_with_injection(
-    diagnosis: Diagnosis, cause: InjectedEffect, background_findings: Diagnosis
+    diagnosis: Diagnosis, cause: InjectedEffect, background_diagnosis: Diagnosis
 ) -> dict[str, bool]:
     """Results of a diagnosis for an injected effect: detected, placed (located), named, and right.
 
-    Findings that the diagnosis of the recording without injection has too (`background_findings`) do not count. `right`
-    is True if the first new finding has both the name and the place.
+    Findings that the diagnosis of the recording without injection has too (`background_diagnosis`) do not count.
+    `right` is True if the first new finding has both the name and the place.
     """
-    background_keys = {_finding_key(f) for f in background_findings.findings}
+    background_keys = {_finding_key(f) for f in background_diagnosis.findings}
     new_findings = [f for f in diagnosis.findings if _finding_key(f) not in background_keys]
     located_findings = [f for f in new_findings if _has_same_place(cause.effect, f)]
     name = cause.effect.name
@@ -202,13 +202,13 @@ def _has_same_place(cause: CandidateEffect, finding: Any) -> bool:
 
 
 def _curve_row(
-    strength: float, causes: Sequence[InjectedEffect], comparisons: Sequence[Mapping[str, bool]]
+    noncentrality: float, injected_effects: Sequence[InjectedEffect], comparisons: Sequence[Mapping[str, bool]]
 ) -> dict[str, float]:
     """Row of a detection curve: counts and fractions with confidence intervals at one noncentrality."""
-    row: dict[str, float] = {"noncentrality": strength, "injections": len(comparisons)}
-    row["largest_um"] = float(np.mean([c.largest_changes["distance_um"] for c in causes]))
+    row: dict[str, float] = {"noncentrality": noncentrality, "injections": len(comparisons)}
+    row["largest_um"] = float(np.mean([c.largest_changes["distance_um"] for c in injected_effects]))
     row["largest_urad"] = float(
-        np.mean([max(c.largest_changes["azimuth_urad"], c.largest_changes["elevation_urad"]) for c in causes])
+        np.mean([max(c.largest_changes["azimuth_urad"], c.largest_changes["elevation_urad"]) for c in injected_effects])
     )
     for key in ("detections", "placed", "named", "right"):
         row[key] = sum(outcome[key] for outcome in comparisons)
@@ -264,9 +264,9 @@ def _drawn_effect(
     return chosen, _parameter_values(chosen, sizes, injector, random_generator)
 
 
-def _split_parameter_values(text: str) -> tuple[str, dict[str, float]]:
+def _split_parameter_values(effect_text: str) -> tuple[str, dict[str, float]]:
     """Text of an effect without the values of its parameters, and these values by name."""
-    name, _, rest = text.partition(":")
+    name, _, rest = effect_text.partition(":")
     names = {AMPLITUDE_NAME} if "~" in name else {p.name for p in find_effect(name.strip()).parameters}
     items, sizes = [part.strip() for part in rest.split(",") if part.strip()], {}
     for item in items:
@@ -275,7 +275,7 @@ def _split_parameter_values(text: str) -> tuple[str, dict[str, float]]:
             try:
                 sizes[key.strip()] = float(value)
             except ValueError:
-                raise ModelError(f"'{text}': {key.strip()} is {value!r}, expected a number") from None
+                raise ModelError(f"'{effect_text}': {key.strip()} is {value!r}, expected a number") from None
     words = [item for item in items if item.partition("=")[0].strip() not in sizes]
     return f"{name}:{','.join(words)}" if words else name, sizes
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.campaigns.compiled import compile_function, compile_inlined, trial_value
-from ltsim.campaigns.program import ChainProgram
+from ltsim.campaigns.chain_program import ChainProgram
+from ltsim.campaigns.compilation import compile_function, compile_inlined, trial_value
 from ltsim.core.arrays import Floats, Ints
 
 NEWTON_STEP_TOLERANCE = 1e-9
@@ -275,10 +275,10 @@ def network_gradient(
     Nominal quantities: `station_to_target` (n, 3) vectors [m], `rotation` (S, 3, 3) of the stations,
     `point_derivatives` (n, 3, 3) of an ideal tracker's readings by the target in the instrument's frame. `weight` (n,
     3) is one over the standard deviation, zero for a reading that is not measured. `deviation` (n, 3, B) is measured
-    minus nominal readings, less the changes by further effects. `predicted` (n, 3, B) is predicted minus nominal
-    readings: it holds the values of the last state and receives one Newton step to this state. `pose` (S, 6, B),
-    `points` (T, 3, B) and `values` (I, p, B) are increments of the state. The gradients and the sum of squares `cost`
-    (B,) are added to the last four arguments.
+    minus nominal readings, less the changes by further effects. `predicted` (n, 3, B) is predicted minus
+    nominal readings: it holds the values of the last state and receives one Newton step to this state. `pose` (S, 6,
+    B), `points` (T, 3, B) and `values` (I, p, B) are increments of the state. The gradients and the sum of squares
+    `cost` (B,) are added to the last four arguments.
     """
     motions, trials = len(chain[0]), deviation.shape[2]
     amounts, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))

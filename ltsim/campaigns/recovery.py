@@ -29,7 +29,7 @@ from ltsim.calibration.verbs import parse_requested_effect
 from ltsim.campaigns.external_calibrator import ExternalCalibrator, split_command
 from ltsim.campaigns.recovery_checks import CHECKS_TABLE, RecoveryCheck
 from ltsim.campaigns.recovery_trials import (
-    CONVERGENCE,
+    CONVERGENCE_CHECK_NAME,
     RECOVERED_PARAMETERS_TABLE,
     TRIALS_TABLE,
     FailedTrial,
@@ -109,7 +109,7 @@ class Recovery(ResultFile):
             ltsim_parameters=trials.ltsim_parameter_names,
             unchecked=unchecked,
             allow_unchecked=allow_unchecked,
-            tolerances={name: tolerance.text for name, tolerance in trials.tolerance.items()},
+            tolerances={name: tolerance.text for name, tolerance in trials.tolerance_by_parameter.items()},
             problem=trials.problem,
         )
         result._arrays = trials
@@ -166,7 +166,7 @@ class Recovery(ResultFile):
 
     def failure_reason(self, check: RecoveryCheck) -> str:
         """Reason of a failed check: for trials without a result that of the last one, else its value and limits."""
-        return self.problem if check.subject == CONVERGENCE and self.problem else check.sentence()
+        return self.problem if check.subject == CONVERGENCE_CHECK_NAME and self.problem else check.sentence()
 
     def failure_sentences(self) -> list[str]:
         """Sentences on everything that prevents the run from passing, and on unchecked parameters."""
@@ -266,7 +266,7 @@ def recover(
     failed = 0
     with closing(run_trials(scenario, trials, settings, seed=seed, jobs=jobs)) as outcomes:
         for given_outcome in outcomes:
-            outcome = _with_same_parameters(given_outcome, done)
+            outcome = _failed_if_parameters_differ(given_outcome, done)
             if isinstance(outcome, FailedTrial):
                 failed, problem = failed + outcome.is_external, outcome.reason
                 done.append(None)
@@ -281,7 +281,7 @@ def recover(
     return Recovery.from_trials(result, seed=seed, allow_unchecked=allow_unchecked)
 
 
-def _with_same_parameters(
+def _failed_if_parameters_differ(
     outcome: TrialScore | FailedTrial, earlier_trials: Sequence[TrialScore | None]
 ) -> TrialScore | FailedTrial:
     """The outcome; a failure if its parameters are not those of the first trial with a result."""

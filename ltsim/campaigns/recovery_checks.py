@@ -32,9 +32,9 @@ COVERAGE_MARGIN = 0.015
 """Permitted deviation of the coverage from its nominal value, in addition to its sampling error."""
 CHI2_MARGIN = 0.02
 """Permitted relative deviation of the total chi-square from its expectation, in addition to its sampling error."""
-NETWORK_MARGIN = 0.05
+MEAN_SQUARE_Z_MARGIN = 0.05
 """Permitted deviation of the mean squared z-score of targets and stations from 1, in addition to its sampling error."""
-MAX_RELATIVE_DEVIATION = float(np.sqrt(2.0))
+MAX_RELATIVE_MEAN_SQUARE_DEVIATION = float(np.sqrt(2.0))
 """Upper bound for the ratio of the standard deviation to the mean of a mean squared z-score. The bound is reached if
 all averaged z-scores of a trial are equal.
 """
@@ -150,9 +150,9 @@ def recovery_checks(
     return checks
 
 
-def tolerance_check(name: str, error: Floats, tolerance: float, tolerance_text: str = "") -> RecoveryCheck:
+def tolerance_check(name: str, errors: Floats, tolerance: float, tolerance_text: str = "") -> RecoveryCheck:
     """Check that 95 % of the errors (N,) lie within a tolerance."""
-    share = float(np.mean(np.abs(error) <= tolerance))
+    share = float(np.mean(np.abs(errors) <= tolerance))
     return RecoveryCheck.from_value(
         name, f"share of errors within {tolerance_text or f'{tolerance:g}'}", share, NOMINAL_COVERAGE, 1.0
     )
@@ -213,11 +213,12 @@ def mean_check(subject: str, statistic: str, trial_values: Floats, alpha: float)
     median = float(np.median(trial_values))
     deviation = float(np.median(np.abs(trial_values - median)))
     relative = (
-        min(deviation / (stats.norm.ppf(0.75) * median), MAX_RELATIVE_DEVIATION)
+        min(deviation / (stats.norm.ppf(0.75) * median), MAX_RELATIVE_MEAN_SQUARE_DEVIATION)
         if median > 0
-        else MAX_RELATIVE_DEVIATION
+        else MAX_RELATIVE_MEAN_SQUARE_DEVIATION
     )
     margin = max(
-        NETWORK_MARGIN, float(stats.t.isf(alpha / 2, len(trial_values) - 1)) * relative / np.sqrt(len(trial_values))
+        MEAN_SQUARE_Z_MARGIN,
+        float(stats.t.isf(alpha / 2, len(trial_values) - 1)) * relative / np.sqrt(len(trial_values)),
     )
     return RecoveryCheck.from_value(subject, statistic, float(trial_values.mean()), max(1 - margin, 0.0), 1 + margin)

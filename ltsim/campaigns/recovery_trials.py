@@ -41,7 +41,7 @@ from ltsim.simulation.physics import instrument_error_distribution, make_scenari
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import simulate
 
-CONVERGENCE = "convergence"
+CONVERGENCE_CHECK_NAME = "convergence"
 """Name, in the table of checks, of the check that every trial has a result."""
 
 
@@ -142,9 +142,9 @@ def with_errors_from_prior(scenario: Scenario) -> Scenario:
     )
 
 
-def run_trial(scenario: Scenario, seed: int, index: int, settings: RecoverySettings) -> TrialScore | FailedTrial:
+def run_trial(scenario: Scenario, seed: int, trial_number: int, settings: RecoverySettings) -> TrialScore | FailedTrial:
     """Result of a trial: simulation, calibration and comparison with the truth."""
-    recording, truth = simulate(scenario, seed, index, "per-trial")
+    recording, truth = simulate(scenario, seed, trial_number, "per-trial")
     construction = make_scenario_construction(scenario)
     law = instrument_error_distribution(scenario, construction)
     names = construction.instrument_parameter_names(tuple(scenario.trackers_in_use))
@@ -157,15 +157,15 @@ def run_trial(scenario: Scenario, seed: int, index: int, settings: RecoverySetti
     except LtsimError as problem:
         if settings.calibrator is None and not isinstance(problem, ConvergenceError):
             raise
-        reason = f"trial {index}: {problem}"
+        reason = f"trial {trial_number}: {problem}"
     if settings.calibrator is None:
         return FailedTrial(reason, is_external=False) if reference is None else reference
     try:
-        estimates = run_external_calibrator(settings.calibrator, recording, f"trial {index}")
+        estimates = run_external_calibrator(settings.calibrator, recording, f"trial {trial_number}")
         return score_estimates(estimates, truth, settings.errors, reference)
     except CalibratorError as problem:
         sentence = str(problem)
-        reason = sentence if f"for trial {index}" in sentence else f"trial {index}: {sentence}"
+        reason = sentence if f"for trial {trial_number}" in sentence else f"trial {trial_number}: {sentence}"
         return FailedTrial(reason, is_external=True)
 
 
@@ -189,7 +189,7 @@ class RecoveryTrials(ValueEquality):
     trials: tuple[TrialScore | None, ...]
     """Score of each trial; None for a trial without a result."""
     errors: ErrorOrigin = "drawn"
-    tolerance: Mapping[str, RecoveryTolerance] = field(default_factory=dict)
+    tolerance_by_parameter: Mapping[str, RecoveryTolerance] = field(default_factory=dict)
     """Tolerance by parameter; only these parameters are checked, if there are any."""
     run_time: float = 0.0
     """Run time of the trials [s]."""
@@ -222,7 +222,7 @@ class RecoveryTrials(ValueEquality):
 
     def unchecked_parameters(self) -> tuple[str, ...]:
         """Parameters without a check: they have neither a sigma in each trial nor a tolerance."""
-        if self.tolerance or not self.trials_with_result:
+        if self.tolerance_by_parameter or not self.trials_with_result:
             return ()
         is_checked = np.all(np.isfinite(self.z_scores), axis=0)
         return tuple(name for name, checked in zip(self.parameter_names, is_checked, strict=True) if not checked)
@@ -232,7 +232,7 @@ class RecoveryTrials(ValueEquality):
         return [
             {"trial": number, "parameter": name, "unit": trial.parameter_units[k], "truth": trial.true_values[k],
              "estimate": trial.estimates[k], "sigma": trial.declared_sigmas[k], "z": trial.z_scores[k],
-             "ltsim_estimate": None if trial.ltsim_estimates is None else trial.ltsim_estimates.estimates[k]}
+             "ltsim_estimate": None if trial.ltsim_score is None else trial.ltsim_score.estimates[k]}
             for number, trial in enumerate(self.trials)
             if trial is not None
             for k, name in enumerate(trial.parameter_names)
@@ -262,15 +262,11 @@ class RecoveryTrials(ValueEquality):
 
         `error` (N, p) are the errors of the checked calibrator.
         """
-        trial_indices = [k for k, trial in enumerate(self.trials_with_result) if trial.ltsim_estimates is not None]
+        trial_indices = [k for k, trial in enumerate(self.trials_with_result) if trial.ltsim_score is not None]
         if len(trial_indices) < MIN_TRIALS:
             return {}
         reference = np.stack(
-            [
-                t.ltsim_estimates.estimates - t.true_values
-                for t in self.trials_with_result
-                if t.ltsim_estimates is not None
-            ]
+            [t.ltsim_score.estimates - t.true_values for t in self.trials_with_result if t.ltsim_score is not None]
         )
         gap, count = np.abs(error[trial_indices]) - np.abs(reference), len(trial_indices)
         half_width = stats.t.isf(0.025, count - 1) * gap.std(axis=0, ddof=1) / np.sqrt(count)
@@ -284,13 +280,17 @@ class RecoveryTrials(ValueEquality):
     def checks(self) -> list[RecoveryCheck]:
         """All checks; with these bounds a correct model fails any of them in one run of a hundred."""
         n_lost = len(self.trials) - len(self.trials_with_result)
-        checks = [RecoveryCheck.from_value(CONVERGENCE, "trials without a result", n_lost, 0, 0)]
+        checks = [RecoveryCheck.from_value(CONVERGENCE_CHECK_NAME, "trials without a result", n_lost, 0, 0)]
         if len(self.trials_with_result) < MIN_TRIALS:
             return checks
-        indices = [k for k, name in enumerate(self.parameter_names) if not self.tolerance or name in self.tolerance]
+        indices = [
+            k
+            for k, name in enumerate(self.parameter_names)
+            if not self.tolerance_by_parameter or name in self.tolerance_by_parameter
+        ]
         level = FALSE_ALARM_RATE / (4 * len(indices) + 3)
         checks += [check for k in indices for check in self._parameter_checks(k, level)]
-        return checks if self.tolerance else checks + self._network_checks(level)
+        return checks if self.tolerance_by_parameter else checks + self._network_checks(level)
 
     def _parameter_checks(self, parameter_index: int, alpha: float) -> list[RecoveryCheck]:
         """Checks of a parameter; its z-scores are checked if every trial has one."""
@@ -306,8 +306,8 @@ class RecoveryTrials(ValueEquality):
             mean, spread, coverage = fixed_truth_checks(name, z, alpha)
             checks += [mean, spread] if foreign else []  # of ltsim's own the standardised z-scores say both
             checks.append(coverage)
-        if self.tolerance:
-            given = self.tolerance[name]
+        if self.tolerance_by_parameter:
+            given = self.tolerance_by_parameter[name]
             error = (
                 self._stack_attribute("estimates")[:, parameter_index]
                 - self._stack_attribute("true_values")[:, parameter_index]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ltsim.campaigns.schema import DIFFERENCE_COLUMN, RATIO_STATISTICS, find_column, sql_terms
+from ltsim.campaigns.schema import RATIO_STATISTICS, SOLVER_DIFFERENCE_COLUMN, find_column, sql_terms
 from ltsim.campaigns.statistics import CampaignStatistics
 from ltsim.campaigns.summary import StatisticSummary
 from ltsim.core.arrays import Floats
@@ -149,7 +149,7 @@ class CampaignResults(CampaignStatistics, Result):
         methods = list(self.manifest.methods)
         shape = (len(methods), *(len(axes[name][1]) for name in axes))
         variables: dict[str, Any] = {}
-        for name in statistics or [c for c in self.columns if ":" not in c and c != DIFFERENCE_COLUMN]:
+        for name in statistics or [c for c in self.columns if ":" not in c and c != SOLVER_DIFFERENCE_COLUMN]:
             bounds = np.full((3, *shape), np.nan)
             for s in self.distribution(name):
                 for bound, value in zip(bounds, (s.mean, s.low, s.high), strict=True):
@@ -195,11 +195,11 @@ def _sorted_levels(levels: Iterable[Any]) -> list[Any]:
     return sorted(level_list) if all(isinstance(value, int | float) for value in level_list) else level_list
 
 
-LEVEL_ROUNDING = 5e-4
+MAX_LEVEL_ROUNDING_ERROR = 5e-4
 """Largest relative difference between a level and a number that a user gives for it; the level may thus be rounded to
 three digits.
 """
-CellMethod = tuple[int, str]
+CellAndMethod = tuple[int, str]
 """Index of a combination of settings, from 0, and name of a method."""
 
 
@@ -274,7 +274,7 @@ def paired_differences(results: CampaignStatistics, statistic: str, **pair: tupl
 
 def _comparison_pairs(
     results: CampaignStatistics, factor_name: str, first_level: Any, second_level: Any
-) -> Iterator[tuple[dict[str, Any], CellMethod, CellMethod]]:
+) -> Iterator[tuple[dict[str, Any], CellAndMethod, CellAndMethod]]:
     """Common settings, first cell (combination of settings) and method, second cell and method of each comparison.
 
     Raises ModelError if there is no such factor, method or level.
@@ -284,7 +284,7 @@ def _comparison_pairs(
     if factor_name not in ("method", *factors):
         raise unknown_name("factor of this campaign", factor_name, ("method", *factors))
     choices = list(methods) if factor_name == "method" else [level[factor_name] for level in levels]
-    first_level, second_level = (_level_of(factor_name, level, choices) for level in (first_level, second_level))
+    first_level, second_level = (_matching_level(factor_name, level, choices) for level in (first_level, second_level))
     for cell, settings in enumerate(levels):
         if factor_name == "method":
             yield dict(settings), (cell, first_level), (cell, second_level)
@@ -295,7 +295,7 @@ def _comparison_pairs(
                 yield rest | several, (cell, method), (levels.index(settings | {factor_name: second_level}), method)
 
 
-def _level_of(factor_name: str, requested_level: Any, levels: Sequence[Any]) -> Any:
+def _matching_level(factor_name: str, requested_level: Any, levels: Sequence[Any]) -> Any:
     """Level that a user's value means: the level itself, with its unit as in the file, or rounded to three digits.
 
     Raises ModelError for a value that is no level, or that is the rounded value of several levels.
@@ -310,7 +310,7 @@ def _level_of(factor_name: str, requested_level: Any, levels: Sequence[Any]) -> 
     )
     if isinstance(value, int | float) and not isinstance(value, bool):
         numbers = [k for k in distinct if isinstance(k, int | float)]
-        near = [k for k in numbers if math.isclose(k, value, rel_tol=LEVEL_ROUNDING)]
+        near = [k for k in numbers if math.isclose(k, value, rel_tol=MAX_LEVEL_ROUNDING_ERROR)]
         if len(near) == 1:
             return near[0]
     raise unknown_name(f"level of {factor_name}", str(requested_level), [str(k) for k in distinct])

@@ -27,10 +27,10 @@ from ltsim.campaigns.columns import (
     z_score_columns,
 )
 from ltsim.campaigns.design import Factor
-from ltsim.campaigns.engine import CalibratedBlock, TrialCalibrator
-from ltsim.campaigns.schema import DIFFERENCE_COLUMN, TRIAL_STATUSES, WITHOUT_RESULT, find_column
+from ltsim.campaigns.schema import SOLVER_DIFFERENCE_COLUMN, TRIAL_STATUSES, WITHOUT_RESULT, find_column
 from ltsim.campaigns.spec import VALIDATION_STREAM_KEY, CampaignFile
 from ltsim.campaigns.store import encode_table, stored_statistics
+from ltsim.campaigns.trial_calibrators import CalibratedBlock, TrialCalibrator
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
 from ltsim.campaigns.truth import CellTruth, TrialBatch, make_cell_truth
 from ltsim.core.arrays import Floats, Ints
@@ -70,7 +70,7 @@ class ShardTask:
     """Rows that the shard already has, if trials or statistics were added to the campaign."""
 
     @property
-    def key(self) -> dict[str, str]:
+    def shard_metadata(self) -> dict[str, str]:
         """Metadata of the shard's file: campaign, combination of settings, shard and statistics."""
         statistics = " ".join(self.campaign.statistics)
         return {
@@ -90,13 +90,13 @@ class CellContext:
     validation_scenario: Scenario | None = None
 
     @cached_property
-    def common_geometry(self) -> tuple[TrialEvaluator, list[TrialCalibrator]]:
+    def common_evaluator_and_calibrators(self) -> tuple[TrialEvaluator, list[TrialCalibrator]]:
         """Evaluation of the geometry that all trials share, and the calibrators in the order of the file's methods."""
         truth = make_cell_truth(self.scenario, self.campaign.seed)
         return TrialEvaluator(truth), [make_calibrator(method, truth) for method in self.campaign.methods]
 
     @cached_property
-    def validation_geometry(self) -> TrialEvaluator | None:
+    def validation_evaluator(self) -> TrialEvaluator | None:
         """Geometry of `judge_in`, at which the same instruments measure points that no calibration used.
 
         The geometry is None without the key `judge_in`.
@@ -142,7 +142,7 @@ class CellContext:
         """
         seed, methods = self.campaign.seed, self.campaign.methods
         if self.campaign.geometry == "shared":
-            judge, calibrators = self.common_geometry
+            judge, calibrators = self.common_evaluator_and_calibrators
             for number in range(first_trial // TRIALS_PER_STREAM, -(-end_trial // TRIALS_PER_STREAM)):
                 yield judge, calibrators, judge.truth.draw_block(seed, number)
             return
@@ -164,9 +164,12 @@ class CellContext:
         geometries, seed = {}, self.campaign.seed
         for trial in trials:
             with suppress(SetupError):
-                key, like = placing_stream_key(trial, self.campaign.geometry), self.common_geometry[0].truth
+                key, like = (
+                    placing_stream_key(trial, self.campaign.geometry),
+                    self.common_evaluator_and_calibrators[0].truth,
+                )
                 geometries[trial] = make_cell_truth(
-                    self.scenario, seed, *key, reference_truth=like, plan=self._planned_layout
+                    self.scenario, seed, *key, reference_truth=like, planned_layout=self._planned_layout
                 )
         return geometries
 
@@ -191,7 +194,7 @@ def run_task(task: ShardTask) -> tuple[ShardTask, bytes]:
     for kind in task.session_effects:
         CATALOGUE.add(kind)
     with threadpool_limits(limits=1):
-        return replace(task, existing_rows=None), encode_table(make_shard_rows(task), task.key)
+        return replace(task, existing_rows=None), encode_table(make_shard_rows(task), task.shard_metadata)
 
 
 def make_shard_rows(task: ShardTask) -> pa.Table:
@@ -214,15 +217,15 @@ def make_shard_rows(task: ShardTask) -> pa.Table:
     return held
 
 
-def _compute_new_rows(task: ShardTask, n_existing: int, *, truth_only: bool = False) -> pa.Table:
-    """New rows of a shard, after the first `n_existing` trials, which have rows already.
+def _compute_new_rows(task: ShardTask, n_existing_trials: int, *, truth_only: bool = False) -> pa.Table:
+    """New rows of a shard, after the first `n_existing_trials` trials, which have rows already.
 
     With `truth_only` the rows contain the true values only, and nothing is calibrated.
     """
     campaign, given = task.campaign, (task.campaign, task.scenario, task.validation_scenario)
     cell = cell_context(*("" if model is None else model.model_dump_json(by_alias=True) for model in given))
     first_trial = task.shard * campaign.shard
-    first, last = first_trial + n_existing, min(first_trial + campaign.shard, campaign.trials)
+    first, last = first_trial + n_existing_trials, min(first_trial + campaign.shard, campaign.trials)
     tables_by_method: list[list[ResultColumns]] = [[] for _ in campaign.methods]
     missing_numbers = set(range(first, last))
     for judge, calibrators, block in cell.trial_blocks(first, last):
@@ -230,7 +233,7 @@ def _compute_new_rows(task: ShardTask, n_existing: int, *, truth_only: bool = Fa
         wanted = np.flatnonzero((numbers >= first) & (numbers < last))
         missing_numbers -= set(numbers[wanted].tolist())
         checked = wanted[numbers[wanted] < first_trial + campaign.verify]
-        work = TrialBlock(campaign, judge, block, cell.validation_geometry, wanted, checked, truth_only)
+        work = TrialBatchRows(campaign, judge, block, cell.validation_evaluator, wanted, checked, truth_only)
         for part, calibrator in zip(tables_by_method, calibrators, strict=True):
             columns = {"trial": numbers} | work.method_columns(calibrator)
             part.append({name: column[wanted] for name, column in columns.items()})
@@ -239,7 +242,7 @@ def _compute_new_rows(task: ShardTask, n_existing: int, *, truth_only: bool = Fa
         failed = {
             "status": np.full(len(missing_numbers), TRIAL_STATUSES.index(WITHOUT_RESULT)),
             "chi2": empty,
-            DIFFERENCE_COLUMN: empty,
+            SOLVER_DIFFERENCE_COLUMN: empty,
         }
         for part in tables_by_method:
             part.append({"trial": np.array(sorted(missing_numbers))} | failed)
@@ -252,7 +255,7 @@ def _compute_new_rows(task: ShardTask, n_existing: int, *, truth_only: bool = Fa
 
 
 @dataclass(frozen=True)
-class TrialBlock:
+class TrialBatchRows:
     """Block of drawn trials that every method calibrates."""
 
     campaign: CampaignFile
@@ -260,11 +263,11 @@ class TrialBlock:
     block: TrialBatch
     validation_evaluator: TrialEvaluator | None
     """Evaluation at the held-out points of `judge_in`; None without the key."""
-    wanted_trials: Ints
+    requested_trial_indices: Ints
     """Indices in the block of the trials whose rows are requested."""
-    verified_trials: Ints
+    verified_trial_indices: Ints
     """Indices in the block of the trials that the full solver repeats."""
-    truth_only: bool = False
+    has_truth_only: bool = False
     """True if rows contain the drawn truth only, without a calibration."""
 
     @cached_property
@@ -300,14 +303,16 @@ class TrialBlock:
         """Columns of a method that the campaign stores."""
         wanted, block, truth = self.campaign.statistics, self.block, self.evaluator.truth
         construction, effects = calibrator.construction, calibrator.effects
-        if self.truth_only:
-            calibrated = CalibratedBlock.without_solution(truth, construction, effects, len(block.trials))
+        if self.has_truth_only:
+            calibrated = CalibratedBlock.from_failed_trials(truth, construction, effects, len(block.trials))
         else:
-            calibrated = calibrator.calibrate(block, self.wanted_trials)
+            calibrated = calibrator.calibrate(block, self.requested_trial_indices)
         columns: ResultColumns = {"status": calibrated.status_indices, "chi2": calibrated.chi2}
-        columns[DIFFERENCE_COLUMN] = np.full(len(calibrated.chi2), np.nan)
-        for place in self.verified_trials:
-            columns[DIFFERENCE_COLUMN][place] = calibrator.largest_difference(block, int(place), calibrated)
+        columns[SOLVER_DIFFERENCE_COLUMN] = np.full(len(calibrated.chi2), np.nan)
+        for place in self.verified_trial_indices:
+            columns[SOLVER_DIFFERENCE_COLUMN][place] = calibrator.largest_solver_difference(
+                block, int(place), calibrated
+            )
         if CORRECTED_STATISTICS & {*wanted}:
             judged = self.common_columns | self.evaluator.method_columns(block, calibrated, construction, effects)
             judged |= self._validation_columns(calibrated, calibrator)

@@ -15,7 +15,7 @@ QUANTILE_LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 """Probabilities of the quantiles in a summary."""
 
 SUMMARY_FILE = "summary.csv"
-DIFFERENCE_COLUMN = "full_difference_sigma"
+SOLVER_DIFFERENCE_COLUMN = "full_difference_sigma"
 """Name of the column with the largest difference between batch and full solver, for the trials that both solved."""
 PARAMETER_UNIT_TEXT = "of the parameter"
 """Unit of a column whose numbers are in the unit of the parameter that its name contains."""
@@ -25,12 +25,12 @@ ErrorOrigin = Literal["drawn", "stated"]
 """Origin of the instruments' errors in a recovery check: drawn from the prior, or declared."""
 StatisticGroup = Literal["criteria", "errors", "z-scores", "estimates", "truth"]
 """Kind of results in the rows of a campaign, of which a user may select some."""
-READING_ERROR_VARIANTS = (
+READING_ERROR_TEXT = (
     "rms over stations and targets of the 3D distance from the true point to the point that a reading describes, each "
     "station's points fitted rigidly to the true ones; noise of these readings included"
 )
 NEW_POINT_TEXT = "error of a new point, by readings in the place of `judge_in` that no calibration used: "
-POOLED_RATIOS = (
+REMOVED_SHARE_TEXT = (
     "(R - C) / (R - P), where R, C and P are the mean squares of {0}error_raw_um, {0}error_calibrated_um and "
     "{0}error_true_parameters_um over all trials of a combination of settings and method: 1 for a calibration that "
     "found the true parameters, 0 for one that did nothing, below 0 for one that did harm; its interval is that of a "
@@ -73,25 +73,25 @@ def _error_columns(prefix: str, description: str) -> list[RowColumn]:
         f"{prefix}error_true_parameters_um": f"{description}; {floor}",
     }
     return _result_columns("errors", "um", **meaning_by_column) + _result_columns(
-        "errors", "", **{f"{prefix}share_removed": POOLED_RATIOS.format(prefix)}
+        "errors", "", **{f"{prefix}share_removed": REMOVED_SHARE_TEXT.format(prefix)}
     )
 
 
 RESULT_COLUMNS: tuple[RowColumn, ...] = (
     *_result_columns(None, "", chi2="least sum of squares of the weighted residuals"),
     *_result_columns(
-        None, "sigma", **{DIFFERENCE_COLUMN: "largest difference of parameters and targets from the full solver"}
+        None, "sigma", **{SOLVER_DIFFERENCE_COLUMN: "largest difference of parameters and targets from the full solver"}
     ),
     *_criterion_columns("distance", "the distance criterion: deviations of distances from their mean over stations"),
     *_criterion_columns("coordinate", "the coordinate criterion: deviations of coordinates after a rigid fit (eq. 12)"),
-    *_error_columns("", READING_ERROR_VARIANTS),
+    *_error_columns("", READING_ERROR_TEXT),
     *_result_columns(
         "errors",
         "um",
         target_error_um="rms over targets of the 3D distance from the true point to the adjusted one, all fitted "
         "rigidly to the true ones; the noise of the readings that were adjusted is in it",
     ),
-    *_error_columns("new_point_", NEW_POINT_TEXT + READING_ERROR_VARIANTS),
+    *_error_columns("new_point_", NEW_POINT_TEXT + READING_ERROR_TEXT),
     _parameter_column(
         "z", "", "z-scores", "(estimate - truth) / sigma of a parameter that is both simulated and estimated"
     ),
@@ -111,9 +111,9 @@ def find_column(name: str) -> RowColumn | None:
     )
 
 
-def ratio_columns(ratio: str) -> tuple[str, str, str]:
+def ratio_columns(ratio_name: str) -> tuple[str, str, str]:
     """Columns from which a ratio is computed: raw, calibrated, and with the true parameters."""
-    prefix = ratio.removesuffix("share_removed")
+    prefix = ratio_name.removesuffix("share_removed")
     return f"{prefix}error_raw_um", f"{prefix}error_calibrated_um", f"{prefix}error_true_parameters_um"
 
 
@@ -292,7 +292,7 @@ class ManifestFile(ResultFile):
         return [f"Campaign: {title}{len(self.cells)} cells, at most {self.trials} trials each, {methods}"]
 
     @model_validator(mode="after")
-    def _belong_together(self) -> Self:
+    def _check_consistency(self) -> Self:
         names = [factor.name for factor in self.factors]
         if len(set(names)) < len(names) or len(set(self.methods)) < len(self.methods):
             raise ValueError("two factors or two methods have the same name")

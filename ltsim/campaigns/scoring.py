@@ -29,9 +29,9 @@ MIN_NOISE_FRACTION = 1e-4
 class NetworkScore:
     """Scores of a trial for the whole network; NaN for a score that does not exist."""
 
-    target_mean_square: float = np.nan
+    target_mean_square_z: float = np.nan
     """Mean square of error divided by standard deviation, over all target coordinates."""
-    station_mean_square: float = np.nan
+    station_mean_square_z: float = np.nan
     """Mean square of error divided by standard deviation, over all poses except the first one."""
     chi2: float = np.nan
     dof: float = np.nan
@@ -58,7 +58,7 @@ class TrialScore(ValueEquality):
     network_score: NetworkScore = NetworkScore()
     is_external: bool = False
     """True for an external calibrator, whose prior is unknown."""
-    ltsim_estimates: TrialScore | None = None
+    ltsim_score: TrialScore | None = None
     """Estimates of the same parameters by ltsim's calibrator in the same recording; None without an external one."""
     ltsim_parameter_names: tuple[str, ...] = ()
     """Names of all parameters that ltsim's calibrator estimates, if there is an external calibrator."""
@@ -118,11 +118,11 @@ class ExpectedTruth:
 
     @classmethod
     def from_calibration(
-        cls, calibration: Calibration, truth: Truth, distribution: Mapping[str, tuple[float, float]]
+        cls, calibration: Calibration, truth: Truth, truth_distributions: Mapping[str, tuple[float, float]]
     ) -> ExpectedTruth:
-        """Distribution of the truth of a simulated recording; `distribution` as in `score_calibration`."""
+        """Distribution of the truth of a simulated recording; `truth_distributions` as in `score_calibration`."""
         prior = calibration.prior_sigma.ravel()
-        mean, drawn = np.array([distribution[name] for name in calibration.instrument_parameter_names]).T / prior
+        mean, drawn = np.array([truth_distributions[name] for name in calibration.instrument_parameter_names]).T / prior
         adjustment = calibration.adjustment
         if adjustment is None or calibration.method != "network":
             return cls(mean, drawn, calibration.arrays.bias_operator, np.zeros(0, dtype=np.int64), prior)
@@ -147,7 +147,7 @@ class ExpectedTruth:
         return not np.any(self.mean_truth) and bool(np.all(self.truth_sigmas == 1.0))
 
     @property
-    def missing_variance(self) -> Floats:
+    def missing_variance_fraction(self) -> Floats:
         """Fraction (P,) by which the variance of the truth is smaller than that of the prior."""
         return 1.0 - self.truth_sigmas**2
 
@@ -164,21 +164,21 @@ def _true_incidence_parameters(truth: Truth) -> Floats:
 
 
 def score_calibration(
-    calibration: Calibration, truth: Truth, distribution: Mapping[str, tuple[float, float]]
+    calibration: Calibration, truth: Truth, truth_distributions: Mapping[str, tuple[float, float]]
 ) -> TrialScore:
     """Score of ltsim's calibration relative to a truth; raises SetupError for a parameter without a true value.
 
-    `distribution` holds mean and standard deviation [SI] from which each true parameter was drawn; 0 for a declared
-    one.
+    `truth_distributions` holds mean and standard deviation [SI] from which each true parameter was drawn; 0 for a
+    declared one.
     """
     check_true_parameters(calibration.instrument_parameter_names, truth.instrument_values, truth)
-    expected = ExpectedTruth.from_calibration(calibration, truth, distribution)
+    expected = ExpectedTruth.from_calibration(calibration, truth, truth_distributions)
     n_parameters = len(calibration.instrument_parameter_names)
     true = np.array([truth.instrument_values[name] for name in calibration.instrument_parameter_names])
     prior = calibration.prior_sigma.ravel()
     error, sigma_scaled = (calibration.estimates.ravel() - true) / prior, calibration.sigma.ravel() / prior
     missed = expected.bias_matrix[:n_parameters]
-    variance = sigma_scaled**2 - missed**2 @ expected.missing_variance
+    variance = sigma_scaled**2 - missed**2 @ expected.missing_variance_fraction
     noisy = variance > MIN_NOISE_FRACTION * sigma_scaled**2
     standard = np.where(noisy, (error + missed @ expected.mean_truth) / np.sqrt(np.where(noisy, variance, 1.0)), np.nan)
     network = NetworkScore(
@@ -222,14 +222,16 @@ def _effect_parameters(calibration: Calibration) -> dict[str, ParameterEstimate]
     }
 
 
-def _expected_chi2(calibration: Calibration, expected: ExpectedTruth) -> tuple[float, float]:
+def _expected_chi2(calibration: Calibration, expected_truth: ExpectedTruth) -> tuple[float, float]:
     """Mean and standard deviation of chi-square, over noise and true parameters; NaN if they are unknown."""
     dof, sigma = calibration.fit.dof, calibration.fit.chi2_sigma
     if calibration.method != "network":
-        return (dof, sigma) if expected.is_drawn_from_prior and sigma is not None else (np.nan, np.nan)
-    resolved, mean = np.eye(len(expected.mean_truth)) - expected.bias_matrix, expected.mean_truth
+        return (dof, sigma) if expected_truth.is_drawn_from_prior and sigma is not None else (np.nan, np.nan)
+    resolved, mean = np.eye(len(expected_truth.mean_truth)) - expected_truth.bias_matrix, expected_truth.mean_truth
     lean = float(mean @ resolved @ mean)
-    return dof + lean - float(np.diag(resolved) @ expected.missing_variance), float(np.sqrt(2 * dof + 4 * lean))
+    return dof + lean - float(np.diag(resolved) @ expected_truth.missing_variance_fraction), float(
+        np.sqrt(2 * dof + 4 * lean)
+    )
 
 
 def _network_scores(calibration: Calibration, truth: Truth, expected: ExpectedTruth) -> tuple[float, float]:
@@ -251,7 +253,7 @@ def _network_scores(calibration: Calibration, truth: Truth, expected: ExpectedTr
         pick = np.zeros((len(size), len(expected.mean_truth)))
         pick[expected.network_columns, np.arange(len(expected.mean_truth))] = 1.0 / expected.prior_sigmas
         missed = adjustment.factorised_normals.covariance_columns(pick)
-        bias, less = -missed @ expected.mean_truth, missed**2 @ expected.missing_variance
+        bias, less = -missed @ expected.mean_truth, missed**2 @ expected.missing_variance_fraction
     points = (truth.target_points - origin) @ turn + held.station_positions[0]
     variance = np.einsum("tii->ti", calibration.target_covariance) - less[unknowns.target_columns]
     targets = float(np.mean((calibration.target_points - points - bias[unknowns.target_columns]) ** 2 / variance))
@@ -268,7 +270,7 @@ def _network_scores(calibration: Calibration, truth: Truth, expected: ExpectedTr
 
 
 def score_estimates(
-    estimates: Mapping[str, ParameterEstimate], truth: Truth, errors: ErrorOrigin, reference: TrialScore | None
+    estimates: Mapping[str, ParameterEstimate], truth: Truth, errors: ErrorOrigin, full_ltsim_score: TrialScore | None
 ) -> TrialScore:
     """Score of an external calibrator in a trial, with ltsim's estimates of the same parameters.
 
@@ -296,11 +298,10 @@ def score_estimates(
     true_values = np.array([true[name].value for name in names]) / factor
     standard = (value - true_values) / sigma if errors == "drawn" else np.full(len(value), np.nan)
     ltsim_score = None
-    if reference is not None:
-        places = [
-            reference.parameter_names.index(name) if name in reference.parameter_names else None for name in names
-        ]
-        same = np.array([np.nan if k is None else reference.estimates[k] for k in places])
+    if full_ltsim_score is not None:
+        all_names = full_ltsim_score.parameter_names
+        places = [all_names.index(name) if name in all_names else None for name in names]
+        same = np.array([np.nan if k is None else full_ltsim_score.estimates[k] for k in places])
         ltsim_score = TrialScore(names, units, same, np.full(len(same), np.nan), true_values, standard)
     return TrialScore(
         names,
@@ -310,6 +311,6 @@ def score_estimates(
         true_values,
         standard,
         is_external=True,
-        ltsim_estimates=ltsim_score,
-        ltsim_parameter_names=() if reference is None else reference.parameter_names,
+        ltsim_score=ltsim_score,
+        ltsim_parameter_names=() if full_ltsim_score is None else full_ltsim_score.parameter_names,
     )

@@ -66,7 +66,7 @@ class Method(TomlSection):
         return self.name or self.method
 
     @model_validator(mode="after")
-    def _effects_need_the_network(self) -> Self:
+    def _check_effects_have_network(self) -> Self:
         if self.effects and self.method != "network":
             raise ValueError(f"it should have no effects: method {self.method} estimates instrument parameters only")
         if self.applied and (self.effects or self.method != "network" or self.solver != "single"):
@@ -146,7 +146,7 @@ class CampaignFile(TomlSection):
     """Calibration methods to compare, tables `[[methods]]`."""
 
     @model_validator(mode="after")
-    def _names_differ(self) -> Self:
+    def _check_names_differ(self) -> Self:
         titles = [method.title for method in self.methods]
         if not titles or len(set(titles)) < len(titles):
             raise ValueError(f"it should have methods with different names, found {', '.join(titles) or 'none'}")
@@ -155,7 +155,7 @@ class CampaignFile(TomlSection):
         return self
 
     @model_validator(mode="after")
-    def _stops_by_what_rows_hold(self) -> Self:
+    def _check_stop_statistic(self) -> Self:
         if self.stop is None:
             return self
         column = find_column(self.stop.statistic)
@@ -168,7 +168,7 @@ class CampaignFile(TomlSection):
         return self
 
     @model_validator(mode="after")
-    def _each_key_once(self) -> Self:
+    def _check_each_key_once(self) -> Self:
         places = [*self.grid, *(self.design.ranges if self.design else ())]
         keys = [key for name in places for key in self.link.get(name, (name,))]
         twice = next((key for key in keys if keys.count(key) > 1), None)
@@ -177,7 +177,7 @@ class CampaignFile(TomlSection):
         return self
 
     @model_validator(mode="after")
-    def _limit_size(self) -> Self:
+    def _check_size(self) -> Self:
         cells = max(len(self.cells), 1) * math.prod(len(values) for values in self.grid.values())
         cells *= self.design.cells if self.design else 1
         if cells > MAX_CELLS:

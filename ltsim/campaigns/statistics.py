@@ -14,10 +14,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ltsim.campaigns.schema import (
-    DIFFERENCE_COLUMN,
     FULL_SOLVER,
     QUANTILE_LEVELS,
     RATIO_STATISTICS,
+    SOLVER_DIFFERENCE_COLUMN,
     WITHOUT_RESULT,
     ManifestFile,
     find_column,
@@ -90,7 +90,7 @@ class CampaignStatistics:
         self.manifest = store.manifest()
         self.factors = self.manifest.factors
         self.levels = [cell.levels for cell in self.manifest.cells]
-        shards = store.shards(max_shards)
+        shards = store.shard_paths(max_shards)
         if not shards:
             raise SetupError(f"{folder}: no file of rows of this campaign is complete yet")
         # One thread: sums keep their order, and tables their last digit.
@@ -149,7 +149,7 @@ class CampaignStatistics:
         return {
             "summary": self._summary,
             "cells": self._cells,
-            "ends": lambda: columns_from_rows(self._with_settings(self.solver_comparisons())),
+            "solver_comparisons": lambda: columns_from_rows(self._with_settings(self.solver_comparisons())),
             "z_scores": lambda: columns_from_rows(self._with_settings(self.z_score_summaries())),
             "rows": self._rows,
         }
@@ -287,13 +287,15 @@ class CampaignStatistics:
     def solver_comparisons(self) -> list[SolverComparison]:
         """Numbers of trials by solver, and largest difference between the solvers in the verified sample."""
         ended = f"count(*) FILTER (status = '{WITHOUT_RESULT}'), count(*) FILTER (status = '{FULL_SOLVER}')"
-        query_rows = self._query_each_cell(f"count(*), {ended}, count({DIFFERENCE_COLUMN}), max({DIFFERENCE_COLUMN})")
+        query_rows = self._query_each_cell(
+            f"count(*), {ended}, count({SOLVER_DIFFERENCE_COLUMN}), max({SOLVER_DIFFERENCE_COLUMN})"
+        )
         return [SolverComparison(**dict(zip(SolverComparison.model_fields, row, strict=True))) for row in query_rows]
 
     def summary(self) -> CampaignSummary:
         """Statistics of all columns, combinations of settings and methods."""
         columns_used = [
-            c for c in self.columns if not c.startswith(("z:", "estimate:", "true:")) and c != DIFFERENCE_COLUMN
+            c for c in self.columns if not c.startswith(("z:", "estimate:", "true:")) and c != SOLVER_DIFFERENCE_COLUMN
         ]
         cells = zip(self.manifest.cells, self.levels, strict=True)
         return CampaignSummary(
@@ -301,7 +303,7 @@ class CampaignStatistics:
             trials=self.manifest.trials,
             factors=tuple(self.factors),
             cells=tuple(cell.model_copy(update={"levels": levels}) for cell, levels in cells),
-            ends=tuple(self.solver_comparisons()),
+            solver_comparisons=tuple(self.solver_comparisons()),
             meanings={c: described.meaning for c in columns_used if (described := find_column(c))},
             columns=tuple(entry for column in columns_used for entry in self.distribution(column)),
             z_scores=tuple(self.z_score_summaries()),

@@ -39,9 +39,9 @@ DIGEST_LINE = re.compile(r"^(?P<digest>[0-9a-f]{64})  (?P<name>rows/cell-\d+/sha
 """Pattern of a complete line in the file of digests."""
 
 
-def encode_table(table: pa.Table, key: Mapping[str, str]) -> bytes:
-    """Bytes of a table as a Parquet file; `key` is stored as metadata of the file."""
-    table_with_key = table.replace_schema_metadata({"ltsim": json.dumps(dict(key), sort_keys=True)})
+def encode_table(table: pa.Table, metadata: Mapping[str, str]) -> bytes:
+    """Bytes of a table as a Parquet file; `metadata` is stored as metadata of the file."""
+    table_with_key = table.replace_schema_metadata({"ltsim": json.dumps(dict(metadata), sort_keys=True)})
     words = [f.name for f in table_with_key.schema if pa.types.is_string(f.type) or f.name.startswith("sigma:")]
     sink = pa.BufferOutputStream()
     pq.write_table(
@@ -80,7 +80,7 @@ class CampaignFolder:
         """Path of a shard's file."""
         return self.folder / ROWS_FOLDER / f"cell-{cell:04d}" / f"shard-{shard:06d}.parquet"
 
-    def shards(self, max_shards: int | None = None) -> list[Path]:
+    def shard_paths(self, max_shards: int | None = None) -> list[Path]:
         """Paths of the finished shards in order, in each combination of settings at most the first `max_shards`."""
         paths = sorted(self.folder.glob(f"{ROWS_FOLDER}/cell-*/shard-*.parquet"))
         return [path for path in paths if max_shards is None or path.name < self.shard_path(0, max_shards).name]
@@ -132,11 +132,11 @@ class CampaignFolder:
         except RecordError as problem:
             raise SetupError(f"{problem}; start again in another folder; the rows in this folder are kept") from None
 
-    def write_manifest(self, manifest: ManifestFile, sources: Mapping[str, bytes]) -> None:
+    def write_manifest(self, manifest: ManifestFile, input_files: Mapping[str, bytes]) -> None:
         """Writing of the campaign's input files and then its manifest; written again when the campaign is extended."""
         with self._storage_errors():
             self.folder.mkdir(parents=True, exist_ok=True)
-            write_files(self.folder, {**sources, MANIFEST_FILE: manifest.text().encode()}, flush_to_disk=True)
+            write_files(self.folder, {**input_files, MANIFEST_FILE: manifest.text().encode()}, flush_to_disk=True)
 
     def write_shard(self, cell: int, shard: int, content: bytes) -> None:
         """Atomic writing of a shard; raises SetupError if the disk is full or not writable."""
@@ -172,10 +172,13 @@ class CampaignFolder:
             if (self.folder / ROWS_FOLDER).exists():
                 shutil.rmtree(self.folder / ROWS_FOLDER)
 
-    def shard_status(self, cell: int, shard: int, key: Mapping[str, str], rows: int, digests: Mapping[str, str]) -> str:
+    def shard_status(
+        self, cell: int, shard: int, key: Mapping[str, str], n_rows: int, digests: Mapping[str, str]
+    ) -> str:
         """Status of a shard: `whole` (complete), `missing`, `damaged`, or `short` (rows or columns are missing).
 
-        `key` is the metadata that the shard should have, `rows` its number of rows, and `digests` the recorded digests.
+        `key` is the metadata that the shard should have, `n_rows` its number of rows, and `digests` the recorded
+        digests.
         """
         path = self.shard_path(cell, shard)
         if not path.exists():
@@ -186,10 +189,10 @@ class CampaignFolder:
             same = noted in (None, _file_digest(path)) and all(
                 label[k] == key[k] for k in ("campaign", "cell", "shard")
             )
-            short = len(table) < rows or not set(key["statistics"].split()) <= {*stored_statistics(table)}
+            short = len(table) < n_rows or not set(key["statistics"].split()) <= {*stored_statistics(table)}
         except (pa.ArrowException, OSError, ValueError, KeyError):
             return "damaged"
-        if not same or len(table) > rows:
+        if not same or len(table) > n_rows:
             return "damaged"
         return "short" if short else "whole"
 

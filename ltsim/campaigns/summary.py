@@ -104,7 +104,7 @@ class CampaignSummary(Entry):
     """Settings that differ between combinations of settings."""
     cells: tuple[CellEntry, ...]
     """Cells of the campaign."""
-    ends: tuple[SolverComparison, ...]
+    solver_comparisons: tuple[SolverComparison, ...]
     """Numbers of trials by solver."""
     levels: tuple[float, ...] = QUANTILE_LEVELS
     """Probabilities of the quantiles."""

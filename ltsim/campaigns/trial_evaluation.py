@@ -20,8 +20,8 @@ from ltsim.campaigns.cloud_kernels import (
     transform_to_network,
 )
 from ltsim.campaigns.columns import ResultColumns
-from ltsim.campaigns.engine import CalibratedBlock, set_membership
 from ltsim.campaigns.kernels import compute_points
+from ltsim.campaigns.trial_calibrators import CalibratedBlock, measured_targets_and_weights
 from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Bools, Floats
 from ltsim.geometry.rigid import determines_pose
@@ -46,7 +46,7 @@ class TrialEvaluator:
     @cached_property
     def _mean_weights(self) -> tuple[Bools, Floats]:
         """Flags (S, T) of the completely measured targets, and weight (n,) of each pointing in its mean point."""
-        return set_membership(self.truth, self.truth.recording.station)
+        return measured_targets_and_weights(self.truth, self.truth.recording.station)
 
     @property
     def is_measured(self) -> Bools:

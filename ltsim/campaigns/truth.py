@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.kernels import compute_readings
-from ltsim.campaigns.program import ChainProgram
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
 from ltsim.core.randomness import TRIALS_PER_STREAM as TRIALS_PER_STREAM
@@ -79,7 +79,7 @@ class CellTruth:
     """Distributions of the random values of a trial; their sightings may be in another frame than `state`."""
     resolution: Floats = field(default_factory=lambda: np.zeros((1, 3)))
     """Resolution of the readings of each instrument, (I, 3) [m, rad, rad]; 0 for none."""
-    recorded_observables: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
+    is_recorded_observable: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
     """Flags (3,) of the observables (range, azimuth, elevation) that are recorded; the others have no deviation."""
     geometry: MeasurementGeometry | None = None
     """True geometry with which blunders are simulated; trials with blunders are computed one by one. None without
@@ -118,15 +118,15 @@ class CellTruth:
         names = smr_names(self.recording)
         return {name: np.array([other == name for other in names]) for name in dict.fromkeys(names)}
 
-    def incidence_errors(self, reflectors: Mapping[str, Floats]) -> Floats:
+    def incidence_errors(self, parameters_by_reflector: Mapping[str, Floats]) -> Floats:
         """Range errors (n, B) [m] of the pointings, from the parameters of each reflector by its name.
 
         The parameters (14, B) [SI] are those of the effect `smr-incidence`, the range error over incidence.
         """
         range_errors = np.zeros((len(self.recording), 1))
         for name, pointings in self.reflector_masks.items():
-            if name in reflectors:
-                design, values = self.effect_design_function((SmrIncidence(),))[:, 0], reflectors[name]
+            if name in parameters_by_reflector:
+                design, values = self.effect_design_function((SmrIncidence(),))[:, 0], parameters_by_reflector[name]
                 shared = design.shape[2] == 1  # one geometry for all trials
                 errors = design[..., 0] @ values if shared else np.einsum("nqb,qb->nb", design, values)
                 range_errors = range_errors + pointings[:, None] * errors
@@ -159,19 +159,23 @@ class CellTruth:
         """Constant part (n, 3) and design (n, 3, q) of each effect in linear form; None for a nonlinear effect."""
         return [self._linear_effect(entry) for entry in self.effects]
 
-    def _linear_effect(self, entry: EffectDistribution) -> tuple[Floats, Floats] | None:
+    def _linear_effect(self, effect_distribution: EffectDistribution) -> tuple[Floats, Floats] | None:
         """Constant part (n, 3) and design (n, 3, q) of an effect; None if it is not linear."""
-        constant = entry.effect.reading_change(self.sightings, entry.mean_values)
-        if not np.any(entry.value_sigmas):  # nothing is drawn
-            return constant, np.zeros((*constant.shape, len(entry.mean_values)))
-        design = entry.effect.design(self.sightings)
-        probe = entry.mean_values + 3 * entry.value_sigmas
-        miss = entry.effect.reading_change(self.sightings, probe) - constant - design @ (3 * entry.value_sigmas)
+        constant = effect_distribution.effect.reading_change(self.sightings, effect_distribution.mean_values)
+        if not np.any(effect_distribution.value_sigmas):  # nothing is drawn
+            return constant, np.zeros((*constant.shape, len(effect_distribution.mean_values)))
+        design = effect_distribution.effect.design(self.sightings)
+        probe = effect_distribution.mean_values + 3 * effect_distribution.value_sigmas
+        miss = (
+            effect_distribution.effect.reading_change(self.sightings, probe)
+            - constant
+            - design @ (3 * effect_distribution.value_sigmas)
+        )
         return (constant, design) if np.all(np.abs(miss) <= MAX_NONLINEARITY * self.recording.sigma()) else None
 
-    def draw_block(self, seed: int, block_number: int, width: int = TRIALS_PER_STREAM) -> TrialBatch:
-        """Block number `block_number` of drawn trials; each block has `width` trials with consecutive numbers."""
-        return self.draw_trials(StandardNormalSource(seed, width * block_number + np.arange(width)))
+    def draw_block(self, seed: int, block_number: int, n_trials: int = TRIALS_PER_STREAM) -> TrialBatch:
+        """Block number `block_number` of drawn trials; each block has `n_trials` trials with consecutive numbers."""
+        return self.draw_trials(StandardNormalSource(seed, n_trials * block_number + np.arange(n_trials)))
 
     def draw_trials(
         self, normal_source: StandardNormalSource, values: Floats | None = None, *, stream_key: str = ""
@@ -211,7 +215,7 @@ class CellTruth:
                 - nominal
             )
             gap[:, 1] -= FULL_TURN * np.round(gap[:, 1] / FULL_TURN) * (np.abs(gap[:, 1]) < 1.5 * FULL_TURN)
-            parts.append(np.where(self.recorded_observables, gap, 0.0))
+            parts.append(np.where(self.is_recorded_observable, gap, 0.0))
         return np.stack(parts, axis=2)
 
     def _exact_deviations(self, true_parameters: Floats) -> Floats:
@@ -251,7 +255,7 @@ class CellTruth:
         """Readings (n, 3) of one trial as an instrument gives them, with azimuths within +-180 deg."""
         readings: Floats = self.recording.readings + block.reading_deviations[:, :, trial]
         readings[:, 1] = np.where(np.abs(readings[:, 1]) < FULL_TURN, wrap_angle(readings[:, 1]), readings[:, 1])
-        readings[:, ~self.recorded_observables] = np.nan
+        readings[:, ~self.is_recorded_observable] = np.nan
         return readings
 
 
@@ -260,18 +264,18 @@ def make_cell_truth(
     seed: int,
     *key: str | int,
     reference_truth: CellTruth | None = None,
-    plan: WorkshopLayout | None = None,
+    planned_layout: WorkshopLayout | None = None,
 ) -> CellTruth:
     """True geometry of a scenario, drawn once, with the distributions of its trials; raises SetupError.
 
     `key` is the key of the random draws of the geometry; default that of `simulate`. `reference_truth`, a truth of the
-    same scenario with another geometry, provides the set-up if the same targets are visible; `plan` is the planned
-    layout.
+    same scenario with another geometry, provides the set-up if the same targets are visible; `planned_layout` is the
+    planned layout.
     """
     read = {frozenset(tracker.observables) for tracker in scenario.trackers_in_use.values()}
     if len(read) > 1:
         raise SetupError("instruments: observables differ between the trackers; trials need the same for all")
-    geometry = make_geometry(scenario, seed, *key, plan=plan)
+    geometry = make_geometry(scenario, seed, *key, plan=planned_layout)
     if geometry.sightings.sight_vector_offsets is not None and np.any(geometry.sightings.sight_vector_offsets):
         raise SetupError("reflectors: trials in batch use one SMR; give all SMRs of the scenario the same radius")
     s, reference = geometry.sightings, None if reference_truth is None else reference_truth.recording
@@ -285,22 +289,22 @@ def make_cell_truth(
         there = replace(reference_truth.distributions, sightings=s, noise_sigmas=nominal_noise(scenario, s))
         nominal, state = (
             reference.replace(**pointings, readings=s.raw_readings, notes=geometry.hidden_pair_notes),
-            _start_frame(geometry, there.instrument_means),
+            _state_in_start_frame(geometry, there.instrument_means),
         )
         return replace(reference_truth, recording=nominal, state=state, distributions=there, geometry=geometry)
     recording = error_free_recording(geometry)
     population = trial_distributions(geometry, recording)
     return CellTruth(
         recording=recording,
-        state=_start_frame(geometry, population.instrument_means),
+        state=_state_in_start_frame(geometry, population.instrument_means),
         distributions=population,
         resolution=instrument_resolutions(scenario),
-        recorded_observables=np.isin(OBSERVABLES, [*next(iter(read))]),
+        is_recorded_observable=np.isin(OBSERVABLES, [*next(iter(read))]),
         geometry=geometry,
     )
 
 
-def _start_frame(geometry: MeasurementGeometry, mean_parameters: Floats) -> NetworkState:
+def _state_in_start_frame(geometry: MeasurementGeometry, mean_parameters: Floats) -> NetworkState:
     """True stations and targets, in the frame of the first station or, if levels define the vertical, of the workshop.
 
     `mean_parameters` are the mean parameters of the instrument [SI].

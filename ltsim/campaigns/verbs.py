@@ -68,7 +68,7 @@ def campaign(
     ...     },
     ...     out="my-campaign",
     ... )
-    >>> results.to_dataframe("ends")[["method", "trials", "failed"]]
+    >>> results.to_dataframe("solver_comparisons")[["method", "trials", "failed"]]
         method  trials  failed
     0  network      64       0
     """

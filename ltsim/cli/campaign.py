@@ -90,7 +90,7 @@ def campaign(
         with terminal.show_progress("trials", n_trials) as advance:
             outcome = run_campaign(path, folder, progress=advance, workers=workers, force=force, **options)
     except KeyboardInterrupt:
-        n_finished_files = len(CampaignFolder(folder).shards())
+        n_finished_files = len(CampaignFolder(folder).shard_paths())
         raise StoppedError(
             f"{n_finished_files} files with results of finished trials remain in {folder}; continue with --resume"
         ) from None
@@ -107,7 +107,7 @@ def campaign(
         terminal.print_text(f"\nall statistics: {folder / 'summary.csv'}; a page: ltsim report {folder}")
     failures = [
         solver_difference_sentence(e, results)
-        for e in summary.ends
+        for e in summary.solver_comparisons
         if (e.largest_difference_sigma or 0.0) > MAX_BATCH_SOLVER_DIFFERENCE
     ]
     for failure in failures:

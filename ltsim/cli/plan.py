@@ -160,7 +160,7 @@ def _print_station_alternatives(terminal: Terminal, source: str, alternatives: S
 
 def _search_plan(terminal: Terminal, source: str, folder: Path | None, search_options: dict[str, Any]) -> Plan:
     """Plan from a search for a layout; during the search the best layout so far is printed and written."""
-    from ltsim.planning.making import SearchCallbacks
+    from ltsim.planning.plan_search import SearchCallbacks
     from ltsim.planning.result import copy_cad_files, load_plan_and_scenario, with_layout
     from ltsim.recordings.files import write_texts
     from ltsim.simulation.scenario import scenario_to_toml

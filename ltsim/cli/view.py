@@ -157,7 +157,7 @@ def report(
     terminal = Terminal(quiet)
     about = _page_header(instrument=instrument, date=date, operator=operator, customer=customer)
     with terminal.show_progress("drawing the report"):
-        page = lt.report(folder, about=about, tell=terminal.print_note, **options)
+        page = lt.report(folder, about=about, print_message=terminal.print_note, **options)
     terminal.print_text(f"written to {page}")
 
 

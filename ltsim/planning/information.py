@@ -197,13 +197,15 @@ class CriteriaPredictor:
     """
 
     @classmethod
-    def from_information(cls, information: LayoutInformation, unmodelled: Sequence[Effect] = ()) -> CriteriaPredictor:
+    def from_information(
+        cls, information: LayoutInformation, unmodelled_effects: Sequence[Effect] = ()
+    ) -> CriteriaPredictor:
         """Predictor for a layout in which all stations see all targets.
 
-        The effects in `unmodelled` act on the readings but are not estimated; each is a separate group of errors, with
-        the size of its prior sigma.
+        The effects in `unmodelled_effects` act on the readings but are not estimated; each is a separate group of
+        errors, with the size of its prior sigma.
         """
-        ways, group = _displacements_by_error(information, unmodelled)
+        ways, group = _unit_error_displacements(information, unmodelled_effects)
         names = tuple(dict.fromkeys(group))
         lengths, gaps = _distance_deviation_matrix(information), _coordinate_difference_matrix(information)
         distance = np.empty((2, len(names), len(lengths)))
@@ -217,7 +219,7 @@ class CriteriaPredictor:
                 coordinate[i, g] = across[:, :, at] @ np.swapaxes(across[:, :, at], 1, 2)
         return cls(names, distance, coordinate)
 
-    def expected_errors(self, group_sizes: Mapping[str, Floats | float] | None = None) -> ExpectedCriteria:
+    def expected_criteria(self, group_sizes: Mapping[str, Floats | float] | None = None) -> ExpectedCriteria:
         """Expected criteria for k sets of error sizes.
 
         `group_sizes` holds factors (k,) on the nominal size of the errors of each group, default 1.
@@ -237,11 +239,11 @@ class CriteriaPredictor:
         return ExpectedCriteria(distance[0], distance[1], coordinate[0], coordinate[1])
 
 
-def _mean_length(square: Floats, spread: Floats) -> Floats:
+def _mean_length(row_matrices: Floats, variances_by_set: Floats) -> Floats:
     """Mean over rows of the expected length (k,) of normal vectors, computed in batches."""
     means = [
-        expected_length(np.asarray(np.linalg.eigvalsh(np.tensordot(part, spread, axes=1)))).mean(axis=1)
-        for part in np.array_split(square, max(1, len(square) // 64))
+        expected_length(np.asarray(np.linalg.eigvalsh(np.tensordot(part, variances_by_set, axes=1)))).mean(axis=1)
+        for part in np.array_split(row_matrices, max(1, len(row_matrices) // 64))
     ]
     return np.concatenate(means)
 
@@ -264,7 +266,7 @@ def expected_length(variances: Floats, n_nodes: int = 48) -> Floats:
     return mean_length * np.sqrt(total_variance[..., 0])
 
 
-def _displacements_by_error(
+def _unit_error_displacements(
     information: LayoutInformation, unmodelled: Sequence[Effect]
 ) -> tuple[tuple[Floats, Floats], list[str]]:
     """Displacements of measured points by a unit error of each of e error sources, before and after calibration.

@@ -14,7 +14,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError, SetupError, as_setup_error
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects import CATALOGUE
-from ltsim.planning.site import MIN_VISIBLE_TARGETS, StationPlacement
+from ltsim.planning.search_space import MIN_VISIBLE_TARGETS, StationPlacement
 from ltsim.planning.spec import WALLS_NAME, PlanFile, PointEntry
 from ltsim.recordings.coordinates import PointList, read_points as read_coordinates
 from ltsim.recordings.files import parse_comma_number, quoted_text
@@ -34,7 +34,7 @@ MAX_SAME_POINT_DISTANCE_MM = 0.1
 """Largest distance [mm] between a point of a list and the target of the same name in the scenario, at which they are
 the same point.
 """
-N_INITIAL_STATIONS = 4
+DEFAULT_STATION_COUNT = 4
 """Number of initial stations in a hall if the plan file gives no number."""
 BUILTIN_FOLDER = files("ltsim.planning") / "builtin"
 
@@ -211,7 +211,7 @@ def _hall_scenario(
     table["targets"] = {p.name: {"position_mm": [p.x_mm, p.y_mm, p.z_mm]} for p in points}
     scenario = validate_scenario(table, file)
     _require_plausible_extent(points, scenario, file)
-    n_stations = plan_file.stations.count or N_INITIAL_STATIONS
+    n_stations = plan_file.stations.count or DEFAULT_STATION_COUNT
     places = _initial_places(plan_file, scenario, n_stations)
     stations = {
         f"S{i}": PlannedStation(position_mm=tuple(np.round(place / MILLIMETRE, 1).tolist()), yaw_deg=0.0)

@@ -18,14 +18,14 @@ import numpy as np
 from ltsim.adjustment.remedies.detectability import search_noncentrality
 from ltsim.core.arrays import Floats
 from ltsim.physics.effects.effect import Effect
-from ltsim.planning.fast import LayoutPrecision
+from ltsim.planning.layout_scorer import LayoutPrecision
 
 CriterionName = Literal["D", "A", "E"]
-INSTRUMENT_QUALITY = "instrument"
+INSTRUMENT_QUALITY_NAME = "instrument"
 """Name of the quality: a criterion of the instrument's parameters."""
-TARGETS_QUALITY = "targets"
+TARGETS_QUALITY_NAME = "targets"
 """Name of the quality: point errors of the targets."""
-DIAGNOSIS_QUALITY = "diagnosis"
+DIAGNOSIS_QUALITY_NAME = "diagnosis"
 """Name of the quality: minimal detectable sizes of effects."""
 MIN_SWEEP_IMPROVEMENT = 1e-4
 """Smallest relative improvement of the objective by a sweep over all stations, at which another sweep follows."""
@@ -62,7 +62,7 @@ CRITERION_FUNCTIONS: dict[CriterionName, Callable[[Floats], Floats]] = {
 class LayoutObjective:
     """Objective as a weighted geometric mean of up to three qualities; smaller is better."""
 
-    quality_weights: Mapping[str, float] = field(default_factory=lambda: {INSTRUMENT_QUALITY: 1.0})
+    quality_weights: Mapping[str, float] = field(default_factory=lambda: {INSTRUMENT_QUALITY_NAME: 1.0})
     """Weight of each quality by name: `instrument` (a criterion of the parameters, in prior sigmas), `targets`
     (weighted root mean square point error [m]) and `diagnosis` (geometric mean of the minimal detectable sizes of
     effects, divided by their plausible sizes).
@@ -79,19 +79,23 @@ class LayoutObjective:
     @property
     def needs_target_errors(self) -> bool:
         """True if the objective needs point errors of targets."""
-        return self.quality_weights.get(TARGETS_QUALITY, 0.0) > 0.0
+        return self.quality_weights.get(TARGETS_QUALITY_NAME, 0.0) > 0.0
 
     def qualities(self, precision: LayoutPrecision, n_parameters: int) -> dict[str, Floats]:
-        """Qualities (B,) of B layouts, by name, for those with a weight; infinite for an undetermined layout."""
+        """Values (B,) of each quality with a weight, by name of the quality, for B layouts; smaller is better.
+
+        They are infinite for a layout that leaves unknowns undetermined. The first `n_parameters` rows of the
+        information matrices are those of the instrument; the rows of effects follow.
+        """
         qualities: dict[str, Floats] = {}
-        if self.quality_weights.get(INSTRUMENT_QUALITY, 0.0) > 0.0:
-            qualities[INSTRUMENT_QUALITY] = self._instrument_quality(
+        if self.quality_weights.get(INSTRUMENT_QUALITY_NAME, 0.0) > 0.0:
+            qualities[INSTRUMENT_QUALITY_NAME] = self._instrument_quality(
                 precision.information[:, :n_parameters, :n_parameters]
             )
         if self.needs_target_errors:
-            qualities[TARGETS_QUALITY] = precision.weighted_target_rms
-        if self.quality_weights.get(DIAGNOSIS_QUALITY, 0.0) > 0.0:
-            qualities[DIAGNOSIS_QUALITY] = mean_detectable_size(
+            qualities[TARGETS_QUALITY_NAME] = precision.weighted_target_rms
+        if self.quality_weights.get(DIAGNOSIS_QUALITY_NAME, 0.0) > 0.0:
+            qualities[DIAGNOSIS_QUALITY_NAME] = mean_detectable_size(
                 precision.information, n_parameters, self.effects, self.n_places_by_effect
             )
         return {name: np.where(np.isfinite(value), value, np.inf) for name, value in qualities.items()}

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from ltsim.calibration.combinations import UndeterminedEntry
 from ltsim.core.units import MICROMETRE, MILLIMETRE, SI_PER_UNIT
-from ltsim.planning.objective import TARGETS_QUALITY
+from ltsim.planning.objective import TARGETS_QUALITY_NAME
 from ltsim.planning.reflector_changes import to_degrees, to_millimetres
 from ltsim.planning.tolerances import ToleranceCheck, is_met, percent_text
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, Positive, Vector
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 QualityValues = dict[str, OptionalFloat]
 """Qualities of a layout by name; null if undetermined."""
-ComponentSizes = tuple[OptionalFloat, OptionalFloat, OptionalFloat] | tuple[()]
+XyzSizesUm = tuple[OptionalFloat, OptionalFloat, OptionalFloat] | tuple[()]
 """Sizes along x, y and z [um], or an empty tuple if they are unknown."""
 
 
@@ -35,13 +35,13 @@ class StationEntry(Entry):
     """Centre of the head, in the workshop's frame."""
     yaw_deg: Finite
     """Direction of azimuth zero, counter-clockwise from x."""
-    sigma_position_um: ComponentSizes = ()
+    sigma_position_um: XyzSizesUm = ()
     """Expected standard deviation of x, y and z."""
     visible_reflectors: int = 0
     """Number of reflectors that the station sees."""
 
     @classmethod
-    def without_precision(cls, survey: PlannedSurvey) -> tuple[Self, ...]:
+    def from_survey(cls, survey: PlannedSurvey) -> tuple[Self, ...]:
         """Entries of the stations of a survey, without their standard deviations."""
         station_fields = zip(survey.station_names, survey.station_positions, survey.station_yaws, strict=True)
         return tuple(
@@ -62,7 +62,7 @@ class StationEntry(Entry):
                 sigma_position_um=tuple(np.round(station_sigma, 2).tolist()),
                 visible_reflectors=count,
             )
-            for place, station_sigma, count in zip(cls.without_precision(layout.survey), sigma, counts, strict=True)
+            for place, station_sigma, count in zip(cls.from_survey(layout.survey), sigma, counts, strict=True)
         )
 
 
@@ -75,7 +75,7 @@ class ReflectorEntry(Entry):
     """Centre of the reflector, in the workshop's frame."""
     sigma_um: OptionalFloat
     """Expected standard deviation of the reflector [um]: square root of the trace of its covariance."""
-    u_um: ComponentSizes = Field(default=(), alias="U_um")
+    u_um: XyzSizesUm = Field(default=(), alias="U_um")
     """Expanded uncertainty (k = 2) of x, y and z [um], with the mean of all points as datum."""
     stations_seeing: int = 0
     """Number of stations that see the reflector."""
@@ -85,7 +85,7 @@ class ReflectorEntry(Entry):
     """Point error that is not exceeded at the confidence level of the goal; null without a tolerance."""
     tolerance_mm: OptionalFloat = None
     """Tolerance of the point error."""
-    used: OptionalFloat = None
+    tolerance_ratio: OptionalFloat = None
     """Ratio of point error to tolerance, `within_mm` divided by `tolerance_mm`; at most 1 if the tolerance is met."""
     met: bool | None = None
     """True if the tolerance is met; null without one."""
@@ -116,7 +116,7 @@ class ReflectorEntry(Entry):
         within, used = check.error_by_point[name] / MILLIMETRE, check.tolerance_ratio(name)
         return {
             "within_mm": within, "tolerance_mm": check.tolerance_by_point[name] / MILLIMETRE,
-            "used": used, "met": is_met(used),
+            "tolerance_ratio": used, "met": is_met(used),
         }  # fmt: skip
 
 
@@ -268,20 +268,20 @@ class TradeoffEntry(ProcedureEntry):
     """Stations of the layout."""
 
     @classmethod
-    def from_tradeoff_point(cls, option: TradeoffPoint) -> Self:
+    def from_tradeoff_point(cls, tradeoff_point: TradeoffPoint) -> Self:
         """Entry of a point on the curve of cost against quality."""
         return cls(
-            stations=len(option.survey.station_positions),
-            value=option.objective_value,
-            efficient=option.is_efficient,
-            layout=StationEntry.without_precision(option.survey),
-            **cls._procedure_fields(option.survey, option.qualities),
+            stations=len(tradeoff_point.survey.station_positions),
+            value=tradeoff_point.objective_value,
+            efficient=tradeoff_point.is_efficient,
+            layout=StationEntry.from_survey(tradeoff_point.survey),
+            **cls._procedure_fields(tradeoff_point.survey, tradeoff_point.qualities),
         )
 
     @property
-    def value_um(self) -> float | None:
+    def point_error_um(self) -> float | None:
         """Weighted point error [um] if the goal is the error of the targets alone; None for another goal."""
-        return None if self.value is None or set(self.quality) != {TARGETS_QUALITY} else self.value / MICROMETRE
+        return None if self.value is None or set(self.quality) != {TARGETS_QUALITY_NAME} else self.value / MICROMETRE
 
 
 class LossEntry(Entry):
@@ -336,7 +336,7 @@ class DetectableSize(Entry):
     """Station, target or shape constant with the largest minimal detectable size."""
     plausible: Finite = 0.0
     """Large but plausible size of the effect."""
-    visible: OptionalFloat = None
+    visible_fraction: OptionalFloat = None
     """Median, over places, of the fraction of the effect's change of the readings that remains in the residuals."""
 
     @classmethod
@@ -352,7 +352,7 @@ class DetectableSize(Entry):
             worst=row.worst_size / factor,
             worst_at=row.worst_place,
             plausible=row.plausible_size / factor,
-            visible=row.visible_fraction,
+            visible_fraction=row.visible_fraction,
         )
 
 

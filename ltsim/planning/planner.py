@@ -8,11 +8,12 @@ from ltsim.core.arrays import Bools
 from ltsim.core.errors import NetworkError
 from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import GeometricErrorModel
-from ltsim.planning.fast import LayoutScorer
 from ltsim.planning.information import CriteriaPredictor, ExpectedCriteria, LayoutInformation
+from ltsim.planning.layout_scorer import LayoutScorer
 from ltsim.planning.objective import LayoutObjective
 from ltsim.planning.reflector_changes import ReflectorChanges, evaluate_reflector_changes
-from ltsim.planning.site import BrokenRule, SearchSpace
+from ltsim.planning.search_inputs import is_immovable_target, layout_objective, make_search_space, planned_survey
+from ltsim.planning.search_space import BrokenRule, SearchSpace
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.tolerances import (
@@ -23,7 +24,6 @@ from ltsim.planning.tolerances import (
     checks_after_every_loss,
     plan_verdict,
 )
-from ltsim.planning.workshop import is_immovable_target, layout_objective, make_search_space, planned_survey
 from ltsim.recordings.setup import Target
 from ltsim.scene.visibility import Visibility, aim_nest_normals, compute_visibility
 from ltsim.simulation.physics import planned_construction
@@ -92,7 +92,7 @@ class PlannedNetwork(ValueEquality):
     scenario: Scenario
     search_space: SearchSpace
     """Search space for the chosen measuring procedure."""
-    reference: LayoutEvaluation | None
+    reference_evaluation: LayoutEvaluation | None
     """Evaluation of the layout in the scenario, measured by the same procedure; None if it is undetermined."""
     layout: LayoutEvaluation
     """Evaluation of the planned layout."""
@@ -132,7 +132,7 @@ def evaluate_plan(plan_file: PlanFile, scenario: Scenario, survey: PlannedSurvey
         plan_file=plan_file,
         scenario=scenario,
         search_space=site,
-        reference=_reference_evaluation(plan_file, scenario, site, built, survey),
+        reference_evaluation=_reference_evaluation(plan_file, scenario, site, built, survey),
         layout=evaluate_layout(site, survey, objective, built),
         tolerances=demands,
         tolerance_check=check_tolerances(survey, demands, built) if demands else None,
@@ -176,13 +176,16 @@ def evaluate_layout(
     broken = search_space.broken_rules(survey)
     value, qualities = objective_and_qualities(survey, objective, construction)
     compared = survey.records_angles and survey.is_visible.all() and len(survey.station_positions) > 1
-    expected = CriteriaPredictor.from_information(information).expected_errors() if compared else None
+    expected = CriteriaPredictor.from_information(information).expected_criteria() if compared else None
     return LayoutEvaluation(survey, np.inf if broken else value, qualities, information, table, expected, broken)
 
 
 def layout_visibility(search_space: SearchSpace, survey: PlannedSurvey) -> Visibility:
     """Visibility between stations and targets; fixed nests with a free direction are aimed at the stations."""
-    normal, aimed = aim_nest_normals(survey.station_positions, survey.target_points)[0], _is_aimed(search_space, survey)
+    normal, aimed = (
+        aim_nest_normals(survey.station_positions, survey.target_points)[0],
+        _is_aimed(search_space, survey),
+    )
     return compute_visibility(
         survey.station_positions,
         survey.target_points,
@@ -215,7 +218,7 @@ def _reference_evaluation(
     scenario: Scenario,
     search_space: SearchSpace,
     construction: GeometricErrorModel,
-    procedure: PlannedSurvey,
+    survey_with_procedure: PlannedSurvey,
 ) -> LayoutEvaluation | None:
     """Evaluation of the layout in the scenario, measured by the procedure of the plan.
 
@@ -224,7 +227,7 @@ def _reference_evaluation(
     if file.workshop is not None:
         return None
     work = ("faces", "repeats", "seconds_per_pointing", "seconds_per_move", "air")
-    reference = planned_survey(scenario).replace(**{name: getattr(procedure, name) for name in work})
+    reference = planned_survey(scenario).replace(**{name: getattr(survey_with_procedure, name) for name in work})
     n_stations = len(reference.station_positions)
     least = (
         n_stations

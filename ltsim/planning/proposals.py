@@ -22,19 +22,19 @@ class ProposalEntry(Entry):
     """Kind of measurement: pointings, return, station, survey, length or reflectors."""
     minutes: Finite
     """Duration of the measurement [min]."""
-    sharper: Finite
+    sigma_ratio: Finite
     """Ratio of the geometric mean of the instrument parameters' standard deviations after the measurement to that
     before; below 1 is better.
     """
-    serves: str = ""
+    most_improved_parameter: str = ""
     """Parameter whose standard deviation falls most."""
-    serves_factor: Finite = 1.0
+    most_improved_ratio: Finite = 1.0
     """Ratio of the standard deviation of this parameter after the measurement to that before; below 1 is better."""
     evidence: dict[str, Finite] = Field(default_factory=dict)
     """Expected chi-square difference between the first of the effects to distinguish and each other one, by name."""
     distinguishes: tuple[str, ...] = ()
     """Effects that the measurement would distinguish from the first one."""
-    decides: bool = False
+    distinguishes_all: bool = False
     """True if the measurement would distinguish all other effects from the first one."""
     position_mm: Vector | None = None
     """Position of the head at a new set-up, workshop frame; null for other measurements."""
@@ -49,12 +49,12 @@ class ProposalEntry(Entry):
             do=p.candidate.instruction,
             kind=p.candidate.kind,
             minutes=round(p.candidate.duration / 60, 2),
-            sharper=p.sigma_ratio,
-            serves=p.most_improved_parameter,
-            serves_factor=p.most_improved_ratio,
+            sigma_ratio=p.sigma_ratio,
+            most_improved_parameter=p.most_improved_parameter,
+            most_improved_ratio=p.most_improved_ratio,
             evidence=p.expected_chi2,
             distinguishes=p.distinguished_explanations,
-            decides=p.distinguishes_all,
+            distinguishes_all=p.distinguishes_all,
             position_mm=to_millimetres(there[0]) if there else None,
             yaw_deg=to_degrees(there[1]) if there else None,
         )
@@ -65,19 +65,19 @@ PROPOSALS_TABLE = Table(
     "proposals of further measurements in the order of benefit",
     columns_of(
         ProposalEntry,
-        "kind minutes sharper serves serves_factor distinguishes decides do",
+        "kind minutes sigma_ratio most_improved_parameter most_improved_ratio distinguishes distinguishes_all do",
         minutes={"title": "time", "unit": "min", "shown": ".0f"},
-        sharper={"title": "factor on sigmas", "shown": ".2f"},
-        serves={"title": "most for"},
-        serves_factor={"title": "factor for it", "shown": ".2f"},
+        sigma_ratio={"title": "factor on sigmas", "shown": ".2f"},
+        most_improved_parameter={"title": "most for"},
+        most_improved_ratio={"title": "factor for it", "shown": ".2f"},
         distinguishes={"kind": "text"},
-        decides={"kind": "text"},
+        distinguishes_all={"kind": "text"},
         do={"title": "measurement"},
     ),
 )
 
 
-def _best_by_place(proposals: Sequence[ProposalEntry]) -> tuple[ProposalEntry, ...]:
+def _best_yaw_per_place(proposals: Sequence[ProposalEntry]) -> tuple[ProposalEntry, ...]:
     """Proposals in their order, without further yaws of a new station at the same place."""
     best_by_place: dict[object, ProposalEntry] = {}
     for number, proposal in enumerate(proposals):
@@ -106,15 +106,15 @@ class NextMeasurement(ResultFile):
     """Proposals of additional measurements, the best first; of each place of a new station the best yaw."""
 
     @classmethod
-    def from_ranking(cls, ranked: RankedProposals, source: SourceEntry | None = None, *, site: str = "") -> Self:
+    def from_ranking(cls, ranking: RankedProposals, source: SourceEntry | None = None, *, site: str = "") -> Self:
         """Result with the proposals for a recording."""
         return cls(
             recording=source,
-            between=ranked.compared_explanations,
-            evidence_now=ranked.present_chi2,
-            advice=ranked.advice_sentence,
+            between=ranking.compared_explanations,
+            evidence_now=ranking.present_chi2,
+            advice=ranking.advice_sentence,
             site=site,
-            proposals=_best_by_place([ProposalEntry.from_proposal(proposal) for proposal in ranked.proposals]),
+            proposals=_best_yaw_per_place([ProposalEntry.from_proposal(proposal) for proposal in ranking.proposals]),
         )
 
     def _lines(self) -> list[str]:
@@ -142,7 +142,7 @@ class NextMeasurement(ResultFile):
         )
         table_rows = [["current recording", *(self.evidence_now.get(name, 0.0) for name in rivals), ""]]
         table_rows += [
-            [p.do, *(p.evidence.get(name, 0.0) for name in rivals), "yes" if p.decides else "no"]
+            [p.do, *(p.evidence.get(name, 0.0) for name in rivals), "yes" if p.distinguishes_all else "no"]
             for p in self.proposals
             if p.evidence
         ]

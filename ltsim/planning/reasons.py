@@ -12,7 +12,12 @@ from ltsim.core.notation import listing
 from ltsim.core.units import MICROMETRE, MILLIMETRE
 from ltsim.physics.effects.air import air_uncertainty_text
 from ltsim.planning.information import LayoutInformation
-from ltsim.planning.objective import DIAGNOSIS_QUALITY, INSTRUMENT_QUALITY, TARGETS_QUALITY, LayoutObjective
+from ltsim.planning.objective import (
+    DIAGNOSIS_QUALITY_NAME,
+    INSTRUMENT_QUALITY_NAME,
+    TARGETS_QUALITY_NAME,
+    LayoutObjective,
+)
 from ltsim.planning.plan_entries import PlannedParameterEntry
 from ltsim.planning.planner import (
     LayoutEvaluation,
@@ -21,9 +26,9 @@ from ltsim.planning.planner import (
     TradeoffPoint,
     objective_and_qualities,
 )
-from ltsim.planning.site import MAX_NAMES_IN_RULE_TEXT, broken_rules_text, is_too_near
-from ltsim.planning.tolerances import is_met, loss_sentences, text_near_limit
-from ltsim.planning.workshop import layout_objective
+from ltsim.planning.search_inputs import layout_objective
+from ltsim.planning.search_space import MAX_NAMES_IN_RULE_TEXT, broken_rules_text, is_too_near
+from ltsim.planning.tolerances import is_met, loss_sentences, text_distinct_from_limit
 
 CRITERION_PHRASES = {
     "D": "in the geometric mean over all combinations (D-optimality)",
@@ -54,12 +59,12 @@ def reason_sentences(plan: PlannedNetwork) -> list[str]:
 def _quality_text(plan: PlannedNetwork) -> str:
     """Text of the qualities of the plan with a weight in the goal."""
     templates = {
-        INSTRUMENT_QUALITY: "instrument parameters known to {:.3f} of their prior sigma "
+        INSTRUMENT_QUALITY_NAME: "instrument parameters known to {:.3f} of their prior sigma "
         + CRITERION_PHRASES[plan.plan_file.goal.criterion],
-        DIAGNOSIS_QUALITY: "effects detectable from {:.2f} of their plausible size (geometric mean)",
+        DIAGNOSIS_QUALITY_NAME: "effects detectable from {:.2f} of their plausible size (geometric mean)",
     }
     return ", ".join(
-        _target_rms_text(plan.layout, value) if name == TARGETS_QUALITY else templates[name].format(value)
+        _target_rms_text(plan.layout, value) if name == TARGETS_QUALITY_NAME else templates[name].format(value)
         for name, value in plan.layout.qualities.items()
     )
 
@@ -67,7 +72,7 @@ def _quality_text(plan: PlannedNetwork) -> str:
 def _target_rms_text(layout: LayoutEvaluation, weighted_rms: float) -> str:
     """Text of the root mean square point error over all points, and of the weighted one [m] if weights differ."""
     text = f"targets known to {layout.information.target_rms / MICROMETRE:.1f} um (root mean square of all points"
-    weighted = f"; {_quality_value_text(TARGETS_QUALITY, weighted_rms)} in the search"
+    weighted = f"; {_quality_value_text(TARGETS_QUALITY_NAME, weighted_rms)} in the search"
     return f"{text}{weighted if layout.survey.target_weights else ''})"
 
 
@@ -125,16 +130,15 @@ def _station_count_sentences(plan: PlannedNetwork) -> list[str]:
 def _count_result_clauses(results: Sequence[StationCountResult], min_stations: int) -> list[str]:
     """Clauses on the result for each number of stations; numbers with the same result share a clause."""
 
-    def words(outcome: StationCountResult) -> str:
-        if outcome.max_error_ratio is not None and np.isfinite(outcome.max_error_ratio):
-            return (
-                f"the best layout has an error of {text_near_limit(outcome.max_error_ratio, 1.0)} times its tolerance"
-            )
-        if outcome.has_layout:
+    def result_text(count_result: StationCountResult) -> str:
+        if count_result.max_error_ratio is not None and np.isfinite(count_result.max_error_ratio):
+            ratio_text = text_distinct_from_limit(count_result.max_error_ratio, 1.0)
+            return f"the best layout has an error of {ratio_text} times its tolerance"
+        if count_result.has_layout:
             return "the best layout does not determine every point"
         return f"no layout has every point in sight of {min_stations} station{'s' if min_stations > 1 else ''}"
 
-    def came_of(text: str, results: Sequence[StationCountResult]) -> str:
+    def counts_clause(text: str, results: Sequence[StationCountResult]) -> str:
         first, last = results[0].n_stations, results[-1].n_stations
         nearest = (
             f" (the closest layout lacks sights of {results[-1].unseen_points_text})"
@@ -143,7 +147,7 @@ def _count_result_clauses(results: Sequence[StationCountResult], min_stations: i
         )
         return f"{first}{f' to {last}' if last > first else ''} stations: {text}{nearest}"
 
-    return [came_of(text, list(same)) for text, same in groupby(results, key=words)]
+    return [counts_clause(text, list(same)) for text, same in groupby(results, key=result_text)]
 
 
 def _air_sentence(plan: PlannedNetwork) -> list[str]:
@@ -157,7 +161,7 @@ def _air_sentence(plan: PlannedNetwork) -> list[str]:
 
 
 def _reference_sentence(plan: PlannedNetwork) -> list[str]:
-    reference, chosen = plan.reference, plan.layout
+    reference, chosen = plan.reference_evaluation, plan.layout
     if plan.plan_file.workshop is not None:
         return []
     if reference is None:
@@ -193,7 +197,7 @@ def _reference_sentence(plan: PlannedNetwork) -> list[str]:
 
 def _quality_value_text(name: str, value: float) -> str:
     """Text of the value of a quality."""
-    return f"weighted point error {value / MICROMETRE:.1f} um" if name == TARGETS_QUALITY else f"{value:.3f}"
+    return f"weighted point error {value / MICROMETRE:.1f} um" if name == TARGETS_QUALITY_NAME else f"{value:.3f}"
 
 
 def _parameter_sentence(reference: LayoutEvaluation, evaluation: LayoutEvaluation) -> list[str]:
@@ -215,7 +219,7 @@ def _parameter_sentence(reference: LayoutEvaluation, evaluation: LayoutEvaluatio
 def _station_contribution_sentences(plan: PlannedNetwork) -> list[str]:
     """Sentences on the loss of quality without each station, and the parameter that is affected most."""
     survey, now, qualities = plan.layout.survey, plan.layout.information, plan.layout.qualities
-    objective, sentences = LayoutObjective({INSTRUMENT_QUALITY: 1.0}, plan.plan_file.goal.criterion), []
+    objective, sentences = LayoutObjective({INSTRUMENT_QUALITY_NAME: 1.0}, plan.plan_file.goal.criterion), []
     for s, name in enumerate(survey.station_names):
         remaining = survey.without_station(s)
         try:
@@ -223,8 +227,10 @@ def _station_contribution_sentences(plan: PlannedNetwork) -> list[str]:
         except NetworkError as problem:
             sentences.append(f"{name} is indispensable: without it, {problem}.")
             continue
-        if INSTRUMENT_QUALITY in qualities:
-            worse = objective_and_qualities(remaining, objective, now.construction)[0] / qualities[INSTRUMENT_QUALITY]
+        if INSTRUMENT_QUALITY_NAME in qualities:
+            worse = (
+                objective_and_qualities(remaining, objective, now.construction)[0] / qualities[INSTRUMENT_QUALITY_NAME]
+            )
         else:
             worse = without.weighted_target_rms / now.weighted_target_rms
         ratio = without.instrument_sigmas / now.instrument_sigmas
@@ -282,12 +288,12 @@ def _has_same_procedure(plan: PlannedNetwork, option: TradeoffPoint) -> bool:
     return option.survey.faces == survey.faces and option.survey.repeats == survey.repeats
 
 
-def cheapest_equal_option(plan: PlannedNetwork) -> TradeoffPoint | None:
+def equally_good_with_fewest_stations(plan: PlannedNetwork) -> TradeoffPoint | None:
     """Point of the trade-off curve with the fewest stations that is as good as the layout in the scenario.
 
     The procedure is that of the plan. None if there is no such point.
     """
-    if plan.reference is None or not plan.reference.qualities:
+    if plan.reference_evaluation is None or not plan.reference_evaluation.qualities:
         return None
     goal = _reference_objective(plan)
     equal_options = [o for o in plan.tradeoff_points if _has_same_procedure(plan, o) and o.objective_value <= goal]
@@ -296,7 +302,7 @@ def cheapest_equal_option(plan: PlannedNetwork) -> TradeoffPoint | None:
 
 def _tradeoff_sentences(plan: PlannedNetwork) -> list[str]:
     """Sentences on fewer stations that are sufficient, and on the cost of a better layout."""
-    sentences, few, reference = [], cheapest_equal_option(plan), plan.reference
+    sentences, few, reference = [], equally_good_with_fewest_stations(plan), plan.reference_evaluation
     if (
         few is not None
         and reference is not None
@@ -340,9 +346,9 @@ def _tradeoff_sentences(plan: PlannedNetwork) -> list[str]:
 
 def _reference_objective(plan: PlannedNetwork) -> float:
     """Objective of the layout in the scenario."""
-    if plan.reference is None:
+    if plan.reference_evaluation is None:
         return float("inf")
-    survey = plan.reference.survey
+    survey = plan.reference_evaluation.survey
     return objective_and_qualities(
         survey, layout_objective(plan.plan_file, survey), plan.layout.information.construction
     )[0]

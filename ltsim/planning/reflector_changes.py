@@ -10,9 +10,9 @@ import numpy as np
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.physics.model.construction import GeometricErrorModel
-from ltsim.planning.objective import TARGETS_QUALITY, LayoutObjective
+from ltsim.planning.objective import TARGETS_QUALITY_NAME, LayoutObjective
 from ltsim.planning.reflectors import MovableReflectors
-from ltsim.planning.site import SearchSpace
+from ltsim.planning.search_space import SearchSpace
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.recordings.result_file import Entry, Finite, Vector
 
@@ -49,9 +49,9 @@ class PlanChange(Entry):
     """Factor on the plan's objective, or, if only targets have a weight, on the error of all other targets; smaller is
     better.
     """
-    serves: str = ""
+    most_affected_parameter: str = ""
     """Parameter or target whose standard deviation falls most, or rises most if a reflector is removed."""
-    serves_factor: Finite = 1.0
+    most_affected_ratio: Finite = 1.0
     """Factor on the standard deviation of that parameter or target; below 1 is better."""
 
     @property
@@ -65,7 +65,7 @@ class PlanChange(Entry):
 
 MIN_REPORTED_IMPROVEMENT = 0.002
 """Smallest relative improvement of the objective at which a move or an addition is reported as useful."""
-UNCHANGED_QUALITY = 5e-4
+MAX_NEGLIGIBLE_CHANGE = 5e-4
 """Largest relative change of the objective that is reported as no difference."""
 MAX_REPORTED_CHANGES = 3
 """Largest number of reported changes of each kind."""
@@ -143,9 +143,11 @@ class _ChangeEvaluator:
         self.is_too_near = gap < spacing
 
     @property
-    def _is_target_goal(self) -> bool:
+    def _has_target_goal_only(self) -> bool:
         """True if only the point errors of targets have a weight in the goal."""
-        return not any(weight > 0 for name, weight in self.objective.quality_weights.items() if name != TARGETS_QUALITY)
+        return not any(
+            weight > 0 for name, weight in self.objective.quality_weights.items() if name != TARGETS_QUALITY_NAME
+        )
 
     def _objective_factors(self, normal_matrices: Floats, occupied_places: Ints, other_places: Ints) -> Floats:
         """Factors (B,) on the objective for normal matrices (B, K, K) with reflectors at `occupied_places` (B, n).
@@ -153,7 +155,7 @@ class _ChangeEvaluator:
         If only targets have a weight, the factors are on their point error without the changed reflector:
         `other_places` are the places of all others.
         """
-        if self._is_target_goal:
+        if self._has_target_goal_only:
             rms = self.normal_matrix_table.weighted_target_rms
             return rms(normal_matrices, other_places) / rms(self.present_normal_matrix[None], other_places)
         return (
@@ -179,11 +181,13 @@ class _ChangeEvaluator:
         candidates: dict[ChangeKind, list[ChangeResult]] = {what: [] for what in CHANGE_KINDS}
         tried, helped = dict.fromkeys(CHANGE_KINDS, 0), dict.fromkeys(CHANGE_KINDS, 0)
 
-        def note(kind: ChangeKind, removed: int | None, places: Ints) -> None:
+        def record_change(kind: ChangeKind, removed_index: int | None, places: Ints) -> None:
             """Record a change of the reflectors: one removed, or moved to a place; only its best move is stored."""
-            other_places = chosen if removed is None else np.delete(chosen, removed)
+            other_places = chosen if removed_index is None else np.delete(chosen, removed_index)
             start_matrix = (
-                self.present_normal_matrix if removed is None else self.present_normal_matrix - terms[chosen[removed]]
+                self.present_normal_matrix
+                if removed_index is None
+                else self.present_normal_matrix - terms[chosen[removed_index]]
             )
             occupied_places = np.column_stack([np.tile(other_places, (len(places), 1)), places])
             normal_matrices = start_matrix + terms[places]
@@ -196,12 +200,12 @@ class _ChangeEvaluator:
             helped[kind] += int(np.sum(objective_factors < 1 - MIN_REPORTED_IMPROVEMENT))
             for k in np.argsort(objective_factors)[: 1 if kind == "move" else None].tolist():
                 place = None if kind == "remove" else int(places[k])
-                candidates[kind].append((float(objective_factors[k]), removed, place, normal_matrices[k]))
+                candidates[kind].append((float(objective_factors[k]), removed_index, place, normal_matrices[k]))
 
         for i in range(len(chosen)):
-            note("move", i, self._free_places(np.delete(chosen, i)))
-            note("remove", i, chosen[:0])
-        note("add", None, self._free_places(chosen))
+            record_change("move", i, self._free_places(np.delete(chosen, i)))
+            record_change("remove", i, chosen[:0])
+        record_change("add", None, self._free_places(chosen))
         reported: list[PlanChange] = []
         for what, made in candidates.items():
             best = _best_onset_per_place(sorted(made, key=lambda pair: pair[0]))[:MAX_REPORTED_CHANGES]
@@ -213,46 +217,49 @@ class _ChangeEvaluator:
         return ReflectorChanges(tuple(reported), tried, helped)
 
     def _make_change(
-        self, kind: ChangeKind, value: float, removed: int | None, place: int | None, normal_matrix: Floats
+        self, kind: ChangeKind, value: float, removed_index: int | None, place_index: int | None, normal_matrix: Floats
     ) -> PlanChange:
-        remaining_places = self.present_places if removed is None else np.delete(self.present_places, removed)
+        remaining_places = (
+            self.present_places if removed_index is None else np.delete(self.present_places, removed_index)
+        )
         matrices = np.stack([self.present_normal_matrix, normal_matrix])
         before, after = self.normal_matrix_table.weighted_target_rms(matrices, remaining_places)
-        if self._is_target_goal:
-            now = self.normal_matrix_table.target_sigma(self.present_normal_matrix, remaining_places)
+        if self._has_target_goal_only:
+            now = self.normal_matrix_table.point_error_by_name(self.present_normal_matrix, remaining_places)
             ratios = {
                 name: s / now[name]
-                for name, s in self.normal_matrix_table.target_sigma(normal_matrix, remaining_places).items()
+                for name, s in self.normal_matrix_table.point_error_by_name(normal_matrix, remaining_places).items()
             }
         else:
             ratio = self._parameter_sigmas(normal_matrix) / self.present_sigmas
             ratios = dict(
                 zip(self.normal_matrix_table.scorer.construction.parameter_names, ratio.tolist(), strict=True)
             )
-        serves = (min if kind != "remove" else max)(ratios, key=lambda name: ratios[name])
+        affected_parameter = (min if kind != "remove" else max)(ratios, key=lambda name: ratios[name])
         names, places = self.movable_reflectors.place_names, self.movable_reflectors.places
         change = PlanChange(
             do=kind,
-            reflector="" if removed is None else names[removed],
-            place="" if place is None else names[place],
-            position_mm=None if place is None else to_millimetres(places[place]),
+            reflector="" if removed_index is None else names[removed_index],
+            place="" if place_index is None else names[place_index],
+            position_mm=None if place_index is None else to_millimetres(places[place_index]),
             gain_um=float(before - after) / MICROMETRE,
             quality=value,
-            serves=serves,
-            serves_factor=float(ratios[serves]),
+            most_affected_parameter=affected_parameter,
+            most_affected_ratio=float(ratios[affected_parameter]),
         )
         return change.model_copy(update={"words": _change_sentence(change)})
 
 
 def _change_sentence(change: PlanChange) -> str:
     """Sentence on a change and its benefit, without a full stop."""
-    if abs(1 - change.quality) < UNCHANGED_QUALITY:
+    if abs(1 - change.quality) < MAX_NEGLIGIBLE_CHANGE:
         return f"{change.action_text}: makes no difference"
     better = f"{100 * abs(1 - change.quality):.1f} % {'better' if change.quality <= 1 else 'worse'}"
     other = f"{abs(change.gain_um):.2f} um {'less' if change.gain_um >= 0 else 'more'} error of the other points"
-    sigma = 100 * (change.serves_factor - 1)
+    sigma = 100 * (change.most_affected_ratio - 1)
     phrase = "hardest on" if change.do == "remove" else "most for"
-    return f"{change.action_text}: quality {better}, {other}, {phrase} {change.serves} (sigma {sigma:+.1f} %)"
+    parameter = change.most_affected_parameter
+    return f"{change.action_text}: quality {better}, {other}, {phrase} {parameter} (sigma {sigma:+.1f} %)"
 
 
 def _best_onset_per_place(change_results: list[ChangeResult]) -> list[ChangeResult]:

@@ -14,9 +14,9 @@ import numpy as np
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
 from ltsim.physics.model.construction import GeometricErrorModel
-from ltsim.planning.fast import LayoutPrecision, LayoutScorer
+from ltsim.planning.layout_scorer import LayoutPrecision, LayoutScorer
 from ltsim.planning.objective import MIN_SWEEP_IMPROVEMENT, LayoutObjective
-from ltsim.planning.site import SearchSpace
+from ltsim.planning.search_space import SearchSpace
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.scene.visibility import aim_nest_normals
 
@@ -87,7 +87,7 @@ class NormalMatrixTable:
 
     def weighted_target_rms(self, normal_matrices: Floats, place_indices: Ints) -> Floats:
         """Root mean square point error (B,) [m] of the fixed targets and of reflectors at places (n,) or (B, n)."""
-        rows = self._block_rows(len(normal_matrices), place_indices)
+        rows = self._block_indices(len(normal_matrices), place_indices)
         return self.scorer.weighted_target_rms(
             normal_matrices,
             self.target_block_inverses[rows],
@@ -95,9 +95,9 @@ class NormalMatrixTable:
             self.scorer.mesh_targets[rows],
         )
 
-    def target_sigma(self, normal_matrix: Floats, place_indices: Ints) -> dict[str, float]:
+    def point_error_by_name(self, normal_matrix: Floats, place_indices: Ints) -> dict[str, float]:
         """Point error [m] by name of the fixed targets and of reflectors at places, for one normal matrix (K, K)."""
-        at, scorer = self._block_rows(1, place_indices), self.scorer
+        at, scorer = self._block_indices(1, place_indices), self.scorer
         variance = scorer.target_variance(
             normal_matrix[None],
             self.target_block_inverses[at],
@@ -107,7 +107,7 @@ class NormalMatrixTable:
         names = [scorer.survey.target_names[t] for t in scorer.requested_targets(scorer.mesh_targets[at])[0]]
         return dict(zip(names, np.sqrt(variance).tolist(), strict=True))
 
-    def _block_rows(self, n_layouts: int, place_indices: Ints) -> Ints:
+    def _block_indices(self, n_layouts: int, place_indices: Ints) -> Ints:
         """Indices in `target_block_inverses` of the fixed targets and of places, (B, fixed + n)."""
         stay = len(self.target_block_inverses) - len(self.place_normal_matrices)
         place_indices = np.broadcast_to(place_indices, (n_layouts, np.shape(place_indices)[-1]))
@@ -123,14 +123,14 @@ class NormalMatrixTable:
 
 
 def with_targets(
-    survey: PlannedSurvey, is_fixed: Bools, places: Floats, names: tuple[str, ...], is_visible: Bools
+    survey: PlannedSurvey, is_fixed: Bools, places: Floats, target_names: tuple[str, ...], is_visible: Bools
 ) -> PlannedSurvey:
     """Survey with the fixed targets, and with reflectors at `places` (P, 3) [m]; `is_visible` is (S, targets)."""
     keep = np.flatnonzero(is_fixed)
     n_targets = len(keep) + len(places)
     rank = None if survey.target_ranks is None else np.tile(np.arange(n_targets), (len(survey.station_positions), 1))
     return survey.replace(
-        target_names=(*(survey.target_names[k] for k in keep), *names),
+        target_names=(*(survey.target_names[k] for k in keep), *target_names),
         target_points=np.concatenate([survey.target_points[keep], places]),
         is_visible=is_visible,
         target_ranks=rank,

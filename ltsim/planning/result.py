@@ -22,7 +22,7 @@ from ltsim.planning.plan_entries import (
     TradeoffEntry,
 )
 from ltsim.planning.planner import PlannedNetwork
-from ltsim.planning.reasons import cheapest_equal_option, reason_sentences
+from ltsim.planning.reasons import equally_good_with_fewest_stations, reason_sentences
 from ltsim.planning.reflector_changes import PlanChange, to_millimetres
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
@@ -59,11 +59,11 @@ class Plan(ResultFile, LayoutEntry):
     """Option with the fewest stations that is as good as the layout of the scenario."""
     tradeoff: tuple[TradeoffEntry, ...] = ()
     """All measuring procedures that were evaluated, in the order of cost."""
-    starts: tuple[OptionalFloat, ...] = ()
+    start_objectives: tuple[OptionalFloat, ...] = ()
     """Final value of the objective of each independent search, the best first; smaller is better."""
     reflector_changes: tuple[PlanChange, ...] = ()
     """Useful changes of one reflector, the best first, then reflectors that can be removed."""
-    changes_tried: str = ""
+    changes_summary: str = ""
     """Sentence with the numbers of evaluated and of useful changes of single reflectors."""
     bodies: tuple[str, ...] = ()
     """Obstacles in the hall, one sentence each: type of the file, size and position."""
@@ -83,7 +83,7 @@ class Plan(ResultFile, LayoutEntry):
     """Minimal detectable sizes of effects."""
     confusable: tuple[ConfusablePair, ...] = ()
     """Pairs of effects that the layout cannot distinguish."""
-    silent: tuple[str, ...] = ()
+    undetectable_effects: tuple[str, ...] = ()
     """Effects that change no residual, so that a diagnosis cannot detect them."""
 
     _network: PlannedNetwork | None = PrivateAttr(None)
@@ -91,7 +91,7 @@ class Plan(ResultFile, LayoutEntry):
     @classmethod
     def from_network(cls, network: PlannedNetwork) -> Self:
         """Result of a planned network."""
-        sentences, few, judged = reason_sentences(network), cheapest_equal_option(network), network.verdict
+        sentences, few, judged = reason_sentences(network), equally_good_with_fewest_stations(network), network.verdict
         report = catalogue_detectability(network.layout.information.adjustment, CATALOGUE)
         result = cls.from_evaluation(
             network.layout,
@@ -100,12 +100,14 @@ class Plan(ResultFile, LayoutEntry):
             summary=sentences[0],
             reasons=tuple(sentences[1:]),
             frame=FRAME_TEXT,
-            reference=None if network.reference is None else LayoutEntry.from_evaluation(network.reference),
+            reference=None
+            if network.reference_evaluation is None
+            else LayoutEntry.from_evaluation(network.reference_evaluation),
             fewest_stations=None if few is None else TradeoffEntry.from_tradeoff_point(few),
             tradeoff=tuple(TradeoffEntry.from_tradeoff_point(option) for option in network.tradeoff_points),
             reflector_changes=network.reflector_changes.reported_changes,
-            changes_tried=network.reflector_changes.summary_sentence,
-            starts=network.start_objectives,
+            changes_summary=network.reflector_changes.summary_sentence,
+            start_objectives=network.start_objectives,
             bodies=tuple(body.description for body in placed_obstacles(network.scenario)),
             reached=None if judged is None else judged.is_goal_reached,
             tolerances_met=None if network.tolerance_check is None else network.tolerance_check.meets_all,
@@ -114,7 +116,7 @@ class Plan(ResultFile, LayoutEntry):
             seed=network.plan_file.search.seed,
             detectable=tuple(DetectableSize.from_minimal_size(row) for row in report.table()),
             confusable=tuple(ConfusablePair.from_pair(pair) for pair in report.confusable_pairs()),
-            silent=report.undetectable_effects,
+            undetectable_effects=report.undetectable_effects,
         )
         result._network = network
         return result
@@ -159,9 +161,9 @@ class Plan(ResultFile, LayoutEntry):
 
     def _tolerances_table(self) -> Table:
         return tables.TOLERANCES_TABLE.with_rows(
-            [r.name, r.within_mm, r.tolerance_mm, percent_text(r.used), r.met]
+            [r.name, r.within_mm, r.tolerance_mm, percent_text(r.tolerance_ratio), r.met]
             for r in self.reflectors
-            if r.used is not None
+            if r.tolerance_ratio is not None
         )
 
     def _losses_table(self) -> Table:
@@ -187,7 +189,14 @@ class Plan(ResultFile, LayoutEntry):
 
     def _changes_table(self) -> Table:
         return tables.REFLECTOR_CHANGES_TABLE.with_rows(
-            [i, c.action_text, c.gain_um, 100 * (1 - c.quality), c.serves, 100 * (c.serves_factor - 1)]
+            [
+                i,
+                c.action_text,
+                c.gain_um,
+                100 * (1 - c.quality),
+                c.most_affected_parameter,
+                100 * (c.most_affected_ratio - 1),
+            ]
             for i, c in enumerate(self.reflector_changes, 1)
         )
 
@@ -235,7 +244,7 @@ def with_layout(scenario: Scenario, survey: PlannedSurvey, title: str = "") -> S
         place.name: PlannedStation(
             position_mm=place.position_mm, yaw_deg=place.yaw_deg, levelled=place.name in levelled
         )
-        for place in StationEntry.without_precision(survey)
+        for place in StationEntry.from_survey(survey)
     }
     fixed = set(scenario.gauge.targets) if scenario.gauge else set()
     targets = {

@@ -16,9 +16,9 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
 from ltsim.core.randomness import stream
 from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
-from ltsim.planning.fast import LayoutScorer, NormalBlocks
+from ltsim.planning.layout_scorer import LayoutScorer, NormalBlocks
 from ltsim.planning.objective import MIN_SWEEP_IMPROVEMENT, LayoutObjective
-from ltsim.planning.site import SearchSpace, StationPlacement
+from ltsim.planning.search_space import SearchSpace, StationPlacement
 
 SETUPS_PER_BATCH = 64
 """Number of candidate set-ups whose objectives are computed together."""
@@ -26,7 +26,7 @@ MAX_LAYOUT_SWEEPS = 12
 """Largest number of sweeps, in each of which every station may be exchanged."""
 MAX_RANDOM_LAYOUTS = 12
 """Largest number of random layouts that are drawn for one start, until one determines all poses and targets."""
-PROGRESS_FACTOR = 0.985
+REMAINING_PROGRESS_FACTOR = 0.985
 """Factor on the remaining part of the progress bar for each step of a start; the number of steps is unknown in advance.
 """
 MIN_REFINEMENT_STEP = 0.004
@@ -159,13 +159,13 @@ class LayoutSearcher:
     def _report_step(self) -> None:
         """Report of progress to the callback."""
         self._n_steps += 1
-        self.on_progress(1.0 - PROGRESS_FACTOR**self._n_steps)
+        self.on_progress(1.0 - REMAINING_PROGRESS_FACTOR**self._n_steps)
 
     def replacement_objectives(self, layout: NormalBlocks, station_index: int, candidates: NormalBlocks) -> Floats:
         """Objective (N,) of the layout with each candidate in place of one station; infinite if a rule is broken."""
         count, (position, visible) = (
             len(candidates.setup_positions),
-            _with_each_candidate(layout, station_index, candidates),
+            _layouts_with_candidates(layout, station_index, candidates),
         )
         permitted_candidates = np.flatnonzero(self.search_space.is_feasible(position, visible))
         objectives = np.full(count, np.inf)
@@ -287,9 +287,9 @@ class LayoutSearcher:
         """Layout after exchanges of stations for better connected ones until all poses and targets are determined."""
         for station_index in self._movable_stations * 2:
             table = self.grid_setups(station_index)
-            position, visible = _with_each_candidate(layout, station_index, table)
+            position, visible = _layouts_with_candidates(layout, station_index, table)
             worth = np.where(
-                self.search_space.is_feasible(position, visible), self.search_space.connectivity(visible), -1.0
+                self.search_space.is_feasible(position, visible), self.search_space.connectivity_scores(visible), -1.0
             )
             if worth.max() < 0:
                 continue
@@ -315,7 +315,9 @@ class LayoutSearcher:
         return StationLayout(layout.setup_positions, np.mod(layout.setup_yaws, 2 * np.pi), value)
 
 
-def _with_each_candidate(layout: NormalBlocks, station_index: int, candidates: NormalBlocks) -> tuple[Floats, Bools]:
+def _layouts_with_candidates(
+    layout: NormalBlocks, station_index: int, candidates: NormalBlocks
+) -> tuple[Floats, Bools]:
     """Positions (N, S, 3) and visibility (N, S, T) of the layout with each candidate in place of one station."""
     n_candidates = len(candidates.setup_positions)
     position: Floats = np.repeat(layout.setup_positions[None], n_candidates, axis=0)

@@ -12,7 +12,7 @@ from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_robustly, rotation_about_z
 from ltsim.physics.model.construction import declared_construction
 from ltsim.physics.model.measurement import NetworkState
-from ltsim.planning.site import SearchSpace
+from ltsim.planning.search_space import SearchSpace
 from ltsim.recordings import Recording
 
 MAX_MEDIAN_MISFIT = 0.1
@@ -39,7 +39,7 @@ def with_positions_on_site(recording: Recording, site: SearchSpace, site_name: s
     """
     nominal = {n: s.position_mm for n, s in recording.setup.stations.items() if s.position_mm is not None}
     adjustment = adjust(recording, declared_construction(recording))
-    plan = _plan_from_points(recording, adjustment.state, site, adjustment.undetermined_targets, site_name)
+    plan = _floor_plan_from_points(recording, adjustment.state, site, adjustment.undetermined_targets, site_name)
     if plan is None and not nominal:
         raise SetupError(
             f"{option('site')} needs positions on the floor plan; set position_mm of the stations in setup.toml, or "
@@ -49,7 +49,7 @@ def with_positions_on_site(recording: Recording, site: SearchSpace, site_name: s
         adjustment.state.station_positions
     )
     if plan is None:
-        _require_inside(recording, positions, site, site_name)
+        _require_on_allowed_floor(recording, positions, site, site_name)
         return recording
     stations = dict(recording.setup.stations)
     for name, place, rotation in zip(recording.stations, positions, adjustment.state.station_rotations, strict=True):
@@ -59,7 +59,7 @@ def with_positions_on_site(recording: Recording, site: SearchSpace, site_name: s
     return recording.replace(setup=recording.setup.model_copy(update={"stations": stations}))
 
 
-def _plan_from_points(
+def _floor_plan_from_points(
     recording: Recording, state: NetworkState, site: SearchSpace, undetermined: tuple[str, ...], site_name: str
 ) -> FloorPlan | None:
     """Transformation from the network to the site by the points with equal names; None if there are too few.
@@ -106,7 +106,7 @@ def _require_same_axes(
         )
 
 
-def _require_inside(recording: Recording, positions: Floats, site: SearchSpace, site_name: str) -> None:
+def _require_on_allowed_floor(recording: Recording, positions: Floats, site: SearchSpace, site_name: str) -> None:
     """Check that a station of the recording stands on the permitted floor of the site; raises SetupError.
 
     `positions` (S, 3) [m] are the stations on the floor plan of the recording.

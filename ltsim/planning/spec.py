@@ -13,7 +13,7 @@ from ltsim.simulation.sections import ScenarioInstrument, Smr, Work, Workshop
 
 WALLS_NAME = "walls"
 """Name of the walls of the room in the list of bodies on which reflectors may be placed."""
-SmallCount = Annotated[int, Field(ge=2, le=40)]
+StationCount = Annotated[int, Field(ge=2, le=40)]
 """Number of stations, 2 to 40."""
 
 
@@ -47,12 +47,12 @@ class StationSettings(TomlSection):
     Every sight must be free for an instrument up to `position_tolerance_mm` from its planned position.
     """
 
-    count: SmallCount | None = None
+    count: StationCount | None = None
     """Number of stations; default that of the scenario."""
-    max_count: SmallCount = 8
+    max_count: StationCount = 8
     """Largest number of stations of the search for the fewest stations that meet the tolerances, if no count is given.
     """
-    tradeoff_counts: tuple[SmallCount, ...] = ()
+    tradeoff_counts: tuple[StationCount, ...] = ()
     """Further numbers of stations that are searched, for the curve of cost against quality."""
     fixed: tuple[str, ...] = ()
     """Stations of the scenario that do not move."""
@@ -175,7 +175,7 @@ class GoalSettings(TomlSection):
     """Loss after which the tolerances must still be met: any single sight, any single station, or none."""
 
     @model_validator(mode="after")
-    def _something(self) -> GoalSettings:
+    def _check_any_weight(self) -> GoalSettings:
         if self.instrument + self.targets + self.diagnosis == 0:
             raise ValueError("it should give a weight above 0 to at least one of instrument, targets and diagnosis")
         return self

@@ -98,14 +98,14 @@ class PlannedSurvey:
         )
 
     @property
-    def used_observables(self) -> Bools:
+    def is_recorded_observable(self) -> Bools:
         """Flags (3,) of the recorded observables: range, azimuth, elevation."""
         return np.array([name in self.observables for name in OBSERVABLES])
 
     @property
     def records_angles(self) -> bool:
         """True for ranges with both angles, False for ranges alone."""
-        return bool(self.used_observables.all())
+        return bool(self.is_recorded_observable.all())
 
     @property
     def normalised_target_weights(self) -> Floats:
@@ -133,7 +133,7 @@ class PlannedSurvey:
         """
         empty = self._empty_recording()
         readings = MeasurementModel(empty, construction).predict(self.nominal_state(construction))
-        readings[:, ~self.used_observables] = np.nan
+        readings[:, ~self.is_recorded_observable] = np.nan
         return empty.with_readings(readings)
 
     def pointing_ranks(self, station: Ints, target: Ints, face: Ints) -> Ints:
@@ -190,17 +190,17 @@ class PlannedSurvey:
             target_ranks=None if self.target_ranks is None else self.target_ranks[keep],
         )
 
-    def with_targets_only(self, targets: Bools) -> PlannedSurvey:
+    def with_targets_only(self, is_selected: Bools) -> PlannedSurvey:
         """Survey with the targets that are flagged, (T,)."""
-        if targets.all():
+        if is_selected.all():
             return self
         return self.replace(
-            target_names=tuple(n for n, k in zip(self.target_names, targets, strict=True) if k),
-            target_points=self.target_points[targets],
-            is_visible=self.is_visible[:, targets],
+            target_names=tuple(n for n, k in zip(self.target_names, is_selected, strict=True) if k),
+            target_points=self.target_points[is_selected],
+            is_visible=self.is_visible[:, is_selected],
             target_ranks=None
             if self.target_ranks is None
-            else np.argsort(np.argsort(self.target_ranks[:, targets], axis=1), axis=1),
+            else np.argsort(np.argsort(self.target_ranks[:, is_selected], axis=1), axis=1),
         )
 
     def replace(self, **changes: Any) -> PlannedSurvey:

@@ -84,7 +84,7 @@ TRADEOFF_TABLE = Table(
     (
         *columns_of(TradeoffEntry, "stations faces repeats pointings hours"),
         *columns_of(TradeoffEntry, "value", value={"title": "objective"}),
-        Column("value_um", "the objective, if it is only the error of the targets", title="weighted point error"),
+        Column("point_error_um", "the objective, if it is only the error of the targets", title="weighted point error"),
         *columns_of(TradeoffEntry, "efficient", efficient={"title": "best layout in its time"}),
     ),
 )
@@ -99,7 +99,7 @@ TOLERANCES_TABLE = Table(
             within_mm="error at the confidence level of the goal",
             tolerance_mm="limit of the error",
         ),
-        *text_columns(used="error divided by the limit, with enough digits to show its side of the limit"),
+        *text_columns(tolerance_ratio="error divided by the limit, with enough digits to show its side of the limit"),
         *flag_columns(met="the tolerance is met"),
     ),
 )
@@ -111,7 +111,7 @@ LOSSES_TABLE = Table(
         *flag_columns(met="all tolerances are met"),
         *text_columns(
             worst_point="with the largest error over its tolerance",
-            used="that ratio",
+            tolerance_ratio="that ratio",
             unseen="points that are not visible from any station",
         ),
     ),

@@ -14,7 +14,7 @@ from ltsim.core.notation import listing
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.information import LayoutInformation
-from ltsim.planning.site import BrokenRule, broken_rules_text
+from ltsim.planning.search_space import BrokenRule, broken_rules_text
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
 
@@ -36,7 +36,7 @@ def is_met(ratio: float) -> bool:
     return ratio <= 1.0
 
 
-def text_near_limit(value: float, limit: float, digits: int = 3) -> str:
+def text_distinct_from_limit(value: float, limit: float, digits: int = 3) -> str:
     """Text of a value with enough digits to show on which side of its limit the value is, at least `digits`."""
     texts = (f"{value:.{count}g}" for count in range(digits, 17))
     return next((text for text in texts if (float(text) > limit) == (value > limit)), repr(value))
@@ -44,7 +44,7 @@ def text_near_limit(value: float, limit: float, digits: int = 3) -> str:
 
 def percent_text(ratio: float) -> str:
     """Ratio of error to tolerance as text: `100.4 %` for one that is 0.4 % too large."""
-    return f"{text_near_limit(100.0 * ratio, 100.0)} %"
+    return f"{text_distinct_from_limit(100.0 * ratio, 100.0)} %"
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ class ToleranceCheck:
         return self.error_by_point[name] / self.tolerance_by_point[name]
 
     @property
-    def worst_point_numbers(self) -> str:
+    def worst_point_values_text(self) -> str:
         """Text of the worst point with error and tolerance."""
         return (
             self.point_text(self.worst_point_name)
@@ -158,13 +158,13 @@ class ToleranceCheck:
             f"margin {-excess:.0f} %" if self.meets_all else f"{excess:{'.0f' if excess >= 1 else '.1g'}} % too large"
         )
         margin = margin if np.isfinite(excess) else "not visible from any station"
-        return f"worst point {self.worst_point_numbers} ({margin})" if self.error_by_point else UNDETERMINED_TEXT
+        return f"worst point {self.worst_point_values_text} ({margin})" if self.error_by_point else UNDETERMINED_TEXT
 
     @property
-    def open_points_clause(self) -> str:
+    def violations_clause(self) -> str:
         """Clause on the points that are not visible or exceed their tolerances."""
         if self.meets_all:
-            return f"all tolerances are met, worst point {self.worst_point_numbers}"
+            return f"all tolerances are met, worst point {self.worst_point_values_text}"
         verb, named = (
             "is" if len(self.unseen_points) == 1 else "are",
             listing(self.unseen_points, MAX_POINTS_IN_VERDICT),
@@ -185,7 +185,7 @@ class ToleranceCheck:
     def point_text(self, name: str) -> str:
         """Text of a point with its error and its tolerance."""
         error, tolerance = self.error_by_point[name] / MILLIMETRE, self.tolerance_by_point[name] / MILLIMETRE
-        return f"{name}: {text_near_limit(error, tolerance)} mm, limit {tolerance:.6g} mm"
+        return f"{name}: {text_distinct_from_limit(error, tolerance)} mm, limit {tolerance:.6g} mm"
 
 
 def check_tolerances(
@@ -319,12 +319,12 @@ def plan_verdict(
 
 def loss_sentences(loss_checks: Sequence[ToleranceCheck]) -> list[str]:
     """Sentences on the tolerances after the loss of a station or a sight."""
-    texts = [f"Without {loss.lost_text}: {loss.open_points_clause}." for loss in loss_checks if not loss.is_sight_loss]
+    texts = [f"Without {loss.lost_text}: {loss.violations_clause}." for loss in loss_checks if not loss.is_sight_loss]
     sights = [loss for loss in loss_checks if loss.is_sight_loss]
     broken = sorted((loss for loss in sights if not loss.meets_all), key=lambda loss: -loss.max_ratio)
     if broken:
         number = f"{len(broken)} of {len(sights)} sights"
-        texts.append(f"{number} are critical; without {broken[0].lost_text}: {broken[0].open_points_clause}.")
+        texts.append(f"{number} are critical; without {broken[0].lost_text}: {broken[0].violations_clause}.")
     elif sights:
         texts.append(
             f"Any single one of the {len(sights)} sights of these points may be blocked; all tolerances are still met."

@@ -13,17 +13,17 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import SetupError, option, unknown_name
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.physics.effects.linear_effect import LinearEffect
-from ltsim.planning.making import SearchCallbacks, make_plan
+from ltsim.planning.multistart_search import PlanningProblem
+from ltsim.planning.plan_search import SearchCallbacks, make_plan
 from ltsim.planning.planner import PlannedNetwork, evaluate_plan
 from ltsim.planning.proposals import NextMeasurement
 from ltsim.planning.result import Plan, load_plan_and_scenario
-from ltsim.planning.site import SearchSpace, broken_rules_text
+from ltsim.planning.search_inputs import unsearched_plan
+from ltsim.planning.search_space import SearchSpace, broken_rules_text
 from ltsim.planning.site_axes import with_positions_on_site
 from ltsim.planning.spec import PlanFile
-from ltsim.planning.starts import PlanningProblem
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.tolerances import PointTolerances, check_tolerances, checks_after_required_losses, plan_verdict
-from ltsim.planning.workshop import unsearched_plan
 from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.simulation.scenario import Scenario
@@ -128,7 +128,7 @@ def next_measurement(
     >>> import ltsim as lt
     >>> recording, _ = lt.simulate("paper-workshop", seed=7)
     >>> proposals = lt.next_measurement(recording)
-    >>> proposals.proposals[0].sharper < 1
+    >>> proposals.proposals[0].sigma_ratio < 1
     True
     """
     measured = load_recording(recording)
@@ -289,7 +289,7 @@ def _evaluate_alternative(
 ) -> StationAlternative:
     """Alternative with the verdict by rules and tolerances, or by the worst point if there are no tolerances."""
     demands, built, broken = (
-        PointTolerances.from_plan_file(problem.file),
+        PointTolerances.from_plan_file(problem.plan_file),
         problem.construction,
         site.broken_rules(survey),
     )
@@ -302,7 +302,7 @@ def _evaluate_alternative(
     check = check_tolerances(survey, PointTolerances(dict.fromkeys(survey.target_names, np.inf)), built)
     rules = f"it breaks a rule ({broken_rules_text(broken)}); " if broken else ""
     if not check.error_by_point or check.unseen_points:
-        return StationAlternative(description, survey, rules + check.open_points_clause, np.inf, False, move)
+        return StationAlternative(description, survey, rules + check.violations_clause, np.inf, False, move)
     worst_point = max(check.error_by_point, key=lambda name: check.error_by_point[name])
     worst_error = check.error_by_point[worst_point]
     text = f"{rules}worst {worst_point}, within {worst_error / MICROMETRE:.1f} um at 95 %"

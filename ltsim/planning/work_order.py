@@ -66,10 +66,12 @@ class TapeDistance:
         return f"{self.length:.2f} m to {self.end_name}{'' if self.is_along_floor else ' (straight)'}"
 
     @classmethod
-    def from_station(cls, target: str, target_position: Floats, station: Floats, *, floor: bool) -> TapeDistance:
+    def from_station(
+        cls, target: str, target_position: Floats, station: Floats, *, is_along_floor: bool
+    ) -> TapeDistance:
         """Tape distance from an instrument at `station` (3,) [m]."""
         gap = target_position - station
-        return cls(target, target_position, float(np.linalg.norm(gap[:2] if floor else gap)), floor)
+        return cls(target, target_position, float(np.linalg.norm(gap[:2] if is_along_floor else gap)), is_along_floor)
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,7 @@ def station_instructions(plan: PlannedNetwork) -> tuple[StationInstruction, ...]
     survey, built = plan.layout.survey, plan.layout.information.construction
     recording = survey.noise_free_recording(built)
     sightings = sightings_of(recording, survey.nominal_state(built))
-    sigma = survey.nominal_noise(sightings) * survey.used_observables
+    sigma = survey.nominal_noise(sightings) * survey.is_recorded_observable
     horizontal = sightings.range_ * np.cos(sightings.elevation)
     error = np.linalg.norm(sigma * np.stack([np.ones_like(horizontal), horizontal, sightings.range_], axis=1), axis=1)
     settings = []
@@ -137,7 +139,7 @@ def _tape_marks(plan: PlannedNetwork, place: Floats, is_visible: Bools) -> list[
     wide, deep = np.array(plan.scenario.workshop.size_mm[:2]) * MILLIMETRE
     corners = [(f"room corner ({x:g} m, {y:g} m)", np.array([x, y, 0.0])) for x in (0.0, wide) for y in (0.0, deep)]
     plumbed = [*((name, point) for name, point in targets if point[2] <= MAX_PLUMB_HEIGHT), *corners]
-    level = [TapeDistance.from_station(name, point, place, floor=True) for name, point in plumbed]
+    level = [TapeDistance.from_station(name, point, place, is_along_floor=True) for name, point in plumbed]
     tapes = [np.stack([place[:2], mark.end_point[:2]]) for mark in level]
     crossed = [any(area.is_crossed(tape) for area in plan.search_space.forbidden_areas) for tape in tapes]
     level = [mark for mark, is_crossed in zip(level, crossed, strict=True) if not is_crossed]
@@ -147,7 +149,7 @@ def _tape_marks(plan: PlannedNetwork, place: Floats, is_visible: Bools) -> list[
         level = [mark for mark, hidden in zip(level, blocked, strict=True) if not hidden]
     reachable = {mark.end_name for mark in level}
     straight = [
-        TapeDistance.from_station(*targets[t], place, floor=False)
+        TapeDistance.from_station(*targets[t], place, is_along_floor=False)
         for t in np.flatnonzero(is_visible)
         if targets[t][0] not in reachable
     ]
@@ -163,9 +165,15 @@ def _best_tape_distances(marks: Sequence[TapeDistance], place: Floats) -> tuple[
     If there are none, the three with the strongest intersection.
     """
 
-    def preference(three: tuple[TapeDistance, ...]) -> tuple[bool, bool, float]:
-        strength, good = intersection_strength(three, place), not tape_deficiency_sentence(three, place)
-        longest, straight = max(mark.length for mark in three), sum(not mark.is_along_floor for mark in three)
+    def preference(candidate_distances: tuple[TapeDistance, ...]) -> tuple[bool, bool, float]:
+        strength, good = (
+            intersection_strength(candidate_distances, place),
+            not tape_deficiency_sentence(candidate_distances, place),
+        )
+        longest, straight = (
+            max(mark.length for mark in candidate_distances),
+            sum(not mark.is_along_floor for mark in candidate_distances),
+        )
         return (
             good,
             good and longest <= MAX_TAPE_DISTANCE,
@@ -184,20 +192,20 @@ def intersection_strength(distances: Sequence[TapeDistance], place: Floats) -> f
     return float(np.linalg.svd(slopes, compute_uv=False).min())
 
 
-def tape_deficiency_sentence(tapes: Sequence[TapeDistance], place: Floats) -> str:
+def tape_deficiency_sentence(tape_distances: Sequence[TapeDistance], place: Floats) -> str:
     """Sentence on why distances read to `TAPE_RESOLUTION` do not determine one position; empty if they do."""
-    if len(tapes) < 3:
+    if len(tape_distances) < 3:
         return "Fewer than three points are within reach of a tape: mark the place in another way."
-    if (strength := intersection_strength(tapes, place)) * MAX_POSITION_AMBIGUITY < TAPE_RESOLUTION:
+    if (strength := intersection_strength(tape_distances, place)) * MAX_POSITION_AMBIGUITY < TAPE_RESOLUTION:
         wide = f"by {100 * TAPE_RESOLUTION / strength:.0f} cm" if strength > TAPE_RESOLUTION else "along a line"
         return f"The tapes meet at a flat angle, and the place is uncertain {wide}: mark it in another way."
-    end_points = np.array([mark.end_point[:2] for mark in tapes])
-    rise = np.array([mark.length for mark in tapes]) ** 2 - np.sum((place[:2] - end_points) ** 2, axis=1)
+    end_points = np.array([mark.end_point[:2] for mark in tape_distances])
+    rise = np.array([mark.length for mark in tape_distances]) ** 2 - np.sum((place[:2] - end_points) ** 2, axis=1)
     first, second = max(combinations(end_points, 2), key=lambda ends: float(np.linalg.norm(ends[1] - ends[0])))
     direction = (second - first) / np.linalg.norm(second - first)
     gap = place[:2] - first
     mirror = place[:2] - 2.0 * (gap - direction * (gap @ direction))
-    misses = np.sqrt(np.sum((mirror - end_points) ** 2, axis=1) + rise) - [mark.length for mark in tapes]
+    misses = np.sqrt(np.sum((mirror - end_points) ** 2, axis=1) + rise) - [mark.length for mark in tape_distances]
     if np.linalg.norm(mirror - place[:2]) < MAX_POSITION_AMBIGUITY or np.abs(misses).max() > MIN_TAPE_MISCLOSURE:
         return ""
     return f"The tapes meet a second time, at x {mirror[0]:.2f}, y {mirror[1]:.2f} m. Do not use this point."

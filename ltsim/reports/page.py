@@ -22,7 +22,7 @@ from ltsim.recordings.native import OBSERVATIONS_FILE, SETUP_FILE
 from ltsim.recordings.result_file import read_json, recording_digest
 from ltsim.recordings.settings import read_setup
 from ltsim.recordings.setup import ReportHeader
-from ltsim.reports.document import (
+from ltsim.reports.document_model import (
     CONTENT_SECURITY_POLICY,
     Block,
     BulletListBlock,
@@ -34,11 +34,11 @@ from ltsim.reports.document import (
     WorkshopDetail,
     table_block,
 )
+from ltsim.reports.formatting import duration_text, natural_sort_key, typographic_text
 from ltsim.reports.sections import SECTION_WRITERS, read_content, result_section
 from ltsim.reports.sections.network import TRUTH_FILE, recording_section
-from ltsim.reports.words import duration_text, natural_sort_key, typographic_text
 
-MAX_PAGE_ACTIONS = 3
+MAX_RECOMMENDED_ACTIONS = 3
 """Largest number of next actions at the head of a page."""
 
 
@@ -112,11 +112,13 @@ def section_of_part(page_part: PagePart, detail: WorkshopDetail = "none") -> Sec
     content = read_content(page_part.folder, page_part.result_file)
     recording = read(page_part.recording) if page_part.recording else None
     section = result_section(content, ReportContext(page_part.folder, recording, detail, page_part.is_brief))
-    return replace(section, measured_on=(content.recording and content.recording.measured) or section.measured_on)
+    return replace(
+        section, measurement_date=(content.recording and content.recording.measured) or section.measurement_date
+    )
 
 
 def document_of_folder(
-    folder: Path, *, recording: Path | None = None, title: str | None = None, header: ReportHeader | None = None
+    folder: Path, *, recording: Path | None = None, title: str | None = None, about: ReportHeader | None = None
 ) -> Document:
     """Document of the page of a folder.
 
@@ -137,21 +139,21 @@ def document_of_folder(
         assessment=first_section.assessment,
         sections=sections,
         versions=package_versions(),
-        header_lines=_header_lines(page_parts, sections, header or ReportHeader()),
+        header_lines=_header_lines(page_parts, sections, about or ReportHeader()),
         headline=HEADLINES.get((first_section.kind, first_section.assessment), ""),
-        next_actions=_page_actions(sections),
+        next_actions=_recommended_actions(sections),
         simulation_notice=first_section.simulation_notice,
     )
 
 
-def _page_actions(sections: list[Section]) -> list[str]:
+def _recommended_actions(sections: list[Section]) -> list[str]:
     """Next actions of the first section; if there are none, of the first section with the same assessment."""
     first_section = sections[0]
     chosen = next((s for s in sections if s.next_actions and s.assessment == first_section.assessment), first_section)
-    return list(dict.fromkeys(first_section.next_actions or chosen.next_actions))[:MAX_PAGE_ACTIONS]
+    return list(dict.fromkeys(first_section.next_actions or chosen.next_actions))[:MAX_RECOMMENDED_ACTIONS]
 
 
-def _header_lines(page_parts: list[PagePart], sections: list[Section], header: ReportHeader) -> list[tuple[str, str]]:
+def _header_lines(page_parts: list[PagePart], sections: list[Section], about: ReportHeader) -> list[tuple[str, str]]:
     """Header lines (name, text): instrument, date, operator, customer, axes; unknown ones are omitted."""
     folders = dict.fromkeys(part.recording for part in page_parts if part.recording)
     setups = [
@@ -161,16 +163,16 @@ def _header_lines(page_parts: list[PagePart], sections: list[Section], header: R
     ]
     reports = [setup.report for setup in setups if setup.report is not None]
     instruments = "; ".join(
-        dict.fromkeys(filter(None, [*(s.instruments_text for s in setups), *(s.instrument for s in sections)]))
+        dict.fromkeys(filter(None, [*(s.instruments_text for s in setups), *(s.instrument_text for s in sections)]))
     )
-    dates = ", ".join(dict.fromkeys(s.measured_on[:10] for s in sections if s.measured_on))
+    dates = ", ".join(dict.fromkeys(s.measurement_date[:10] for s in sections if s.measurement_date))
     fallback = {"instrument": instruments, "date": dates}
     lines = []
     for key in ReportHeader.model_fields:
-        values = [getattr(header, key)] if getattr(header, key) else [getattr(entry, key) for entry in reports]
+        values = [getattr(about, key)] if getattr(about, key) else [getattr(entry, key) for entry in reports]
         text = ", ".join(dict.fromkeys(value for value in values if value)) or fallback.get(key)
         lines += [(key, text)] if text else []
-    axes = "; ".join(dict.fromkeys(s.axes for s in sections if s.axes))
+    axes = "; ".join(dict.fromkeys(s.axes_text for s in sections if s.axes_text))
     return [*lines, *([("axes", axes)] if axes else [])]
 
 
@@ -339,7 +341,7 @@ def _reflector_proposals_block(plan: Plan) -> list[Block]:
     if not moves_and_additions:
         return []
     lines = [
-        f"{c.action_text}: the other points improve by {c.gain_um:.2f} µm, most of all {c.serves}"
+        f"{c.action_text}: the other points improve by {c.gain_um:.2f} µm, most of all {c.most_affected_parameter}"
         for c in moves_and_additions
     ]
     return [BulletListBlock("Possible improvements: one of these (z from the floor), then plan again", lines)]

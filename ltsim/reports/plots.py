@@ -37,9 +37,9 @@ from ltsim.reports.figures.points import check_figure, displacement_figure, erro
 from ltsim.reports.figures.residuals import residuals_by_covariate_figure, residuals_by_station_figure
 from ltsim.reports.residuals import Residuals
 from ltsim.reports.sections.diagnosis import finding_figure
-from ltsim.reports.sections.plain import uncertainty_budget_figure
+from ltsim.reports.sections.simple_sections import uncertainty_budget_figure
 from ltsim.reports.verbs import View
-from ltsim.reports.workshop import workshop_from_recording, workshop_from_scenario
+from ltsim.reports.workshop_scene import workshop_from_recording, workshop_from_scenario
 from ltsim.simulation.inject import DetectionCurve
 from ltsim.simulation.scenario import Scenario
 
@@ -150,7 +150,7 @@ def _(result: Recovery) -> Figure:
 
 @figure_of.register
 def _(result: NextMeasurement) -> Figure:
-    shares = {p.do: (100 * (1 - p.sharper),) * 3 for p in result.proposals[:MAX_DRAWN_PROPOSALS]}
+    shares = {p.do: (100 * (1 - p.sigma_ratio),) * 3 for p in result.proposals[:MAX_DRAWN_PROPOSALS]}
     return values_figure(shares, "sigmas of the instrument's parameters fall by [%]")
 
 

@@ -15,7 +15,7 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.notation import listing
 from ltsim.core.units import DEGREE
 from ltsim.reports import style
-from ltsim.reports.workshop import PlacedWorkshop
+from ltsim.reports.workshop_scene import WorkshopScene
 
 WALL_COLOUR = "#D5DBE0"
 FLOOR_COLOUR = "#E3E7EA"
@@ -69,7 +69,7 @@ Camera = Sequence[Sequence[float]]
 
 
 def build_scene(
-    workshop: PlacedWorkshop,
+    workshop: WorkshopScene,
     *,
     window_size: tuple[int, int] = (1400, 1000),
     off_screen: bool = True,
@@ -94,7 +94,7 @@ def build_scene(
     return plotter, SceneLegend(tuple(lines), bar)
 
 
-def scene_png(workshop: PlacedWorkshop, *, window_size: tuple[int, int] = (1400, 1000)) -> bytes:
+def scene_png(workshop: WorkshopScene, *, window_size: tuple[int, int] = (1400, 1000)) -> bytes:
     """PNG of the scene of a workshop, with title, legend and colour bar."""
     plotter, legend = build_scene(workshop, window_size=window_size)
     write_legend(plotter, workshop.title, legend)
@@ -110,7 +110,7 @@ def capture_and_close(plotter: pv.Plotter) -> Image.Image:
     return Image.fromarray(np.asarray(image))
 
 
-def show_window(workshop: PlacedWorkshop) -> None:
+def show_window(workshop: WorkshopScene) -> None:
     """Open a window; returns when it is closed."""
     plotter, legend = build_scene(workshop, off_screen=False)
     write_legend(plotter, workshop.title, legend)
@@ -145,25 +145,25 @@ def write_legend(plotter: pv.Plotter, title: str, legend: SceneLegend) -> None:
         )
 
 
-def _draw_surroundings(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
+def _draw_surroundings(plotter: pv.Plotter, workshop: WorkshopScene) -> None:
     """Draw floor, metre lines, walls and obstacles."""
     z = workshop.floor_height
-    corners = np.column_stack([workshop.floor, np.full(len(workshop.floor), z - 0.002)])
+    corners = np.column_stack([workshop.floor_corners, np.full(len(workshop.floor_corners), z - 0.002)])
     plotter.add_mesh(_polygon_mesh(corners), color=FLOOR_COLOUR, lighting=False, name="floor")
-    ends = workshop.floor.min(axis=0), workshop.floor.max(axis=0)
+    ends = workshop.floor_corners.min(axis=0), workshop.floor_corners.max(axis=0)
     metres = [np.arange(np.ceil(low), high + 1e-9) for low, high in zip(*ends, strict=True)]
     if all(map(len, metres)) and sum(map(len, metres)) <= MAX_METRE_LINES:
         grid = pv.RectilinearGrid(*metres, [z]).extract_all_edges()
         plotter.add_mesh(grid, color="#CBD1D6", line_width=1, lighting=False, name="grid")
-    for i, wall in enumerate(workshop.walls):
+    for i, wall in enumerate(workshop.wall_corners):
         plotter.add_mesh(_polygon_mesh(wall), color=WALL_COLOUR, opacity=0.55, lighting=False, name=f"wall-{i}")
-    if len(workshop.obstacles):
-        corners = workshop.obstacles.reshape(-1, 3)
+    if len(workshop.obstacle_triangles):
+        corners = workshop.obstacle_triangles.reshape(-1, 3)
         triangles = pv.PolyData.from_regular_faces(corners, np.arange(len(corners)).reshape(-1, 3))  # type: ignore[arg-type]
         plotter.add_mesh(triangles, color="#B9A98C", name="obstacles")
 
 
-def _draw_sights(plotter: pv.Plotter, workshop: PlacedWorkshop) -> tuple[str, float, float] | None:
+def _draw_sights(plotter: pv.Plotter, workshop: WorkshopScene) -> tuple[str, float, float] | None:
     """Draw each line of sight once, coloured by its largest value; returns label, lowest and highest value."""
     sights = workshop.sights
     if sights is None or not len(sights.station):
@@ -191,7 +191,7 @@ def _draw_sights(plotter: pv.Plotter, workshop: PlacedWorkshop) -> tuple[str, fl
     return sights.label, low, high
 
 
-def _draw_shadow_cones(plotter: pv.Plotter, workshop: PlacedWorkshop, legend_lines: list[str]) -> None:
+def _draw_shadow_cones(plotter: pv.Plotter, workshop: WorkshopScene, legend_lines: list[str]) -> None:
     """Draw the cone below each station that its elevation limit hides, and the rim of the cone on the floor."""
     z = workshop.floor_height
     for k, opening in enumerate(workshop.cone_openings):
@@ -241,7 +241,7 @@ def ellipsoid_mesh(centres: Floats, axes: Floats) -> pv.PolyData:
     return pv.PolyData.from_regular_faces(points.reshape(-1, 3).astype(np.float32), corners)  # type: ignore[arg-type]
 
 
-def _draw_targets(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
+def _draw_targets(plotter: pv.Plotter, workshop: WorkshopScene) -> None:
     """Draw targets as spheres, and the lengths between targets of the gauge as lines."""
     gauge = set(workshop.gauge_targets)
     radius = 0.009 * workshop.largest_extent
@@ -264,7 +264,7 @@ def _draw_targets(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
         )
 
 
-def _draw_stations(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
+def _draw_stations(plotter: pv.Plotter, workshop: WorkshopScene) -> None:
     """Draw each station as tripod and tracker head, with an arrow towards azimuth zero."""
     legs, heads, pointers = [], [], []
     for position, axes in zip(workshop.station_positions, workshop.station_rotations, strict=True):
@@ -287,7 +287,7 @@ def _draw_stations(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
     plotter.add_mesh(pv.merge(pointers), color=style.ORANGE, name="azimuth-zero")
 
 
-def _draw_uncertainty_ellipsoids(plotter: pv.Plotter, workshop: PlacedWorkshop, legend_lines: list[str]) -> None:
+def _draw_uncertainty_ellipsoids(plotter: pv.Plotter, workshop: WorkshopScene, legend_lines: list[str]) -> None:
     """Draw the one-sigma ellipsoids of the targets with a round magnification, which is added to the legend lines."""
     if workshop.target_covariances is None:
         return
@@ -304,7 +304,7 @@ def _draw_uncertainty_ellipsoids(plotter: pv.Plotter, workshop: PlacedWorkshop, 
     legend_lines.append(f"pale ellipsoids: 1 sigma of a target, enlarged {magnification_text(scale)} times")
 
 
-def _draw_correction_arrows(plotter: pv.Plotter, workshop: PlacedWorkshop, legend_lines: list[str]) -> None:
+def _draw_correction_arrows(plotter: pv.Plotter, workshop: WorkshopScene, legend_lines: list[str]) -> None:
     """Draw the corrections of the targets as arrows with a round magnification, which is added to the legend lines."""
     if workshop.target_corrections is None:
         return
@@ -332,7 +332,7 @@ def _draw_correction_arrows(plotter: pv.Plotter, workshop: PlacedWorkshop, legen
     legend_lines.append(f"arrows: correction of a target{limit_text}, enlarged {magnification_text(scale)} times")
 
 
-def _draw_names(plotter: pv.Plotter, workshop: PlacedWorkshop, legend_lines: list[str]) -> None:
+def _draw_names(plotter: pv.Plotter, workshop: WorkshopScene, legend_lines: list[str]) -> None:
     """Draw names facing the camera, stations first; names that would cover others are listed in the legend."""
     eye = np.array(plotter.camera.position)
     axes = _facing_axes(eye - np.array(plotter.camera.focal_point))
@@ -377,15 +377,14 @@ def _letter_mesh(name: str, place: Floats, axes: Floats, height: float) -> pv.Po
     return mesh
 
 
-def _place_camera(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
+def _place_camera(plotter: pv.Plotter, workshop: WorkshopScene) -> None:
     """Place the camera above the side of the hall without walls, directed at the middle of the hall."""
-    low = np.array([*workshop.floor.min(axis=0), workshop.floor_height])
-    high = np.array(
-        [*workshop.floor.max(axis=0), max(workshop.target_points[:, 2].max(), workshop.station_positions[:, 2].max())]
-    )
+    low = np.array([*workshop.floor_corners.min(axis=0), workshop.floor_height])
+    top = max(workshop.target_points[:, 2].max(), workshop.station_positions[:, 2].max())
+    high = np.array([*workshop.floor_corners.max(axis=0), top])
     middle = 0.5 * (low + high) - np.array([0.0, 0.0, 0.04 * (high - low)[2]])
-    backs = workshop.walls.mean(axis=1) if len(workshop.walls) else workshop.target_points
-    away = (middle if len(workshop.walls) else workshop.station_positions.mean(axis=0)) - backs.mean(axis=0)
+    backs = workshop.wall_corners.mean(axis=1) if len(workshop.wall_corners) else workshop.target_points
+    away = (middle if len(workshop.wall_corners) else workshop.station_positions.mean(axis=0)) - backs.mean(axis=0)
     open_side = np.array([1.0, 0.72]) * np.where(away[:2] < -1e-6, -1.0, 1.0)
     reach = 1.75 * float(np.linalg.norm(high - low))
     direction = np.array([*(open_side / np.linalg.norm(open_side)), 0.62])

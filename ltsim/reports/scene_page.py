@@ -16,9 +16,9 @@ from trame_vtk.tools.vtksz2html import write_html
 
 from ltsim.core.notation import number_text
 from ltsim.reports import scene3d
-from ltsim.reports.document import CONTENT_SECURITY_POLICY
-from ltsim.reports.words import typographic_text
-from ltsim.reports.workshop import PlacedWorkshop
+from ltsim.reports.document_model import CONTENT_SECURITY_POLICY
+from ltsim.reports.formatting import typographic_text
+from ltsim.reports.workshop_scene import WorkshopScene
 
 PAGE_CSS = """
 .content { position: fixed; inset: 0; touch-action: none; }
@@ -49,7 +49,7 @@ A step is smaller than a pixel.
 """
 
 
-def scene_page(workshop: PlacedWorkshop, camera: scene3d.Camera | None = None) -> str:
+def scene_page(workshop: WorkshopScene, camera: scene3d.Camera | None = None) -> str:
     """Self-contained HTML page with the interactive scene."""
     plotter, legend = scene3d.build_scene(workshop, camera=camera)
     html = _page_html(plotter, workshop, legend)
@@ -57,7 +57,7 @@ def scene_page(workshop: PlacedWorkshop, camera: scene3d.Camera | None = None) -
     return html
 
 
-def scene_picture_and_page(workshop: PlacedWorkshop) -> tuple[Image.Image, scene3d.SceneLegend, str]:
+def scene_picture_and_page(workshop: WorkshopScene) -> tuple[Image.Image, scene3d.SceneLegend, str]:
     """Picture, legend and interactive HTML page of the scene of a workshop."""
     plotter, legend = scene3d.build_scene(workshop, window_size=(1200, 860))
     html = _page_html(plotter, workshop, legend)
@@ -65,7 +65,7 @@ def scene_picture_and_page(workshop: PlacedWorkshop) -> tuple[Image.Image, scene
     return scene3d.capture_and_close(plotter), legend, html
 
 
-def _page_html(plotter: pv.Plotter, workshop: PlacedWorkshop, legend: scene3d.SceneLegend) -> str:
+def _page_html(plotter: pv.Plotter, workshop: WorkshopScene, legend: scene3d.SceneLegend) -> str:
     step = 2.0 ** np.floor(np.log2(workshop.largest_extent / N_COORDINATE_STEPS))
     for actor in plotter.actors.values():
         mesh = getattr(getattr(actor, "mapper", None), "dataset", None)

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from PIL import Image, WebPImagePlugin  # noqa: F401  # named, else `save` loads all forty formats to find it
 
 from ltsim.core.arrays import Floats
-from ltsim.reports.words import typographic_text
+from ltsim.reports.formatting import typographic_text
 
 BLUE = "#0072B2"
 ORANGE = "#E69F00"

@@ -14,7 +14,12 @@ from ltsim.recordings.exchange import read
 from ltsim.recordings.files import write_text
 from ltsim.recordings.setup import ReportHeader
 from ltsim.reports.page import PAGE_FILE, UNREADABLE_KIND, document_of_folder, page_html
-from ltsim.reports.workshop import PlacedWorkshop, workshop_from_recording, workshop_from_scenario, workshop_with_cad
+from ltsim.reports.workshop_scene import (
+    WorkshopScene,
+    workshop_from_recording,
+    workshop_from_scenario,
+    workshop_with_cad,
+)
 from ltsim.scene.cad import UNIT_WORDS
 from ltsim.simulation.builtin import builtin_names
 from ltsim.simulation.scenario import Scenario
@@ -24,7 +29,7 @@ from ltsim.simulation.scenario import Scenario
 class View(Result):
     """3D view of a workshop: interactive in a notebook, or as a picture, a page or a window."""
 
-    workshop: PlacedWorkshop
+    workshop: WorkshopScene
 
     def _lines(self) -> list[str]:
         w = self.workshop
@@ -98,11 +103,11 @@ def view(
     check_choice("cad_up", cad_up, ("y", "z"), allow_none=True)
     check_choice("colour", colour, ("incidence", "residual"))
     require(("pyvista", "trame_vtk"), "3D views", "view")
-    workshop = _workshop_of(source).with_sights_by(colour)
+    workshop = _workshop_of(source).with_sights_coloured_by(colour)
     return View(workshop if cad is None else workshop_with_cad(workshop, Path(cad), cad_unit, cad_up))
 
 
-def _workshop_of(source: Recording | Scenario | str | Path) -> PlacedWorkshop:
+def _workshop_of(source: Recording | Scenario | str | Path) -> WorkshopScene:
     """Workshop of a scenario or a recording; a name without a file is taken as a built-in scenario."""
     from ltsim.simulation.verbs import scenario  # loads the simulator, which no page needs
 
@@ -123,7 +128,7 @@ def report(
     recording: str | Path | None = None,
     title: str | None = None,
     about: ReportHeader | Mapping[str, str] | None = None,
-    tell: Callable[[str], None] = lambda words: None,
+    print_message: Callable[[str], None] = lambda words: None,
 ) -> Path:
     """Write `report.html` into a folder: one page that works offline.
 
@@ -137,7 +142,7 @@ def report(
         Title of the page.
     about : mapping of str to str, optional
         Lines of the header: `instrument`, `date`, `operator`, `customer`; default the table ``[report]`` of the set-up.
-    tell : callable
+    print_message : callable
         Callback with the error of each inner folder that cannot be read; the page shows the error too.
 
     Returns
@@ -162,10 +167,10 @@ def report(
     recording_path = None if recording is None else Path(recording)
     target, content = (
         Path(folder) / PAGE_FILE,
-        document_of_folder(Path(folder), recording=recording_path, title=title, header=header),
+        document_of_folder(Path(folder), recording=recording_path, title=title, about=header),
     )
     for section in content.sections:
         if section.kind == UNREADABLE_KIND:
-            tell(section.summary)
+            print_message(section.summary)
     write_text(target, page_html(content))
     return target

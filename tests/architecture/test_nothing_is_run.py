@@ -211,7 +211,7 @@ def test_compiled_code_of_a_working_folder_is_not_loaded(tmp_path: Path) -> None
     pytest.importorskip("numba", reason="kernels need the extra 'campaigns'")
     (tmp_path / ".numba_config.yaml").write_text(f"cache_dir: {tmp_path / 'cache'}\n")
     code = (
-        "import ltsim.campaigns.compiled as c, numba;"
+        "import ltsim.campaigns.compilation as c, numba;"
         "numba.core.config.reload_config(); print(repr(numba.config.CACHE_DIR))"
     )
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}

@@ -8,7 +8,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from ltsim.campaigns.engine import BatchCalibrator
+from ltsim.campaigns.trial_calibrators import BatchCalibrator
 from ltsim.campaigns.truth import CellTruth
 from ltsim.core.units import ARCSECOND
 from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction

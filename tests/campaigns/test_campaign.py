@@ -16,11 +16,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from ltsim.campaigns import engine, statistics, store
+from ltsim.campaigns import statistics, store, trial_calibrators
 from ltsim.campaigns.campaign import WorkerSettings, run_campaign
 from ltsim.campaigns.results import CampaignResults
 from ltsim.campaigns.rows import ShardTask, make_shard_rows
-from ltsim.campaigns.schema import DIFFERENCE_COLUMN
+from ltsim.campaigns.schema import SOLVER_DIFFERENCE_COLUMN
 from ltsim.campaigns.spec import load_campaign
 from ltsim.campaigns.statistics import QUANTILE_LEVELS
 from ltsim.campaigns.store import CampaignFolder, read_shard
@@ -52,7 +52,7 @@ def test_rows_hold_what_the_file_asks_for(reference: dict[str, bytes], tmp_path:
     assert table["trial"].to_pylist() == list(range(512, 600))
     assert set(table["cell"].to_pylist()) == {1}
     assert set(table["status"].to_pylist()) == {"converged"}
-    checked = table[DIFFERENCE_COLUMN].drop_null().to_pylist()
+    checked = table[SOLVER_DIFFERENCE_COLUMN].drop_null().to_pylist()
     assert len(checked) == 1 and 0 < checked[0] < 1e-3
     assert "z:beam-tilt" in table.column_names and "estimate:beam-tilt" not in table.column_names
 
@@ -322,7 +322,7 @@ def test_methods_see_the_same_draws(file: Path) -> None:
     assert batch["error_raw_um"].to_pylist() == alone["error_raw_um"].to_pylist()
     gap = np.array(batch["z:beam-tilt"].to_pylist()) - np.array(alone["z:beam-tilt"].to_pylist())
     assert 0 < np.abs(gap).max() < 1e-3
-    assert alone[DIFFERENCE_COLUMN].null_count == 12
+    assert alone[SOLVER_DIFFERENCE_COLUMN].null_count == 12
 
 
 def test_geometry_may_vary_per_trial(file: Path) -> None:
@@ -333,7 +333,7 @@ def test_geometry_may_vary_per_trial(file: Path) -> None:
     rows = make_shard_rows(ShardTask(campaign, scenarios[0], "", 0, 0))
     assert rows["trial"].to_pylist() == list(range(6))
     assert set(rows["status"].to_pylist()) == {"converged"}
-    assert max(rows[DIFFERENCE_COLUMN].drop_null().to_pylist()) < 1e-3
+    assert max(rows[SOLVER_DIFFERENCE_COLUMN].drop_null().to_pylist()) < 1e-3
     assert len(set(rows["true:beam-tilt"].to_pylist())) == 6
 
 
@@ -342,7 +342,7 @@ def test_failed_trials_are_rows(file: Path, monkeypatch: pytest.MonkeyPatch) -> 
         FILE.replace("trials = 600", "trials = 4").replace("[grid]", '[[methods]]\nsolver = "single"\n[grid]')
     )
     campaign, scenarios = load_campaign(file)
-    real: Callable[..., object] = engine.adjust
+    real: Callable[..., object] = trial_calibrators.adjust
     calls = [0]
 
     def sometimes(*args: object, **settings: object) -> object:
@@ -351,7 +351,7 @@ def test_failed_trials_are_rows(file: Path, monkeypatch: pytest.MonkeyPatch) -> 
             raise NetworkError("lost")
         return real(*args, **settings)
 
-    monkeypatch.setattr(engine, "adjust", sometimes)
+    monkeypatch.setattr(trial_calibrators, "adjust", sometimes)
     rows = make_shard_rows(ShardTask(campaign, scenarios[0], "", 0, 0))
     assert rows["status"].to_pylist() == ["converged", "failed", "converged", "converged"]
     for name in ("chi2", "z:beam-tilt", "distance_after_mean_um", "error_calibrated_um", "target_error_um"):

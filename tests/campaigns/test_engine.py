@@ -10,7 +10,13 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.evaluation.criteria import evaluate_criteria
-from ltsim.campaigns.engine import FULL_SOLVER, TRIAL_STATUSES, WITHOUT_RESULT, BatchCalibrator, recording_of_trial
+from ltsim.campaigns.trial_calibrators import (
+    FULL_SOLVER,
+    TRIAL_STATUSES,
+    WITHOUT_RESULT,
+    BatchCalibrator,
+    recording_of_trial,
+)
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
 from ltsim.campaigns.truth import TRIALS_PER_STREAM, CellTruth
 from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_front_face_corrections
@@ -61,7 +67,7 @@ def test_batch_equals_full_solver(faces: int, make_truth: Callable[..., CellTrut
     block = engine.truth.draw_block(11, 2)
     found = engine.calibrate(block)
     assert np.all(found.status_indices == 0)
-    differences = [engine.largest_difference(block, k, found) for k in range(0, TRIALS_PER_STREAM, 64)]
+    differences = [engine.largest_solver_difference(block, k, found) for k in range(0, TRIALS_PER_STREAM, 64)]
     assert max(differences) < 2e-4
 
 
@@ -69,14 +75,14 @@ def test_batch_equals_full_solver_with_errors_ten_times_as_large(make_truth: Cal
     engine = BatchCalibrator(make_truth(scale=10.0), misalignment_construction())
     block = engine.truth.draw_block(11, 0)
     found = engine.calibrate(block)
-    assert max(engine.largest_difference(block, k, found) for k in range(0, TRIALS_PER_STREAM, 64)) < 1e-3
+    assert max(engine.largest_solver_difference(block, k, found) for k in range(0, TRIALS_PER_STREAM, 64)) < 1e-3
 
 
 def test_batch_equals_full_solver_for_the_paper_chain(make_truth: Callable[..., CellTruth]) -> None:
     engine = BatchCalibrator(make_truth(), dh_construction())
     block = engine.truth.draw_block(12, 0)
     found = engine.calibrate(block)
-    assert max(engine.largest_difference(block, k, found) for k in (0, 100)) < 1e-3
+    assert max(engine.largest_solver_difference(block, k, found) for k in (0, 100)) < 1e-3
 
 
 def test_fitted_effects_equal_full_solver(make_truth: Callable[..., CellTruth]) -> None:
@@ -86,7 +92,7 @@ def test_fitted_effects_equal_full_solver(make_truth: Callable[..., CellTruth]) 
     block = truth.draw_block(13, 0)
     fit = engine.batch_network.fit_trials(block.reading_deviations, block.length_errors)
     found = engine.calibrate(block)
-    assert max(engine.largest_difference(block, k, found) for k in (0, 100)) < 2e-4
+    assert max(engine.largest_solver_difference(block, k, found) for k in (0, 100)) < 2e-4
     adjusted = adjust(recording_of_trial(truth, block, 5), misalignment_construction(), effects=(Drift(),))
     spread = np.sqrt(np.diag(adjusted.effect_covariance))
     assert np.all(np.abs(adjusted.state.extra_parameters - fit.effect_values[:, 5]) < 2e-4 * spread)
@@ -99,7 +105,7 @@ def test_fitted_effect_on_the_known_lengths_equals_full_solver(make_truth: Calla
     block = truth.draw_block(20, 0)
     block.length_errors[:] += 1e-4 * np.array([d.length_mm * 1e-3 for d in truth.recording.gauge.distance])[:, None]
     found = engine.calibrate(block)
-    assert max(engine.largest_difference(block, k, found) for k in (0, 100)) < 2e-4
+    assert max(engine.largest_solver_difference(block, k, found) for k in (0, 100)) < 2e-4
     scale = engine.batch_network.fit_trials(block.reading_deviations, block.length_errors).effect_values[0]
     assert scale.mean() == pytest.approx(-1e-4, rel=0.02)
 

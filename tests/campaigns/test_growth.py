@@ -9,9 +9,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from ltsim.campaigns.campaign import run_campaign
-from ltsim.campaigns.engine import BatchCalibrator
 from ltsim.campaigns.results import CampaignResults
 from ltsim.campaigns.spec import load_campaign
+from ltsim.campaigns.trial_calibrators import BatchCalibrator
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
 from ltsim.cli.main import run
 from ltsim.core.errors import SetupError
@@ -66,11 +66,11 @@ def test_a_grown_campaign_takes_what_is_missing(
     file, out = begun
     before = rows(out)
     file.write_text(FILE.replace(*change))
-    calls = {name: list[int]() for name in ("calibrate", "largest_difference", "method_columns")}
+    calls = {name: list[int]() for name in ("calibrate", "largest_solver_difference", "method_columns")}
     with monkeypatch.context() as counted:
         for owner, name, size in (
             (BatchCalibrator, "calibrate", len),
-            (BatchCalibrator, "largest_difference", int),
+            (BatchCalibrator, "largest_solver_difference", int),
             (TrialEvaluator, "method_columns", id),
         ):
             plain = getattr(owner, name)
@@ -82,7 +82,7 @@ def test_a_grown_campaign_takes_what_is_missing(
             counted.setattr(owner, name, noted)
         outcome = run_campaign(file, out, resume=True)
     assert (outcome.n_computed_shards, outcome.n_existing_shards, outcome.notes) == (shards, kept, ())
-    assert (sum(calls["calibrate"]), len(calls["largest_difference"]), len(calls["method_columns"])) == (
+    assert (sum(calls["calibrate"]), len(calls["largest_solver_difference"]), len(calls["method_columns"])) == (
         trials,
         repeated,
         judged,
@@ -152,7 +152,7 @@ def test_status_one_says_which_cell_even_when_quiet(
 ) -> None:
     file = tmp_path / "sweep.toml"
     file.write_text(FILE.replace("verify = 0", "verify = 1").replace("[1.0, 2.0]", "[2.0]"))
-    monkeypatch.setattr("ltsim.campaigns.engine.BatchCalibrator.largest_difference", lambda *_: 0.01)
+    monkeypatch.setattr("ltsim.campaigns.trial_calibrators.BatchCalibrator.largest_solver_difference", lambda *_: 0.01)
     assert run(["campaign", str(file), "--quiet"]) == 1
     said = capsys.readouterr().err
     assert "cell 1 (noise_factor = 2)" in said and "up to 0.01 sigma" in said and "limit 0.001" in said

@@ -10,11 +10,11 @@ import numba
 import numpy as np
 import pytest
 
-from ltsim.campaigns.compiled import compile_function
-from ltsim.campaigns.engine import BatchCalibrator
+from ltsim.campaigns.batch_network import BatchNetwork
+from ltsim.campaigns.chain_program import ChainProgram
+from ltsim.campaigns.compilation import compile_function
 from ltsim.campaigns.kernels import compute_points
-from ltsim.campaigns.network import BatchNetwork
-from ltsim.campaigns.program import ChainProgram
+from ltsim.campaigns.trial_calibrators import BatchCalibrator
 from ltsim.campaigns.truth import TRIALS_PER_STREAM, CellTruth
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.model.construction import dh_construction, misalignment_construction
@@ -105,5 +105,5 @@ def test_without_a_place_to_keep_machine_code_it_is_compiled_anew(monkeypatch: p
             raise RuntimeError("cannot cache function: no locator available")
         return numba.njit(cache=cache, **options)
 
-    monkeypatch.setattr("ltsim.campaigns.compiled.numba", SimpleNamespace(njit=nowhere))
+    monkeypatch.setattr("ltsim.campaigns.compilation.numba", SimpleNamespace(njit=nowhere))
     assert compile_function(lambda x: x * x)(3.0) == 9.0

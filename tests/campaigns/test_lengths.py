@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 import ltsim as lt
-from ltsim.campaigns.distance import BatchDistance
-from ltsim.campaigns.engine import BatchCalibrator
+from ltsim.campaigns.batch_distance import BatchDistance
+from ltsim.campaigns.trial_calibrators import BatchCalibrator
 from ltsim.campaigns.truth import make_cell_truth
 
 BARS = lt.scenario(
@@ -29,7 +29,7 @@ def test_batches_are_the_single_calibrators_and_scatter_as_predicted() -> None:
     block = truth.draw_block(4, 0)
     engine = BatchCalibrator(truth, truth.construction)
     found = engine.calibrate(block)
-    assert max(engine.largest_difference(block, k, found) for k in (0, 100)) < 2e-4
+    assert max(engine.largest_solver_difference(block, k, found) for k in (0, 100)) < 2e-4
     z = ((found.instrument_values - block.instrument_values) / found.instrument_sigmas[:, :, None])[0]
     np.testing.assert_allclose(z.std(axis=1), 1.0, atol=0.16)
     scale = truth.construction.index("range-scale")
@@ -40,4 +40,4 @@ def test_batches_are_the_single_calibrators_and_scatter_as_predicted() -> None:
     assert abs(found.chi2.mean() - dof) < 5 * np.sqrt(2 * dof / len(found.chi2))
     distance = BatchDistance(truth, truth.construction)
     compared = distance.calibrate(block, np.arange(len(found.chi2)))
-    assert max(distance.largest_difference(block, k, compared) for k in (0, 3)) < 1e-3
+    assert max(distance.largest_solver_difference(block, k, compared) for k in (0, 3)) < 1e-3

@@ -8,14 +8,14 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment.evaluation.clouds import align_to_points
 from ltsim.campaigns.calibrators import StackCalibrator, make_calibrator, stack_geometries
-from ltsim.campaigns.engine import BatchCalibrator
 from ltsim.campaigns.spec import Method
+from ltsim.campaigns.trial_calibrators import BatchCalibrator
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
 from ltsim.campaigns.truth import CellTruth, make_cell_truth
 from ltsim.core.errors import NetworkError, SetupError
-from ltsim.planning.fast import LayoutScorer
 from ltsim.planning.information import LayoutInformation
-from ltsim.planning.workshop import planned_survey
+from ltsim.planning.layout_scorer import LayoutScorer
+from ltsim.planning.search_inputs import planned_survey
 from ltsim.simulation.physics import planned_construction
 
 SCENE = lt.scenario(
@@ -34,7 +34,7 @@ def test_the_batch_is_the_full_solver_and_scatters_as_predicted(truth: CellTruth
     assert (found.status_indices == 0).mean() > 0.95
     assert np.isnan(truth.trial_readings(block, 0)[:, 1:]).all()
     # Rough places say which way is up, to a degree: it shows in what the elevation has to do with a range.
-    assert max(engine.largest_difference(block, k, found) for k in (0, 100)) < 0.02
+    assert max(engine.largest_solver_difference(block, k, found) for k in (0, 100)) < 0.02
     z = ((found.instrument_values - block.instrument_values) / found.instrument_sigmas[:, :, None])[0]
     np.testing.assert_allclose(z.std(axis=1), 1.0, atol=0.16)
     dof = engine.batch_network.problem.dof
@@ -105,4 +105,4 @@ def test_each_trial_may_have_its_own_places(truth: CellTruth) -> None:
     assert isinstance(calibrator.single_trial_calibrator(0), BatchCalibrator)
     found = calibrator.calibrate(block, np.arange(6))
     assert (found.status_indices == 0).all()
-    assert calibrator.largest_difference(block, 2, found) < 0.02
+    assert calibrator.largest_solver_difference(block, 2, found) < 0.02

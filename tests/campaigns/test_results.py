@@ -18,7 +18,7 @@ import ltsim as lt
 from ltsim.campaigns.statistics import CampaignStatistics
 from ltsim.core.errors import ModelError, SetupError
 from ltsim.core.notation import number_text
-from ltsim.reports.document import TableBlock
+from ltsim.reports.document_model import TableBlock
 from ltsim.reports.figures.campaign import sweep_points
 from ltsim.reports.figures.campaign_factors import cell_descriptions
 from ltsim.reports.sections.campaign import campaign_section
@@ -64,7 +64,7 @@ def test_a_statistic_is_drawn_along_a_factor(sweep: Any) -> None:
     assert figure.get_supxlabel() == "angle noise [arcsec]"
     assert "new point error" in figure.axes[0].get_ylabel()
     one = sweep_points(sweep, "target_error_um", "faces", angle_noise_arcsec=0.8, method="network")
-    assert [(row.level, row.line) for row in one] == [(1, "network"), (2, "network")]
+    assert [(row.level, row.line_label) for row in one] == [(1, "network"), (2, "network")]
     with pytest.raises(ModelError, match="did you mean angle_noise_arcsec"):
         sweep.plot("target_error_um", "angle_noise_arcsecs")
     with pytest.raises(ModelError, match=r"several cells have the same place.*faces"):
@@ -202,7 +202,7 @@ def test_the_page_has_the_noise_floor_beside_each_error_and_says_what_its_statis
         means = [number_text(s.mean) for s in sweep.distribution(f"{prefix}error_true_parameters_um")]
         assert [floor.partition(" ")[0] for floor in floors] == means
     (listed,) = (block for block in blocks if block.title == "Definitions of the statistics")
-    meanings = listed.text.splitlines()
+    meanings = listed.effect_text.splitlines()
     assert len(meanings) == len([c for c in sweep.columns if ":" not in c])
     assert all(line.partition("]: ")[2] for line in meanings)
 

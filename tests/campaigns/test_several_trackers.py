@@ -10,8 +10,8 @@ import pytest
 
 import ltsim as lt
 from ltsim.campaigns.columns import parameter_columns, parameter_labels
-from ltsim.campaigns.engine import BatchCalibrator
 from ltsim.campaigns.recovery_trials import with_errors_from_prior
+from ltsim.campaigns.trial_calibrators import BatchCalibrator
 from ltsim.campaigns.truth import make_cell_truth
 from ltsim.core.randomness import stream
 from ltsim.simulation.scenario import change_scenario, load_scenario
@@ -34,7 +34,7 @@ def test_a_block_draws_each_tracker_by_its_name_and_calibrates_them_together() -
     found = engine.calibrate(block)
     z = (found.instrument_values - block.instrument_values) / found.instrument_sigmas[:, :, None]
     assert np.all(np.abs(z.mean(axis=2)) < 5 / 8) and abs(np.mean(z**2) - 1) < 0.2
-    assert engine.largest_difference(block, int(np.argmin(found.status_indices)), found) < 1e-3
+    assert engine.largest_solver_difference(block, int(np.argmin(found.status_indices)), found) < 1e-3
     labels = parameter_labels(truth.construction, truth.recording.instruments, ())
     columns = parameter_columns(labels, found.estimates[0], "estimate")
     tilt = truth.construction.index("beam-tilt")

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ltsim.campaigns.calibrators import StackCalibrator, stack_geometries
-from ltsim.campaigns.engine import BatchCalibrator, CalibratedBlock
 from ltsim.campaigns.spec import Method
+from ltsim.campaigns.trial_calibrators import BatchCalibrator, CalibratedBlock
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
 from ltsim.campaigns.truth import CellTruth, make_cell_truth
 from ltsim.physics.model.construction import misalignment_construction
@@ -34,7 +34,7 @@ def test_side_by_side_is_as_alone(name: str) -> None:
     found, together = calibrator.calibrate(block, np.arange(TRIALS)), TrialEvaluator(stack)
     columns = together.method_columns(block, found, misalignment_construction())
     assert np.all(found.status_indices == 0)
-    assert len(np.unique(stack.row_of_pointing, axis=1).T) == TRIALS
+    assert len(np.unique(stack.recording_row_of_pointing, axis=1).T) == TRIALS
     for k, truth in truths.items():
         own, engine, judge = (
             truth.draw_block(8, k, 1),
@@ -51,7 +51,7 @@ def test_side_by_side_is_as_alone(name: str) -> None:
         expected = judge.method_columns(own, theirs, misalignment_construction())
         for column, value in expected.items():
             assert columns[column][k] == pytest.approx(value[0], rel=1e-5), column
-    assert calibrator.largest_difference(block, 2, found) < 1e-3
+    assert calibrator.largest_solver_difference(block, 2, found) < 1e-3
 
 
 def test_trial_that_the_batch_gives_up_is_done_alone() -> None:
@@ -60,7 +60,7 @@ def test_trial_that_the_batch_gives_up_is_done_alone() -> None:
     ((stack, numbers),) = stack_geometries(truths)
     block = stack.draw_numbered_trials(8, numbers)
     block.single_trials[3].reading_deviations[11, 0] += 0.02
-    block.reading_deviations[stack.row_of_pointing[:, 3] == 11, 0, 3] += 0.02
+    block.reading_deviations[stack.recording_row_of_pointing[:, 3] == 11, 0, 3] += 0.02
     calibrator = StackCalibrator.for_stack(Method(), stack)
     found: CalibratedBlock = calibrator.calibrate(block, np.arange(TRIALS))
     assert found.status_indices.tolist() == [0, 0, 0, 1, 0]

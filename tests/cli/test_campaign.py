@@ -36,13 +36,13 @@ def test_campaign_answers_in_tables_and_writes_a_summary(tmp_path: Path, capsys:
     assert capsys.readouterr().err.count("\n") == 1
     assert run(["campaign", str(file), "--resume", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
-    assert [end["trials"] for end in answer["ends"]] == [300, 300]
+    assert [end["trials"] for end in answer["solver_comparisons"]] == [300, 300]
 
 
 def test_disagreement_with_the_full_solver_is_exit_status_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "noise.toml"
     file.write_text(FILE)
-    monkeypatch.setattr("ltsim.campaigns.engine.BatchCalibrator.largest_difference", lambda *_: 0.01)
+    monkeypatch.setattr("ltsim.campaigns.trial_calibrators.BatchCalibrator.largest_solver_difference", lambda *_: 0.01)
     assert run(["campaign", str(file), "--quiet"]) == 1
 
 

@@ -18,7 +18,7 @@ from ltsim.physics.effects.air import (
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan
-from ltsim.planning.workshop import make_search_space
+from ltsim.planning.search_inputs import make_search_space
 from ltsim.recordings.air import AirUncertainty
 from tests.planning.fixtures import survey
 from tests.planning.test_hall import HALL, points_csv

@@ -12,12 +12,12 @@ from ltsim.core.errors import SetupError
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan
-from ltsim.planning.objective import INSTRUMENT_QUALITY, TARGETS_QUALITY, LayoutObjective
+from ltsim.planning.objective import INSTRUMENT_QUALITY_NAME, TARGETS_QUALITY_NAME, LayoutObjective
 from ltsim.planning.planner import objective_and_qualities
 from ltsim.planning.reflector_changes import PlanChange, evaluate_reflector_changes
 from ltsim.planning.reflectors import choose_reflectors
+from ltsim.planning.search_inputs import is_fixed_target, is_immovable_target, make_search_space
 from ltsim.planning.survey import PlannedSurvey
-from ltsim.planning.workshop import is_fixed_target, is_immovable_target, make_search_space
 from tests.planning.test_hall import HALL, points_csv
 from tests.planning.test_search import site
 
@@ -50,7 +50,7 @@ def point_error(survey: PlannedSurvey, names: list[str]) -> float:
     return float(np.sqrt(np.mean([trace[survey.target_names.index(name)] for name in names])))
 
 
-@pytest.mark.parametrize("weights", [{INSTRUMENT_QUALITY: 1.0}, {TARGETS_QUALITY: 1.0}])
+@pytest.mark.parametrize("weights", [{INSTRUMENT_QUALITY_NAME: 1.0}, {TARGETS_QUALITY_NAME: 1.0}])
 def test_a_change_brings_what_it_promises(weights: dict[str, float]) -> None:
     places, names = wall_places()
     where = site(candidate_nests=places, nest_names=names, min_reflector_spacing=0.5)
@@ -63,7 +63,7 @@ def test_a_change_brings_what_it_promises(weights: dict[str, float]) -> None:
         common = [name for name in where.survey.target_names if name in made.target_names]
         gain = 1e6 * (point_error(where.survey, common) - point_error(made, common))
         assert change.gain_um == pytest.approx(gain, abs=1e-3)
-        if INSTRUMENT_QUALITY in weights:
+        if INSTRUMENT_QUALITY_NAME in weights:
             assert change.quality == pytest.approx(
                 objective_and_qualities(made, objective, misalignment_construction())[0] / before, rel=1e-6
             )
@@ -91,7 +91,7 @@ def test_reflectors_are_chosen_for_the_targets_alone() -> None:
     places, names = wall_places()
     where = site(candidate_nests=places, nest_names=names, min_reflector_spacing=0.5)
     made = choose_reflectors(
-        where, where.survey, STAYS, LayoutObjective({TARGETS_QUALITY: 1.0}), misalignment_construction()
+        where, where.survey, STAYS, LayoutObjective({TARGETS_QUALITY_NAME: 1.0}), misalignment_construction()
     )
     assert LayoutInformation.from_survey(made).target_rms < 0.9 * LayoutInformation.from_survey(where.survey).target_rms
 
@@ -109,7 +109,7 @@ def test_points_of_a_list_are_moved_only_where_they_are_called_movable(tmp_path:
         survey = where.survey.replace(is_visible=where.is_visible(where.survey.station_positions))
         stays = is_immovable_target(file, scenario, survey)
         found = evaluate_reflector_changes(
-            where, survey, stays, LayoutObjective({TARGETS_QUALITY: 1.0}), misalignment_construction()
+            where, survey, stays, LayoutObjective({TARGETS_QUALITY_NAME: 1.0}), misalignment_construction()
         )
         assert is_fixed_target(file, scenario).all(), "the search leaves the points of a list where they are"
         assert {what for what, count in found.n_tried.items() if count} == {
@@ -117,7 +117,7 @@ def test_points_of_a_list_are_moved_only_where_they_are_called_movable(tmp_path:
         }[name]  # fmt: skip
         for change in found.reported_changes:
             assert change.reflector == "" or change.reflector.startswith("W")
-            assert change.serves in survey.target_names
+            assert change.most_affected_parameter in survey.target_names
             if change.position_mm is not None:
                 assert (
                     np.linalg.norm(survey.target_points - 1e-3 * np.array(change.position_mm), axis=1).min()

@@ -17,7 +17,7 @@ from ltsim.planning import reasons, work_order
 from ltsim.planning.loading import load_plan, read_points
 from ltsim.planning.planner import StationCountResult
 from ltsim.planning.result import scenario_of_plan
-from ltsim.planning.site import SearchSpace, StationPlacement
+from ltsim.planning.search_space import SearchSpace, StationPlacement
 from ltsim.planning.tolerances import PointTolerances, ToleranceCheck, error_radius, plan_verdict
 from ltsim.planning.work_order import TapeDistance, station_instructions, tape_deficiency_sentence
 from ltsim.recordings.air import AirUncertainty
@@ -307,7 +307,10 @@ def test_tapes_meet_in_one_point_or_say_what_they_lack(hall: Path, monkeypatch) 
     place = np.array([3.0, 2.0, 1.5])
 
     def marks(*at: tuple[float, float]) -> list[TapeDistance]:
-        return [TapeDistance.from_station(f"M{k}", np.array([*xy, 0.0]), place, floor=True) for k, xy in enumerate(at)]
+        return [
+            TapeDistance.from_station(f"M{k}", np.array([*xy, 0.0]), place, is_along_floor=True)
+            for k, xy in enumerate(at)
+        ]
 
     in_line = marks((0.0, 0.0), (3.0, 0.0), (6.0, 0.0))
     assert (
@@ -336,7 +339,7 @@ def test_a_network_that_falls_apart_keeps_no_tolerance() -> None:
     kept, lost = ToleranceCheck("", tolerance, {}, np.inf, "C", ("C",)), ToleranceCheck("S1", tolerance, {}, np.inf, "")
     judgement = plan_verdict(PointTolerances(tolerance), kept, [lost])
     assert not judgement.is_goal_reached and judgement.sentences.startswith("Not reached: 0 of 3 tolerances are met")
-    assert kept.unseen_points == ("C",) and kept.open_points_clause.startswith("C is not visible")
+    assert kept.unseen_points == ("C",) and kept.violations_clause.startswith("C is not visible")
 
 
 def test_numbers_without_a_layout_name_the_points_that_the_nearest_one_lacks() -> None:

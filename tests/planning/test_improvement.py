@@ -31,7 +31,7 @@ def test_expected_criteria_agree_with_simulated_calibrations() -> None:
     made, construction = survey((1,)), misalignment_construction()
     effect = RangeCyclic(wavelength=0.9)
     information = LayoutInformation.from_survey(made)
-    expected = CriteriaPredictor.from_information(information, [effect]).expected_errors(
+    expected = CriteriaPredictor.from_information(information, [effect]).expected_criteria(
         {"angle errors": 0.5, "range-cyclic": 0.5}
     )
     scale = np.array([0.5 if p.prior_kind == "angle" else 1.0 for p in construction.parameters])
@@ -73,9 +73,9 @@ def test_expected_criteria_agree_with_simulated_calibrations() -> None:
 
 def test_requests_are_answered_one_by_one_and_groups_are_named() -> None:
     predictor = CriteriaPredictor.from_information(LayoutInformation.from_survey(survey((1,), 2)))
-    many = predictor.expected_errors({"range noise": np.array([0.0, 1.0, 2.0])})
+    many = predictor.expected_criteria({"range noise": np.array([0.0, 1.0, 2.0])})
     assert np.all(np.diff(many.distance_after) > 0)
-    one = predictor.expected_errors({"range noise": 2.0})
+    one = predictor.expected_criteria({"range noise": 2.0})
     assert many.coordinate_after[2] == pytest.approx(one.coordinate_after[0], rel=1e-12)
     with pytest.raises(ModelError, match="range noise"):
-        predictor.expected_errors({"range nose": 1.0})
+        predictor.expected_criteria({"range nose": 1.0})

@@ -15,10 +15,10 @@ from ltsim.physics.effects.index_drift import IndexDrift
 from ltsim.physics.effects.range_offset import RangeOffset
 from ltsim.physics.effects.station_weather import StationWeather
 from ltsim.physics.model.construction import ideal_construction, misalignment_construction
-from ltsim.planning.fast import LayoutScorer, NormalBlocks
 from ltsim.planning.information import CriteriaPredictor, LayoutInformation
+from ltsim.planning.layout_scorer import LayoutScorer, NormalBlocks
 from ltsim.planning.objective import mean_detectable_size
-from ltsim.planning.workshop import planned_survey
+from ltsim.planning.search_inputs import planned_survey
 from ltsim.recordings.setup import Station
 from ltsim.simulation.scenario import load_scenario
 from tests.planning.fixtures import POSITION, YAW, survey
@@ -243,7 +243,7 @@ def test_fixed_nests_have_the_reflectors_error_in_both() -> None:
     ratio = slow.instrument_sigmas / aimed.instrument_sigmas
     assert ratio.min() > 1.0 - 1e-9 and ratio.max() > 1.2
     with_error, without = (
-        CriteriaPredictor.from_information(slow).expected_errors({"reflectors": size}) for size in (1.0, 0.0)
+        CriteriaPredictor.from_information(slow).expected_criteria({"reflectors": size}) for size in (1.0, 0.0)
     )
     assert with_error.distance_before[0] > without.distance_before[0]
     assert with_error.distance_after[0] > without.distance_after[0]

@@ -18,7 +18,7 @@ DECISIONS = """
 import json
 import numpy as np
 from ltsim.core.errors import NetworkError
-from ltsim.planning.fast import LayoutScorer
+from ltsim.planning.layout_scorer import LayoutScorer
 from ltsim.planning.information import LayoutInformation
 from tests.planning.fixtures import survey
 from tests.planning.test_information import masks

@@ -15,16 +15,16 @@ from matplotlib.figure import Figure
 import ltsim as lt
 from ltsim.cli.main import run
 from ltsim.core.errors import ModelError, SetupError
-from ltsim.planning import starts
+from ltsim.planning import multistart_search
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan, plan_names, plan_text
-from ltsim.planning.making import SearchCallbacks, make_plan
+from ltsim.planning.plan_search import SearchCallbacks, make_plan
 from ltsim.planning.planner import PlannedNetwork
-from ltsim.planning.reasons import cheapest_equal_option
+from ltsim.planning.reasons import equally_good_with_fewest_stations
 from ltsim.planning.result import Plan, scenario_of_plan, write_plan
 from ltsim.planning.search import LayoutSearcher
+from ltsim.planning.search_inputs import planned_survey
 from ltsim.planning.spec import PlanFile, SearchSettings
-from ltsim.planning.workshop import planned_survey
 from ltsim.simulation.scenario import change_scenario, load_scenario, scenario_to_toml
 from ltsim.simulation.workshop import make_visibility
 
@@ -79,9 +79,9 @@ def test_a_scenario_as_a_survey_is_its_recording() -> None:
 
 
 def test_the_plan_is_better_than_the_scenario_and_says_by_how_much(plan: PlannedNetwork, result: Plan) -> None:
-    assert plan.reference is not None
+    assert plan.reference_evaluation is not None
     content = result
-    factor = plan.reference.qualities["instrument"] / plan.layout.qualities["instrument"]
+    factor = plan.reference_evaluation.qualities["instrument"] / plan.layout.qualities["instrument"]
     assert factor > 1.05
     assert any(f"the quality of instrument is {factor:.2f} times better" in sentence for sentence in content.reasons)
     assert len(content.stations) == 4
@@ -96,8 +96,8 @@ def test_ranges_alone_are_planned_for(tmp_path: Path) -> None:
     file, whole = load_plan(small(scenario + goal, tmp_path))
     ranges = change_scenario(whole, {"instrument.observables": ["distance"]}, Path("ranges.toml"))
     made = make_plan(file, ranges)
-    assert made.reference is not None
-    assert made.layout.qualities["targets"] < 0.7 * made.reference.qualities["targets"]
+    assert made.reference_evaluation is not None
+    assert made.layout.qualities["targets"] < 0.7 * made.reference_evaluation.qualities["targets"]
     assert made.layout.expected_criteria is None
     content = Plan.from_network(made)
     assert {p.name for p in content.parameters} == {"range-offset", "range-scale", "transit-offset"}
@@ -117,7 +117,7 @@ def test_the_curve_knows_cost_and_quality(plan: PlannedNetwork) -> None:
     assert ways == {(n, r) for n in (3, 4) for r in (1, 2)}
     one = next(o for o in plan.tradeoff_points if len(o.survey.station_positions) == 3 and o.survey.repeats == 1)
     assert one.survey.duration == 3 * (20 * 60 + 28 * 15)
-    few = cheapest_equal_option(plan)
+    few = equally_good_with_fewest_stations(plan)
     assert few is not None
     assert len(few.survey.station_positions) <= 4
 
@@ -155,8 +155,8 @@ def test_an_obstacle_changes_visibility_information_and_plan(tmp_path: Path) -> 
     (tmp_path / "with.toml").write_text(_with_cabinet(base), encoding="utf-8")
     text = 'scenario = "with.toml"\n[stations]\ncount = 3\n'
     made = make_plan(*load_plan(small(text, tmp_path)))
-    assert made.reference is not None
-    assert not made.reference.survey.is_visible.all()
+    assert made.reference_evaluation is not None
+    assert not made.reference_evaluation.survey.is_visible.all()
     broken = "breaks rules of the plan: T.* fewer than 5 stations .stations.min_stations_per_target. .S"
     assert any(re.search(broken, sentence) for sentence in Plan.from_network(made).reasons)
     assert made.layout.survey.is_visible.all()
@@ -204,7 +204,7 @@ def test_ctrl_c_keeps_the_best_layout_so_far(tmp_path: Path, monkeypatch: pytest
 
 @pytest.mark.long
 def test_the_best_so_far_is_given_on_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(starts, "REPORT_INTERVAL", 0.0)
+    monkeypatch.setattr(multistart_search, "MIN_REPORT_INTERVAL", 0.0)
     kept: list[Any] = []
     file, scenario = load_plan(small("[stations]\ncount = 3\n", tmp_path))
     made = make_plan(file, scenario, callbacks=SearchCallbacks(on_layout=kept.append))

@@ -15,15 +15,15 @@ from ltsim.core.errors import SetupError
 from ltsim.planning.planner import evaluate_plan
 from ltsim.planning.result import Plan, load_plan_and_scenario
 from ltsim.planning.search import LayoutSearcher
+from ltsim.planning.search_inputs import unsearched_plan
 from ltsim.planning.tolerances import (
     PointTolerances,
     ToleranceCheck,
     is_met,
     percent_text,
     plan_verdict,
-    text_near_limit,
+    text_distinct_from_limit,
 )
-from ltsim.planning.workshop import unsearched_plan
 
 PLAN = """format = "ltsim-plan/1"
 points = "points.csv"
@@ -175,15 +175,15 @@ def test_a_tolerance_that_is_missed_by_a_little_is_not_kept_and_looks_so() -> No
         and percent_text(1.0 + 1e-9).startswith("100.0000001")
     )
     assert (
-        text_near_limit(0.1004, 0.1) == "0.1004"
-        and text_near_limit(0.0999, 0.1) == "0.0999"
-        and text_near_limit(0.25, 0.1) == "0.25"
+        text_distinct_from_limit(0.1004, 0.1) == "0.1004"
+        and text_distinct_from_limit(0.0999, 0.1) == "0.0999"
+        and text_distinct_from_limit(0.25, 0.1) == "0.25"
     )
     assert is_met(1.0) and not is_met(np.nextafter(1.0, 2.0)) and not is_met(np.inf)
 
 
 def test_the_page_marks_what_the_verdict_does_not_keep(hall: Path, tmp_path: Path) -> None:
-    from ltsim.reports.document import TableBlock
+    from ltsim.reports.document_model import TableBlock
     from ltsim.reports.sections.plan import _tolerance_tables
 
     move = {"S1": (1200, 2000), "S2": (4700, 1200)}

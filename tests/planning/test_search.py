@@ -15,18 +15,18 @@ from ltsim.physics.effects.station_weather import StationWeather
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan
+from ltsim.planning.multistart_search import PlanningProblem, SearchTask
 from ltsim.planning.objective import (
-    DIAGNOSIS_QUALITY,
-    INSTRUMENT_QUALITY,
-    TARGETS_QUALITY,
+    DIAGNOSIS_QUALITY_NAME,
+    INSTRUMENT_QUALITY_NAME,
+    TARGETS_QUALITY_NAME,
     LayoutObjective,
     a_criterion,
     d_criterion,
 )
 from ltsim.planning.reflectors import choose_reflectors
 from ltsim.planning.search import LayoutSearcher
-from ltsim.planning.site import SearchSpace
-from ltsim.planning.starts import PlanningProblem, SearchTask
+from ltsim.planning.search_space import SearchSpace
 from ltsim.scene.floor import StandingArea, is_inside_outline
 from ltsim.scene.meshes import box_triangles, join_obstacles, place_triangles
 from ltsim.scene.visibility import SightLimits, aim_nest_normals, compute_visibility
@@ -140,7 +140,8 @@ def test_stations_that_share_too_little_are_bound_together(tmp_path: Path) -> No
         work.search_space.is_feasible(layout.setup_positions[None], layout.is_visible[None])[0] for layout in bound
     )
     assert all(
-        work.search_space.connectivity(b.is_visible[None]) > work.search_space.connectivity(a.is_visible[None])
+        work.search_space.connectivity_scores(b.is_visible[None])
+        > work.search_space.connectivity_scores(a.is_visible[None])
         for a, b in zip(apart, bound, strict=True)
     )
 
@@ -209,19 +210,21 @@ def test_targets_and_diagnosis_are_goals_of_their_own() -> None:
     where = site()
     effects = tuple(StationWeather(stations=(name,)) for name in where.survey.station_names)
     goals = {
-        TARGETS_QUALITY: LayoutObjective({TARGETS_QUALITY: 1.0}),
-        DIAGNOSIS_QUALITY: LayoutObjective({DIAGNOSIS_QUALITY: 1.0}, effects=effects),
+        TARGETS_QUALITY_NAME: LayoutObjective({TARGETS_QUALITY_NAME: 1.0}),
+        DIAGNOSIS_QUALITY_NAME: LayoutObjective({DIAGNOSIS_QUALITY_NAME: 1.0}, effects=effects),
     }
     best = {name: searcher(where, goal).search_from(2, 1) for name, goal in goals.items()}
     rms = {name: information(where, made.positions, made.yaws).target_rms for name, made in best.items()}
-    assert best[TARGETS_QUALITY].objective_value == pytest.approx(rms[TARGETS_QUALITY], rel=1e-8)
-    assert rms[TARGETS_QUALITY] < rms[DIAGNOSIS_QUALITY]
-    judge = searcher(where, goals[DIAGNOSIS_QUALITY])
+    assert best[TARGETS_QUALITY_NAME].objective_value == pytest.approx(rms[TARGETS_QUALITY_NAME], rel=1e-8)
+    assert rms[TARGETS_QUALITY_NAME] < rms[DIAGNOSIS_QUALITY_NAME]
+    judge = searcher(where, goals[DIAGNOSIS_QUALITY_NAME])
     assert (
-        best[DIAGNOSIS_QUALITY].objective_value
-        < judge.evaluate_layout(best[TARGETS_QUALITY].positions, best[TARGETS_QUALITY].yaws).objective_value
+        best[DIAGNOSIS_QUALITY_NAME].objective_value
+        < judge.evaluate_layout(best[TARGETS_QUALITY_NAME].positions, best[TARGETS_QUALITY_NAME].yaws).objective_value
     )
-    mixed = searcher(where, LayoutObjective({INSTRUMENT_QUALITY: 1.0, TARGETS_QUALITY: 1.0}, "A")).search_from(2, 1)
+    mixed = searcher(
+        where, LayoutObjective({INSTRUMENT_QUALITY_NAME: 1.0, TARGETS_QUALITY_NAME: 1.0}, "A")
+    ).search_from(2, 1)
     slow = information(where, mixed.positions, mixed.yaws)
     mean = np.sqrt(float(a_criterion(slow.scaled_covariance)) * slow.target_rms)
     assert mixed.objective_value == pytest.approx(mean, rel=1e-8)

@@ -70,7 +70,7 @@ def test_ltsim_stands_beside_it_on_the_same_recordings(two_faces: Any) -> None:
     found, own = result.arrays, lt.recover(SCENE, trials=6, seed=2).arrays
     k = own.parameter_names.index("beam-tilt")
     beside = [
-        trial.ltsim_estimates.estimates[found.parameter_names.index("beam-tilt")] for trial in found.trials_with_result
+        trial.ltsim_score.estimates[found.parameter_names.index("beam-tilt")] for trial in found.trials_with_result
     ]
     assert beside == pytest.approx([trial.estimates[k] for trial in own.trials_with_result], rel=1e-12)
     assert result.ltsim_parameters == own.parameter_names

@@ -176,11 +176,11 @@ def _rows(cell: int, method: str, trials: int) -> pa.Table:
 
 REFLECTOR_CHANGES = [
     {"do": "move", "reflector": "T01", "place": "walls-17", "position_mm": [40, 3100, 2600], "gain_um": 0.412,
-     "quality": 0.953, "serves": "elevation-eccentricity-cos", "serves_factor": 0.81},
+     "quality": 0.953, "most_affected_parameter": "elevation-eccentricity-cos", "most_affected_ratio": 0.81},
     {"do": "add", "place": "milling machine-8", "position_mm": [2800, 900, 1100], "gain_um": 0.31, "quality": 0.97,
-     "serves": "T09", "serves_factor": 0.9},
+     "most_affected_parameter": "T09", "most_affected_ratio": 0.9},
     {"do": "remove", "reflector": "T05", "gain_um": -0.004, "quality": 1.001,
-     "serves": "beam-tilt", "serves_factor": 1.02},
+     "most_affected_parameter": "beam-tilt", "most_affected_ratio": 1.02},
 ]  # fmt: skip
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from ltsim.core.results import Table
-from ltsim.reports import workshop
-from ltsim.reports.document import Document, Section, table_block
+from ltsim.reports import workshop_scene
+from ltsim.reports.document_model import Document, Section, table_block
 from ltsim.reports.page import page_html
 from ltsim.reports.scene_page import scene_page
 from ltsim.reports.verbs import report
@@ -39,7 +39,7 @@ def clean(console: list[str]) -> list[str]:
 def test_scene_is_drawn_without_asking_anybody(tmp_path: Path) -> None:
     find_browser()
     file = tmp_path / "scene.html"
-    file.write_text(scene_page(workshop.workshop_from_recording(samples.recording())))
+    file.write_text(scene_page(workshop_scene.workshop_from_recording(samples.recording())))
     seen = visit(file, tmp_path, width=900, height=700)
     assert clean(seen.console) == []
     assert seen.asked == []
@@ -63,7 +63,7 @@ addEventListener("load", () => setTimeout(() => {
 def test_scene_turns_by_touch(tmp_path: Path) -> None:
     find_browser()
     still, turned = tmp_path / "still.html", tmp_path / "turned.html"
-    html = scene_page(workshop.workshop_from_recording(samples.recording()))
+    html = scene_page(workshop_scene.workshop_from_recording(samples.recording()))
     still.write_text(html)
     turned.write_text(TOUCH.join(html.rsplit("</body>", 1)))
     before, after = (visit(file, tmp_path, width=700, height=600).picture for file in (still, turned))

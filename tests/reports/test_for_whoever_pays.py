@@ -11,7 +11,7 @@ import pytest
 from ltsim.core.errors import RecordError
 from ltsim.recordings import read, write
 from ltsim.recordings.setup import Instrument, ReportHeader
-from ltsim.reports.document import CodeBlock, Document, Section, TableBlock
+from ltsim.reports.document_model import CodeBlock, Document, Section, TableBlock
 from ltsim.reports.page import document_of_folder, page_html
 from tests.reports import samples
 
@@ -45,7 +45,7 @@ def test_instruments_head_a_report_where_nobody_says_which(folder: Path, tmp_pat
     trackers = {"A": Instrument(model="AT960", serial="751234"), "B": Instrument(serial="9")}
     write(made.replace(setup=made.setup.model_copy(update={"instruments": trackers})), tmp_path / "recording")
     assert dict(document_of_folder(place).header_lines)["instrument"] == "A, AT960, 751234; B, 9"
-    assert dict(document_of_folder(place, header=ReportHeader(instrument="C")).header_lines)["instrument"] == "C"
+    assert dict(document_of_folder(place, about=ReportHeader(instrument="C")).header_lines)["instrument"] == "C"
 
 
 def test_results_of_one_recording_share_it(tmp_path: Path) -> None:
@@ -62,7 +62,7 @@ def test_results_of_one_recording_share_it(tmp_path: Path) -> None:
 
 
 def test_an_option_stands_before_the_file(folder: Path) -> None:
-    content = document_of_folder(folder, title="Hall 3, May", header=ReportHeader(operator="B. Person"))
+    content = document_of_folder(folder, title="Hall 3, May", about=ReportHeader(operator="B. Person"))
     assert content.title == "Hall 3, May"
     assert dict(content.header_lines) == ABOUT.model_dump() | {"operator": "B. Person"}
 
@@ -106,7 +106,7 @@ def test_hidden_stands_beside_found_with_every_constant(tmp_path: Path) -> None:
     assert html.index(content.simulation_notice) < html.index('<div class="answer')
     scene, curves, table = content.sections[0].blocks[:3]
     assert [scene.kind, curves.kind, table.kind] == ["scene", "picture", "table"]
-    rows = {row[0]: row[1:] for row in table.rows}
+    rows = {row[0]: row[1:] for row in table.whitened_rows}
     assert rows["effect"] == ["settling of a station"] * 2
     assert rows["where"] == ["S3", "S3"]
     assert rows["tilt x [urad]"] == ["25.0", "12.1 +- 1.8"]

@@ -24,7 +24,7 @@ from ltsim.cli.main import run
 from ltsim.core.errors import LtsimError, RecordError
 from ltsim.physics.effects import title_of
 from ltsim.recordings import write
-from ltsim.reports.document import Document
+from ltsim.reports.document_model import Document
 from ltsim.reports.page import document_of_folder, page_html
 from ltsim.reports.sections.network import target_uncertainty_sentence
 from ltsim.reports.verbs import report
@@ -303,7 +303,7 @@ def test_next_measurement_stands_first(tmp_path: Path) -> None:
     assert content.summary.startswith(f"Measure next: {proposals[0]['do']} (")
     table = next(block for block in content.sections[0].blocks if block.kind == "table")
     assert [row[0] for row in table.rows] == [p["do"] for p in proposals]
-    assert all(f"{p['sharper']:.2f}" == row[2] for p, row in zip(proposals, table.rows, strict=True))
+    assert all(f"{p['sigma_ratio']:.2f}" == row[2] for p, row in zip(proposals, table.rows, strict=True))
 
 
 def test_next_measurement_says_what_it_decides(tmp_path: Path) -> None:

@@ -10,8 +10,8 @@ import pytest
 from matplotlib import image
 
 from ltsim.core.randomness import stream
-from ltsim.reports import scene3d, workshop
-from ltsim.reports.document import CONTENT_SECURITY_POLICY
+from ltsim.reports import scene3d, workshop_scene
+from ltsim.reports.document_model import CONTENT_SECURITY_POLICY
 from ltsim.reports.figures.floor_plan import floor_plan
 from ltsim.reports.figures.obstacles import MAX_VECTOR_TRIANGLES
 from ltsim.reports.scene_page import scene_page
@@ -22,11 +22,11 @@ from tests.reports import samples
 
 
 @pytest.fixture(scope="module")
-def scene() -> workshop.PlacedWorkshop:
-    return workshop.workshop_from_recording(samples.recording())
+def scene() -> workshop_scene.WorkshopScene:
+    return workshop_scene.workshop_from_recording(samples.recording())
 
 
-def test_everything_stands_in_the_scene(scene: workshop.PlacedWorkshop) -> None:
+def test_everything_stands_in_the_scene(scene: workshop_scene.WorkshopScene) -> None:
     plotter, legend = scene3d.build_scene(scene)
     names = set(plotter.actors)
     expected = {"floor", "wall-0", "wall-1", "sights", "cone-0", "shadow-4", "targets", "gauge", "gauge-lengths"}
@@ -35,7 +35,7 @@ def test_everything_stands_in_the_scene(scene: workshop.PlacedWorkshop) -> None:
     plotter.close()
 
 
-def test_cone_ends_on_its_shadow(scene: workshop.PlacedWorkshop) -> None:
+def test_cone_ends_on_its_shadow(scene: workshop_scene.WorkshopScene) -> None:
     plotter, _ = scene3d.build_scene(scene)
     bounds = plotter.actors["cone-0"].bounds
     radius = scene.shadow_radius(scene.cone_openings[0])[0]
@@ -45,7 +45,7 @@ def test_cone_ends_on_its_shadow(scene: workshop.PlacedWorkshop) -> None:
     plotter.close()
 
 
-def test_ellipsoids_have_the_stated_magnification(scene: workshop.PlacedWorkshop) -> None:
+def test_ellipsoids_have_the_stated_magnification(scene: workshop_scene.WorkshopScene) -> None:
     assert scene.target_covariances is not None
     one = replace(
         scene,
@@ -71,14 +71,14 @@ def test_magnification_is_round(length: float, shown: float, factor: float) -> N
     assert scene3d.round_magnification(length, shown) == pytest.approx(factor)
 
 
-def test_picture_is_drawn(scene: workshop.PlacedWorkshop) -> None:
+def test_picture_is_drawn(scene: workshop_scene.WorkshopScene) -> None:
     pixels = np.asarray(image.imread(io.BytesIO(scene3d.scene_png(scene, window_size=(500, 400)))))
     assert pixels.shape[:2] == (400, 500)
     assert (pixels[:, :, :3] < 0.97).any(axis=2).mean() > 0.2
     assert len(np.unique(pixels.reshape(-1, pixels.shape[2]), axis=0)) > 500
 
 
-def test_page_escapes_the_title_and_names_no_server(scene: workshop.PlacedWorkshop) -> None:
+def test_page_escapes_the_title_and_names_no_server(scene: workshop_scene.WorkshopScene) -> None:
     html = scene_page(replace(scene, title='<script>alert("x")</script>'))
     assert "<script>alert" not in html
     assert "&lt;script&gt;" in html
@@ -86,18 +86,18 @@ def test_page_escapes_the_title_and_names_no_server(scene: workshop.PlacedWorksh
     assert "enlarged" in html
 
 
-def test_page_has_the_policy_of_the_report(scene: workshop.PlacedWorkshop) -> None:
+def test_page_has_the_policy_of_the_report(scene: workshop_scene.WorkshopScene) -> None:
     head = scene_page(scene).partition("</head>")[0]
     assert f'<meta http-equiv="Content-Security-Policy" content="{CONTENT_SECURITY_POLICY}">' in head
 
 
-def test_station_names_may_be_long_or_foreign(scene: workshop.PlacedWorkshop) -> None:
+def test_station_names_may_be_long_or_foreign(scene: workshop_scene.WorkshopScene) -> None:
     names = ("漢字", "a" * 60, "S 3", "é", "-")
     html = scene_page(replace(scene, stations=names))
     assert len(html) > 1e6
 
 
-def test_a_name_that_would_cover_another_is_left_out_and_that_is_said(scene: workshop.PlacedWorkshop) -> None:
+def test_a_name_that_would_cover_another_is_left_out_and_that_is_said(scene: workshop_scene.WorkshopScene) -> None:
     places = scene.target_points.copy()
     places[1] = places[0]
     words = {}
@@ -112,7 +112,7 @@ def test_a_name_that_would_cover_another_is_left_out_and_that_is_said(scene: wor
 
 def test_scenario_stands_as_planned() -> None:
     scenario = load_scenario("paper-workshop")
-    shown = workshop.workshop_from_scenario(scenario)
+    shown = workshop_scene.workshop_from_scenario(scenario)
     assert shown.station_positions[0] == pytest.approx(np.array(scenario.stations["S1"].position_mm) / 1e3)
     assert shown.sights is not None
     assert len(shown.sights.station) == 5 * 28
@@ -123,7 +123,7 @@ def test_obstacle_hides_and_is_drawn() -> None:
     scenario = load_scenario("paper-workshop")
     press = Obstacle(name="press", box_mm=(1200, 800, 2600), position_mm=(1500, 1500, 0))
     room = scenario.workshop.model_copy(update={"obstacles": (press,)})
-    shown = workshop.workshop_from_scenario(scenario.model_copy(update={"workshop": room}))
+    shown = workshop_scene.workshop_from_scenario(scenario.model_copy(update={"workshop": room}))
     assert shown.sights is not None
     assert len(shown.sights.station) < 140
     assert shown.notes
@@ -142,10 +142,10 @@ def test_obstacle_hides_and_is_drawn() -> None:
 def test_triangles_of_both_senses_are_filled_where_they_overlap() -> None:
     """The upper and the lower side of a body are seen in opposite senses from above."""
     upper = np.array([[[1.0, 1.0, 1.0], [4.0, 1.0, 1.0], [1.0, 4.0, 1.0]]])
-    room = workshop.workshop_from_scenario(load_scenario("paper-workshop"))
+    room = workshop_scene.workshop_from_scenario(load_scenario("paper-workshop"))
     pixels = []
     for obstacles in (upper, np.concatenate([upper, upper[:, ::-1] - [0.0, 0.0, 1.0]])):
-        figure, stream_ = floor_plan(replace(room, obstacles=obstacles)), io.BytesIO()
+        figure, stream_ = floor_plan(replace(room, obstacle_triangles=obstacles)), io.BytesIO()
         figure.savefig(stream_, format="png")
         stream_.seek(0)
         pixels.append(image.imread(stream_))
@@ -154,7 +154,7 @@ def test_triangles_of_both_senses_are_filled_where_they_overlap() -> None:
 
 def test_a_body_of_many_triangles_takes_no_more_of_a_page_than_its_picture() -> None:
     """As vectors 200,000 triangles made a page of 45 MB, in 30 s."""
-    few = workshop.workshop_from_scenario(load_scenario("paper-workshop"))
+    few = workshop_scene.workshop_from_scenario(load_scenario("paper-workshop"))
     body = stream(3, "bodies").uniform(0.0, 3.0, (MAX_VECTOR_TRIANGLES + 1, 3, 3))
-    sizes = [len(svg_text(floor_plan(replace(few, obstacles=body[:count])))) for count in (1, MAX_VECTOR_TRIANGLES + 1)]
+    sizes = [len(svg_text(floor_plan(replace(few, obstacle_triangles=body[:count])))) for count in (1, MAX_VECTOR_TRIANGLES + 1)]
     assert sizes[1] - sizes[0] < 100_000

@@ -14,7 +14,7 @@ from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import Equivalent, Finding, FindingEvidence, FindingScope, Misfit, ParameterEstimate
 from ltsim.diagnosis.words import catalogue_sentence, diagnosis_summary
 from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
-from ltsim.reports.document import ReportContext, Section
+from ltsim.reports.document_model import ReportContext, Section
 from ltsim.reports.sections.campaign import campaign_section
 from ltsim.reports.sections.diagnosis import diagnosis_section
 from ltsim.reports.sections.method_comparison import MethodComparison

@@ -5,51 +5,51 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltsim.reports import workshop
+from ltsim.reports import workshop_scene
 from tests.networks import STATIONS, YAWS, mesh
 from tests.reports import samples
 
 
 @pytest.fixture(scope="module")
-def scene() -> workshop.PlacedWorkshop:
-    return workshop.workshop_from_recording(samples.recording())
+def scene() -> workshop_scene.WorkshopScene:
+    return workshop_scene.workshop_from_recording(samples.recording())
 
 
-def test_network_is_brought_to_the_floor_plan(scene: workshop.PlacedWorkshop) -> None:
+def test_network_is_brought_to_the_floor_plan(scene: workshop_scene.WorkshopScene) -> None:
     assert scene.station_positions == pytest.approx(STATIONS, abs=1e-3)
     assert scene.target_points == pytest.approx(mesh(), abs=1e-3)
     assert np.exp(1j * scene.station_yaws) == pytest.approx(np.exp(1j * YAWS), abs=1e-3)
     assert scene.floor_height == 0.0
 
 
-def test_walls_stand_behind_the_nests(scene: workshop.PlacedWorkshop) -> None:
-    assert scene.walls.shape == (2, 4, 3)
-    assert scene.walls[0, :, 0] == pytest.approx(-0.05, abs=2e-3)
-    assert scene.walls[1, :, 1] == pytest.approx(-0.05, abs=2e-3)
+def test_walls_stand_behind_the_nests(scene: workshop_scene.WorkshopScene) -> None:
+    assert scene.wall_corners.shape == (2, 4, 3)
+    assert scene.wall_corners[0, :, 0] == pytest.approx(-0.05, abs=2e-3)
+    assert scene.wall_corners[1, :, 1] == pytest.approx(-0.05, abs=2e-3)
 
 
 def test_walls_stand_behind_nests_that_are_aimed_at_the_stations() -> None:
     from ltsim.simulation.scenario import load_scenario
     from ltsim.simulation.simulator import simulate
 
-    walls = workshop.workshop_from_recording(simulate(load_scenario("paper-workshop"), 7)[0]).walls
+    walls = workshop_scene.workshop_from_recording(simulate(load_scenario("paper-workshop"), 7)[0]).wall_corners
     assert walls.shape == (2, 4, 3)
     for axis in range(2):
         assert np.abs(walls[axis, :, axis]).max() < 0.1
 
 
-def test_shadow_is_a_cone_under_the_elevation_limit(scene: workshop.PlacedWorkshop) -> None:
+def test_shadow_is_a_cone_under_the_elevation_limit(scene: workshop_scene.WorkshopScene) -> None:
     narrow, wide = scene.cone_openings
     assert np.degrees([narrow, wide]) == pytest.approx([70.0, 110.0])
     assert scene.shadow_radius(narrow)[0] == pytest.approx(1.9 * np.tan(np.radians(35.0)), rel=1e-3)
     assert scene.shadow_radius(wide)[0] == pytest.approx(1.9 / np.tan(np.radians(35.0)), rel=1e-3)
 
 
-def test_incidence_is_measured_on_the_walls(scene: workshop.PlacedWorkshop) -> None:
+def test_incidence_is_measured_on_the_walls(scene: workshop_scene.WorkshopScene) -> None:
     made = samples.recording()
     fixed = {name: one.model_copy(update={"reaimed": False}) for name, one in made.setup.targets.items()}
-    walls = workshop.workshop_with_surroundings(scene, made.setup.model_copy(update={"targets": fixed}))
-    sights = walls.with_sights_by("incidence").sights
+    walls = workshop_scene.workshop_with_surroundings(scene, made.setup.model_copy(update={"targets": fixed}))
+    sights = walls.with_sights_coloured_by("incidence").sights
     assert sights is not None
     first = (sights.station == 0) & (sights.target == 0)
     beam = STATIONS[0] - mesh()[0]
@@ -58,12 +58,12 @@ def test_incidence_is_measured_on_the_walls(scene: workshop.PlacedWorkshop) -> N
     assert sights.value.max() < 90.0
 
 
-def test_reflectors_that_are_re_aimed_have_no_incidence(scene: workshop.PlacedWorkshop) -> None:
+def test_reflectors_that_are_re_aimed_have_no_incidence(scene: workshop_scene.WorkshopScene) -> None:
     assert scene.incidence_sights() is None
-    assert scene.with_sights_by("incidence").sights is scene.sights
+    assert scene.with_sights_coloured_by("incidence").sights is scene.sights
 
 
-def test_corrections_are_the_change_by_calibration(scene: workshop.PlacedWorkshop) -> None:
+def test_corrections_are_the_change_by_calibration(scene: workshop_scene.WorkshopScene) -> None:
     assert scene.target_corrections is not None
     change = samples.after().state.target_points - samples.before().state.target_points
     assert np.linalg.norm(scene.target_corrections, axis=1) == pytest.approx(np.linalg.norm(change, axis=1))
@@ -75,7 +75,9 @@ def test_a_plan_whose_zero_lies_far_below_tells_no_floor() -> None:
         name: one.model_copy(update={"position_mm": (*one.position_mm[:2], one.position_mm[2] + 360e3)})
         for name, one in made.setup.stations.items()
     }
-    scene = workshop.workshop_from_recording(made.replace(setup=made.setup.model_copy(update={"stations": stations})))
+    scene = workshop_scene.workshop_from_recording(
+        made.replace(setup=made.setup.model_copy(update={"stations": stations}))
+    )
     assert scene.floor_height == pytest.approx(scene.target_points[:, 2].min())
     assert scene.floor_height > 359.0
     assert scene.shadow_radius(scene.cone_openings[0]).max() < 10.0
@@ -84,13 +86,13 @@ def test_a_plan_whose_zero_lies_far_below_tells_no_floor() -> None:
 def test_without_a_plan_the_floor_is_at_the_lowest_target() -> None:
     made = samples.recording()
     bare = made.replace(setup=made.setup.model_copy(update={"stations": {}}))
-    scene = workshop.workshop_from_recording(bare)
+    scene = workshop_scene.workshop_from_recording(bare)
     assert scene.floor_height == pytest.approx(scene.target_points[:, 2].min())
     assert scene.notes
-    assert scene.walls.shape == (0, 4, 3)
+    assert scene.wall_corners.shape == (0, 4, 3)
 
 
-def test_gauge_lengths_join_the_gauge_targets(scene: workshop.PlacedWorkshop) -> None:
+def test_gauge_lengths_join_the_gauge_targets(scene: workshop_scene.WorkshopScene) -> None:
     assert len(scene.gauge_pairs) == 6
     assert scene.gauge_targets == (24, 25, 26, 27)
 
@@ -100,7 +102,7 @@ def test_a_target_without_a_place_is_not_drawn() -> None:
     recording = recording.select((recording.target != 5) | (recording.station == 0))
     readings = recording.readings.copy()
     readings[recording.target == 5, 1] = np.nan
-    shown = workshop.workshop_from_recording(recording.with_readings(readings))
+    shown = workshop_scene.workshop_from_recording(recording.with_readings(readings))
     assert "T06" not in shown.targets
     assert len(shown.target_points) == len(recording.targets) - 1
     assert shown.target_covariances is not None

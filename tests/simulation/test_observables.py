@@ -13,7 +13,7 @@ from ltsim.campaigns.truth import make_cell_truth
 from ltsim.core.errors import SetupError
 from ltsim.geometry.rigid import align_with_scale
 from ltsim.physics.model.construction import misalignment_construction
-from ltsim.planning.workshop import planned_survey
+from ltsim.planning.search_inputs import planned_survey
 from ltsim.recordings.setup import Target
 from ltsim.simulation.truth import Truth
 
@@ -55,7 +55,7 @@ def test_a_calibration_from_ranges_tells_of_no_new_point() -> None:
 
 def test_a_plan_and_trials_know_ranges_alone_and_nothing_between() -> None:
     assert not planned_survey(lt.scenario("paper-workshop", RANGES)).records_angles
-    assert make_cell_truth(lt.scenario("paper-workshop", RANGES), 1).recorded_observables.tolist() == [
+    assert make_cell_truth(lt.scenario("paper-workshop", RANGES), 1).is_recorded_observable.tolist() == [
         True,
         False,
         False,

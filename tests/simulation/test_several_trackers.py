@@ -12,7 +12,7 @@ import ltsim as lt
 from ltsim.core.errors import SetupError
 from ltsim.core.randomness import stream
 from ltsim.physics.model.construction import misalignment_construction
-from ltsim.planning.workshop import planned_survey
+from ltsim.planning.search_inputs import planned_survey
 from ltsim.recordings.native import read_recording, write_recording
 from ltsim.simulation.fieldwork import make_geometry
 from ltsim.simulation.scenario import Scenario, change_scenario, load_scenario, scenario_to_toml, validate_scenario

@@ -31,7 +31,7 @@ class SizedEffect:
 S = TypeVar("S", bound=LinearEffect | SizedEffect)
 
 
-def Effect(  # noqa: N802 - it stands for a class of the catalogue
+def Effect(
     name: str, *, stations: str | Sequence[str] = (), targets: str | Sequence[str] = (), **constants: Any
 ) -> AnyEffect | SizedEffect:
     """An effect of the catalogue at some places, with some of its constants: `lt.Effect("index-drift", stations="S3")`.

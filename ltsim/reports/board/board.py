@@ -18,7 +18,8 @@ from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.planner import layout_visibility
 from ltsim.planning.result import PLAN_FILE, SCENARIO_FILE, copy_cad_files, load_plan_and_scenario, with_layout
-from ltsim.planning.site import MAX_COINCIDENCE_DISTANCE, MIN_VISIBLE_TARGETS, SearchSpace, broken_rules_text
+from ltsim.planning.search_inputs import unsearched_plan
+from ltsim.planning.search_space import MAX_COINCIDENCE_DISTANCE, MIN_VISIBLE_TARGETS, SearchSpace, broken_rules_text
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.tolerances import (
@@ -30,12 +31,11 @@ from ltsim.planning.tolerances import (
     percent_text,
     plan_verdict,
 )
-from ltsim.planning.workshop import unsearched_plan
 from ltsim.recordings.files import write_texts
 from ltsim.recordings.settings import to_toml
 from ltsim.reports.scene3d import Camera
 from ltsim.reports.scene_page import scene_page
-from ltsim.reports.workshop import workshop_from_scenario
+from ltsim.reports.workshop_scene import workshop_from_scenario
 from ltsim.scene.floor import grid_step
 from ltsim.scene.meshes import Obstacles
 from ltsim.scene.visibility import InvisibilityReason, shadow_radii
@@ -164,14 +164,14 @@ class MovableLayout:
             survey=survey, min_sights=len(survey.station_positions) if min_stations == "all" else min_stations
         )
 
-    def evaluation(self, stations: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    def evaluation_json(self, stations: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         """Evaluation of a layout: visible sights, uncertainty of each point, and broken rules."""
         survey = self.survey(stations)
         search_space, broken_position_rules = (
             self._search_space_of(survey),
             self.search_space.broken_position_rules(survey),
         )
-        if _station_meets_target(survey):
+        if _station_coincides_with_target(survey):
             return {"problem": broken_rules_text(broken_position_rules)}
         visibility = layout_visibility(search_space, survey)
         survey = survey.replace(is_visible=visibility.is_visible)
@@ -197,10 +197,10 @@ class MovableLayout:
             points[t] = accuracy | (_tolerance_entries(float(error_radii[k]) / tolerance) if tolerance else {})
         return evaluation | {"points": points, "rms_um": information.target_rms / MICROMETRE}
 
-    def verdict(self, stations: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+    def verdict_json(self, stations: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
         """Verdict on rules and tolerances, also after a loss of stations or sights; None without tolerances."""
         survey = self.survey(stations)
-        if not self.tolerances or _station_meets_target(survey):
+        if not self.tolerances or _station_coincides_with_target(survey):
             return None
         search_space = self._search_space_of(survey)
         survey = survey.replace(is_visible=layout_visibility(search_space, survey).is_visible)
@@ -209,17 +209,17 @@ class MovableLayout:
         verdict = plan_verdict(self.tolerances, checks, losses, search_space.broken_rules(survey))
         return {"reached": verdict.is_goal_reached, "words": verdict.sentences}
 
-    def scenario_with(self, stations: Sequence[Mapping[str, Any]]) -> Scenario:
+    def scenario_with_stations(self, stations: Sequence[Mapping[str, Any]]) -> Scenario:
         """Scenario with the given stations."""
         return with_layout(self.scenario, self.survey(stations))
 
-    def scene_page_with(self, stations: Sequence[Mapping[str, Any]], camera: Camera | None = None) -> str:
+    def scene_page_with_stations(self, stations: Sequence[Mapping[str, Any]], camera: Camera | None = None) -> str:
         """Page with the hall in 3D, seen from a camera."""
-        return scene_page(workshop_from_scenario(self.scenario_with(stations)), camera)
+        return scene_page(workshop_from_scenario(self.scenario_with_stations(stations)), camera)
 
     def save(self, stations: Sequence[Mapping[str, Any]], folder: Path) -> list[Path]:
         """Paths of the written files: scenario.toml, and a plan.toml whose stations are fixed at their places."""
-        scenario = self.scenario_with(stations)
+        scenario = self.scenario_with_stations(stations)
         plan = self.plan_file.model_dump(mode="json", exclude_defaults=True)
         for key in ("workshop", "instrument", "smr", "work"):
             plan.pop(key, None)
@@ -237,7 +237,7 @@ def _tolerance_entries(error_to_tolerance: float) -> dict[str, Any]:
     return {"ratio": error_to_tolerance, "used": percent_text(error_to_tolerance), "met": is_met(error_to_tolerance)}
 
 
-def _station_meets_target(survey: PlannedSurvey) -> bool:
+def _station_coincides_with_target(survey: PlannedSurvey) -> bool:
     """True if a station coincides with a target, so that no accuracy can be computed."""
     return bool(
         np.linalg.norm(survey.station_positions[:, None] - survey.target_points, axis=2).min()

@@ -28,7 +28,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from ltsim.core.errors import LtsimError, SetupError
 from ltsim.reports.board.board import MovableLayout
-from ltsim.reports.document import CONTENT_SECURITY_POLICY
+from ltsim.reports.document_model import CONTENT_SECURITY_POLICY
 
 LOOPBACK_ADDRESS = "127.0.0.1"
 """Address of this machine, which other machines cannot reach."""
@@ -90,9 +90,9 @@ class PlannerRequests:
         self.layout, self.folder = layout, folder
         self.token = secrets.token_urlsafe(18)
         self._handlers: dict[str, Callable[[list[dict[str, Any]], LayoutRequest], Any]] = {
-            "judged": lambda stations, _: layout.evaluation(stations),
-            "verdict": lambda stations, _: layout.verdict(stations),
-            "scene": lambda stations, question: layout.scene_page_with(stations, question.camera),
+            "judged": lambda stations, _: layout.evaluation_json(stations),
+            "verdict": lambda stations, _: layout.verdict_json(stations),
+            "scene": lambda stations, question: layout.scene_page_with_stations(stations, question.camera),
             "save": lambda stations, _: [str(file) for file in layout.save(stations, folder)],
         }
 

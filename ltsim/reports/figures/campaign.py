@@ -22,7 +22,7 @@ from ltsim.core.errors import ModelError, unknown_name
 from ltsim.core.notation import number_text
 from ltsim.core.units import UNIT_BY_KEY_ENDING
 from ltsim.reports import style
-from ltsim.reports.words import typographic_text
+from ltsim.reports.formatting import typographic_text
 
 MAX_FIGURE_PANELS = 12
 """Largest number of panels of a figure; further panels are drawn in further figures or omitted."""
@@ -57,12 +57,12 @@ PUBLISHED_CRITERIA = MappingProxyType(
 class SweepPoint:
     """Mean of a statistic at one level, with its 95 % interval and the central 90 % of the trials.
 
-    `level` is the position on the x axis, a number or a text; `line` and `panel` are labels.
+    `level` is the position on the x axis, a number or a text; `line_label` and `panel_label` are labels.
     """
 
     level: float | str
-    line: str
-    panel: str
+    line_label: str
+    panel_label: str
     mean: float
     low: float
     high: float
@@ -145,18 +145,18 @@ def sweep_figure(results: CampaignResults, statistic: str, along: str, *, panel:
     words = statistic.removesuffix("_percent").removesuffix("_um").replace("_", " ")
     label = f"{words} [{typographic_text(unit)}]" if unit else words
     rows = sweep_points(results, statistic, along, panel=panel, **levels)
-    if len({(row.level, row.line, row.panel) for row in rows}) < len(rows):
+    if len({(row.level, row.line_label, row.panel_label) for row in rows}) < len(rows):
         others = [f.name for f in results.factors if f.name not in (along, panel, *levels)]
         raise ModelError(f"several cells have the same place; give panel, or a level of {' or '.join(others)}")
-    return factor_panels_figure(rows, label=label, axis=axis)
+    return factor_panels_figure(rows, y_title=label, x_title=axis)
 
 
 @style.with_figure_style
 def factor_panels_figure(
     plotted_points: Sequence[SweepPoint],
     *,
-    label: str,
-    axis: str,
+    y_title: str,
+    x_title: str,
     published_value: float | None = None,
     joins_points: bool = True,
 ) -> Figure:
@@ -165,25 +165,25 @@ def factor_panels_figure(
     Parameters
     ----------
     plotted_points : sequence of SweepPoint
-    label : str
+    y_title : str
         The statistic with its unit.
-    axis : str
+    x_title : str
         The factor along the lines, with its unit.
     published_value : float, optional
         A published value to compare with.
     joins_points : bool
         True to join the points of a line. If False, each panel has a separate factor, named by the panel.
     """
-    panels = list(dict.fromkeys(row.panel for row in plotted_points))[:MAX_FIGURE_PANELS]
+    panels = list(dict.fromkeys(row.panel_label for row in plotted_points))[:MAX_FIGURE_PANELS]
     n_columns = min(len(panels), 2)
     n_rows = -(-len(panels) // n_columns)
     figure = style.new_figure(0.9 + (1.9 if n_columns > 1 else 2.6) * n_rows)
     axes = figure.subplots(n_rows, n_columns, sharex=joins_points, sharey=True, squeeze=False)
     words = list(dict.fromkeys(row.level for row in plotted_points if isinstance(row.level, str)))
-    names = list(dict.fromkeys(row.line for row in plotted_points))[:MAX_PANEL_LINES]
+    names = list(dict.fromkeys(row.line_label for row in plotted_points))[:MAX_PANEL_LINES]
     for ax, panel in zip(axes.flat, panels, strict=False):
         for k, name in enumerate(names):
-            points = [row for row in plotted_points if (row.panel, row.line) == (panel, name)]
+            points = [row for row in plotted_points if (row.panel_label, row.line_label) == (panel, name)]
             _draw_line(ax, points, _axis_positions(points, words, (k + 0.5) / len(names)), k, is_joined=joins_points)
         if published_value is not None:
             ax.axhline(published_value, color=style.INK_COLOUR, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
@@ -191,14 +191,15 @@ def factor_panels_figure(
             ax.set_title(style.shortened_name(panel, 44 if n_columns < 2 else 34), fontsize=8.5)
         else:
             ax.set_xlabel(panel)
-        _set_axis_ticks(ax, [row.level for row in plotted_points if row.panel == panel], words, is_joined=joins_points)
+        levels = [row.level for row in plotted_points if row.panel_label == panel]
+        _set_axis_ticks(ax, levels, words, is_joined=joins_points)
         style.set_grid(ax)
     for ax in axes.flat[len(panels) :]:
         ax.set_axis_off()
     for ax in axes.flat[max(len(panels) - n_columns, 0) : len(panels)]:
         ax.tick_params(labelbottom=True)
-    figure.supxlabel(axis, fontsize=8.5)
-    label_lines = textwrap.fill(label, LABEL_WIDTH_PER_PANEL_ROW * n_rows)
+    figure.supxlabel(x_title, fontsize=8.5)
+    label_lines = textwrap.fill(y_title, LABEL_WIDTH_PER_PANEL_ROW * n_rows)
     if n_rows > 1:
         figure.supylabel(label_lines, fontsize=8.5)
     else:  # beside its panel: that of a figure is centred on panel and legend together
@@ -215,40 +216,34 @@ def _axis_positions(line_points: Sequence[SweepPoint], level_texts: Sequence[str
     return np.array(place, dtype=np.float64) + (0.3 * (offset_fraction - 0.5) if level_texts else 0.0)
 
 
-def _draw_line(ax: Axes, points: Sequence[SweepPoint], place: Floats, line_number: int, *, is_joined: bool) -> None:
+def _draw_line(ax: Axes, points: Sequence[SweepPoint], positions: Floats, line_number: int, *, is_joined: bool) -> None:
     if not points:
         return
-    order = np.argsort(place, kind="stable")
-    x, mean = place[order], np.array([points[i].mean for i in order])
+    order = np.argsort(positions, kind="stable")
+    x, mean = positions[order], np.array([points[i].mean for i in order])
     low, high = (np.array([getattr(points[i], side) for i in order]) for side in ("low", "high"))
     colour = style.COLOUR_CYCLE[line_number % len(style.COLOUR_CYCLE)]
     p05, p95 = (np.array([getattr(points[i], side) for i in order]) for side in ("quantile_05", "quantile_95"))
     has_trials = bool(np.any(p05 < p95))
     if is_joined and not isinstance(points[0].level, str) and has_trials:
-        ax.fill_between(
-            x,
-            p05,
-            p95,
-            color=colour,
-            alpha=0.12,
-            linewidth=0,
-            label=CENTRAL_90_PERCENT_LABEL if line_number == 0 else None,
-        )
+        band_label = CENTRAL_90_PERCENT_LABEL if line_number == 0 else None
+        ax.fill_between(x, p05, p95, color=colour, alpha=0.12, linewidth=0, label=band_label)
     interval_text = "mean, 95 % interval" if has_trials else "95 % interval"  # a share has no trials
-    label = (f"{points[0].line}: {interval_text}" if line_number == 0 else points[0].line).removeprefix(": ")
+    name = points[0].line_label
+    label = f"{name}: {interval_text}".removeprefix(": ") if line_number == 0 else name
     ax.errorbar(
         x, mean, [mean - low, high - mean], color=colour, marker=style.MARKERS[line_number % len(style.MARKERS)],
         markersize=4.5, linestyle=("-" if is_joined else "none"), elinewidth=2.4, label=label,
     )  # fmt: skip
 
 
-def _set_axis_ticks(ax: Axes, places: Sequence[float | str], tick_labels: Sequence[str], *, is_joined: bool) -> None:
+def _set_axis_ticks(ax: Axes, values: Sequence[float | str], tick_labels: Sequence[str], *, is_joined: bool) -> None:
     """Set ticks at the levels; the axis is logarithmic if the levels are positive and span a factor of at least 8."""
     if tick_labels:
         ax.set_xticks(range(len(tick_labels)), [style.shortened_name(word, 18) for word in tick_labels])
         ax.set_xlim(-0.5, len(tick_labels) - 0.5)
         return
-    levels = sorted({float(x) for x in places if not isinstance(x, str)})
+    levels = sorted({float(x) for x in values if not isinstance(x, str)})
     is_logarithmic = levels[0] > 0 and levels[-1] >= 8 * levels[0]
     if is_logarithmic:
         ax.set_xscale("log")
@@ -283,11 +278,11 @@ def setting_rows_figure(points: Sequence[SweepPoint], *, label: str, published_v
         A published value to compare with.
     """
     settings = list(dict.fromkeys(str(row.level) for row in points))[:MAX_SETTING_ROWS]
-    methods = list(dict.fromkeys(row.line for row in points))
+    methods = list(dict.fromkeys(row.line_label for row in points))
     figure, ax = style.new_panel(0.75 + len(settings) * (0.14 + 0.14 * len(methods)))
     places = dict(zip(settings, style.set_category_rows(ax, settings), strict=True))
     for m, method in enumerate(methods):
-        mine = [row for row in points if row.line == method and str(row.level) in places]
+        mine = [row for row in points if row.line_label == method and str(row.level) in places]
         y = np.array([places[str(row.level)] for row in mine]) + 0.62 * ((m + 0.5) / len(methods) - 0.5)
         colour = style.COLOUR_CYCLE[m % len(style.COLOUR_CYCLE)]
         ninety, mean = ("90 % of trials", "95 % interval of the mean") if m == 0 else ("", "")
@@ -308,7 +303,7 @@ class TrialDistribution:
     name: str
     values: Floats
     unit: str = ""
-    published: float | None = None
+    published_value: float | None = None
 
 
 @style.with_figure_style
@@ -326,12 +321,13 @@ def distributions_figure(distributions: Sequence[TrialDistribution]) -> Figure:
     return figure
 
 
-def _draw_distribution(ax: Axes, row: TrialDistribution) -> None:
+def _draw_distribution(ax: Axes, sample: TrialDistribution) -> None:
     """Draw the histogram of a quantity, with mean, intervals and published value above."""
-    finite = row.values[np.isfinite(row.values)]
+    published = sample.published_value
+    finite = sample.values[np.isfinite(sample.values)]
     low, high = np.percentile(finite, [0.25, 99.75])
-    if row.published is not None:
-        low, high = min(low, row.published), max(high, row.published)
+    if published is not None:
+        low, high = min(low, published), max(high, published)
     margin = 0.04 * (high - low) or 1.0
     counts, edges = np.histogram(finite, bins=min(60, max(12, int(np.sqrt(len(finite))))), range=(low, high))
     ax.stairs(counts, edges, fill=True, color=style.SKY)
@@ -349,14 +345,14 @@ def _draw_distribution(ax: Axes, row: TrialDistribution) -> None:
         1.07 * top, mean - half, mean + half, color=style.COLOUR_AFTER, linewidth=5.0, label="mean, 95 % interval"
     )
     ax.plot([mean], [1.07 * top], "o", ms=4.5, color=style.COLOUR_AFTER)
-    ax.set_title(style.shortened_name(row.name, 40), fontsize=8)
+    ax.set_title(style.shortened_name(sample.name, 40), fontsize=8)
     ax.xaxis.set_major_locator(MaxNLocator(5))
-    ax.set_xlabel(f"[{style.unit_text(row.unit)}]" if row.unit else "")
-    if row.published is not None:
-        ax.axvline(row.published, color=style.INK_COLOUR, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
-        right, below = row.published > 0.5 * (low + high), 100 * float(np.mean(finite < row.published))
+    ax.set_xlabel(f"[{style.unit_text(sample.unit)}]" if sample.unit else "")
+    if published is not None:
+        ax.axvline(published, color=style.INK_COLOUR, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
+        right, below = published > 0.5 * (low + high), 100 * float(np.mean(finite < published))
         ax.annotate(
-            typographic_text(f"{number_text(row.published)}, percentile {below:.0f}"), (row.published, 1.27 * top),
+            typographic_text(f"{number_text(published)}, percentile {below:.0f}"), (published, 1.27 * top),
             xytext=(-3 if right else 3, -1), textcoords="offset points", fontsize=7.5, ha="right" if right else "left",
             va="top", in_layout=False,
         )  # fmt: skip
@@ -372,22 +368,22 @@ def coverage_interval(row: ZScoreSummary) -> tuple[float, float]:
     return float(interval.low), float(interval.high)
 
 
-def is_outside_allowed_coverage(z_scores: Sequence[ZScoreSummary]) -> list[bool]:
+def is_outside_allowed_coverage(summaries: Sequence[ZScoreSummary]) -> list[bool]:
     """True for each parameter whose interval of coverage lies completely outside the allowed band."""
-    return [high < ALLOWED_COVERAGE[0] or low > ALLOWED_COVERAGE[1] for low, high in map(coverage_interval, z_scores)]
+    return [high < ALLOWED_COVERAGE[0] or low > ALLOWED_COVERAGE[1] for low, high in map(coverage_interval, summaries)]
 
 
 @style.with_figure_style
-def coverage_figure(scores: Sequence[ZScoreSummary]) -> Figure:
+def coverage_figure(summaries: Sequence[ZScoreSummary]) -> Figure:
     """Coverage of the 95 % intervals of each parameter with an interval of the coverage, and the allowed band."""
-    figure, ax = style.new_panel(0.9 + 0.2 * max(len(scores), 3))
-    places = style.set_category_rows(ax, [row.parameter for row in scores])
-    coverage = np.array([row.coverage_95 for row in scores])
-    bounds = np.array([coverage_interval(row) for row in scores])
+    figure, ax = style.new_panel(0.9 + 0.2 * max(len(summaries), 3))
+    places = style.set_category_rows(ax, [row.parameter for row in summaries])
+    coverage = np.array([row.coverage_95 for row in summaries])
+    bounds = np.array([coverage_interval(row) for row in summaries])
     band = f"allowed {100 * ALLOWED_COVERAGE[0]:.1f} to {100 * ALLOWED_COVERAGE[1]:.1f} %"
     ax.axvspan(*ALLOWED_COVERAGE, color=style.BAND_COLOUR, linewidth=0, zorder=0, label=band)
     ax.axvline(0.95, color=style.INK_COLOUR, linewidth=1.0, linestyle=(0, (4, 2)), label="nominal 95 %")
-    red = np.array(is_outside_allowed_coverage(scores), dtype=bool)
+    red = np.array(is_outside_allowed_coverage(summaries), dtype=bool)
     for chosen, colour, word in ((~red, style.BLUE, "share, its 95 % interval"), (red, style.RED, "outside the band")):
         if chosen.any():
             ax.hlines(places[chosen], *bounds[chosen].T, color=colour, linewidth=1.8)

@@ -73,11 +73,11 @@ def statistic_figures(
     if factors and results.manifest.settings.get("design"):
         points = [(f, _axis_position(f, results.levels[s.cell]), s) for f in factors for s in summaries]
         rows = [_sweep_point(s, place, s.method, factor_axis_title(factor)) for factor, place, s in points]
-        figure = partial(factor_panels_figure, rows, axis="", joins_points=False, **figure_options)
+        figure = partial(factor_panels_figure, rows, x_title="", joins_points=False, **figure_options)
         yield f"Each mark is one setting, against each factor. {trials_sentence}", figure
     elif factors and is_grid and n_cells > 2:
         axis, rows = _factor_lines(results, factors, summaries)
-        names = list(dict.fromkeys(row.panel for row in rows))
+        names = list(dict.fromkeys(row.panel_label for row in rows))
         for first in range(0, len(names), MAX_FIGURE_PANELS):
             shown = names[first : first + MAX_FIGURE_PANELS]
             panels_sentence = (
@@ -87,7 +87,12 @@ def statistic_figures(
             )
             yield (
                 trials_sentence + panels_sentence,
-                partial(factor_panels_figure, [row for row in rows if row.panel in shown], axis=axis, **figure_options),
+                partial(
+                    factor_panels_figure,
+                    [row for row in rows if row.panel_label in shown],
+                    x_title=axis,
+                    **figure_options,
+                ),
             )
     else:
         setting_texts = cell_descriptions(results)

@@ -15,16 +15,16 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.reports import style
 from ltsim.reports.figures.obstacles import draw_obstacles
-from ltsim.reports.workshop import PlacedWorkshop
+from ltsim.reports.workshop_scene import WorkshopScene
 from ltsim.scene.floor import Floor, FloorArea, distance_to_outline
 
 LABEL_DIRECTIONS = np.radians([0, 180, 90, 270])
 """Directions [rad] from a marker in which its label is tried, relative to the preferred direction of the label."""
 LABEL_DISTANCE_PT = 6.0
 """Distance [pt] from a marker to its label."""
-LETTER_SIZE_RATIO = (0.62, 1.25)
+LETTER_SIZE_RATIOS = (0.62, 1.25)
 """Width and height of a letter, as fractions of the font size."""
-MIN_SIDE_RATIO_VERTICAL = 2.0
+MIN_SIDE_RATIO_OF_VERTICAL_LABEL = 2.0
 """Height of an area, relative to its width, from which its label is vertical: a lane is narrower than its name."""
 LABEL_BACKGROUND = {"boxstyle": "square,pad=0", "facecolor": "#FFFFFFB0", "edgecolor": "none"}
 """Matplotlib settings of the box behind a label."""
@@ -41,7 +41,7 @@ class MapLabel:
     text: str
     anchor: Floats
     font_size: float = 7.0
-    bold: bool = False
+    is_bold: bool = False
     colour: str = "#4A5056"
     preferred_direction: float = 0.0
     is_vertical: bool = False
@@ -63,7 +63,7 @@ def draw_labels(figure: Figure, ax: Axes, labels: Sequence[MapLabel], markers: F
         [np.concatenate([marker_positions - 3.0, marker_positions + 3.0], axis=1), forbidden_boxes]
     )
     for label in labels:
-        half_size = 0.5 * label.font_size * np.array([LETTER_SIZE_RATIO[0] * len(label.text), LETTER_SIZE_RATIO[1]])
+        half_size = 0.5 * label.font_size * np.array([LETTER_SIZE_RATIOS[0] * len(label.text), LETTER_SIZE_RATIOS[1]])
         half_size = half_size[::-1] if label.is_vertical else half_size
         for direction in label.preferred_direction + LABEL_DIRECTIONS:
             unit_vector = np.array([np.cos(direction), np.sin(direction)])
@@ -76,7 +76,7 @@ def draw_labels(figure: Figure, ax: Axes, labels: Sequence[MapLabel], markers: F
                 taken_boxes = np.concatenate([taken_boxes, box[None]])
                 ax.annotate(
                     label.text, tuple(label.anchor), xytext=tuple(offset), textcoords="offset points", ha="center",
-                    va="center", fontsize=label.font_size, fontweight="bold" if label.bold else "normal",
+                    va="center", fontsize=label.font_size, fontweight="bold" if label.is_bold else "normal",
                     color=label.colour, zorder=8, in_layout=False, bbox=LABEL_BACKGROUND,
                     rotation=90.0 if label.is_vertical else 0.0,
                 )  # fmt: skip
@@ -97,7 +97,7 @@ MAX_LABEL_SHARING_DISTANCE = 0.05
 """Largest distance between targets that share a label, as a fraction of the size of the floor."""
 FLOOR_PLAN_WIDTH = 4.3
 """Width of the axes [inch]."""
-FLOOR_PLAN_HEIGHTS = (3.6, 6.6)
+FLOOR_PLAN_HEIGHT_RANGE = (3.6, 6.6)
 """Smallest and largest height of the figure [inch]."""
 LISTED_STATION_HEIGHT = 0.16
 """Additional height of the figure per listed station [inch]."""
@@ -107,7 +107,7 @@ MAX_WALL_DISTANCE = 0.35
 
 @style.with_figure_style
 def floor_plan(
-    workshop: PlacedWorkshop,
+    workshop: WorkshopScene,
     *,
     reference: Floats | None = None,
     lists_coordinates: bool = False,
@@ -118,7 +118,7 @@ def floor_plan(
 
     Parameters
     ----------
-    workshop : PlacedWorkshop
+    workshop : WorkshopScene
     reference : (k, 3) float, optional, [m]
         Stations of another layout, to compare with.
     lists_coordinates : bool
@@ -131,16 +131,16 @@ def floor_plan(
     low, high = _axis_limits(workshop)
     aspect_ratio = (high[1] - low[1]) / (high[0] - low[0])
     figure, ax = style.new_panel(
-        float(np.clip(FLOOR_PLAN_WIDTH * aspect_ratio + 1.2, *FLOOR_PLAN_HEIGHTS)), layout="compressed"
+        float(np.clip(FLOOR_PLAN_WIDTH * aspect_ratio + 1.2, *FLOOR_PLAN_HEIGHT_RANGE)), layout="compressed"
     )
     ax.set_aspect("equal")
     style.set_grid(ax, grid_axis="both")
     ax.add_patch(
-        Polygon(workshop.floor, closed=True, facecolor="#F7F8F9", edgecolor="#B5BBC0", linewidth=0.8, zorder=0)
+        Polygon(workshop.floor_corners, closed=True, facecolor="#F7F8F9", edgecolor="#B5BBC0", linewidth=0.8, zorder=0)
     )
     _draw_walls(ax, workshop)
     area_labels = _draw_floor_areas(ax, floor) if floor is not None else []
-    draw_obstacles(ax, workshop.obstacles)
+    draw_obstacles(ax, workshop.obstacle_triangles)
     _draw_shadow_cones(ax, workshop)
     _draw_gauge(ax, workshop)
     is_visible = _sight_matrix(workshop)
@@ -179,10 +179,10 @@ def floor_plan(
     return figure
 
 
-def _draw_walls(ax: Axes, workshop: PlacedWorkshop) -> None:
+def _draw_walls(ax: Axes, workshop: WorkshopScene) -> None:
     """Draw as walls the sides of the floor that are the nearest side of at least two targets."""
     legend_label: str | None = "wall with targets"
-    wall_ends = np.stack([workshop.floor, np.roll(workshop.floor, -1, axis=0)], axis=1)
+    wall_ends = np.stack([workshop.floor_corners, np.roll(workshop.floor_corners, -1, axis=0)], axis=1)
     distances = np.array([distance_to_outline(side, workshop.target_points[:, :2]) for side in wall_ends])
     nearest = np.where(distances.min(axis=0) < MAX_WALL_DISTANCE, distances.argmin(axis=0), -1)
     for number, side in enumerate(wall_ends):
@@ -217,7 +217,7 @@ def _draw_floor_areas(ax: Axes, floor: Floor) -> list[MapLabel]:
             )
         )
         width, height = np.ptp(corners, axis=0)
-        is_vertical = bool(height > MIN_SIDE_RATIO_VERTICAL * width)
+        is_vertical = bool(height > MIN_SIDE_RATIO_OF_VERTICAL_LABEL * width)
         label = MapLabel(place.name, corners.mean(axis=0), 7.0, colour="#8A3A66", preferred_direction=0.5 * np.pi)
         labels.append(replace(label, is_vertical=is_vertical))
     for i, door in enumerate(floor.doors):
@@ -228,18 +228,18 @@ def _draw_floor_areas(ax: Axes, floor: Floor) -> list[MapLabel]:
     return [label for label in labels if label.text]
 
 
-def _axis_limits(workshop: PlacedWorkshop) -> Floats:
+def _axis_limits(workshop: WorkshopScene) -> Floats:
     """Lower limits and upper limits of x and y, (2, 2) [m], which include the floor and the inner shadow circles."""
     radius = workshop.shadow_radius(workshop.cone_openings[0])[:, None]
     places = np.concatenate(
-        [workshop.floor, workshop.station_positions[:, :2] - radius, workshop.station_positions[:, :2] + radius]
+        [workshop.floor_corners, workshop.station_positions[:, :2] - radius, workshop.station_positions[:, :2] + radius]
     )
     low, high = places.min(axis=0), places.max(axis=0)
     margin = 0.13 * float((high - low).max())  # room for the names of targets on the walls
     return np.stack([low - margin, high + margin])
 
 
-def _draw_shadow_cones(ax: Axes, workshop: PlacedWorkshop) -> None:
+def _draw_shadow_cones(ax: Axes, workshop: WorkshopScene) -> None:
     """Draw the circles in which the shadow cones meet the floor."""
     for k, opening in enumerate(workshop.cone_openings):
         inner, outer = {"facecolor": "#D55E0022"}, {"facecolor": "none", "linestyle": (0, (3, 2))}
@@ -249,7 +249,7 @@ def _draw_shadow_cones(ax: Axes, workshop: PlacedWorkshop) -> None:
             ax.add_patch(Circle(tuple(workshop.station_positions[s, :2]), radius, label=legend_label, **patch_style))
 
 
-def _sight_matrix(workshop: PlacedWorkshop) -> Bools | None:
+def _sight_matrix(workshop: WorkshopScene) -> Bools | None:
     """Matrix (S, T), True if station s sees target t.
 
     None if visibility is unknown, if no line of sight is blocked, or if there are more stations than colours.
@@ -262,7 +262,7 @@ def _sight_matrix(workshop: PlacedWorkshop) -> Bools | None:
     return is_visible
 
 
-def _draw_visibility_pies(ax: Axes, workshop: PlacedWorkshop, is_visible: Bools) -> None:
+def _draw_visibility_pies(ax: Axes, workshop: WorkshopScene, is_visible: Bools) -> None:
     """Draw each target as a circle with a slice in the colour of each station that sees it."""
     x, y = workshop.target_points[:, :2].T
     marker_size = 62 if len(workshop.targets) <= MAX_LABELLED_TARGETS else 34
@@ -288,7 +288,7 @@ def _draw_visibility_pies(ax: Axes, workshop: PlacedWorkshop, is_visible: Bools)
         )
 
 
-def _draw_gauge(ax: Axes, workshop: PlacedWorkshop) -> None:
+def _draw_gauge(ax: Axes, workshop: WorkshopScene) -> None:
     """Draw the reference lengths of the gauge as lines."""
     for k, (a, b) in enumerate(workshop.gauge_pairs):
         ends = workshop.target_points[[a, b], :2]
@@ -297,7 +297,7 @@ def _draw_gauge(ax: Axes, workshop: PlacedWorkshop) -> None:
         )
 
 
-def _draw_targets(ax: Axes, workshop: PlacedWorkshop) -> None:
+def _draw_targets(ax: Axes, workshop: WorkshopScene) -> None:
     """Draw targets with markers that depend on the height above the floor."""
     height = workshop.target_points[:, 2] - workshop.floor_height
     lower_limit = -np.inf
@@ -324,9 +324,9 @@ def _draw_targets(ax: Axes, workshop: PlacedWorkshop) -> None:
         lower_limit = upper_limit
 
 
-def _target_labels(workshop: PlacedWorkshop) -> list[MapLabel]:
+def _target_labels(workshop: WorkshopScene) -> list[MapLabel]:
     """Labels of the targets, on the side away from the middle of the floor; targets above each other share a label."""
-    floor_centre, size = workshop.floor.mean(axis=0), np.ptp(workshop.floor, axis=0)
+    floor_centre, size = workshop.floor_corners.mean(axis=0), np.ptp(workshop.floor_corners, axis=0)
     targets_by_cell: dict[tuple[float, ...], list[int]] = defaultdict(list)
     for i, cell in enumerate(
         np.round(workshop.target_points[:, :2] / (MAX_LABEL_SHARING_DISTANCE * size.max())).tolist()
@@ -346,9 +346,9 @@ def _target_labels(workshop: PlacedWorkshop) -> list[MapLabel]:
     return labels
 
 
-def _draw_stations(ax: Axes, workshop: PlacedWorkshop, colours: Sequence[str]) -> None:
+def _draw_stations(ax: Axes, workshop: WorkshopScene, colours: Sequence[str]) -> None:
     """Draw each station as a marker, with an arrow towards azimuth zero."""
-    arrow_length = 0.075 * float(np.ptp(workshop.floor, axis=0).max())
+    arrow_length = 0.075 * float(np.ptp(workshop.floor_corners, axis=0).max())
     ticks: Floats = arrow_length * np.stack([np.cos(workshop.station_yaws), np.sin(workshop.station_yaws)], axis=1)
     arrow = {"arrowstyle": "-|>", "color": style.INK_COLOUR, "lw": 1.3, "shrinkA": 0, "shrinkB": 0}
     for place, end in zip(workshop.station_positions[:, :2], ticks, strict=True):
@@ -359,13 +359,13 @@ def _draw_stations(ax: Axes, workshop: PlacedWorkshop, colours: Sequence[str]) -
     ax.scatter(x, y, marker=marker, color=station_colours, label="station, tick to azimuth 0", **marker_style)
 
 
-def _station_labels(workshop: PlacedWorkshop) -> list[MapLabel]:
+def _station_labels(workshop: WorkshopScene) -> list[MapLabel]:
     return [
         MapLabel(
             style.shortened_name(name, 16),
             place[:2],
             9.0,
-            bold=True,
+            is_bold=True,
             colour=style.INK_COLOUR,
             preferred_direction=float(yaw) + 1.25 * np.pi,
         )
@@ -373,7 +373,7 @@ def _station_labels(workshop: PlacedWorkshop) -> list[MapLabel]:
     ]
 
 
-def _listed_stations_legend(workshop: PlacedWorkshop, n_other_entries: int) -> tuple[list[Line2D], list[str]]:
+def _listed_stations_legend(workshop: WorkshopScene, n_other_entries: int) -> tuple[list[Line2D], list[str]]:
     """Empty legend handles, and texts with the places of the stations, for the second column of a legend.
 
     The first column has `n_other_entries` entries; the shorter column is filled with empty texts.

@@ -12,7 +12,7 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.planning.reflector_changes import PlanChange
 from ltsim.reports import style
 from ltsim.reports.figures.floor_plan import MapLabel, floor_plan
-from ltsim.reports.workshop import PlacedWorkshop
+from ltsim.reports.workshop_scene import WorkshopScene
 from ltsim.scene.floor import Floor
 
 MIN_DRAWN_HALF_WIDTH = 0.015
@@ -23,7 +23,7 @@ MAX_MARK_SHARING_DISTANCE = 0.04
 
 @style.with_figure_style
 def marked_floor_plan(
-    workshop: PlacedWorkshop,
+    workshop: WorkshopScene,
     marked_names: Sequence[str],
     target_pairs: Sequence[tuple[str, str]] = (),
     area: Mapping[str, tuple[float, float]] | None = None,
@@ -69,7 +69,7 @@ def marked_floor_plan(
 
 @style.with_figure_style
 def reflector_changes_figure(
-    workshop: PlacedWorkshop, planned_changes: Sequence[PlanChange], floor: Floor | None = None
+    workshop: WorkshopScene, planned_changes: Sequence[PlanChange], floor: Floor | None = None
 ) -> Figure:
     """Floor plan with numbered changes of reflectors: moves as arrows, reflectors that can be omitted as crosses."""
     position_by_target = dict(zip(workshop.targets, workshop.target_points[:, :2].tolist(), strict=True))
@@ -106,7 +106,8 @@ def reflector_changes_figure(
                 at = np.array([*numbers_by_position]).T
                 ax.scatter(at[0], at[1], marker=marker, s=40, color=colour, zorder=9, label=word)
             labels += [
-                MapLabel(", ".join(map(str, n)), np.array(at), 8.0, bold=True) for at, n in numbers_by_position.items()
+                MapLabel(", ".join(map(str, n)), np.array(at), 8.0, is_bold=True)
+                for at, n in numbers_by_position.items()
             ]
         return labels
 

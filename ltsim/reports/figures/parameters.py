@@ -14,7 +14,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.notation import number_text, with_sigma
 from ltsim.core.results import Table
 from ltsim.reports import style
-from ltsim.reports.words import QUALITY_MEASURES, distinct_labels, is_determined, typographic_text
+from ltsim.reports.formatting import QUALITY_MEASURES, distinct_labels, is_determined, typographic_text
 
 if TYPE_CHECKING:
     from ltsim.calibration.history import ParameterHistory
@@ -272,16 +272,16 @@ def values_figure(
 
 @style.with_figure_style
 def lines_figure(
-    positions: Sequence[float], lines: Mapping[str, Sequence[ValueWithInterval]], axis: str, label: str
+    positions: Sequence[float], lines: Mapping[str, Sequence[ValueWithInterval]], x_title: str, y_title: str
 ) -> Figure:
-    """Lines through values with intervals over n `positions`; `axis` and `label` are the titles of the x and y axes."""
+    """Lines through values with intervals over n `positions`, with titles of the x and y axes."""
     figure, ax = style.new_panel(2.7)
     for name, rows, colour, marker in zip(lines, lines.values(), style.COLOUR_CYCLE, style.MARKERS, strict=False):
         value, low, high = np.array(rows).T
         half_widths = np.maximum([value - low, high - value], 0.0)
         ax.errorbar(positions, value, half_widths, color=colour, marker=marker, ms=4.0, lw=1.2, label=name)
-    ax.set_xlabel(typographic_text(axis))
-    ax.set_ylabel(typographic_text(label))
+    ax.set_xlabel(typographic_text(x_title))
+    ax.set_ylabel(typographic_text(y_title))
     style.set_grid(ax, grid_axis="both")
     style.add_legend(figure, [ax])
     return figure

@@ -47,18 +47,19 @@ def residuals_by_covariate_figure(residuals: Residuals) -> Figure:
 
 
 @style.with_figure_style
-def residuals_by_station_figure(plotted: Residuals, reference: Residuals | None = None) -> Figure:
+def residuals_by_station_figure(residuals: Residuals, reference: Residuals | None = None) -> Figure:
     """Residuals by station as dots, with their root mean square as a bar; one panel per observable."""
-    observables = [name for name in OBSERVABLES if plotted.is_observable(name).any()]
-    stations = plotted.stations[:MAX_STATION_PANELS]
+    observables = [name for name in OBSERVABLES if residuals.is_observable(name).any()]
+    stations = residuals.stations[:MAX_STATION_PANELS]
     figure = style.new_figure(1.7 * max(len(observables), 1) + 0.4)
     axes = figure.subplots(len(observables), 1, sharex=True, squeeze=False)[:, 0]
-    series = [(plotted, 0.18 if reference else 0.0, style.COLOUR_AFTER, "after")]
+    series = [(residuals, 0.18 if reference else 0.0, style.COLOUR_AFTER, "after")]
     series += [(reference, -0.18, style.COLOUR_BEFORE, "before")] if reference is not None else []
     for ax, observable in zip(axes, observables, strict=True):
-        for residuals, offset, colour, word in series:
+        for series_residuals, offset, colour, word in series:
             for station_index, station in enumerate(stations):
-                values = residuals.residual[residuals.is_observable(observable) & (residuals.station == station)]
+                is_shown = series_residuals.is_observable(observable) & (series_residuals.station == station)
+                values = series_residuals.residual[is_shown]
                 x = station_index + offset + 0.26 * ((np.arange(len(values)) * 0.618034) % 1.0 - 0.5)
                 label, is_rasterized = (word if station_index == 0 else None), len(values) > MAX_VECTOR_DOTS
                 ax.plot(
@@ -103,7 +104,7 @@ def finding_comparison_figure(
             panel_row, (without_finding, with_finding), normalised_residuals, ("without", "with it"), strict=True
         ):
             rows = residuals.is_observable(observable) & np.isfinite(residuals.covariates[covariate])
-            is_at_finding = rows & residuals.is_at(scope.stations, scope.targets)
+            is_at_finding = rows & residuals.is_between(scope.stations, scope.targets)
             if (rows & ~is_at_finding).any():
                 _draw_residuals(
                     ax, residuals, rows & ~is_at_finding, covariate, color="#C3C8CC", label="elsewhere", ms=2.5
@@ -202,7 +203,7 @@ def _draw_running_mean(ax: Axes, x: Floats, values: Floats, *, colour: str = sty
 
 @style.with_figure_style
 def injected_and_estimated_figure(
-    covariate: Floats, injected: Floats, estimated: Floats, axis: str, label: str
+    covariate: Floats, injected_changes: Floats, estimated_changes: Floats, axis: str, label: str
 ) -> Figure:
     """Injected changes of n readings as rings and estimated changes as dots, over a covariate (n,).
 
@@ -211,8 +212,17 @@ def injected_and_estimated_figure(
     figure, ax = style.new_panel(2.7)
     order = np.argsort(covariate, kind="stable")
     ax.axhline(0.0, color=style.GREY, linewidth=0.7)
-    ax.plot(covariate[order], injected[order], "-o", ms=5, mfc="none", color=style.INK_COLOUR, lw=0.8, label="injected")
-    ax.plot(covariate[order], estimated[order], "-o", ms=2.4, color=style.RED, lw=1.2, label="estimated")
+    ax.plot(
+        covariate[order],
+        injected_changes[order],
+        "-o",
+        ms=5,
+        mfc="none",
+        color=style.INK_COLOUR,
+        lw=0.8,
+        label="injected",
+    )
+    ax.plot(covariate[order], estimated_changes[order], "-o", ms=2.4, color=style.RED, lw=1.2, label="estimated")
     ax.set_xlabel(axis)
     ax.set_ylabel(label)
     style.set_grid(ax, grid_axis="both")

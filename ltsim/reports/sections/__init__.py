@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from ltsim.recordings.result_file import ResultFile, read_result
-from ltsim.reports.document import ReportContext, Section
+from ltsim.reports.document_model import ReportContext, Section
 
 SECTION_WRITERS = {
     "diagnosis.json": ("diagnosis", "Diagnosis", "diagnosis_section"),

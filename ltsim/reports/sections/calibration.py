@@ -29,7 +29,7 @@ from ltsim.core.units import SI_PER_UNIT
 from ltsim.recordings import Recording, Setup
 from ltsim.recordings.result_file import require_same_recording
 from ltsim.reports import figures
-from ltsim.reports.document import (
+from ltsim.reports.document_model import (
     Block,
     BulletListBlock,
     KeyFigure,
@@ -42,6 +42,7 @@ from ltsim.reports.document import (
     entries_table,
     table_block,
 )
+from ltsim.reports.formatting import as_sentence, count_text, global_test_verdict, is_determined, listing
 from ltsim.reports.residuals import Residuals
 from ltsim.reports.sections.network import (
     adjustment_pair_if_possible,
@@ -53,11 +54,10 @@ from ltsim.reports.sections.network import (
     undetermined_table,
     workshop_blocks,
 )
-from ltsim.reports.words import as_sentence, count_text, global_test_verdict, is_determined, listing
 from ltsim.simulation.truth import Truth
 
 if TYPE_CHECKING:
-    from ltsim.reports.workshop import DrawnSights, PlacedWorkshop
+    from ltsim.reports.workshop_scene import DrawnSights, WorkshopScene
 
 MIN_REPORTED_CRITERION_CHANGE = 0.05
 """Smallest change of a criterion [%] that is reported as better or worse: half of the last displayed digit."""
@@ -85,13 +85,13 @@ def calibration_section(content: Calibration, context: ReportContext) -> Section
     after = Residuals.read(residuals).with_covariates(before) if residuals else None
     coordinate_table = target_table(targets, note=f"Axes: {content.frame or 'those of the first station'}.")
     is_accepted = agrees and converged and all(outlier.excluded for outlier in content.outliers)
-    agrees_with_constants = converged and _agrees_with_constants(content)
+    agrees_with_constants = converged and _agrees_with_estimated_constants(content)
     agreement_words = _global_tests_text(content) or agreement_words
     parameter_blocks = _parameter_blocks(content, truth_in_folder(context)) if content.parameters else []
     reference_value_tables = _reference_value_blocks(content)
     first_reference_tables = reference_value_tables if any(entry.excluded for entry in content.reference_values) else []
     blocks: list[Block] = [
-        *_warning_blocks(content, converged=converged, agrees=agrees),
+        *_warning_blocks(content, has_converged=converged, agrees=agrees),
         *first_reference_tables,
         *parameter_blocks[:1],
         *_criteria_blocks(content),
@@ -126,26 +126,26 @@ def calibration_section(content: Calibration, context: ReportContext) -> Section
         else f"{kind} of {count_text(len(content.stations), 'station')}",
         kind=kind,
         method=(content.method or "network") if content.parameters else "",
-        summary=_answer_sentence(content, agreement_words, targets),
+        summary=_summary_sentence(content, agreement_words, targets),
         assessment="plain" if agrees_with_constants else assessment,
-        key_figures=_key_figures(content, agrees=agrees),
+        key_figures=_key_figures(content, has_agreement=agrees),
         blocks=blocks,
         next_actions=_next_actions(content, is_accepted=is_accepted),
-        axes=content.frame,
+        axes_text=content.frame,
         n_open_blocks=n_open_blocks,
     )
 
 
-def _answer_sentence(content: Calibration, agreement_words: str, targets: Path | None) -> str:
+def _summary_sentence(content: Calibration, agreement_text: str, targets: Path | None) -> str:
     """Summary: determined parameters, agreement, improvement of distances, outliers, uncertainty of the targets."""
     station_count = count_text(len(content.stations), "station")
     if not content.parameters:
-        sentence = f"The network of {station_count} was adjusted without instrument parameters: {agreement_words}"
+        sentence = f"The network of {station_count} was adjusted without instrument parameters: {agreement_text}"
     else:
         determined = [p for p in content.parameters if is_determined(p.sigma, p.prior_sigma)]
         sentence = (
             f"The instrument was calibrated from {station_count}: {len(determined)} of "
-            f"{count_text(len(content.parameters), 'parameter')} are determined, and {agreement_words}"
+            f"{count_text(len(content.parameters), 'parameter')} are determined, and {agreement_text}"
         )
     distance = None if content.criteria is None else content.criteria.distance
     if distance is not None and distance.improvement_percent is not None:
@@ -193,19 +193,19 @@ def _corrections_sentence(content: Calibration) -> str:
     return f" The model corrects {count_text(len(faults), 'error')}{place_text}{degrees}."
 
 
-def _has_larger_noise(content: Calibration) -> bool:
+def _larger_noise_explains_misfit(content: Calibration) -> bool:
     """True if larger noise than declared is the only cause of the misfit."""
     return content.verdict.case == VerdictCase.LARGER_NOISE.value
 
 
 def _larger_noise_sentence(content: Calibration) -> str:
     """Sentences on noise larger than declared as the only cause of the misfit, with a leading blank; empty without."""
-    if not _has_larger_noise(content):
+    if not _larger_noise_explains_misfit(content):
         return ""
     return "".join(f" {test.sentence}" for test in content.tests if test.kind == "noise-level" and test.is_fault)
 
 
-def _agrees_with_constants(content: Calibration) -> bool:
+def _agrees_with_estimated_constants(content: Calibration) -> bool:
     """True if the readings scatter no more than declared in a fit that also estimates the instrument's constants."""
     fit = content.with_constants
     if fit is None:
@@ -220,33 +220,33 @@ def _global_tests_text(content: Calibration) -> str:
     if fit is None:
         return ""
     with_them, without = (global_test_verdict(f.chi2, f.dof, f.p_value)[1] for f in (fit, content.fit))
-    if _agrees_with_constants(content):
+    if _agrees_with_estimated_constants(content):
         return f"the instrument's constants are still in the coordinates; with these estimated {with_them}"
     return f"{without}, nor with the instrument's constants estimated (chi2 {fit.chi2:.0f} for {fit.dof})"
 
 
-def _key_figures(content: Calibration, *, agrees: bool) -> list[KeyFigure]:
+def _key_figures(content: Calibration, *, has_agreement: bool) -> list[KeyFigure]:
     fit, noise_estimated = content.fit, content.noise_estimated
     p = None if noise_estimated or fit.p_value is None else two_sided(fit.p_value)
     facts = [
-        KeyFigure("sigma0", fixed_point_text(fit.sigma0, 3), assessment_of(agrees)),
-        KeyFigure("p of the fit, two-sided", p_text(p), "plain" if noise_estimated else assessment_of(agrees)),
+        KeyFigure("sigma0", fixed_point_text(fit.sigma0, 3), assessment_of(has_agreement)),
+        KeyFigure("p of the fit, two-sided", p_text(p), "plain" if noise_estimated else assessment_of(has_agreement)),
         KeyFigure("degrees of freedom", str(fit.dof)),
         KeyFigure("readings that do not fit", str(len(content.outliers)), "bad" if content.outliers else "plain"),
     ]
-    if agrees and content.correction is not None and content.correction.uncorrected_um > 0:
+    if has_agreement and content.correction is not None and content.correction.uncorrected_um > 0:
         expected = f"{number_text(content.correction.point_errors_um[1], 3)} um"
         facts.append(KeyFigure("expected 3D error of a new point, corrected", expected))
     return facts
 
 
-def _warning_blocks(content: Calibration, *, converged: bool, agrees: bool) -> list[Block]:
+def _warning_blocks(content: Calibration, *, has_converged: bool, agrees: bool) -> list[Block]:
     """Blocks on what limits a calibration: convergence, verdict, uncertainty, outliers, estimated noise.
 
     `agrees` is the result of the global test; the benefit is shown only if it is True.
     """
     blocks: list[Block] = []
-    if not converged:
+    if not has_converged:
         blocks.append(NoteBlock("The adjustment did not converge", content.fit.sentence or content.fit.status, "bad"))
     verdict = content.verdict.sentence
     if content.noise_estimated:  # the global test does not apply to it, the causes do
@@ -292,10 +292,14 @@ def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
     if (
         p_value is not None
         and p_value < AGREEMENT_LEVEL / 2
-        and not (content.noise_estimated or _agrees_with_constants(content) or _has_larger_noise(content))
+        and not (
+            content.noise_estimated
+            or _agrees_with_estimated_constants(content)
+            or _larger_noise_explains_misfit(content)
+        )
     ):
         actions.append("Run ltsim diagnose to locate the disagreement of readings and model.")
-    if content.verdict.scale_by_sigma0 and not (content.noise or _agrees_with_constants(content)):
+    if content.verdict.scale_by_sigma0 and not (content.noise or _agrees_with_estimated_constants(content)):
         actions.append(f"If the noise is not known, estimate it from the data: {option('noise_from_data=True')}.")
     measurements = dict.fromkeys(e.measurement for e in content.undetermined if e.measurement)
     actions += [f"To determine the open parameters: {measurement}." for measurement in list(measurements)[:3]]
@@ -352,16 +356,16 @@ def _station_blocks(content: Calibration) -> list[TableBlock]:
 
 def calibrated_workshop(
     content: Calibration, recording: Recording | None, targets: Path, residuals: Residuals | None
-) -> PlacedWorkshop:
+) -> WorkshopScene:
     """Calibrated network for drawing, with residuals as colours of the lines of sight if they are given."""
     from scipy.spatial.transform import Rotation
 
-    from ltsim.reports.workshop import PlacedWorkshop, workshop_with_surroundings
+    from ltsim.reports.workshop_scene import WorkshopScene, workshop_with_surroundings
 
     names, points, sigma = read_targets(targets)
     stations = tuple(s.name for s in content.stations)
     setup = recording.setup if recording is not None else Setup()
-    network = PlacedWorkshop(
+    network = WorkshopScene(
         title=setup.title or "Calibrated network",
         stations=stations,
         station_positions=np.array([s.position for s in content.stations]),
@@ -378,7 +382,7 @@ def _residual_sights(
     residuals: Residuals | None, stations: Sequence[str], targets: Sequence[str]
 ) -> DrawnSights | None:
     """Lines of sight with the absolute normalised residual of each reading; None without residuals."""
-    from ltsim.reports.workshop import DrawnSights
+    from ltsim.reports.workshop_scene import DrawnSights
 
     if residuals is None:
         return None

@@ -23,7 +23,7 @@ from ltsim.campaigns.schema import (
 from ltsim.campaigns.summary import SolverComparison, StatisticSummary, ZScoreSummary
 from ltsim.core.notation import number_text
 from ltsim.core.results import Table as TableOf
-from ltsim.reports.document import (
+from ltsim.reports.document_model import (
     Block,
     CodeBlock,
     KeyFigure,
@@ -46,9 +46,9 @@ from ltsim.reports.figures.campaign_factors import (
     statistic_figures,
     varying_factors,
 )
+from ltsim.reports.formatting import as_sentence, count_text, tracker_presets_text
 from ltsim.reports.sections.campaign_coverage import coverage_blocks, coverage_key_figures
 from ltsim.reports.sections.method_comparison import MethodComparison
-from ltsim.reports.words import as_sentence, count_text, tracker_presets_text
 from ltsim.simulation.keys import key_description
 
 if TYPE_CHECKING:
@@ -109,17 +109,17 @@ def campaign_section(folder: Path) -> Section:
         kind="Campaign",
         summary=" ".join(
             [
-                _answer_sentence(results, summaries, comparisons),
+                _summary_sentence(results, summaries, comparisons),
                 *([comparison.sentence()] if comparison else []),
             ]
         ),
         assessment=assessment_of(not sum(comparison.failed for comparison in comparisons)),
         key_figures=_key_figures(manifest, comparisons, z_scores),
         blocks=blocks,
-        seed=str(manifest.seed),
-        versions=versions,
-        axes="the axes of the scenario",
-        instrument=tracker_presets_text(manifest.scenarios),
+        seed_text=str(manifest.seed),
+        package_versions=versions,
+        axes_text="the axes of the scenario",
+        instrument_text=tracker_presets_text(manifest.scenarios),
         n_open_blocks=min(len(open_blocks), MAX_OPEN_BLOCKS),
     )
 
@@ -129,7 +129,7 @@ def _mean_text(summary: StatisticSummary, level: str = "95 %: ") -> str:
     return f"{number_text(summary.mean)} ({level}{number_text(summary.low)} to {number_text(summary.high)})"
 
 
-def _answer_sentence(
+def _summary_sentence(
     results: CampaignResults, summaries: Mapping[str, list[StatisticSummary]], comparisons: Sequence[SolverComparison]
 ) -> str:
     """Summary: number of trials, varied factors, improvement by calibration, settings with the extreme errors."""
@@ -337,7 +337,7 @@ def _statistic_tables(
     definitions = [f"{_column_label(c)} [{results.units.get(c, '')}]: {_column_meaning(c)}" for c in summaries]
     note = "Verified: trials repeated with the full solver; difference of the estimates."
     failed = frozenset(i for i, comparison in enumerate(comparisons) if comparison.failed)
-    convergence_table = results.table("ends")
+    convergence_table = results.table("solver_comparisons")
     convergence_table = _settings_table(
         results, convergence_table.with_columns(" ".join(name for name in convergence_table.header if name != "cell"))
     )

@@ -8,25 +8,25 @@ from functools import partial
 from ltsim.campaigns.results import CampaignResults
 from ltsim.campaigns.schema import ManifestFile
 from ltsim.campaigns.summary import ZScoreSummary
-from ltsim.reports.document import Block, KeyFigure, PictureBlock, table_block
+from ltsim.reports.document_model import Block, KeyFigure, PictureBlock, table_block
 from ltsim.reports.figures.campaign import ALLOWED_COVERAGE, coverage_figure, is_outside_allowed_coverage
 from ltsim.reports.figures.campaign_factors import cell_descriptions
 
 MAX_COVERAGE_FIGURES = 3
 """Largest number of figures of the coverage of intervals; one per method is drawn up to this number."""
-DECLARATION_FACTORS = ("noise_factor", "error_factor", "prior_factor")
+ERROR_SIZE_FACTOR_KEYS = ("noise_factor", "error_factor", "prior_factor")
 """Keys of an instrument that make its noise or errors differ from the declared ones if they are not 1."""
 
 
 def coverage_key_figures(manifest: ManifestFile, z_scores: Sequence[ZScoreSummary]) -> list[KeyFigure]:
-    """Coverage of the intervals, one key figure for each combination of `DECLARATION_FACTORS` in the settings.
+    """Coverage of the intervals, one key figure for each combination of `ERROR_SIZE_FACTOR_KEYS` in the settings.
 
     The intervals are expected to hold only where all of these factors are 1.
     """
     trackers = {entry.cell: s.instrument for entry, s in zip(manifest.cells, manifest.scenarios, strict=False)}
     scores_by_kind: dict[str, list[ZScoreSummary]] = {}
     for summary in z_scores:
-        factors = {name: getattr(trackers.get(summary.cell), name, 1.0) for name in DECLARATION_FACTORS}
+        factors = {name: getattr(trackers.get(summary.cell), name, 1.0) for name in ERROR_SIZE_FACTOR_KEYS}
         text = ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in factors.items() if value != 1.0)
         scores_by_kind.setdefault(text, []).append(summary)
     facts = []

@@ -28,7 +28,7 @@ from ltsim.physics.effects import find_effect, parameter_text, title_of
 from ltsim.physics.effects.catalogue import catalogue_entry
 from ltsim.recordings.result_file import require_same_recording
 from ltsim.reports import figures
-from ltsim.reports.document import (
+from ltsim.reports.document_model import (
     Block,
     BulletListBlock,
     KeyFigure,
@@ -41,6 +41,7 @@ from ltsim.reports.document import (
     entries_table,
     table_block,
 )
+from ltsim.reports.formatting import as_sentence, count_text, listing
 from ltsim.reports.residuals import Residuals
 from ltsim.reports.sections.network import (
     AdjustmentPair,
@@ -52,7 +53,6 @@ from ltsim.reports.sections.network import (
     truth_in_folder,
 )
 from ltsim.reports.sections.truth_comparison import effect_place_text, truth_blocks
-from ltsim.reports.words import as_sentence, count_text, listing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -61,11 +61,11 @@ MAX_MARKED_TARGETS = 12
 """Number of targets above which the place of a finding is not drawn on the floor plan."""
 MIN_REPORTED_TARGET_ERROR_UM = 0.1
 """Smallest error of targets [um] for which an undetectable effect is listed; smaller errors are negligible."""
-MIN_SEPARATED_PROBABILITY = 0.05
+MIN_ADVISED_ALTERNATIVE_PROBABILITY = 0.05
 """Smallest probability of an alternative for which a measurement to exclude it is advised; by convention 5 %."""
 MAX_INSPECTION_ACTIONS = 2
 """Largest number of next actions in addition to the use of the coordinates."""
-MAX_STEP_POINTS = 3
+MIN_CURVE_POINTS = 3
 """Smallest number of points of a finding that is drawn as a curve over its covariate."""
 
 
@@ -87,9 +87,12 @@ def diagnosis_section(content: Diagnosis, context: ReportContext) -> Section:
     truth = truth_in_folder(context)
     blocks: list[Block] = truth_blocks(content, truth, adjustments) if truth is not None and truth.effects else []
     if adjustments is not None and context.detail == "turn" and blocks:
-        from ltsim.reports.workshop import workshop_from_adjustment
+        from ltsim.reports.workshop_scene import workshop_from_adjustment
 
-        blocks = [scene_block(workshop_from_adjustment(adjustments[1], without_parameters=adjustments[0])), *blocks]
+        blocks = [
+            scene_block(workshop_from_adjustment(adjustments[1], adjustment_without_parameters=adjustments[0])),
+            *blocks,
+        ]
     n_lead_blocks = len(blocks)
     for finding_number, finding in enumerate(content.findings, start=1):
         blocks += _finding_blocks(finding, finding_number, as_sentence(content.summary), adjustments, (before, after))
@@ -154,8 +157,10 @@ def _next_actions(content: Diagnosis) -> list[str]:
 
 
 def _has_probable_alternative(finding: Finding) -> bool:
-    """True if an alternative effect of the catalogue has at least the probability `MIN_SEPARATED_PROBABILITY`."""
-    return any(e.effect != "unknown" and e.probability >= MIN_SEPARATED_PROBABILITY for e in finding.equivalents)
+    """True if an alternative effect of the catalogue is probable enough to advise a measurement that excludes it."""
+    return any(
+        e.effect != "unknown" and e.probability >= MIN_ADVISED_ALTERNATIVE_PROBABILITY for e in finding.equivalents
+    )
 
 
 def _inspection_action(finding: Finding) -> str:
@@ -176,10 +181,10 @@ def _inspection_action(finding: Finding) -> str:
     change = f"change of the {finding.carrier or 'readings'}{covariates_text}"
     title = title_of(finding.effect) if finding.is_catalogued else f"a {change}"
     action = f"Inspect {place} for the cause: {title}" if place else f"Look for {title} in all set-ups"
-    return f"{action}{_confirmation(finding)}."
+    return f"{action}{_confirmation_text(finding)}."
 
 
-def _confirmation(finding: Finding) -> str:
+def _confirmation_text(finding: Finding) -> str:
     """Measurement that confirms the effect of a finding, after a semicolon.
 
     Empty for a law outside the catalogue, and if no measurement is needed.
@@ -240,13 +245,13 @@ def _residuals_before_and_after(
 def _finding_blocks(
     finding: Finding,
     finding_number: int,
-    answer: str,
+    summary: str,
     adjustments: AdjustmentPair | None,
     residuals: tuple[Residuals | None, Residuals | None],
 ) -> list[Block]:
     """Blocks of a finding: sentence, figure, floor plan, table of estimates, evidence.
 
-    The sentence is omitted if the summary `answer` contains it.
+    The sentence is omitted if the summary `summary` contains it.
     """
     name = effect_text(finding.effect)
     sentence = finding.sentence or f"{name} {_place_text(finding.where)}"
@@ -256,11 +261,11 @@ def _finding_blocks(
     formula_is_new = finding.formula not in finding.sentence
     formula_sentence = f" Proposed term: {finding.formula}." if finding.formula and formula_is_new else ""
     text = f"{sentence.rstrip('.')}.{formula_sentence}{separation_sentence}"
-    blocks: list[Block] = [] if text in answer else [NoteBlock(f"Finding {finding_number}: {name}", text, "bad")]
+    blocks: list[Block] = [] if text in summary else [NoteBlock(f"Finding {finding_number}: {name}", text, "bad")]
     draw_figure = finding_figure(finding, *residuals)
     if draw_figure is not None:
         text = "Residuals without the finding (left) and with the finding in the model (right)."
-        if finding.curve is not None and len(finding.curve.at) >= MAX_STEP_POINTS:
+        if finding.curve is not None and len(finding.curve.at) >= MIN_CURVE_POINTS:
             text = f"Estimated change of the {finding.carrier} over {finding.curve.covariate}."
         blocks.append(PictureBlock(f"Effect of finding {finding_number}", draw_figure, text))
     blocks += _finding_place_blocks(finding, finding_number, adjustments)
@@ -289,7 +294,7 @@ def finding_figure(
     None for blunders such as gross errors and exchanged names, which are removed from both residuals.
     """
     curve = finding.curve
-    if curve is not None and len(curve.at) >= MAX_STEP_POINTS:
+    if curve is not None and len(curve.at) >= MIN_CURVE_POINTS:
         return lambda: figures.residuals.response_curve_figure(curve, finding.carrier, without_finding)
     is_blunder = finding.evidence.p_value is None
     if (
@@ -308,7 +313,8 @@ def finding_figure(
         name for name in candidate_covariates if name in without_finding.covariates and name in with_finding.covariates
     ]
     place = scope.stations, scope.targets
-    if not common_covariates or not without_finding.is_at(*place).any() or not with_finding.is_at(*place).any():
+    has_no_rows = not (without_finding.is_between(*place).any() and with_finding.is_between(*place).any())
+    if not common_covariates or has_no_rows:
         return None
     return lambda: figures.residuals.finding_comparison_figure(
         without_finding, with_finding, common_covariates[0], scope
@@ -320,7 +326,7 @@ def _finding_place_blocks(finding: Finding, finding_number: int, adjustments: Ad
 
     Empty for a finding without a place in the hall, or with more than `MAX_MARKED_TARGETS` targets.
     """
-    from ltsim.reports.workshop import workshop_from_adjustment
+    from ltsim.reports.workshop_scene import workshop_from_adjustment
 
     stations, targets = finding.where.stations, finding.where.targets
     centre_parameters = {

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from ltsim.campaigns.schema import METHOD_DIFFERENCES_TABLE, find_column
 from ltsim.core.notation import number_text
-from ltsim.reports.document import TableBlock, table_block
+from ltsim.reports.document_model import TableBlock, table_block
 from ltsim.reports.figures.campaign_factors import cell_descriptions
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def _difference_text(method: str, differences: Sequence[PairedDifference]) -> st
     return ", ".join(texts)
 
 
-def _verdict(entry: PairedDifference) -> str:
+def _verdict(difference: PairedDifference) -> str:
     """Text that names the method with the smaller error if the interval of the difference excludes 0."""
-    better = entry.second if entry.low > 0 else entry.first if entry.high < 0 else ""
+    better = difference.second if difference.low > 0 else difference.first if difference.high < 0 else ""
     return f"{better} is better" if better else "not decided"

@@ -20,7 +20,7 @@ from ltsim.core.results import Table, number_columns, text_columns
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings import Recording, read
 from ltsim.reports import figures
-from ltsim.reports.document import (
+from ltsim.reports.document_model import (
     Block,
     CodeBlock,
     KeyFigure,
@@ -35,16 +35,16 @@ from ltsim.reports.document import (
     entries_table,
     table_block,
 )  # fmt: skip
+from ltsim.reports.formatting import count_text, duration_text, global_test_verdict, natural_sort_key
 from ltsim.reports.residuals import DEFAULT_COVARIATES, Residuals
-from ltsim.reports.words import count_text, duration_text, global_test_verdict, natural_sort_key
 from ltsim.simulation.truth import Truth, read_truth
 
 if TYPE_CHECKING:
-    from ltsim.reports.workshop import PlacedWorkshop
+    from ltsim.reports.workshop_scene import WorkshopScene
 
 TRUTH_FILE = "truth.json"
 """Name of the file of a truth."""
-WORK_TABLE = Table(
+STATION_WORK_TABLE = Table(
     "work.csv",
     "work of each station",
     (
@@ -107,11 +107,11 @@ def residuals_over_covariates(residuals: Residuals) -> list[Block]:
     )
 
 
-def workshop_blocks(placed_workshop: Callable[[], PlacedWorkshop], detail: WorkshopDetail) -> list[Block]:
+def workshop_blocks(make_scene: Callable[[], WorkshopScene], detail: WorkshopDetail) -> list[Block]:
     """Floor plan for the detail `plan`, 3D view and floor plan for `turn`; empty for `none`."""
     if detail == "none":
         return []
-    workshop = placed_workshop()
+    workshop = make_scene()
     text = (
         "Seen from above. Do not place a reflector on the floor inside a shadow circle: the elevation limit of the "
         "station hides it"
@@ -121,14 +121,14 @@ def workshop_blocks(placed_workshop: Callable[[], PlacedWorkshop], detail: Works
     return [scene_block(workshop), plan] if detail == "turn" else [plan]
 
 
-def scene_block(workshop: PlacedWorkshop) -> SceneBlock | NoteBlock:
+def scene_block(workshop: WorkshopScene) -> SceneBlock | NoteBlock:
     """3D view of a workshop with its interactive page; a note if the packages for 3D views are missing."""
     if not is_installed("pyvista"):
         return NoteBlock("No 3D view", str(missing_extra("3D views", "view")))
     from ltsim.reports.scene_page import scene_picture_and_page  # slow to import
     from ltsim.reports.style import webp_data_uri
 
-    coloured_workshop = workshop.with_sights_by("incidence")
+    coloured_workshop = workshop.with_sights_coloured_by("incidence")
     picture, legend, page = scene_picture_and_page(coloured_workshop)
     legend_text = "; ".join(line.rstrip(".") for line in legend.lines)
     colour_sentence = (
@@ -188,7 +188,7 @@ def recording_section(folder: Path, *, detail: WorkshopDetail = "turn", is_brief
     RecordError
         When the recording cannot be read.
     """
-    from ltsim.reports.workshop import workshop_from_adjustment
+    from ltsim.reports.workshop_scene import workshop_from_adjustment
 
     recording = read(folder)
     title = f"Recording: {recording.setup.title}" if recording.setup.title else "Recording of a tracker network"
@@ -198,11 +198,11 @@ def recording_section(folder: Path, *, detail: WorkshopDetail = "turn", is_brief
         KeyFigure("pointings", str(len(recording))),
         KeyFigure("known lengths", str(len(recording.gauge.distance))),
     ]
-    last_blocks: list[Block] = [*_work_table(recording), _settings_blocks(folder)]
+    last_blocks: list[Block] = [*_work_table(recording), _settings_block(folder)]
     try:
         without_parameters, with_parameters = adjustment_pair(recording)
     except (NetworkError, ConvergenceError) as problem:
-        answer = f"{_content_key_figures(recording)} The network could not be adjusted: {problem}."
+        answer = f"{_recording_size_sentence(recording)} The network could not be adjusted: {problem}."
         return Section(title, "Recording", answer, "bad", facts, last_blocks)
     agrees, agreement_text = global_test_verdict(with_parameters.chi2, with_parameters.dof, with_parameters.p_value)
     flagged_readings = with_parameters.flagged_readings()
@@ -215,16 +215,17 @@ def recording_section(folder: Path, *, detail: WorkshopDetail = "turn", is_brief
         KeyFigure("outliers", str(len(flagged_readings)), "bad" if flagged_readings else "plain"),
     ]
     workshop = (
-        workshop_from_adjustment(with_parameters, without_parameters=without_parameters) if detail != "none" else None
+        workshop_from_adjustment(with_parameters, adjustment_without_parameters=without_parameters)
+        if detail != "none"
+        else None
     )
     if not is_brief:
         before, after = Residuals.from_adjustment(without_parameters), Residuals.from_adjustment(with_parameters)
         last_blocks = [*residual_figures(after, before), *last_blocks]
     del without_parameters, with_parameters  # whose designs take more memory than all pictures
     blocks = workshop_blocks(lambda: workshop, detail) if workshop is not None else []
-    answer = (
-        f"{_content_key_figures(recording)} With the instrument's parameters adjusted, {agreement_text}.{outlier_text}"
-    )
+    size_sentence = _recording_size_sentence(recording)
+    answer = f"{size_sentence} With the instrument's parameters adjusted, {agreement_text}.{outlier_text}"
     return Section(
         title,
         "Recording",
@@ -236,7 +237,7 @@ def recording_section(folder: Path, *, detail: WorkshopDetail = "turn", is_brief
     )
 
 
-def _content_key_figures(recording: Recording) -> str:
+def _recording_size_sentence(recording: Recording) -> str:
     """Sentence on the number of pointings, stations, targets and faces, and on the duration."""
     faces = "two faces" if (recording.face == 2).any() else "one face"
     time = f" over {duration_text(float(np.ptp(recording.time)))}" if recording.has_clock and len(recording) else ""
@@ -257,10 +258,10 @@ def _work_table(recording: Recording) -> list[TableBlock]:
         )
         start_text = duration_text(float(recording.time[is_at_station].min())) if recording.has_clock else MISSING_TEXT
         table_rows.append([name, *map(int, counts), int((~recording.is_measured[is_at_station]).sum()), start_text])
-    return table_block("Work of each station", WORK_TABLE.with_rows(table_rows))
+    return table_block("Work of each station", STATION_WORK_TABLE.with_rows(table_rows))
 
 
-def _settings_blocks(folder: Path) -> Block:
+def _settings_block(folder: Path) -> Block:
     """Block with the `setup.toml` of a recording; a note if the folder has none."""
     file = folder / "setup.toml"
     if not file.is_file():

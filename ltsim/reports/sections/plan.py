@@ -9,7 +9,7 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.planning.plan_entries import LayoutEntry
 from ltsim.planning.result import Plan
 from ltsim.reports import figures
-from ltsim.reports.document import (
+from ltsim.reports.document_model import (
     Block,
     BulletListBlock,
     CodeBlock,
@@ -21,8 +21,8 @@ from ltsim.reports.document import (
     assessment_of,
     table_block,
 )
+from ltsim.reports.formatting import QUALITY_MEASURES, duration_text, tracker_presets_text
 from ltsim.reports.sections.network import scene_block, undetermined_table
-from ltsim.reports.words import QUALITY_MEASURES, duration_text, tracker_presets_text
 from ltsim.simulation.scenario import Scenario, load_scenario
 
 
@@ -58,9 +58,9 @@ def plan_section(content: Plan, context: ReportContext) -> Section:
     assessment = assessment_of(not content.broken_rules and content.reached is not False)
     return Section(
         title=content.title or "Plan of a network", kind="Plan", summary=content.summary, assessment=assessment,
-        key_figures=_key_figures(content), blocks=blocks, seed="" if content.seed is None else str(content.seed),
-        instrument=tracker_presets_text([scenario]) if scenario else "", measured_on="planned",
-        axes="the workshop's",
+        key_figures=_key_figures(content), blocks=blocks, seed_text="" if content.seed is None else str(content.seed),
+        instrument_text=tracker_presets_text([scenario]) if scenario else "", measurement_date="planned",
+        axes_text="the workshop's",
     )  # fmt: skip
 
 
@@ -81,8 +81,8 @@ def _reflector_changes_table(content: Plan) -> list[Block]:
     """Table of the reflectors to move, to add or to omit; a note if no such change improves the plan."""
     title, changes = "Reflectors to move, to add or to omit", content.table("changes")
     if not changes.rows:
-        return [NoteBlock(title, content.changes_tried)] if content.changes_tried else []
-    return [*table_block(title, changes, note=content.changes_tried)]
+        return [NoteBlock(title, content.changes_summary)] if content.changes_summary else []
+    return [*table_block(title, changes, note=content.changes_summary)]
 
 
 def _key_figures(content: Plan) -> list[KeyFigure]:
@@ -120,7 +120,7 @@ def _layout_pictures(content: Plan, scenario: Scenario | None, *, has_3d_view: b
     """
     if scenario is None:
         return [], []
-    from ltsim.reports.workshop import workshop_from_scenario
+    from ltsim.reports.workshop_scene import workshop_from_scenario
 
     workshop = workshop_from_scenario(scenario)
     reference = content.reference.stations if content.reference else ()
@@ -152,7 +152,7 @@ def _trade_off_picture(content: Plan) -> list[Block]:
         if value is not None and sum(option.quality.get(name) is not None for option in content.tradeoff) > 1
     ]
     alternatives = content.table("tradeoff")
-    objective = "value_um" if any(alternatives.column("value_um")) else "value"
+    objective = "point_error_um" if any(alternatives.column("point_error_um")) else "value"
     shown_columns = alternatives.with_columns(f"stations faces repeats pointings hours {objective} efficient")
     note = "A smaller objective is better."
     return [*blocks, *table_block("Alternatives: stations, faces and rounds", shown_columns, note=note)]
@@ -175,6 +175,6 @@ def _effect_tables(content: Plan) -> list[Block]:
     blocks: list[Block] = [*table_block("Smallest detectable effects", content.table("effects"), note=note)]
     note = "Fraction of the residuals from the first effect that the second effect explains."
     blocks += table_block("Effects that are hard to separate", content.table("confusable"), note=note)
-    if content.silent:
-        blocks.append(BulletListBlock("Undetectable effects", content.silent))
+    if content.undetectable_effects:
+        blocks.append(BulletListBlock("Undetectable effects", content.undetectable_effects))
     return blocks

@@ -18,10 +18,10 @@ from ltsim.physics.effects import parameter_text, title_of
 from ltsim.physics.effects.verbs import make_effect
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.reports import figures
-from ltsim.reports.document import Block, PictureBlock, table_block
+from ltsim.reports.document_model import Block, PictureBlock, table_block
+from ltsim.reports.formatting import listing, typographic_text
 from ltsim.reports.residuals import OBSERVABLE_UNITS
 from ltsim.reports.sections.network import AdjustmentPair
-from ltsim.reports.words import listing, typographic_text
 from ltsim.simulation.truth import AppliedEffect, Truth
 
 INJECTED_TABLE = Table(

@@ -40,7 +40,7 @@ def test_the_board_says_what_the_planner_says(hall: Path) -> None:
     board = MovableLayout.from_plan(hall)
     stations = board.hall_json()["stations"]
     stations[1]["mm"][0] += 500.0
-    found = board.evaluation(stations)
+    found = board.evaluation_json(stations)
     survey = board.survey(stations)
     survey = survey.replace(is_visible=layout_visibility(board.search_space, survey).is_visible)
     assert survey.station_positions[1, 0] == pytest.approx(
@@ -59,12 +59,12 @@ def test_the_verdict_says_when_a_station_less_is_too_few(hall: Path) -> None:
     survey = board.survey(stations)
     survey = survey.replace(is_visible=layout_visibility(board.search_space, survey).is_visible)
     lost = [check_tolerances(survey.without_station(s), board.tolerances, board.construction) for s in range(3)]
-    said = board.verdict(stations)
+    said = board.verdict_json(stations)
     assert said is not None
     assert said["words"].startswith("Reached: all 8 tolerances" if said["reached"] else "Not reached: ")
     assert ("any one station all are met" in said["words"]) == all(one.meets_all for one in lost)
     stations[0]["mm"] = [1000.0 * v for v in board.search_space.survey.target_points[0]]
-    assert board.verdict(stations) is None
+    assert board.verdict_json(stations) is None
 
 
 def test_a_layout_that_breaks_a_rule_is_never_reached(hall: Path) -> None:
@@ -72,13 +72,13 @@ def test_a_layout_that_breaks_a_rule_is_never_reached(hall: Path) -> None:
     hall.write_text(text.replace("within_mm = 0.05", "within_mm = 5"))
     board = MovableLayout.from_plan(hall)
     stations = board.hall_json()["stations"]
-    assert board.verdict(stations)["reached"] and board.evaluation(stations)["problem"] == ""  # type: ignore[index]
+    assert board.verdict_json(stations)["reached"] and board.evaluation_json(stations)["problem"] == ""  # type: ignore[index]
     stations[1]["mm"][:2] = stations[0]["mm"][:2]
-    said = board.verdict(stations)
+    said = board.verdict_json(stations)
     rule = "S1 and S2 are 0.00 m apart, closer than 1 m (stations.spacing_mm)"
     assert said is not None and not said["reached"]
     assert said["words"].startswith(f"Not reached: the layout breaks a rule ({rule}). All 8 tolerances are met")
-    assert board.evaluation(stations)["problem"] == rule
+    assert board.evaluation_json(stations)["problem"] == rule
     place = ",".join(f"{v}" for v in stations[0]["mm"])
     move = {name: [float(v) for v in place.split(",")] for name in ("S1", "S2")}
     with pytest.raises(SetupError, match=re.escape(f"move: {rule}")):
@@ -89,10 +89,10 @@ def test_stations_are_added_and_removed(hall: Path, tmp_path: Path) -> None:
     board = MovableLayout.from_plan(hall)
     stations = board.hall_json()["stations"]
     more = [*stations, {"name": "S9", "mm": [1500.0, 6500.0, 1600.0], "yaw": 10.0}]
-    found = board.evaluation(more)
-    assert len(found["reasons"]) == 4 and found["rms_um"] < board.evaluation(stations)["rms_um"]
-    assert found["hours"] > board.evaluation(stations)["hours"]
-    fewer = board.evaluation(stations[:2])
+    found = board.evaluation_json(more)
+    assert len(found["reasons"]) == 4 and found["rms_um"] < board.evaluation_json(stations)["rms_um"]
+    assert found["hours"] > board.evaluation_json(stations)["hours"]
+    fewer = board.evaluation_json(stations[:2])
     assert len(fewer["reasons"]) == 2 and fewer["rms_um"] > found["rms_um"]
     board.save(more, tmp_path / "moved")
     _, scenario = load_plan(tmp_path / "moved" / "plan.toml")
@@ -103,30 +103,30 @@ def test_stations_are_added_and_removed(hall: Path, tmp_path: Path) -> None:
         ([*stations[:2], {**stations[2], "name": "<b>"}], "a different name"),
     ):
         with pytest.raises(SetupError, match=says):
-            board.evaluation(wrong)
+            board.evaluation_json(wrong)
 
 
 def test_what_breaks_a_rule_is_said_and_judged_all_the_same(hall: Path) -> None:
     board = MovableLayout.from_plan(hall)
     stations = board.hall_json()["stations"]
     stations[0]["mm"][:2] = [4700.0, 1500.0]  # in the crane way
-    found = board.evaluation(stations)
+    found = board.evaluation_json(stations)
     assert found["problem"] == "S1 stands on floor that is kept free (floor.keep_outs, floor.doors)"
     assert found["may_stand"][0] is False
     assert found["points"]
     stations[0]["mm"][:2] = [6000.0, 4000.0]  # inside the machine: it sees nothing
-    assert "S1 stands outside the permitted floor" in board.evaluation(stations)["problem"]
+    assert "S1 stands outside the permitted floor" in board.evaluation_json(stations)["problem"]
     stations[0]["mm"][:2] = stations[1]["mm"][:2]
-    assert "closer than 1 m" in board.evaluation(stations)["problem"]
+    assert "closer than 1 m" in board.evaluation_json(stations)["problem"]
     stations[0]["mm"] = [1000.0 * v for v in board.search_space.survey.target_points[0]]
-    assert "station S1 coincides with target M00" in board.evaluation(stations)["problem"]
+    assert "station S1 coincides with target M00" in board.evaluation_json(stations)["problem"]
 
 
 def test_what_is_saved_is_planned_and_simulated_where_it_stands(hall: Path, tmp_path: Path) -> None:
     board = MovableLayout.from_plan(hall)
     stations = board.hall_json()["stations"]
     stations[0]["mm"][:2] = [2000.0, 2000.0]
-    wanted = board.evaluation(stations)
+    wanted = board.evaluation_json(stations)
     board.save(stations, tmp_path / "moved")
     file, scenario = load_plan(tmp_path / "moved" / "plan.toml")
     assert len(file.listed_points) == 30
@@ -149,7 +149,9 @@ def test_a_folder_of_a_plan_begins_where_the_plan_stands(hall: Path, tmp_path: P
     planned = json.loads((tmp_path / "made" / "plan.json").read_text())
     board = MovableLayout.from_plan(tmp_path / "made")
     assert [s["mm"] for s in board.hall_json()["stations"]] == [s["position_mm"] for s in planned["stations"]]
-    assert board.evaluation(board.hall_json()["stations"])["rms_um"] == pytest.approx(planned["rms_sigma_um"], rel=1e-4)
+    assert board.evaluation_json(board.hall_json()["stations"])["rms_um"] == pytest.approx(
+        planned["rms_sigma_um"], rel=1e-4
+    )
 
 
 @pytest.mark.parametrize(
@@ -210,7 +212,7 @@ def test_a_dragged_station_changes_the_accuracy_on_the_page(hall: Path, tmp_path
             after = tab.value("evaluation"), tab.value(SIGMA), tab.value("stations[0].mm")
             assert after[2][0] > before[2][0] + 100
             assert after[2][1] < before[2][1]
-            judged = MovableLayout.from_plan(hall).evaluation(tab.value("stations"))
+            judged = MovableLayout.from_plan(hall).evaluation_json(tab.value("stations"))
             assert float(after[1]) == pytest.approx(judged["points"][7]["sigma_um"], rel=0.01)
             assert after[0]["rms_um"] == pytest.approx(judged["rms_um"])
             assert after[0]["shadow"] == pytest.approx(judged["shadow"])

@@ -1,4 +1,4 @@
-"""Search space and survey from a plan file and its scenario."""
+"""Inputs of a search: survey, search space and objective, from a plan file and its scenario."""
 
 from collections.abc import Sequence
 
@@ -11,8 +11,13 @@ from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.physics.model.measurement import sightings_of
-from ltsim.planning.objective import DIAGNOSIS_QUALITY, INSTRUMENT_QUALITY, TARGETS_QUALITY, LayoutObjective
-from ltsim.planning.site import SearchSpace
+from ltsim.planning.objective import (
+    DIAGNOSIS_QUALITY_NAME,
+    INSTRUMENT_QUALITY_NAME,
+    TARGETS_QUALITY_NAME,
+    LayoutObjective,
+)
+from ltsim.planning.search_space import SearchSpace
 from ltsim.planning.spec import WALLS_NAME, PlanFile
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.tolerances import point_weights
@@ -34,11 +39,11 @@ from ltsim.simulation.workshop import (
 
 MAX_TILT_COSINE_DEFICIT = 1e-3
 """Largest value of 1 - cos(tilt) of an instrument's axis at which a plan treats the station as upright (2.6 deg)."""
-RANGES_ONLY = ("distance",)
+RANGE_ONLY_OBSERVABLES = ("distance",)
 """Observables of an instrument that measures distances only."""
 MIN_RANGE_STATIONS = 3
 """Smallest number of stations whose ranges alone determine a reflector."""
-NO_SCATTER = Placing(station_mm=0.0, yaw_deg=0.0, tilt_deg=0.0, target_mm=0.0, gauge_mm=0.0)
+ZERO_PLACEMENT_SCATTER = Placing(station_mm=0.0, yaw_deg=0.0, tilt_deg=0.0, target_mm=0.0, gauge_mm=0.0)
 """Placing without random deviations: stations, targets and gauge stand exactly as planned."""
 
 
@@ -50,7 +55,7 @@ def planned_survey(scenario: Scenario) -> PlannedSurvey:
     if scenario.instruments:
         named = ", ".join(scenario.instruments)
         raise SetupError(f"the scenario has several trackers ({named}); a plan needs one, in the table [instrument]")
-    if scenario.instrument.observables not in (OBSERVABLES, RANGES_ONLY):
+    if scenario.instrument.observables not in (OBSERVABLES, RANGE_ONLY_OBSERVABLES):
         raise SetupError("instrument.observables: a plan needs ranges and both angles, or ranges only")
     layout, work = planned_layout(scenario), scenario.work
     lean = 1.0 - layout.station_rotations[:, 2, 2]
@@ -58,7 +63,7 @@ def planned_survey(scenario: Scenario) -> PlannedSurvey:
         raise SetupError(
             f"station {layout.station_names[int(lean.argmax())]} is tilted; a plan needs vertical stations"
         )
-    recording, _ = simulate(scenario.model_copy(update={"placing": NO_SCATTER}), 0)
+    recording, _ = simulate(scenario.model_copy(update={"placing": ZERO_PLACEMENT_SCATTER}), 0)
     return PlannedSurvey(
         setup=recording.setup,
         station_names=layout.station_names,
@@ -151,12 +156,12 @@ def unsearched_plan(file: PlanFile, scenario: Scenario) -> tuple[PlanFile, Searc
     return asked, site.replace(survey=site.survey.replace(is_visible=site.is_visible(site.survey.station_positions)))
 
 
-def procedures(plan: PlanFile, scenario: Scenario) -> tuple[list[int], list[int]]:
+def procedures(plan_file: PlanFile, scenario: Scenario) -> tuple[list[int], list[int]]:
     """Numbers of faces, and numbers of rounds, to choose from; those of the scenario if the plan gives no choice."""
-    if not plan.chooses_procedure:
+    if not plan_file.chooses_procedure:
         return [scenario.work.faces], [scenario.work.repeats]
     usual = sorted({1, 2, scenario.work.repeats})
-    return sorted(set(plan.budget.faces or (1, 2))), sorted(set(plan.budget.repeats or usual))
+    return sorted(set(plan_file.budget.faces or (1, 2))), sorted(set(plan_file.budget.repeats or usual))
 
 
 def with_station_count(survey: PlannedSurvey, n_stations: int) -> PlannedSurvey:
@@ -232,7 +237,11 @@ def _fixed_flags(plan: PlanFile, scenario: Scenario, names: Sequence[str], fixed
 def layout_objective(plan: PlanFile, survey: PlannedSurvey) -> LayoutObjective:
     """Objective of the plan; an effect that acts on one station is evaluated at every station."""
     goal = plan.goal
-    weights = {INSTRUMENT_QUALITY: goal.instrument, TARGETS_QUALITY: goal.targets, DIAGNOSIS_QUALITY: goal.diagnosis}
+    weights = {
+        INSTRUMENT_QUALITY_NAME: goal.instrument,
+        TARGETS_QUALITY_NAME: goal.targets,
+        DIAGNOSIS_QUALITY_NAME: goal.diagnosis,
+    }
     effects: list[Effect] = []
     for name in goal.effects if goal.diagnosis else ():
         kind = find_effect(name)

@@ -1,4 +1,7 @@
-"""Workshop for drawing, from a recording, a calibration or a scenario."""
+"""Scene of a measuring hall as reports draw it: stations, targets, gauge, floor, walls, obstacles, lines of sight.
+
+A scene is made from a recording, a calibration or a scenario.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +56,7 @@ class DrawnSights:
 
 
 @dataclass(frozen=True)
-class PlacedWorkshop(ValueEquality):
+class WorkshopScene(ValueEquality):
     """Stations, targets and surroundings in one frame whose z axis is vertical; metres and radians."""
 
     title: str
@@ -66,10 +69,10 @@ class PlacedWorkshop(ValueEquality):
     target_points: Floats
     nest_normals: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     """Unit normals of the nests of the T targets, (T, 3); NaN for a reflector that is turned to each station."""
-    floor: Floats = field(default_factory=lambda: np.zeros((0, 2)))
+    floor_corners: Floats = field(default_factory=lambda: np.zeros((0, 2)))
     """Corners of the floor, (k, 2) [m]."""
     floor_height: float = 0.0
-    walls: Floats = field(default_factory=lambda: np.zeros((0, 4, 3)))
+    wall_corners: Floats = field(default_factory=lambda: np.zeros((0, 4, 3)))
     """Corners of the W walls, (W, 4, 3) [m]."""
     gauge_pairs: tuple[tuple[int, int], ...] = ()
     """Pairs of targets with a reference length."""
@@ -79,7 +82,7 @@ class PlacedWorkshop(ValueEquality):
     """Covariance of each target, (T, 3, 3) [m^2]; None if unknown."""
     target_corrections: Floats | None = None
     """Change of the targets by a calibration or a finding, (T, 3) [m]; None if unknown."""
-    obstacles: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    obstacle_triangles: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
     """Corners of the k triangles of obstacles, (k, 3, 3) [m]."""
     blocked_sights: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
     """Index of station and target of each line of sight that an obstacle blocks, (k, 2)."""
@@ -123,24 +126,26 @@ class PlacedWorkshop(ValueEquality):
         angle = np.arccos(np.clip(cosine[has_normal], -1.0, 1.0)) / DEGREE
         return DrawnSights(station[has_normal], target[has_normal], angle, "incidence on the nest [°]")
 
-    def with_sights_by(self, quantity: str) -> PlacedWorkshop:
+    def with_sights_coloured_by(self, quantity: str) -> WorkshopScene:
         """Workshop with lines of sight coloured by 'incidence'; unchanged for 'residual' or without nest normals."""
         sights = self.incidence_sights() if quantity == "incidence" else None
         return self if sights is None else replace(self, sights=sights)
 
 
-def workshop_from_adjustment(adjustment: Adjustment, *, without_parameters: Adjustment | None = None) -> PlacedWorkshop:
-    """Workshop of an adjusted network; arrows show how targets move from `without_parameters` to `adjustment`."""
+def workshop_from_adjustment(
+    adjustment: Adjustment, *, adjustment_without_parameters: Adjustment | None = None
+) -> WorkshopScene:
+    """Workshop of an adjusted network; arrows show the change of the targets by the instrument's parameters."""
     recording, state = adjustment.recording, adjustment.state
     largest_residuals = np.nanmax(np.abs(np.nan_to_num(adjustment.normalised_residuals)), axis=1)
     has_plan_position = np.asarray(np.isfinite(adjustment.target_covariance[:, :2, :2]).all(axis=(1, 2)))
     rows, new_index = has_plan_position[recording.target], np.cumsum(has_plan_position) - 1
     target_changes = (
         None
-        if without_parameters is None
-        else (state.target_points - without_parameters.state.target_points)[has_plan_position]
+        if adjustment_without_parameters is None
+        else (state.target_points - adjustment_without_parameters.state.target_points)[has_plan_position]
     )
-    network = PlacedWorkshop(
+    network = WorkshopScene(
         title=recording.setup.title,
         stations=recording.stations,
         station_positions=state.station_positions,
@@ -159,42 +164,42 @@ def workshop_from_adjustment(adjustment: Adjustment, *, without_parameters: Adju
     return workshop_with_surroundings(network, recording.setup)
 
 
-def workshop_from_recording(recording: Recording) -> PlacedWorkshop:
+def workshop_from_recording(recording: Recording) -> WorkshopScene:
     """Workshop of a recording adjusted with the instrument's parameters; arrows show how these move the targets."""
     ideal_adjustment = adjust(recording)
     ideal_adjustment.solution.require_success()
     adjustment_with_errors = adjust(recording, declared_construction(recording))
     return workshop_from_adjustment(
         adjustment_with_errors if adjustment_with_errors.solution.has_converged else ideal_adjustment,
-        without_parameters=ideal_adjustment,
+        adjustment_without_parameters=ideal_adjustment,
     )
 
 
-def workshop_with_surroundings(network: PlacedWorkshop, setup: Setup) -> PlacedWorkshop:
+def workshop_with_surroundings(scene: WorkshopScene, setup: Setup) -> WorkshopScene:
     """Network with floor, walls and gauge, in the frame of the floor plan if the set-up has one."""
-    floor_plan = FloorPlan.from_positions(setup, network.stations, network.station_positions, network.station_rotations)
+    floor_plan = FloorPlan.from_positions(setup, scene.stations, scene.station_positions, scene.station_rotations)
     rotation, has_plan = floor_plan.rotation, floor_plan.has_plan
     points, position = (
-        floor_plan.positions_on_plan(network.target_points),
-        floor_plan.positions_on_plan(network.station_positions),
+        floor_plan.positions_on_plan(scene.target_points),
+        floor_plan.positions_on_plan(scene.station_positions),
     )
-    nest_normals = _normals_of_nests(setup, network.targets)
+    nest_normals = _normals_of_nests(setup, scene.targets)
     lowest = float(np.concatenate([points, position])[:, 2].min())
     floor_height = 0.0 if has_plan and -0.05 < lowest < MAX_TRACKER_HEIGHT else float(points[:, 2].min())
     wall_planes = _find_wall_planes(points, nest_normals) if has_plan else []
     instrument = next(iter(setup.instruments.values()), setup.instrument)
-    index_by_name = {name: i for i, name in enumerate(network.targets)}
+    index_by_name = {name: i for i, name in enumerate(scene.targets)}
     lengths = setup.gauge.distance if setup.gauge else ()
     floor = _floor_rectangle(np.concatenate([points, position])[:, :2], wall_planes)
     return replace(
-        network,
+        scene,
         station_positions=position,
-        station_rotations=rotation @ network.station_rotations,
+        station_rotations=rotation @ scene.station_rotations,
         target_points=points,
-        nest_normals=np.where(_is_reaimed(setup, network.targets)[:, None], np.nan, nest_normals),
-        floor=floor,
+        nest_normals=np.where(_is_reaimed(setup, scene.targets)[:, None], np.nan, nest_normals),
+        floor_corners=floor,
         floor_height=floor_height,
-        walls=_wall_corners(wall_planes, floor, floor_height, float(points[:, 2].max()) + 0.3),
+        wall_corners=_wall_corners(wall_planes, floor, floor_height, float(points[:, 2].max()) + 0.3),
         gauge_pairs=tuple(
             (index_by_name[g.from_], index_by_name[g.to])
             for g in lengths
@@ -202,9 +207,9 @@ def workshop_with_surroundings(network: PlacedWorkshop, setup: Setup) -> PlacedW
         ),
         elevation_min=(instrument.limits or ElevationLimits()).elevation_min_deg * DEGREE,
         target_covariances=None
-        if network.target_covariances is None
-        else rotation @ network.target_covariances @ rotation.T,
-        target_corrections=None if network.target_corrections is None else network.target_corrections @ rotation.T,
+        if scene.target_covariances is None
+        else rotation @ scene.target_covariances @ rotation.T,
+        target_corrections=None if scene.target_corrections is None else scene.target_corrections @ rotation.T,
         notes=() if floor_height == 0.0 else ("the floor is assumed at the lowest target",),
     )
 
@@ -262,7 +267,7 @@ def _wall_corners(wall_planes: list[tuple[int, float, float]], floor: Floats, lo
     return walls
 
 
-def workshop_from_scenario(scenario: Scenario) -> PlacedWorkshop:
+def workshop_from_scenario(scenario: Scenario) -> WorkshopScene:
     """Workshop of a scenario: stations, targets, walls, obstacles, and visible lines of sight.
 
     Raises
@@ -278,7 +283,7 @@ def workshop_from_scenario(scenario: Scenario) -> PlacedWorkshop:
     x, y, z = np.array(scenario.workshop.size_mm) * MILLIMETRE
     floor = np.array([[0.0, 0.0], [x, 0.0], [x, y], [0.0, y]])
     gauge = range(len(scenario.targets), len(layout.target_names))
-    return PlacedWorkshop(
+    return WorkshopScene(
         title=scenario.title,
         stations=layout.station_names,
         station_positions=layout.station_positions,
@@ -286,20 +291,20 @@ def workshop_from_scenario(scenario: Scenario) -> PlacedWorkshop:
         targets=layout.target_names,
         target_points=layout.target_points,
         nest_normals=np.where(layout.is_reaimed[:, None], np.nan, layout.nest_normals),
-        floor=floor,
-        walls=_wall_corners([(0, 1.0, 0.0), (1, 1.0, 0.0)], floor, 0.0, z),
+        floor_corners=floor,
+        wall_corners=_wall_corners([(0, 1.0, 0.0), (1, 1.0, 0.0)], floor, 0.0, z),
         gauge_pairs=tuple((i, j) for i in gauge for j in gauge if i < j),
         elevation_min=max(t.limits.elevation_min_deg for t in scenario.trackers_in_use.values()) * DEGREE,
         sights=_visible_sights(layout, visibility),
-        obstacles=np.zeros((0, 3, 3)) if obstacles is None else obstacles.triangles,
+        obstacle_triangles=np.zeros((0, 3, 3)) if obstacles is None else obstacles.triangles,
         blocked_sights=np.argwhere(visibility.reasons == InvisibilityReason.OBSTACLE),
         notes=notes,
     )
 
 
 def workshop_with_cad(
-    workshop: PlacedWorkshop, file: Path, unit: str | None = None, vertical_axis: str | None = None
-) -> PlacedWorkshop:
+    workshop: WorkshopScene, file: Path, unit: str | None = None, vertical_axis: str | None = None
+) -> WorkshopScene:
     """Workshop with the bodies of a CAD file; `unit` and `vertical_axis` override the convention of its format.
 
     Raises
@@ -308,9 +313,9 @@ def workshop_with_cad(
         When the file cannot be read, or its size is implausible.
     """
     cad = read_mesh(file, unit, vertical_axis)
-    if asked := implausible_size_question(cad, np.ptp(workshop.floor, axis=0)):
+    if asked := implausible_size_question(cad, np.ptp(workshop.floor_corners, axis=0)):
         raise SetupError(asked)
-    return replace(workshop, obstacles=np.concatenate([workshop.obstacles, cad.triangles]))
+    return replace(workshop, obstacle_triangles=np.concatenate([workshop.obstacle_triangles, cad.triangles]))
 
 
 def _visible_sights(layout: WorkshopLayout, visibility: Visibility) -> DrawnSights:

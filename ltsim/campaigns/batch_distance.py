@@ -27,10 +27,10 @@ from ltsim.calibration.distance_solver import (
 )
 from ltsim.calibration.objective import DistanceProblem, SetDistances
 from ltsim.campaigns.batch_fit import BatchFit
+from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.cloud_kernels import add_station_means, distance_gradient
-from ltsim.campaigns.engine import BatchCalibrator, CalibratedBlock, set_membership
 from ltsim.campaigns.kernels import backpropagate_mean_forces, compute_points
-from ltsim.campaigns.program import ChainProgram
+from ltsim.campaigns.trial_calibrators import BatchCalibrator, CalibratedBlock, measured_targets_and_weights
 from ltsim.campaigns.truth import TrialBatch
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap_angle
@@ -38,9 +38,9 @@ from ltsim.solve.least_absolute import solve_least_absolute
 
 MAX_DISTANCE_STEPS = 10
 """Largest number of Gauss-Newton steps of a trial."""
-MAX_STEPS_WEAK = 30
+MAX_STEPS_WITH_WEAK_COMBINATIONS = 30
 """Largest number of least-squares steps of a trial whose weakly determined combinations are estimated too."""
-CONVERGED_CHANGE = 3e-5
+MAX_CONVERGED_CHANGE = 3e-5
 """Largest change of an unknown in the last step, in prior sigmas, of a trial that counts as converged. The remaining
 error is a hundredth of this change.
 """
@@ -122,7 +122,7 @@ class BatchDistance(BatchCalibrator):
         pairs have reference lengths.
         """
         gauge, sets = self.distance_problem.reference_lengths, self.distance_problem.set_indices
-        visible, share = set_membership(self.truth, sets)
+        visible, share = measured_targets_and_weights(self.truth, sets)
         return sets, visible, share, np.stack([gauge.first_targets, gauge.second_targets], axis=1).reshape(-1, 2)
 
     def calibrate_batch(self, block: TrialBatch, trial_numbers: Ints) -> tuple[CalibratedBlock, Bools]:
@@ -133,16 +133,16 @@ class BatchDistance(BatchCalibrator):
         values, moved = (
             self._least_squares_values(block)
             if self.method == "distance"
-            else self._values_by_trial(block, trial_numbers)
+            else self._separate_trial_values(block, trial_numbers)
         )
-        fit = self._adjusted_targets(block, values)
+        fit = self._fit_corrected_readings(block, values)
         spread = (
             np.sqrt(np.diag(self.nominal_estimate.covariance)).reshape(values.shape[:2])
             * self.distance_problem.prior_sigma
         )
         status = np.zeros(len(moved), dtype=np.int64)
         return CalibratedBlock(values, spread, fit.target_increments, fit.chi2, status), (
-            moved < CONVERGED_CHANGE
+            moved < MAX_CONVERGED_CHANGE
         ) & fit.has_converged
 
     def _least_squares_values(self, block: TrialBatch) -> tuple[Floats, Floats]:
@@ -164,11 +164,11 @@ class BatchDistance(BatchCalibrator):
             step = self.step_matrix @ (gradient * prior).reshape(-1, trials)
             parameter_values += step.reshape(parameter_values.shape) * prior
             moved = np.abs(step).max(axis=0)
-            if not np.any(moved >= CONVERGED_CHANGE):
+            if not np.any(moved >= MAX_CONVERGED_CHANGE):
                 break
         return parameter_values, moved
 
-    def _values_by_trial(self, block: TrialBatch, trial_numbers: Ints) -> tuple[Floats, Floats]:
+    def _separate_trial_values(self, block: TrialBatch, trial_numbers: Ints) -> tuple[Floats, Floats]:
         """Parameters (I, p, B) [SI] of selected trials, and their largest change (B,) in the last step [prior sigma].
 
         Each trial has a separate matrix. The change is infinite for trials that are not in `trial_numbers`.
@@ -185,8 +185,10 @@ class BatchDistance(BatchCalibrator):
             else self._trial_combinations(trial_readings)
             for trial, trial_readings in readings.items()
         }
-        for iteration in range(MAX_DISTANCE_STEPS if self.uses_absolute_deviations else MAX_STEPS_WEAK):
-            active = trial_numbers[moved[trial_numbers] >= CONVERGED_CHANGE]
+        for iteration in range(
+            MAX_DISTANCE_STEPS if self.uses_absolute_deviations else MAX_STEPS_WITH_WEAK_COMBINATIONS
+        ):
+            active = trial_numbers[moved[trial_numbers] >= MAX_CONVERGED_CHANGE]
             if not len(active):
                 break
             residual = self._objective_terms(block, unknowns[:, active].reshape(*prior.shape[:2], -1) * prior, active)
@@ -217,20 +219,20 @@ class BatchDistance(BatchCalibrator):
         ]
         return axes[:, order]
 
-    def _objective_terms(self, block: TrialBatch, parameter_values: Floats, trials: Ints) -> Floats:
+    def _objective_terms(self, block: TrialBatch, parameter_values: Floats, trial_indices: Ints) -> Floats:
         """Terms (R, B) of the sum in the distance objective, for some trials at their parameters (I, p, B) [SI]."""
         deviation, parameter_values = (
-            np.ascontiguousarray(a) for a in (block.reading_deviations[:, :, trials], parameter_values)
+            np.ascontiguousarray(a) for a in (block.reading_deviations[:, :, trial_indices], parameter_values)
         )
         points = np.empty(deviation.shape)
         compute_points(self._chain_program, self.truth.recording.instrument, deviation, parameter_values, points)
         change = self.distance_problem.distances_of_points(points) - self._nominal_distances.lengths[:, None]
         rows, gauge = self._pair_difference_rows, self.distance_problem.reference_lengths
-        length_errors = gauge.decorrelate(block.length_errors[:, trials])
+        length_errors = gauge.decorrelate(block.length_errors[:, trial_indices])
         by_gauge = rows.noise_derivatives[:, rows.noise_derivatives.shape[1] - len(gauge) :]
         return rows.residuals[:, None] + rows.comparison_matrix @ change + by_gauge @ length_errors
 
-    def _adjusted_targets(self, block: TrialBatch, parameter_values: Floats) -> BatchFit:
+    def _fit_corrected_readings(self, block: TrialBatch, parameter_values: Floats) -> BatchFit:
         """Network adjustment of the readings that parameters (I, p, B) [SI] have corrected."""
         deviation = block.reading_deviations
         points = np.empty(deviation.shape)

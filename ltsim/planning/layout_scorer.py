@@ -69,10 +69,10 @@ class NormalBlocks:
         )
 
 
-def target_weights(errors: IncidenceErrors, target: Ints, n_targets: int) -> Floats:
-    """Weights (T,): 1 for targets among those of the n pointings, `target` (n,), with a reflector's errors; else 0."""
+def target_weights(incidence_errors: IncidenceErrors, pointing_targets: Ints, n_targets: int) -> Floats:
+    """Weights (T,): 1 for the targets in `pointing_targets` (n,) whose reflector has these errors, else 0."""
     weights = np.zeros(n_targets)
-    np.maximum.at(weights, target, errors.reflector_weights)
+    np.maximum.at(weights, pointing_targets, incidence_errors.reflector_weights)
     return weights
 
 
@@ -133,22 +133,24 @@ class LayoutScorer:
         unknowns = problem.unknowns
         value_columns = np.concatenate([unknowns.effect_columns[: self._n_nuisances], unknowns.instrument_columns[0]])
         self._fixed_blocks(other, unknowns.target_columns, unknowns.pose_columns, value_columns)
-        self._target_weights, self._used_observables = survey.normalised_target_weights, survey.used_observables
+        self._target_weights, self._used_observables = survey.normalised_target_weights, survey.is_recorded_observable
         self._fixes_datum_rotations = problem.undetermined_unknowns.fixes_datum_rotations
         self._target_motions = rigid_motion_design(survey.target_points) @ self._free_motions
 
-    def _fixed_blocks(self, rows: Floats, target: Ints, pose: Ints, value_columns: Ints) -> None:
+    def _fixed_blocks(self, design: Floats, target_columns: Ints, pose_columns: Ints, parameter_columns: Ints) -> None:
         """Normal equations of gauge, control points, levels and priors, in the order and units of this class.
 
-        `rows` is the whitened design; the columns of targets (T, 3), poses (S, 6) and parameters are given.
+        `design` is whitened; the columns of targets (T, 3), poses (S, 6) and parameters are given.
         """
-        extra = np.zeros((len(rows), len(self.parameter_scales) - len(value_columns)))
+        extra = np.zeros((len(design), len(self.parameter_scales) - len(parameter_columns)))
         front = [
-            rows[:, pose.ravel()] * INTERNAL_LENGTH_UNIT,
-            rows[:, target[self._gauge_targets].ravel()] * INTERNAL_LENGTH_UNIT,
+            design[:, pose_columns.ravel()] * INTERNAL_LENGTH_UNIT,
+            design[:, target_columns[self._gauge_targets].ravel()] * INTERNAL_LENGTH_UNIT,
         ]
-        reduced_rows = np.hstack([*front, rows[:, value_columns] * self.parameter_scales[: len(value_columns)], extra])
-        mesh = rows[:, target[self.mesh_targets].ravel()].reshape(len(rows), -1, 3) * INTERNAL_LENGTH_UNIT
+        reduced_rows = np.hstack(
+            [*front, design[:, parameter_columns] * self.parameter_scales[: len(parameter_columns)], extra]
+        )
+        mesh = design[:, target_columns[self.mesh_targets].ravel()].reshape(len(design), -1, 3) * INTERNAL_LENGTH_UNIT
         self._fixed_reduced_block = reduced_rows.T @ reduced_rows
         self._fixed_target_blocks = np.einsum("mti,mtj->tij", mesh, mesh)
         self._fixed_coupling_blocks = np.einsum("mti,mk->tik", mesh, reduced_rows)
@@ -346,25 +348,25 @@ class LayoutScorer:
         datum_rows[..., 3:] *= self._fixes_datum_rotations
         return (datum_rows / DATUM_SIGMA * INTERNAL_LENGTH_UNIT).reshape(len(datum_rows), motion.shape[1], -1)
 
-    def weighted_target_rms(self, schur: Floats, inverses: Floats, coefficients: Floats, mesh: Ints) -> Floats:
+    def weighted_target_rms(self, schur: Floats, inverses: Floats, coefficients: Floats, targets: Ints) -> Floats:
         """Root mean square point error (B,) [m] with the weights of the survey; arguments as of `target_variance`."""
-        variance = self.target_variance(schur, inverses, coefficients, mesh)
-        weight = self._target_weights[self.requested_targets(mesh)]
+        variance = self.target_variance(schur, inverses, coefficients, targets)
+        weight = self._target_weights[self.requested_targets(targets)]
         return np.sqrt(np.sum(weight * variance, axis=1) / np.sum(weight * np.ones_like(variance), axis=1))
 
-    def requested_targets(self, mesh: Ints) -> Ints:
-        """Indices in the survey of the targets of `target_variance`, (1, E + gauge) or (B, E + gauge) as `mesh`."""
-        indices = np.atleast_2d(mesh)
+    def requested_targets(self, targets: Ints) -> Ints:
+        """Indices in the survey of the targets of `target_variance`, (1, E + gauge) or (B, E + gauge)."""
+        indices = np.atleast_2d(targets)
         return np.concatenate(
             [indices, np.broadcast_to(self._gauge_targets, (len(indices), len(self._gauge_targets)))], axis=1
         )
 
-    def target_variance(self, schur: Floats, inverses: Floats, coefficients: Floats, mesh: Ints) -> Floats:
+    def target_variance(self, schur: Floats, inverses: Floats, coefficients: Floats, targets: Ints) -> Floats:
         """Squared point errors (B, E + gauge) [m^2] of targets, with inner constraints over all of them.
 
         Parameters of the instrument and of reflectors are estimated here, effects are not. `schur` (B, K, K),
-        `inverses` (B, E, 3, 3) and `coefficients` (B, E, 3, K) are results of `eliminate_targets`. `mesh`, (E,) or (B,
-        E), holds the indices of these targets in the survey. The targets of the gauge are always included.
+        `inverses` (B, E, 3, 3) and `coefficients` (B, E, 3, K) are results of `eliminate_targets`. `targets`,
+        (E,) or (B, E), holds the indices of these targets in the survey. The targets of the gauge are always included.
         """
         estimated = self._n_nuisances + len(self.prior_sigma)
         layouts, size = len(schur), schur.shape[1] - (len(self.parameter_scales) - estimated)
@@ -376,7 +378,7 @@ class LayoutScorer:
         for g in range(gauge):
             carry[:, count + g, :, first_target_column + 3 * g : first_target_column + 3 * g + 3] = np.eye(3)
         motion = np.broadcast_to(
-            self._target_motions.reshape(-1, 3, self._n_free_motions)[self.requested_targets(mesh)],
+            self._target_motions.reshape(-1, 3, self._n_free_motions)[self.requested_targets(targets)],
             (layouts, count + gauge, 3, self._n_free_motions),
         )
         # Inner constraints: what is left of each target's errors without the rigid motion of all of them.

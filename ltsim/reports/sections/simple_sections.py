@@ -20,7 +20,7 @@ from ltsim.measurands.uncertainty import Uncertainty
 from ltsim.physics.effects import parameter_text, title_of
 from ltsim.planning.proposals import PROPOSALS_TABLE, NextMeasurement
 from ltsim.reports import figures
-from ltsim.reports.document import (
+from ltsim.reports.document_model import (
     Assessment,
     Block,
     BulletListBlock,
@@ -33,12 +33,12 @@ from ltsim.reports.document import (
     entries_table,
     table_block,
 )
-from ltsim.reports.words import as_sentence, count_text, distinct_labels, duration_text, listing, natural_sort_key
+from ltsim.reports.formatting import as_sentence, count_text, distinct_labels, duration_text, listing, natural_sort_key
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-EntryWithName = TypeVar("EntryWithName", ChangeEntry, EventEntry)
+NamedEntryT = TypeVar("NamedEntryT", ChangeEntry, EventEntry)
 MIN_PASS_PROBABILITY = 0.5
 """Probability to pass all tests, 0 to 1, from which a prediction is assessed as good; by convention one half."""
 ASSESSMENT_BY_JUDGEMENT: dict[Judgement, Assessment] = {"accepted": "good", "rejected": "bad", "undecided": "caution"}
@@ -145,7 +145,7 @@ def comparison_section(content: Comparison, _: ReportContext) -> Section:
         action = f"If the lists are in different frames, compare them with {option('free=True')}."
     return Section(
         "Comparison of two epochs", "Comparison", answer, assessment_of(not moved_targets), facts, [picture, *table],
-        axes="the first epoch's", next_actions=[action] if moved_targets else [],
+        axes_text="the first epoch's", next_actions=[action] if moved_targets else [],
     )  # fmt: skip
 
 
@@ -207,7 +207,7 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
         assessment,
         facts,
         blocks,
-        instrument=specification_name,
+        instrument_text=specification_name,
         next_actions=content.next_actions,
     )
 
@@ -244,7 +244,7 @@ def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
         ASSESSMENT_BY_JUDGEMENT[joint_judgement([r.conformity.judgement for r in judged_results if r.conformity])],
         facts,
         blocks,
-        axes=content.frame,
+        axes_text=content.frame,
     )
 
 
@@ -275,19 +275,24 @@ def _site_sentence(content: NextMeasurement) -> str:
 def next_measurement_section(content: NextMeasurement, _: ReportContext) -> Section:
     """Section of proposed further measurements."""
     best_proposal = content.proposals[0]
-    assessment = assessment_of(best_proposal.decides) if content.between else "plain"
-    reductions = [100 * (1 - factor) for factor in (best_proposal.sharper, best_proposal.serves_factor)]
+    assessment = assessment_of(best_proposal.distinguishes_all) if content.between else "plain"
+    reductions = [100 * (1 - factor) for factor in (best_proposal.sigma_ratio, best_proposal.most_improved_ratio)]
     answer = f"Measure next: {best_proposal.do} ({duration_text(60 * best_proposal.minutes)}); "
     answer += (
         f"the standard deviations of the instrument's parameters fall by {reductions[0]:.0f} % on average, "
-        f"of the {parameter_text(best_proposal.serves)} by {reductions[1]:.0f} %."
+        f"of the {parameter_text(best_proposal.most_improved_parameter)} by {reductions[1]:.0f} %."
     )
     answer = as_sentence(content.advice) if content.between and content.advice else answer
     note = (
         "Factors: standard deviation of a parameter after the measurement, divided by that before; mean and smallest."
     )
-    in_words = [entry.with_values(serves=parameter_text(entry.serves)) for entry in content.proposals]
-    proposals = PROPOSALS_TABLE.with_rows(in_words).with_columns("do minutes sharper serves serves_factor")
+    in_words = [
+        entry.with_values(most_improved_parameter=parameter_text(entry.most_improved_parameter))
+        for entry in content.proposals
+    ]
+    proposals = PROPOSALS_TABLE.with_rows(in_words).with_columns(
+        "do minutes sigma_ratio most_improved_parameter most_improved_ratio"
+    )
     note = f"{note} {_site_sentence(content)}".rstrip()
     blocks: list[Block] = [*table_block("Further measurements, the best first", proposals, note=note)]
     if content.between:
@@ -346,7 +351,7 @@ def _with_short_labels(content: History) -> History:
     """The history with shortened labels of its calibrations, which are still distinct."""
     short = dict(zip(content.labels, distinct_labels(content.labels), strict=True))
 
-    def with_short_label(entry: EntryWithName) -> EntryWithName:
+    def with_short_label(entry: NamedEntryT) -> NamedEntryT:
         ends = {"from_": short.get(entry.from_, entry.from_), "to": short.get(entry.to, entry.to)}
         return entry.model_copy(update=ends)
 

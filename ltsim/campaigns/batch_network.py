@@ -19,8 +19,8 @@ import numpy as np
 from ltsim.adjustment.frame import DeclaredFrame
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.campaigns.batch_fit import MAX_DISTANCE_TO_OPTIMUM, BatchFit
+from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.kernels import network_gradient
-from ltsim.campaigns.program import ChainProgram
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
 from ltsim.geometry.rigid import pose_design
@@ -47,7 +47,7 @@ class SharedQuantities:
     """Network with the same set-up and pointings, but other coordinates."""
     point_derivatives: Floats
     """Derivative of the nominal readings with respect to the targets in the instruments' frames, (n, 3, 3)."""
-    value_derivatives: Floats
+    parameter_derivatives: Floats
     """Derivative of the nominal readings with respect to p instrument parameters, (n, 3, p)."""
 
 
@@ -71,7 +71,7 @@ class BatchNetwork:
     """Additional effects that are estimated, together with the nuisance errors that the recording declares."""
     shared_quantities: SharedQuantities | None = None
     """Quantities computed by another network of the same set-up, or None; not used with additional effects."""
-    adjusted_observables: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
+    is_adjusted_observable: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
     """Flags (3,) of the observables (range, azimuth, elevation) that are adjusted."""
 
     @cached_property
@@ -87,7 +87,7 @@ class BatchNetwork:
         """Least-squares problem at the nominal state; its rows are those of a single adjustment."""
         if self.shared_quantities is None:
             return NetworkProblem.from_model(
-                self.model, reading_mask=np.tile(self.adjusted_observables, (len(self.recording), 1))
+                self.model, reading_mask=np.tile(self.is_adjusted_observable, (len(self.recording), 1))
             )
         return self.shared_quantities.network.problem.with_other_positions(self.model)
 
@@ -156,7 +156,7 @@ class BatchNetwork:
         arm = state.target_points[recording.target] - state.station_positions[recording.station]
         by_pose = pose_design(by_target, arm)
         return Prediction(
-            recording.readings, by_pose, by_target, quantities.value_derivatives, np.zeros((len(recording), 3, 0))
+            recording.readings, by_pose, by_target, quantities.parameter_derivatives, np.zeros((len(recording), 3, 0))
         )
 
     @cached_property
@@ -317,7 +317,7 @@ class BatchNetwork:
         return indices, flattened[indices], flattened[indices] / self.reading_sigmas.reshape(-1, 1)[indices]
 
     @cached_property
-    def _start_matrices(self) -> tuple[Floats, Floats, Floats]:
+    def _first_step_matrices(self) -> tuple[Floats, Floats, Floats]:
         """Matrices (K, 3 n) and (K, r) of the first step, and matrix (3 n, K') of the readings that it predicts.
 
         The first step is the first matrix times the deviations of readings plus the second times the residuals of the r
@@ -334,7 +334,7 @@ class BatchNetwork:
 
     def _first_step(self, deviation: Floats, length_errors: Floats | None) -> tuple[Floats, Floats]:
         """First step (K, B) from the nominal state, and predicted minus nominal readings (n, 3, B) after the step."""
-        by_reading, by_other, predicting = self._start_matrices
+        by_reading, by_other, predicting = self._first_step_matrices
         nowhere = np.zeros((self.end_indices[-1], deviation.shape[2]))
         x = by_reading @ deviation.reshape(len(predicting), -1) + by_other @ self._non_reading_residuals(
             nowhere, length_errors

@@ -9,6 +9,13 @@ from ltsim.adjustment.remedies.next_measurement import ProgressCallback, no_prog
 from ltsim.core.errors import NetworkError, SetupError
 from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
+from ltsim.planning.multistart_search import (
+    LayoutsByCount,
+    PlanningProblem,
+    SearchTask,
+    run_searches,
+    search_from_start,
+)
 from ltsim.planning.planner import (
     PlannedNetwork,
     StationCountResult,
@@ -17,23 +24,22 @@ from ltsim.planning.planner import (
     objective_and_qualities,
 )
 from ltsim.planning.search import LayoutSearcher
-from ltsim.planning.site import SearchSpace, StationPlacement
+from ltsim.planning.search_inputs import layout_objective, make_search_space, min_sights_of_reflector, procedures
+from ltsim.planning.search_space import SearchSpace, StationPlacement
 from ltsim.planning.spec import PlanFile
-from ltsim.planning.starts import LayoutsByCount, PlanningProblem, SearchTask, run_searches, search_from_start
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.tolerances import PointTolerances, feasibility_and_ratio
-from ltsim.planning.workshop import layout_objective, make_search_space, min_sights_of_reflector, procedures
 from ltsim.scene.floor import grid_step
 from ltsim.simulation.scenario import Scenario
 
-MAX_SETUPS = 200_000
+MAX_GRID_SETUPS = 200_000
 """Largest number of candidate set-ups of a grid; a plan with more is rejected, because one search holds all in memory.
 """
 SEARCH_PROGRESS_FRACTION = 0.8
 """Fraction of the progress bar for the search; the rest is for checks of tolerances and changes."""
 MIN_STATIONS = 2
 """Smallest number of stations of a network."""
-MAX_ERROR_RATIO_PER_STATION = 0.95
+MAX_ERROR_RATIO_AFTER_BEFORE = 0.95
 """Largest ratio of the errors after and before an additional station (largest error divided by tolerance). If both of
 the last two stations exceed it, layouts with more stations are not searched.
 """
@@ -67,15 +73,15 @@ def make_plan(
     rules of the plan.
     """
     _require_grid_fits_memory(file, scenario)
-    heard = callbacks or SearchCallbacks()
-    heard.on_progress("searching layouts", 0.0)
-    search = _PlanSearch(PlanningProblem(file, scenario), jobs, heard)
-    best_layout = search.with_fewest_stations() if file.searches_station_count else search.best_with_count()
+    progress_callbacks = callbacks or SearchCallbacks()
+    progress_callbacks.on_progress("searching layouts", 0.0)
+    search = _PlanSearch(PlanningProblem(file, scenario), jobs, progress_callbacks)
+    best_layout = search.best_with_fewest_stations() if file.searches_station_count else search.best_for_station_count()
     if not np.isfinite(best_layout.objective_value):
         raise SetupError(UNDETERMINED_LAYOUT_MESSAGE)
-    heard.on_progress("check of tolerances and changes", SEARCH_PROGRESS_FRACTION)
-    made = evaluate_plan(search.file, scenario, best_layout.survey)
-    heard.on_progress("check of tolerances and changes", 1.0)
+    progress_callbacks.on_progress("check of tolerances and changes", SEARCH_PROGRESS_FRACTION)
+    made = evaluate_plan(search.plan_file, scenario, best_layout.survey)
+    progress_callbacks.on_progress("check of tolerances and changes", 1.0)
     values = search.layouts.get((len(best_layout.survey.station_positions), len(best_layout.survey.faces)), [])
     return replace(
         made,
@@ -98,43 +104,49 @@ class _PlanSearch:
     is_stopped: bool = False
 
     @property
-    def file(self) -> PlanFile:
-        return self.problem.file
+    def plan_file(self) -> PlanFile:
+        return self.problem.plan_file
 
     @property
-    def procedures(self) -> tuple[list[int], list[int]]:
+    def face_and_round_choices(self) -> tuple[list[int], list[int]]:
         """Numbers of faces, and numbers of rounds, among which the search may choose."""
-        return procedures(self.file, self.problem.scenario)
+        return procedures(self.plan_file, self.problem.scenario)
 
     def _run_searches(self, tasks: Sequence[SearchTask], report_progress: Callable[[float], float]) -> LayoutsByCount:
         """Layouts of the searches; the callbacks receive the best one so far."""
-        goal = self.file.goal
+        goal = self.plan_file.goal
 
-        def keep(survey: PlannedSurvey, value: float) -> None:
-            lengths = goal.targets > 0 and goal.instrument == goal.diagnosis == 0
-            words = f"weighted point error {value / MICROMETRE:.1f} um" if lengths else f"quality {value:.4g}"
-            words += " without the common errors of the air" if survey.air is not None and goal.targets > 0 else ""
-            self.callbacks.on_sentence(f"best layout so far: {len(survey.station_positions)} stations, {words}")
+        def report_layout(survey: PlannedSurvey, objective_value: float) -> None:
+            is_point_error = goal.targets > 0 and goal.instrument == goal.diagnosis == 0
+            quality_text = (
+                f"weighted point error {objective_value / MICROMETRE:.1f} um"
+                if is_point_error
+                else f"quality {objective_value:.4g}"
+            )
+            quality_text += (
+                " without the common errors of the air" if survey.air is not None and goal.targets > 0 else ""
+            )
+            self.callbacks.on_sentence(f"best layout so far: {len(survey.station_positions)} stations, {quality_text}")
             self.callbacks.on_layout(survey)
 
-        def progress(finished_fraction: float) -> None:
+        def report_search_progress(finished_fraction: float) -> None:
             self.callbacks.on_progress(
                 "searching layouts", SEARCH_PROGRESS_FRACTION * report_progress(finished_fraction)
             )
 
-        made, stopped = run_searches(self.problem, tasks, self.jobs, progress, keep)
+        made, stopped = run_searches(self.problem, tasks, self.jobs, report_search_progress, report_layout)
         self.layouts |= made
         self.is_stopped |= stopped
         return made
 
-    def best_with_count(self) -> TradeoffPoint:
+    def best_for_station_count(self) -> TradeoffPoint:
         """Best layout for the given number of stations, or for the working hours of the budget."""
         scenario = self.problem.scenario
-        count, work = self.file.stations.count or len(scenario.stations), scenario.work
-        site = make_search_space(self.file, scenario, stations=count, faces=work.faces)
-        file = with_feasible_sights(self.file, site)
-        self.problem = replace(self.problem, file=file)
-        faces, settings = self.procedures[0], file.search
+        count, work = self.plan_file.stations.count or len(scenario.stations), scenario.work
+        site = make_search_space(self.plan_file, scenario, stations=count, faces=work.faces)
+        file = with_feasible_min_sights(self.plan_file, site)
+        self.problem = replace(self.problem, plan_file=file)
+        faces, settings = self.face_and_round_choices[0], file.search
         usual_faces = work.faces if work.faces in faces else faces[-1]
         tasks = [
             SearchTask(n, f, start)
@@ -161,23 +173,23 @@ class _PlanSearch:
             )
         return min(paid, key=lambda o: o.objective_value)
 
-    def with_fewest_stations(self) -> TradeoffPoint:
+    def best_with_fewest_stations(self) -> TradeoffPoint:
         """Layout with the fewest stations that meets the tolerances, with the fastest sufficient measuring procedure.
 
         If no layout meets them, it is the closest one.
         """
-        demands, scenario = PointTolerances.from_plan_file(self.file), self.problem.scenario
+        demands, scenario = PointTolerances.from_plan_file(self.plan_file), self.problem.scenario
         alone = demands.withstood_loss == "no"
-        if not self.file.requires_sights:
+        if not self.plan_file.requires_sights:
             least = min_sights_of_reflector(scenario) + (not alone)
-            self.problem = replace(self.problem, file=self.file.with_min_stations(least))
-        file, faces = self.file, self.procedures[0]
+            self.problem = replace(self.problem, plan_file=self.plan_file.with_min_stations(least))
+        file, faces = self.plan_file, self.face_and_round_choices[0]
         min_stations = file.stations.min_stations_per_target
         min_count = max(
             MIN_STATIONS if alone else 3, len(file.stations.fixed), 1 if min_stations == "all" else min_stations
         )
         counts = range(min_count, max(min_count, file.stations.max_count) + 1)
-        placement = require_visible_points(
+        placement = placement_seeing_all_points(
             make_search_space(file, scenario, stations=counts[-1], faces=faces[-1]), file
         )
         judgements: list[tuple[float, TradeoffPoint]] = []
@@ -213,7 +225,7 @@ class _PlanSearch:
         return min(judgements, key=lambda judgement: (judgement[0], judgement[1].hours))[1]
 
     def _closest_layout(
-        self, layouts: list[tuple[float, int, PlannedSurvey]], demands: PointTolerances
+        self, layouts: list[tuple[float, int, PlannedSurvey]], tolerances: PointTolerances
     ) -> list[tuple[float, int, PlannedSurvey]]:
         """Layout with the smallest ratio of error to tolerance among those of several starts, as a list of one."""
         if len(layouts) == 1:
@@ -222,7 +234,7 @@ class _PlanSearch:
             min(
                 layouts,
                 key=lambda layout: (
-                    feasibility_and_ratio(layout[2], demands, self.problem.construction)[1],
+                    feasibility_and_ratio(layout[2], tolerances, self.problem.construction)[1],
                     layout[0],
                     layout[1],
                 ),
@@ -235,11 +247,11 @@ class _PlanSearch:
             outcome.max_error_ratio if outcome.max_error_ratio is not None else np.inf
             for outcome in self.station_count_results
         ]
-        return len(ratios) > 2 and np.isfinite(ratios[-3]) and ratios[-1] > MAX_ERROR_RATIO_PER_STATION**2 * ratios[-3]
+        return len(ratios) > 2 and np.isfinite(ratios[-3]) and ratios[-1] > MAX_ERROR_RATIO_AFTER_BEFORE**2 * ratios[-3]
 
     def _no_layout_message(self, counts: range) -> str:
         """Error message if no layout was found for these numbers of stations."""
-        hours = self.file.budget.hours
+        hours = self.plan_file.budget.hours
         if self.is_stopped:
             return STOPPED_MESSAGE
         if hours and any(outcome.has_layout for outcome in self.station_count_results):
@@ -247,7 +259,7 @@ class _PlanSearch:
                 f"no layout of {counts[0]} to {counts[-1]} stations takes at most {hours:g} h; give more budget.hours"
             )
         try:
-            search_from_start(self.problem, SearchTask(counts[-1], self.procedures[0][-1], 0))
+            search_from_start(self.problem, SearchTask(counts[-1], self.face_and_round_choices[0][-1], 0))
         except (SetupError, NetworkError) as problem:
             return f"{problem}, or give more stations.max_count"
         return "the search found no layout; enlarge the floor or give more stations.max_count"
@@ -257,9 +269,9 @@ class _PlanSearch:
         points = []
         for starts in layouts.values():
             survey = min(starts, key=lambda layout: layout[:2])[2]
-            for repeats in self.procedures[1]:
+            for repeats in self.face_and_round_choices[1]:
                 repeated = survey.replace(repeats=repeats)
-                objective = layout_objective(self.file, repeated)
+                objective = layout_objective(self.plan_file, repeated)
                 points.append(
                     TradeoffPoint(repeated, *objective_and_qualities(repeated, objective, self.problem.construction))
                 )
@@ -285,7 +297,7 @@ def _never_visible_text(site: SearchSpace, placement: StationPlacement) -> str:
 
 
 def _require_grid_fits_memory(file: PlanFile, scenario: Scenario) -> None:
-    """Check that the number of candidate set-ups is at most `MAX_SETUPS`; raises SetupError."""
+    """Check that the number of candidate set-ups is at most `MAX_GRID_SETUPS`; raises SetupError."""
     step = file.search.grid_mm
     if step is None:
         return
@@ -293,15 +305,15 @@ def _require_grid_fits_memory(file: PlanFile, scenario: Scenario) -> None:
     outlines = [area.corners_mm for area in file.floor.areas] or [file.floor.corners_mm or ((0.0, 0.0), (wide, deep))]
     area_sizes = np.array([np.ptp(np.array(outline), axis=0) for outline in outlines])
     n_places = float(np.prod(1.0 + area_sizes / step, axis=1).sum()) * file.search.yaws * file.search.heights
-    if n_places > MAX_SETUPS:
+    if n_places > MAX_GRID_SETUPS:
         raise SetupError(
             f"search: a grid of {step:g} mm over {area_sizes[:, 0].max():g} x {area_sizes[:, 1].max():g} mm "
             f"has {n_places:.2g} "
-            f"set-ups, the limit is {MAX_SETUPS}; give a larger grid_mm or a smaller floor"
+            f"set-ups, the limit is {MAX_GRID_SETUPS}; give a larger grid_mm or a smaller floor"
         )
 
 
-def max_sights(site: SearchSpace, step: float, n_heights: int) -> tuple[int, str]:
+def max_stations_per_target(site: SearchSpace, step: float, n_heights: int) -> tuple[int, str]:
     """Largest number of stations that see every reflector in some layout, and the name of the limiting reflector.
 
     The number is a lower bound from greedy placement, and exact if one place on the floor sees everything.
@@ -317,14 +329,14 @@ def max_sights(site: SearchSpace, step: float, n_heights: int) -> tuple[int, str
     return next(enough, 0), limiting
 
 
-def with_feasible_sights(file: PlanFile, site: SearchSpace) -> PlanFile:
+def with_feasible_min_sights(file: PlanFile, site: SearchSpace) -> PlanFile:
     """Plan file with a value of `stations.min_stations_per_target` that some layout meets.
 
     A given value is not reduced; instead SetupError reports the largest possible value.
     """
     settings, count = file.search, len(site.survey.station_positions)
     step = grid_step(site.allowed_areas, settings.grid_mm)
-    reachable, limiting = max_sights(site, step, settings.heights)
+    reachable, limiting = max_stations_per_target(site, step, settings.heights)
     if reachable >= site.min_sights:
         return file
 
@@ -356,7 +368,7 @@ def with_feasible_sights(file: PlanFile, site: SearchSpace) -> PlanFile:
     )
 
 
-def require_visible_points(site: SearchSpace, file: PlanFile) -> StationPlacement:
+def placement_seeing_all_points(site: SearchSpace, file: PlanFile) -> StationPlacement:
     """Candidate places of stations; raises SetupError with the names of points that no place sees."""
     placement = site.greedy_placement(grid_step(site.allowed_areas, file.search.grid_mm), file.search.heights)
     if not placement.is_visible.any(axis=0).all():

@@ -76,16 +76,16 @@ class KeyFigure:
 class TableBlock:
     """Table whose cells are texts.
 
-    The first `text_columns` columns are flush left, the others flush right; `meanings` explains each heading.
+    The first `n_text_columns` columns are flush left, the others flush right; `column_meanings` explains each heading.
     """
 
     title: str
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
-    text_columns: int = 1
+    n_text_columns: int = 1
     note: str = ""
     marked_rows: frozenset[int] = frozenset()
-    meanings: Sequence[str] = ()
+    column_meanings: Sequence[str] = ()
     is_foldable: bool = True
     """True if the table is folded when it is long; False for a table that readers need completely."""
     kind: Literal["table"] = "table"
@@ -124,18 +124,18 @@ class PictureBlock:
 
 @dataclass(frozen=True)
 class SceneBlock:
-    """3D view: a picture as `data:` URI in `image`, and the interactive HTML page that a click on the picture opens."""
+    """3D view: picture as a `data:` URI, and the interactive HTML page that opens after a click on the picture."""
 
     title: str
-    image: str
+    image_uri: str
     caption: str
-    page: str
+    page_html: str
     kind: Literal["scene"] = "scene"
 
     @property
     def page_gzip_base64(self) -> str:
         """Interactive page as gzip in base64, unpacked by the browser."""
-        return base64.b64encode(gzip.compress(self.page.encode(), mtime=0)).decode()
+        return base64.b64encode(gzip.compress(self.page_html.encode(), mtime=0)).decode()
 
 
 @dataclass(frozen=True)
@@ -188,11 +188,11 @@ class Section:
     blocks: Sequence[Block] = ()
     folder: str = ""
     next_actions: Sequence[str] = ()
-    seed: str = ""
-    versions: Sequence[tuple[str, str]] = ()
-    axes: str = ""
-    instrument: str = ""
-    measured_on: str = ""
+    seed_text: str = ""
+    package_versions: Sequence[tuple[str, str]] = ()
+    axes_text: str = ""
+    instrument_text: str = ""
+    measurement_date: str = ""
     n_open_blocks: int = 3
     n_lead_blocks: int = 0
     n_terminal_blocks: int | None = None
@@ -245,10 +245,10 @@ def _block_text(block: Block) -> str:
 
 def _table_text(table: TableBlock) -> str:
     """Text of a table in columns; one line per row if the table is wider than `MAX_TERMINAL_WIDTH`."""
-    text = align_columns(table.header, table.rows, table.text_columns)
+    text = align_columns(table.header, table.rows, table.n_text_columns)
     if max(map(len, text.split("\n"))) <= MAX_TERMINAL_WIDTH:
         return text
-    headings = ["" if i < table.text_columns else f"{heading}: " for i, heading in enumerate(table.header)]
+    headings = ["" if i < table.n_text_columns else f"{heading}: " for i, heading in enumerate(table.header)]
     text_rows = (
         [heading + cell for heading, cell in zip(headings, row, strict=True) if cell not in ("", MISSING_TEXT)]
         for row in table.rows

@@ -14,17 +14,17 @@ from ltsim.core.parallel import run_parallel
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.reflectors import choose_reflectors
 from ltsim.planning.search import LayoutSearcher, StationLayout
-from ltsim.planning.site import SearchSpace
+from ltsim.planning.search_inputs import is_fixed_target, layout_objective, make_search_space
+from ltsim.planning.search_space import SearchSpace
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
-from ltsim.planning.workshop import is_fixed_target, layout_objective, make_search_space
 from ltsim.scene.floor import grid_step
 from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
 
-N_ALTERNATIONS = 2
+N_STATION_REFLECTOR_ALTERNATIONS = 2
 """Number of times that stations and reflectors are chosen in turn, if reflectors are movable."""
-REPORT_INTERVAL = 5.0
+MIN_REPORT_INTERVAL = 5.0
 """Shortest time [s] between two reports of the best layout so far."""
 MIN_REPORTED_GAIN = 0.01
 """Smallest relative improvement of the objective since the last report at which a layout is reported."""
@@ -48,7 +48,7 @@ class SearchTask:
 class PlanningProblem:
     """Plan file with its scenario."""
 
-    file: PlanFile
+    plan_file: PlanFile
     scenario: Scenario
 
     @property
@@ -58,7 +58,7 @@ class PlanningProblem:
 
     def search_space(self, task: SearchTask) -> SearchSpace:
         """Search space for the numbers of stations and faces of a task."""
-        return make_search_space(self.file, self.scenario, stations=task.n_stations, faces=task.n_faces)
+        return make_search_space(self.plan_file, self.scenario, stations=task.n_stations, faces=task.n_faces)
 
     def make_searcher(
         self,
@@ -67,7 +67,7 @@ class PlanningProblem:
         store_layout: Callable[[StationLayout], None] = no_progress,
     ) -> LayoutSearcher:
         """Searcher for the objective of the plan file in a search space."""
-        settings, objective = self.file.search, layout_objective(self.file, site.survey)
+        settings, objective = self.plan_file.search, layout_objective(self.plan_file, site.survey)
         step = grid_step(site.allowed_areas, settings.grid_mm)
         return LayoutSearcher(
             site, objective, self.construction, step, settings.yaws, settings.heights, report_progress, store_layout
@@ -89,25 +89,25 @@ def run_searches(
     best_by_task: dict[int, RatedLayout] = {}
     finished, stopped, reported, last = 0, False, np.inf, -np.inf
 
-    def better(task_number: int, value: float, survey: PlannedSurvey) -> None:
+    def store_better_layout(task_number: int, value: float, survey: PlannedSurvey) -> None:
         nonlocal reported, last
         best_by_task[task_number] = value, survey
-        if value < reported * (1 - MIN_REPORTED_GAIN) and monotonic() - last >= REPORT_INTERVAL:
+        if value < reported * (1 - MIN_REPORTED_GAIN) and monotonic() - last >= MIN_REPORT_INTERVAL:
             reported, last = value, monotonic()
             store_survey(survey, value)
 
-    def running(task_number: int) -> tuple[Callable[[float], None], Callable[[StationLayout], None]]:
+    def callbacks_of_task(task_number: int) -> tuple[Callable[[float], None], Callable[[StationLayout], None]]:
         """Callbacks of a search in this process: finished fraction, better layout."""
         site = problem.search_space(tasks[task_number])
         return (
             lambda part: report_progress((finished + part) / len(tasks)),
-            lambda layout: better(
+            lambda layout: store_better_layout(
                 task_number, layout.objective_value, _with_moved_stations(site, layout.positions, layout.yaws)
             ),
         )
 
     jobs = min(jobs, len(tasks))
-    work = ((problem, task, n, *(running(n) if jobs == 1 else ())) for n, task in enumerate(tasks))
+    work = ((problem, task, n, *(callbacks_of_task(n) if jobs == 1 else ())) for n, task in enumerate(tasks))
     try:
         for number, layout in run_parallel(
             _layout_of_start if jobs == 1 else _layout_in_worker, work, jobs, keeps_order=False
@@ -116,7 +116,7 @@ def run_searches(
             report_progress(finished / len(tasks))
             best_by_task.pop(number, None)
             if layout is not None:
-                better(number, *layout)
+                store_better_layout(number, *layout)
     except KeyboardInterrupt:
         stopped = True
     layouts: LayoutsByCount = {}
@@ -158,10 +158,10 @@ def search_from_start(
     """Layout of a start: stations are searched, then reflectors if they are movable, then stations again."""
     site, stays, seed = (
         problem.search_space(task),
-        is_fixed_target(problem.file, problem.scenario),
-        problem.file.search.seed,
+        is_fixed_target(problem.plan_file, problem.scenario),
+        problem.plan_file.search.seed,
     )
-    rounds, done = 1 if stays.all() else 1 + N_ALTERNATIONS, 0
+    rounds, done = 1 if stays.all() else 1 + N_STATION_REFLECTOR_ALTERNATIONS, 0
     searcher = problem.make_searcher(site, lambda share: report_progress((done + share) / rounds), store_layout)
     layout = searcher.search_from(seed, task.start_number)
     survey = _with_moved_stations(site, layout.positions, layout.yaws)

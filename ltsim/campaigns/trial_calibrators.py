@@ -16,7 +16,7 @@ from ltsim.adjustment.datum import InnerDatum
 from ltsim.adjustment.evaluation.clouds import align_to_points
 from ltsim.calibration.distance import calibrate_distance
 from ltsim.calibration.network import calibrate_network
-from ltsim.campaigns.network import BatchNetwork
+from ltsim.campaigns.batch_network import BatchNetwork
 from ltsim.campaigns.schema import BATCH_CONVERGED, FULL_SOLVER, TRIAL_STATUSES, WITHOUT_RESULT
 from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Bools, Floats, Ints
@@ -78,7 +78,7 @@ class CalibratedBlock:
         return np.concatenate(flat_values), np.concatenate(sigmas)
 
     @classmethod
-    def without_solution(
+    def from_failed_trials(
         cls, truth: CellTruth, construction: GeometricErrorModel, effects: Sequence[Effect], n_trials: int
     ) -> CalibratedBlock:
         """Results of trials without a solution: all estimates are NaN, the status is that of a failure."""
@@ -98,20 +98,20 @@ class CalibratedBlock:
             reflectors,
         )
 
-    def copy_trial(self, trial: int, source: CalibratedBlock, place: int) -> None:
-        """Copy of a trial's result from trial `place` of another block, written to trial `trial` of this block.
+    def copy_trial(self, trial: int, source_block: CalibratedBlock, source_trial: int) -> None:
+        """Copy of a trial's result from trial `source_trial` of another block, written to trial `trial` of this block.
 
         Standard deviations are copied if they differ between trials.
         """
         per_trial = ("instrument_sigmas", "effect_sigmas") if self.instrument_sigmas.ndim == 3 else ()
         for name in ("chi2", "status_indices", "instrument_values", "target_errors", "effect_values", *per_trial):
-            mine, theirs = getattr(self, name), getattr(source, name)
+            mine, theirs = getattr(self, name), getattr(source_block, name)
             if len(mine):
                 shared = theirs.ndim < mine.ndim
-                mine[..., trial] = theirs if shared else theirs[..., min(place, theirs.shape[-1] - 1)]
+                mine[..., trial] = theirs if shared else theirs[..., min(source_trial, theirs.shape[-1] - 1)]
         for name, values in self.incidence_parameters.items():
-            if name in source.incidence_parameters:
-                values[:, trial] = source.incidence_parameters[name][:, place]
+            if name in source_block.incidence_parameters:
+                values[:, trial] = source_block.incidence_parameters[name][:, source_trial]
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class TrialCalibrator:
         """Calibrated block. Trials that are not in `trial_numbers` may be NaN."""
         raise NotImplementedError
 
-    def largest_difference(self, block: TrialBatch, trial: int, results: CalibratedBlock) -> float:
+    def largest_solver_difference(self, block: TrialBatch, trial: int, results: CalibratedBlock) -> float:
         """Largest difference [sigma] between the results for a trial and those of the full solver.
 
         It is NaN if the calibrator is the full solver.
@@ -159,16 +159,16 @@ def align_targets(adjustment: Adjustment, reference_points: Floats) -> Floats:
     return min(hands, key=lambda moved: float(np.nansum((moved - reference_points) ** 2)))
 
 
-def set_membership(truth: CellTruth, sets: Ints) -> tuple[Bools, Floats]:
+def measured_targets_and_weights(truth: CellTruth, set_numbers: Ints) -> tuple[Bools, Floats]:
     """Flags (O, T) of the T targets that O sets measured completely, and weights (n,) of n pointings.
 
-    The weight of a pointing is its share in the mean point of its set and target. `sets` (n,) is the set of each
+    The weight of a pointing is its share in the mean point of its set and target. `set_numbers` (n,) is the set of each
     pointing.
     """
     recording, targets = truth.recording, len(truth.recording.targets)
-    is_complete = np.asarray(recording.is_measured.all(axis=1) & truth.recorded_observables.all())
-    key = sets * targets + recording.target
-    n_members = np.bincount(key[is_complete], minlength=(int(sets.max()) + 1) * targets)
+    is_complete = np.asarray(recording.is_measured.all(axis=1) & truth.is_recorded_observable.all())
+    key = set_numbers * targets + recording.target
+    n_members = np.bincount(key[is_complete], minlength=(int(set_numbers.max()) + 1) * targets)
     return n_members.reshape(-1, targets) > 0, np.where(is_complete, 1.0 / np.maximum(n_members[key], 1), 0.0)
 
 
@@ -200,7 +200,7 @@ class SerialCalibrator(TrialCalibrator):
 
     def calibrate(self, block: TrialBatch, trial_numbers: Ints) -> CalibratedBlock:
         """Calibrated block; only the trials in `trial_numbers` are computed."""
-        calibrated = CalibratedBlock.without_solution(
+        calibrated = CalibratedBlock.from_failed_trials(
             self.truth, self.construction, self.effects, block.reading_deviations.shape[2]
         )
         for trial in trial_numbers.tolist():
@@ -260,8 +260,8 @@ class BatchCalibrator(TrialCalibrator):
     def batch_network(self) -> BatchNetwork:
         """Network with an inverted normal matrix, which gives the targets of all trials."""
         truth, built = self.truth, self.construction if self.method == "network" else ideal_construction()
-        program, recorded = truth.chain_program(built), truth.recorded_observables
-        return BatchNetwork(truth.recording, truth.state, built, program, self.effects, adjusted_observables=recorded)
+        program, recorded = truth.chain_program(built), truth.is_recorded_observable
+        return BatchNetwork(truth.recording, truth.state, built, program, self.effects, is_adjusted_observable=recorded)
 
     def calibrate_batch(self, block: TrialBatch, trial_numbers: Ints) -> tuple[CalibratedBlock, Bools]:
         """Calibrated block by the batch alone, and flags (B,) of the converged trials."""
@@ -290,7 +290,7 @@ class BatchCalibrator(TrialCalibrator):
             )
         return calibrated
 
-    def largest_difference(self, block: TrialBatch, trial: int, results: CalibratedBlock) -> float:
+    def largest_solver_difference(self, block: TrialBatch, trial: int, results: CalibratedBlock) -> float:
         """Largest difference [sigma] of parameters and targets of a trial between these results and the full solver.
 
         Targets are compared after a rigid fit, relative to their standard deviations in that frame. NaN for a failed

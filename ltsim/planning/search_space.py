@@ -35,13 +35,13 @@ NEST_ANGLE_MARGIN = 0.004
 """Margin [rad] of the acceptance angle for the iteration that aims fixed nests."""
 MAX_NAMES_IN_RULE_TEXT = 8
 """Largest number of names that a sentence lists."""
-N_PLACEMENT_DRAWS = 24
+N_DRAWN_PLACES_PER_STATION = 24
 """Number of candidate places that are drawn for a station of a random layout."""
 MAX_BRANCH_NODES = 3000
 """Largest number of nodes in the branch-and-bound tree for the places of stations; a few were sufficient in all halls
 that were tried.
 """
-RANDOM_PLACE_COST = 1e-4
+MAX_RANDOM_PLACE_COST = 1e-4
 """Size of the random costs of places, which make each draw different; they are small compared with the cost of one
 missing sight.
 """
@@ -208,8 +208,12 @@ class SearchSpace(ValueEquality):
                 rules.append(BrokenRule(f"{words} (smr.acceptance_deg)"))
         return tuple(rules)
 
-    def connectivity(self, is_visible: Bools) -> Floats:
-        """Number of stations connected to the first by two common targets, plus mean number of common targets, (B,)."""
+    def connectivity_scores(self, is_visible: Bools) -> Floats:
+        """Scores (B,) of B layouts: number of stations that are connected to the first one, and a fraction for ties.
+
+        Two stations are connected if they see at least two common targets, or through other stations. The fraction
+        grows with the mean number of common targets, of which at most three count for each pair of stations.
+        """
         shared = np.minimum(np.einsum("bst,brt->bsr", is_visible, is_visible, dtype=np.int64), MIN_VISIBLE_TARGETS)
         linked = np.linalg.matrix_power((shared > 1).astype(np.float64), shared.shape[1])[:, 0] > 0
         return np.asarray(linked.sum(axis=1) + shared.mean(axis=(1, 2)) / (MIN_VISIBLE_TARGETS + 1))
@@ -318,7 +322,7 @@ class StationPlacement:
         candidate_order = (
             np.arange(n_candidates)
             if random_generator is None
-            else random_generator.integers(n_candidates, size=min(N_PLACEMENT_DRAWS, n_candidates))
+            else random_generator.integers(n_candidates, size=min(N_DRAWN_PLACES_PER_STATION, n_candidates))
         )
         present_sights = self.n_fixed_sights + self.is_visible[used_places].sum(axis=0)
         added_sights = (
@@ -360,7 +364,7 @@ class StationPlacement:
         ]
         if len(first):
             limits.append(LinearConstraint(sp.hstack([pair_matrix, sp.csr_array((len(first), targets))]), -np.inf, 1.0))
-        cost = np.zeros(places) if random_generator is None else RANDOM_PLACE_COST * random_generator.random(places)
+        cost = np.zeros(places) if random_generator is None else MAX_RANDOM_PLACE_COST * random_generator.random(places)
         solution = milp(
             np.r_[cost, np.ones(targets)],
             constraints=limits,

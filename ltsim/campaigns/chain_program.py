@@ -78,7 +78,7 @@ class ChainProgram(NamedTuple):
             basis_derivatives=slope,
         )
 
-    def split_trials(self, n_trials: int) -> Self:
+    def with_trial_axis(self, n_trials: int) -> Self:
         """Arrays with a last index for the trial.
 
         The rows of these arrays are pointings; for each pointing, one row per trial follows the other.
