@@ -10,7 +10,7 @@ from ltsim.campaigns.truth import CellTruth, make_cell_truth
 from ltsim.geometry.polar import to_face, to_polar
 from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.model.construction import misalignment_construction
-from ltsim.physics.model.measurement import NetworkState, sightings_of
+from ltsim.physics.model.measurement import NetworkState, sightings_at_state
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.setup import Gauge, GaugeDistance, Setup
@@ -56,9 +56,9 @@ def room(stations: int, targets: int) -> CellTruth:
     )
     built = misalignment_construction()
     state = NetworkState(position, rotation, points, np.zeros((1, built.n_parameters)))
-    sigma = np.array([[p.sigma_from(recording.setup.instrument.prior) for p in built.parameters]])
+    sigma = np.array([[p.prior_sigma_from(recording.setup.instrument.prior) for p in built.parameters]])
     population = TrialDistributions(
-        sightings=sightings_of(recording, state),
+        sightings=sightings_at_state(recording, state),
         construction=built,
         instruments=("",),
         instrument_means=0 * sigma,

@@ -29,7 +29,7 @@ def displacements(scenario: Scenario, elevation: Floats, distance: float) -> Flo
     grid = np.array([[distance, a, e] for e in elevation for a in AZIMUTHS])
     change = built.reading_design(grid, np.zeros(built.n_parameters))[1]
     reach = np.stack([np.ones(len(grid)), distance * np.cos(grid[:, 2]), np.full(len(grid), distance)], axis=1)
-    sigma = np.array([p.sigma_from(scenario.instrument.prior) for p in built.parameters])
+    sigma = np.array([p.prior_sigma_from(scenario.instrument.prior) for p in built.parameters])
     moved = np.linalg.norm(change * reach[:, :, None], axis=1) * sigma
     rms: Floats = np.sqrt(np.mean(moved.reshape(len(elevation), len(AZIMUTHS), -1) ** 2, axis=1))
     return rms

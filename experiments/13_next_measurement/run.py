@@ -16,7 +16,7 @@ from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.model.construction import misalignment_construction
-from ltsim.physics.model.measurement import MeasurementModel, NetworkState, sightings_of
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState, sightings_at_state
 from ltsim.recordings import Recording
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.sections import EffectEntry
@@ -37,7 +37,9 @@ def measured(candidate: CandidateMeasurement, before: Recording, truth: Truth, s
     state = NetworkState(position, rotation, truth.target_points[order], values)
     readings = MeasurementModel(recording, construction).predict(state)
     for applied in truth.applied_effects:
-        readings = readings + applied.effect.reading_change(sightings_of(recording, state), applied.parameter_values)
+        readings = readings + applied.effect.reading_change(
+            sightings_at_state(recording, state), applied.parameter_values
+        )
     noise = stream(seed, "added").normal(size=readings.shape) * recording.sigma()
     added = np.arange(len(recording)) >= len(before)
     return recording.with_readings(np.where(added[:, None], readings + noise, recording.readings))

@@ -28,7 +28,7 @@ def population(config: dict[str, Any], trials: int) -> pd.DataFrame:
         )
         for name in config["standards"]
     }
-    prior = np.array([p.sigma_from(stated.prior) for p in built.parameters])
+    prior = np.array([p.prior_sigma_from(stated.prior) for p in built.parameters])
     harm, range_ = point_errors_by_constant(built, points, prior), to_polar(points)[:, 0]
     limit = np.hypot(np.sqrt(2) * limits.transverse_limit(range_), limits.range_limit(range_))
     parts = []

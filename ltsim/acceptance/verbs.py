@@ -30,7 +30,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError, as_setup_error, unknown_name
 from ltsim.core.notation import listing
 from ltsim.core.units import MICROMETRE
-from ltsim.physics.model.construction import construction_of_design
+from ltsim.physics.model.construction import construction_of_beam_origin
 from ltsim.recordings import read
 from ltsim.recordings.files import parse_comma_number, quoted_text
 from ltsim.recordings.recording import Recording
@@ -80,7 +80,7 @@ def _predict_or_evaluate(acceptance_settings: AcceptanceSettings, folder: Path) 
         )
     tests = acceptance_settings.make_tests(folder)
     limits_si = limits.to_instrument(acceptance_settings.construction)
-    model = construction_of_design(acceptance_settings.construction)
+    model = construction_of_beam_origin(acceptance_settings.construction)
     if acceptance_settings.measured is not None:
         plan = AcceptancePlan(tests, model, limits, limits_si.noise)
         errors = read_measured(folder / acceptance_settings.measured, tests, plan.permissible_errors)
@@ -93,7 +93,7 @@ def _predict_or_evaluate(acceptance_settings: AcceptanceSettings, folder: Path) 
         None if acceptance_settings.calibration is None else _load_calibration(folder / acceptance_settings.calibration)
     )
     model = model if calibration is None else calibration.construction
-    prior = np.array([p.sigma_from(limits_si.prior) for p in model.parameters])
+    prior = np.array([p.prior_sigma_from(limits_si.prior) for p in model.parameters])
     if calibration is None:
         mean, covariance = np.zeros(model.n_parameters), np.diag(prior**2)
         of = f"an instrument like the {limits.name or 'nominal'}"

@@ -132,8 +132,8 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
     chi2, dof = adjustment.chi2, adjustment.dof
     space = whole = ResidualSpace.from_adjustment(adjustment)
     model = adjustment.problem.model
-    axes = 2 if model.head_heights else 3  # heights that the network corrects anyway tell of no tripod
-    height_sigma = max((heads.sigma for heads in model.head_heights), default=0.0)
+    axes = 2 if model.height_errors else 3  # heights that the network corrects anyway tell of no tripod
+    height_sigma = max((heads.sigma for heads in model.height_errors), default=0.0)
     axis_derivatives = model.linearise(adjustment.state).target_derivatives[:, :, :axes]
     shifts = {
         i: whole.whiten(axis_derivatives * occupation.shift_sign[:, None, None])

@@ -13,7 +13,7 @@ from ltsim.core.arrays import Floats, Ints, batches
 from ltsim.core.units import PPM
 from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.physics.effects.air import reading_changes_per_sigma, turbulence_variance
-from ltsim.physics.effects.rays import relative_index_change_per_kelvin
+from ltsim.physics.effects.rays import relative_index_decrease_per_kelvin
 from ltsim.recordings.air import AirUncertainty
 from ltsim.recordings.coordinates import AXIS_NAMES, covariance_text
 from ltsim.solve.design import ROWS_PER_PIECE, DesignMatrix, to_dense, weight_rows
@@ -151,7 +151,7 @@ def shared_air_error_names(air: AirUncertainty) -> tuple[str, str]:
 
     Poses and targets absorb these errors, so that residuals do not show them.
     """
-    scale = air.temperature_k * relative_index_change_per_kelvin() / PPM
+    scale = air.temperature_k * relative_index_decrease_per_kelvin() / PPM
     return (
         f"air {air.temperature_k:g} K warmer at all stations than its thermometer (scale {scale:.2g} ppm)",
         f"vertical gradient of {air.gradient_k_per_m:g} K/m at all stations",

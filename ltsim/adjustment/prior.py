@@ -73,7 +73,7 @@ class ParameterPrior:
 def prior_sigmas(recording: Recording, construction: GeometricErrorModel) -> Floats:
     """Prior standard deviations (I, p) [SI] of the p geometric error parameters of each of I instruments."""
     priors = [recording.setup.instrument_named(name).prior for name in recording.instruments]
-    sigma_rows = [[p.sigma_from(prior) for p in construction.parameters] for prior in priors]
+    sigma_rows = [[p.prior_sigma_from(prior) for p in construction.parameters] for prior in priors]
     return np.array(sigma_rows, dtype=np.float64).reshape(len(priors), construction.n_parameters)
 
 

@@ -9,7 +9,7 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError, RecordError, option
 from ltsim.geometry.polar import to_face, to_polar, wrap_angle
 from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
-from ltsim.physics.model.incidence import incidence_shift
+from ltsim.physics.model.incidence import incidence_reading_change
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.recordings.recording import Recording
@@ -85,7 +85,7 @@ def incidence_reading_changes(recording: Recording, calibration: Calibration) ->
     except NetworkError:
         return np.zeros(recording.readings.shape)
     sightings = model.sightings(NetworkState(position, rotation, points, np.zeros((len(recording.instruments), 0))))
-    return incidence_shift(recording, sightings, reflectors)
+    return incidence_reading_change(recording, sightings, reflectors)
 
 
 def corrected_readings(recording: Recording, construction: GeometricErrorModel, values: Floats) -> Floats:

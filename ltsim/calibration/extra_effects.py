@@ -21,7 +21,7 @@ from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
 from ltsim.physics.effects.linear_effect import CandidateEffect, LinearEffect, Parameter, ShapeParameter
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.sizes import displayed_sizes
-from ltsim.physics.laws.words import law_suffix, regressor_text
+from ltsim.physics.laws.text_form import law_suffix, regressor_text
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import MAX_ALTERNATIONS

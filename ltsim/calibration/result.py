@@ -36,7 +36,7 @@ from ltsim.core.notation import listing, with_sigma
 from ltsim.core.probability import AGREEMENT_LEVEL
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE, PPM
 from ltsim.geometry.rigid import quaternion_from_matrix, rigid_motion_design
-from ltsim.physics.effects.motions import exact_target_change
+from ltsim.physics.effects.motions import exact_change_by_displacement
 from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import GeometricErrorModel
@@ -68,7 +68,7 @@ def reflector_entries(adjustment: Adjustment) -> tuple[ReflectorEntry, ...]:
     model, covariance = adjustment.problem.model, adjustment.effect_covariance
     values, units = model.incidence_parameters_by_reflector(adjustment.state.extra_parameters), SmrIncidence.parameters
     reflector_list = []
-    for error, at in zip(model.incidence_errors, model.incidence_columns, strict=True):
+    for error, at in zip(model.incidence_errors, model.incidence_parameter_slices, strict=True):
         sigma = np.sqrt(np.einsum("ij,jk,ik->i", error.covariance_root, covariance[at, at], error.covariance_root))
         cells = zip(units, values[error.reflector].tolist(), sigma.tolist(), strict=True)
         parameters = tuple(
@@ -352,9 +352,9 @@ def criteria_table(
             return evaluate_criteria(recording, row_mask=use)
         applied = parameter_values[0] if len(parameter_values) == 1 else parameter_values[recording.instrument]
         model, state = adjustment.problem.model, adjustment.state
-        shift = model.effects_change(adjustment.sightings, state.extra_parameters)
+        shift = model.change_by_effects(adjustment.sightings, state.extra_parameters)
         if corrects_reflectors and np.any(parameter_values):
-            shift += model.incidence_change(adjustment.sightings, state.extra_parameters)
+            shift += model.change_by_incidence_errors(adjustment.sightings, state.extra_parameters)
         return evaluate_criteria(recording, construction, applied, reading_changes=shift, row_mask=use)
     except NetworkError:
         return None
@@ -365,7 +365,7 @@ def _recording_with_reference_smr(recording: Recording, adjustment: Adjustment) 
     offsets = smr_radius_offsets(recording)
     if offsets is None:
         return recording
-    readings = recording.readings + exact_target_change(adjustment.sightings, -offsets)
+    readings = recording.readings + exact_change_by_displacement(adjustment.sightings, -offsets)
     return recording.replace(readings=readings, setup=recording.setup.model_copy(update={"reflectors": {}}))
 
 

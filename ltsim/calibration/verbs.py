@@ -26,7 +26,7 @@ from ltsim.core.arguments import check_mapping
 from ltsim.core.errors import LtsimError, ModelError, RecordError, option, unknown_name
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.verbs import SizedEffect, effect_tuple, make_effect, name_tuple
-from ltsim.physics.laws.words import parse_law
+from ltsim.physics.laws.text_form import parse_law
 from ltsim.physics.model.construction import GeometricErrorModel, make_construction as construction_called
 from ltsim.recordings import Recording
 from ltsim.recordings.exchange import RecordingSource, load_recording, read

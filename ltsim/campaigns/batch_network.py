@@ -27,7 +27,7 @@ from ltsim.geometry.rigid import pose_design
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.physics.model.incidence import IncidenceErrors
-from ltsim.physics.model.measurement import MeasurementModel, NetworkState, Prediction, sightings_of
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState, Prediction, sightings_at_state
 from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.chain import inverse_from_cholesky
@@ -212,7 +212,7 @@ class BatchNetwork:
     def _point_derivatives(self) -> Floats:
         """Derivative (n, 3, 3) of an ideal tracker's readings with respect to the target in the instrument's frame."""
         return (
-            sightings_of(self.recording, self.state).local_derivatives
+            sightings_at_state(self.recording, self.state).local_derivatives
             if self.shared_quantities is None
             else self.shared_quantities.point_derivatives
         )
@@ -257,7 +257,9 @@ class BatchNetwork:
             isinstance(error, IncidenceErrors) and error.mean_parameters.any() for error in self.model.nuisance_errors
         ):
             return None
-        return self.model.extra_change(self._extra_sightings, self.nominal_state.extra_parameters)[:, :, None]
+        return self.model.change_by_extra_parameters(self._extra_sightings, self.nominal_state.extra_parameters)[
+            :, :, None
+        ]
 
     @cached_property
     def reading_sigmas(self) -> Floats:

@@ -133,7 +133,10 @@ class ExpectedTruth:
         ]
         reflector_values = np.concatenate([np.zeros(0), *reflectors])
         columns = np.concatenate(
-            [unknowns.instrument_columns.ravel(), *(unknowns.effect_columns[at] for at in model.incidence_columns)]
+            [
+                unknowns.instrument_columns.ravel(),
+                *(unknowns.effect_columns[at] for at in model.incidence_parameter_slices),
+            ]
         )
         is_free = np.concatenate([~calibration.is_fixed.ravel(), np.ones(len(reflector_values), dtype=bool)])
         units = np.concatenate([prior, np.ones(len(reflector_values))])

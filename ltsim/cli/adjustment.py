@@ -96,7 +96,7 @@ def correct(
 
     from ltsim.calibration.files import read_calibration
     from ltsim.geometry.polar import wrap_angle
-    from ltsim.physics.effects import title_of
+    from ltsim.physics.effects import effect_title
 
     recording, instrument = reading_options.read(source), read_calibration(calibration)
     corrected_recording = lt.correct(recording, instrument, allow_repeated=force, allow_rejected=allow_rejected)
@@ -104,7 +104,7 @@ def correct(
     if not instrument.instrument_parameter_names:
         terminal.print_notes(["this calibration contains no instrument parameters; the readings do not change"])
     if instrument.effects:
-        estimated = ", ".join(title_of(effect.effect) for effect in instrument.effects)
+        estimated = ", ".join(effect_title(effect.effect) for effect in instrument.effects)
         terminal.print_notes([f"effects estimated with the calibration are not removed from the readings: {estimated}"])
     if instrument.correction is not None:
         terminal.print_notes(instrument.correction.sentences)

@@ -10,7 +10,7 @@ from ltsim.cli.terminal import Terminal
 from ltsim.core.notation import align_columns
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects import CATALOGUE, Effect, catalogue_entry, find_effect
-from ltsim.physics.effects.catalogue import BUILTIN_ORIGIN
+from ltsim.physics.effects.catalogue import BUILTIN_PROVIDER
 from ltsim.physics.effects.effect import ShapeParameter
 
 EffectNameArgument = Annotated[
@@ -52,7 +52,7 @@ def effects(name: EffectNameArgument = None, *, terminal: Terminal) -> None:
             terminal.print_text(f"\n{group}" if name != name_and_text_rows[0][0] else group)
         terminal.print_text(
             f"  {name:<{width}}  {text}"
-            + (f" [{registration.provider}]" if registration.provider != BUILTIN_ORIGIN else "")
+            + (f" [{registration.provider}]" if registration.provider != BUILTIN_PROVIDER else "")
         )
     terminal.print_text(f"\n{len(name_and_text_rows)} effects. Details of an effect: ltsim effects NAME")
 
@@ -118,7 +118,7 @@ def catalogue_entry_text(effect: type[Effect]) -> str:
     sections = [*entry.sections(), ("Acts on", ", ".join(effect.observables)), ("Scope", effect.scope)]
     sections += [("Stage", effect.stage.name.lower())]
     sections += [("Depends on", ", ".join(effect.covariates))] if effect.covariates else []
-    sections += [("Comes from", registration.provider)] if registration.provider != BUILTIN_ORIGIN else []
+    sections += [("Comes from", registration.provider)] if registration.provider != BUILTIN_PROVIDER else []
     for name, text in sections:
         lines += textwrap.wrap(
             f"{name:<{LABEL_WIDTH}}{text}", TEXT_WIDTH, subsequent_indent=" " * LABEL_WIDTH, break_on_hyphens=False

@@ -272,7 +272,7 @@ def calibrate_workshop(demo_folder: Path, seed: int) -> str:
 def diagnose_injected_effect(demo_folder: Path, seed: int) -> str:
     """Inject an effect into a second recording, diagnose the recording, and return effect and diagnosis in words."""
     from ltsim.core.randomness import stream
-    from ltsim.physics.effects import title_of
+    from ltsim.physics.effects import effect_title
 
     entry = DEMO_EFFECTS[int(stream(seed, "demo", "hidden").integers(len(DEMO_EFFECTS)))]
     recording, truth = lt.simulate("paper-workshop-two-face", seed=seed, changes={"effects": [entry]})
@@ -280,7 +280,7 @@ def diagnose_injected_effect(demo_folder: Path, seed: int) -> str:
     diagnosis = lt.diagnose(recording, seed=seed, held_out=True)
     lt.write(diagnosis, folder, recording=recording)
     lt.write(truth, folder / "truth.json")
-    return f"injected: {title_of(entry['name'])} ({entry['stations'][0]}); blind diagnosis: {diagnosis.summary}"
+    return f"injected: {effect_title(entry['name'])} ({entry['stations'][0]}); blind diagnosis: {diagnosis.summary}"
 
 
 def run_demo_campaign(demo_folder: Path, seed: int) -> str:

@@ -20,7 +20,7 @@ from ltsim.diagnosis.evidence import log_means_by_group, noise_level_factor, sim
 from ltsim.diagnosis.hypotheses import Hypothesis
 from ltsim.diagnosis.null_ensemble import NullEnsemble, row_gram
 from ltsim.diagnosis.prior import log_prior_share
-from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
+from ltsim.physics.effects import CATALOGUE, MISALIGNMENT_EFFECTS
 from ltsim.physics.effects.effect import Effect, LightPathStage, NoiseEffect
 from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.effects.range_scale import RangeScale
@@ -32,7 +32,7 @@ MAX_SPARSE_FRACTION = 0.15
 """Fraction of nonzero rows below which a design matrix is stored as sparse. It affects only the computing time."""
 
 
-ORDINARY_CALIBRATION_TYPES = {type(effect) for effect in BASELINE_EFFECTS}
+ORDINARY_CALIBRATION_TYPES = {type(effect) for effect in MISALIGNMENT_EFFECTS}
 """Effects of the ordinary calibration, whose constants every adjustment estimates. As a hypothesis, such an effect
 means that its constants are larger than their prior permits."""
 

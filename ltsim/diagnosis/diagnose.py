@@ -40,7 +40,7 @@ from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.laws.law import EmpiricalLaw
-from ltsim.physics.laws.responses import VARIED_CONSTANTS, constants_of_slot
+from ltsim.physics.laws.responses import VARIED_CONSTANTS_BY_RESPONSE, constant_names_of_slot
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
@@ -161,8 +161,8 @@ def diagnose(
 
 def _varies_constant(constant: str, effects: Sequence[CandidateEffect]) -> bool:
     """True if one of the effects varies the constant with the name `constant`, which then has no single value."""
-    laws = (VARIED_CONSTANTS.get(e.response.name, ()) for e in effects if isinstance(e, EmpiricalLaw))
-    drifts = (constants_of_slot(getattr(e, "slot", "")) for e in effects)
+    laws = (VARIED_CONSTANTS_BY_RESPONSE.get(e.response.name, ()) for e in effects if isinstance(e, EmpiricalLaw))
+    drifts = (constant_names_of_slot(getattr(e, "slot", "")) for e in effects)
     parameters = ([p.name for p in e.parameters] for e in effects)
     return any(constant in varied for varied in (*laws, *drifts, *parameters))
 

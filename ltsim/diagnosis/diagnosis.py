@@ -178,7 +178,7 @@ class Diagnosis(ResultFile):
         """
         adjusted, state = self.final_adjustment, self.final_adjustment.state
         model = adjusted.problem.model
-        change = model.effects_change(model.sightings(state), state.extra_parameters) + self.arrays.averaging_change
+        change = model.change_by_effects(model.sightings(state), state.extra_parameters) + self.arrays.averaging_change
         change = np.where(adjusted.is_rejected, change + adjusted.residuals, change)
         corrected = recording.readings - adjusted.recording.readings
         corrected[:, 1:] = wrap_angle(corrected[:, 1:])

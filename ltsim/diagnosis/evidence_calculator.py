@@ -17,7 +17,7 @@ from ltsim.diagnosis.evidence import index_of_best, log_evidence_of_coefficients
 from ltsim.diagnosis.hypotheses import Model
 from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.laws.law import EmpiricalLaw
-from ltsim.physics.laws.responses import RESPONSES_BY_NAME
+from ltsim.physics.laws.responses import RESPONSE_AND_DESIGN_BY_NAME
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 CachedType = TypeVar("CachedType", bound=CandidateEffect)
@@ -162,7 +162,9 @@ class EvidenceCalculator:
     def _response_changes(self, name: str) -> Floats:
         """Whitened change (m, c) of the readings per unit of each of c components of a changed quantity, cached."""
         if name not in self._changes_by_response:
-            self._changes_by_response[name] = self.space.whiten(RESPONSES_BY_NAME[name][1](self.space.sightings))
+            self._changes_by_response[name] = self.space.whiten(
+                RESPONSE_AND_DESIGN_BY_NAME[name][1](self.space.sightings)
+            )
         return self._changes_by_response[name]
 
     def _cache_projected_grams(

@@ -36,16 +36,16 @@ from ltsim.diagnosis.words import (
     law_sentence,
     unknown_effect_sentence,
 )
-from ltsim.physics.effects import BASELINE_EFFECTS
+from ltsim.physics.effects import MISALIGNMENT_EFFECTS
 from ltsim.physics.effects.effect import Effect, SlotEffect
 from ltsim.physics.effects.linear_effect import CandidateEffect, n_constants
 from ltsim.physics.effects.outlier import Outlier
 from ltsim.physics.laws.centring import CentringVariance
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.places import instrument_places
-from ltsim.physics.laws.regressors import covariate_file_names
+from ltsim.physics.laws.regressors import covariate_names_in_files
+from ltsim.physics.laws.text_form import covariate_value_text, law_suffix, region_text, regressor_text
 from ltsim.physics.laws.variance import VarianceFunction
-from ltsim.physics.laws.words import covariate_value_text, law_suffix, region_text, regressor_text
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
@@ -53,7 +53,7 @@ MAX_REPORTED_NOISE_SIZES = 12
 """Largest number of targets, set-ups or readings whose sizes a finding on separate noise reports."""
 MIN_LISTED_CHI2_FRACTION = 0.8
 """Smallest fraction of the chi-square decrease of a finding that the listed readings have together."""
-BASELINE_EFFECT_TYPES = tuple(type(effect) for effect in BASELINE_EFFECTS)
+BASELINE_EFFECT_TYPES = tuple(type(effect) for effect in MISALIGNMENT_EFFECTS)
 """Effects of the ordinary calibration, which are findings only if they exceed their prior."""
 
 
@@ -146,7 +146,8 @@ class ExplainedRecording:
         size_estimates = [size for size in self.refit.estimates[member] if size.parameter in effect.parameters]
         is_significant = isinstance(effect, EmpiricalLaw) or gain > MIN_SIGNIFICANT_SIGMAS**2 * n_constants(effect)
         is_significant |= any(abs(size.value) > MIN_SIGNIFICANT_SIGMAS * size.sigma for size in size_estimates)
-        p_located, anywhere = self.p_located[member], FindingScope(covariates=covariate_file_names(effect.covariates))
+        p_located = self.p_located[member]
+        anywhere = FindingScope(covariates=covariate_names_in_files(effect.covariates))
         is_specific = self._scope(effect) != anywhere or p_located >= MIN_PROBABLE
         if not (is_significant and is_specific):
             return 0.0
@@ -275,7 +276,7 @@ class ExplainedRecording:
         if isinstance(effect, BASELINE_EFFECT_TYPES):
             name = recording.instruments[self._instrument_index(effect)]
             prior = recording.setup.instrument_named(name).prior
-            declared = ((p.sigma_from(prior) / p.si_per_display_unit, p.unit) for p in effect.parameters)
+            declared = ((p.prior_sigma_from(prior) / p.si_per_display_unit, p.unit) for p in effect.parameters)
             sigmas = ", ".join(f"{number_text(sigma, 2)} {unit}" for sigma, unit in declared)
             return f" Its declared prior is zero with a standard deviation of {sigmas}."
         implausible = " Such a size is hardly plausible for this cause. Check other causes too."

@@ -13,7 +13,7 @@ from ltsim.diagnosis.prior import P_CAP_TESTS
 from ltsim.diagnosis.schema import Equivalent, Finding, FindingEvidence, ParameterEstimate
 from ltsim.diagnosis.scopes import confined_scope
 from ltsim.diagnosis.words import percent_text
-from ltsim.physics.effects import BASELINE_EFFECTS, parameter_text
+from ltsim.physics.effects import MISALIGNMENT_EFFECTS, parameter_text
 from ltsim.physics.effects.linear_effect import Parameter
 from ltsim.recordings.recording import OBSERVABLES
 
@@ -88,7 +88,7 @@ def instrument_finding(contradiction: ConstantContradiction) -> Finding:
 
 def _effect_of_constant(constant: Parameter) -> str:
     """Name of the effect of the ordinary calibration to which a constant belongs."""
-    return next(e.name for e in BASELINE_EFFECTS if constant.name in {q.name for q in e.parameters})
+    return next(e.name for e in MISALIGNMENT_EFFECTS if constant.name in {q.name for q in e.parameters})
 
 
 EFFECT_BY_CAUSE = {

@@ -21,9 +21,9 @@ from ltsim.diagnosis.products import may_have_a_second_factor, product_forms
 from ltsim.diagnosis.schema import ResponseCurve
 from ltsim.diagnosis.space import MIN_POINTINGS_PER_COEFFICIENT
 from ltsim.diagnosis.switches import MAX_PIECES, N_INTERVALS_AFTER_MAXIMUM, n_resembling_waves, switched_forms
+from ltsim.physics.laws.catalogue_names import catalogue_name
 from ltsim.physics.laws.columns import fourier_columns
 from ltsim.physics.laws.law import EmpiricalLaw
-from ltsim.physics.laws.names import catalogue_name
 from ltsim.physics.laws.regressors import CONSTANT_REGRESSOR, COORDINATE_COVARIATES, Regressor
 from ltsim.scene.sightings import Sightings
 
@@ -50,7 +50,7 @@ def evaluate_forms(
     Steps, ramps and switches are tried only with `pieces`.
     """
     sightings = calculator.space.sightings
-    law = law.equivalent_index_law(sightings)
+    law = law.equivalent_vertical_index_law(sightings)
     base_evidence = log_prior + float(np.log(len(law.regressor.coefficient_sigmas)))
     hypotheses = (
         _piecewise_forms(calculator, law, base_evidence + float(np.log(P_RARE_FORM)), base_model) if pieces else []
@@ -60,7 +60,7 @@ def evaluate_forms(
     switch_hypotheses = switched_forms(calculator, permanent_law, base_evidence + share, base_model) if pieces else []
     base_evidence += float(np.log(1.0 - P_RARE_FORM)) if switch_hypotheses else 0.0
     hypotheses += switch_hypotheses
-    setup_laws = law.per_setup(sightings)
+    setup_laws = law.with_coefficients_per_setup(sightings)
     hypotheses += _functional_forms(
         calculator, law, base_evidence + (np.log(1.0 - P_RARE_FORM) if setup_laws else 0.0), base_model
     )
@@ -152,7 +152,13 @@ def _forms_at_set_ups(calculator: EvidenceCalculator, form: Hypothesis, base_mod
     )
     drivers = [d for d in dict.fromkeys(drivers) if all(f.covariates != ("station",) for f in (d, *d.factors))]
     laws = [
-        replace(law, stations=(name,), regressor=driver.centred_on(law.targets), scale_index=0, direction=())
+        replace(
+            law,
+            stations=(name,),
+            regressor=driver.with_field_centred_on(law.targets),
+            length_scale_index=0,
+            direction=(),
+        )
         for driver in drivers
         for name in stations
     ]
@@ -173,7 +179,7 @@ def _forms_at_set_ups(calculator: EvidenceCalculator, form: Hypothesis, base_mod
         replace(h, log_prior=form.log_prior, log_evidence=h.log_evidence + form.log_prior - h.log_prior)
         for h in with_ratios
         if isinstance(h.effect, EmpiricalLaw)
-        and h.effect.regressor == law.regressor.centred_on(law.targets)
+        and h.effect.regressor == law.regressor.with_field_centred_on(law.targets)
         and abs(h.log_evidence - h.log_prior - evidence) < MAX_ABSORBED_EVIDENCE_DIFFERENCE
     ]
     return same[:1] or [form, *with_ratios]
@@ -247,7 +253,7 @@ def response_curve(law: EmpiricalLaw, sightings: Sightings, mean: Floats, covari
         order = np.argsort(x, kind="stable")
         chosen = order[np.unique(np.linspace(0, len(order) - 1, N_CURVE_POINTS).round().astype(int))]
         at, columns = x[chosen], law.columns(sightings)[law.row_weights(sightings) > 0][chosen]
-    unit, factor = law.response.display_unit_of(int(np.argmax(np.abs(way))))
+    unit, factor = law.response.display_unit_and_factor(int(np.argmax(np.abs(way))))
     sigma = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", columns, covariance, columns), 0.0))
     curve_values = columns @ mean
     return ResponseCurve(

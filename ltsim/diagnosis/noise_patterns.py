@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.diagnosis.noise_groups import NOISY_OBSERVABLE_SETS
 from ltsim.physics.laws.places import LawPlace, target_clusters
-from ltsim.physics.laws.regressor_library import MAX_SEPARATE_TARGETS, additional_columns
+from ltsim.physics.laws.regressor_library import MAX_SEPARATE_TARGETS, additional_column_names
 from ltsim.physics.laws.variance import REPETITION_KINDS, VarianceFunction, noise_covariate
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.regions import candidate_regions
@@ -47,7 +47,7 @@ def variance_functions(
         *(VarianceFunction(stations=p.stations, instruments=p.instruments) for p in instrument_places),
     ]
     for at, acts, name, falling in product(
-        places, NOISY_OBSERVABLE_SETS[:-1], [*regressors, *additional_columns(sightings)], (False, True)
+        places, NOISY_OBSERVABLE_SETS[:-1], [*regressors, *additional_column_names(sightings)], (False, True)
     ):
         pattern = replace(at, observables=acts, covariates=(name,), decreases=falling)
         yield " and ".join(acts), pattern, ADDED_VARIANCES_AT_MAXIMUM
@@ -88,7 +88,7 @@ def _covariate_bands(sightings: Sightings) -> Iterator[tuple[str, tuple[float, f
             if MIN_SECTOR_FRACTION <= inside.mean() <= 1.0 - MIN_SECTOR_FRACTION:
                 yield name, band
     names = ["elevation", "distance", "height", "lapse", "move-azimuth", "move-elevation"]
-    names += additional_columns(sightings)
+    names += additional_column_names(sightings)
     names += ["incidence"] if np.isfinite(sightings.incidence).any() else []
     for name in names:
         x = noise_covariate(sightings, name)

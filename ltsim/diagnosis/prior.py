@@ -3,7 +3,7 @@
 That there is a cause, and that there is none, have equal prior probabilities. The probability of a cause is divided
 among kinds of explanations, and each part equally among all explanations of its kind that are possible in a recording.
 These are effects of the catalogue with their places and shapes, and laws with their responses, regressors and places.
-Each operator of a regressor has the factor `laws.regressor_library.OPERATOR_ODDS`. `prior_rows` is the table on the
+Each operator of a regressor has the factor `laws.regressor_library.ODDS_PER_OPERATOR`. `prior_rows` is the table on the
 theory page. The numbers are judgements of how often a cause occurs in service. Several were revised after experiments
 with known causes. A factor of two in one of them changes the log evidence by 0.7.
 """

@@ -13,10 +13,10 @@ from ltsim.diagnosis.evidence import MAX_REFINED_DEFICIT, index_of_best
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.diagnosis.switches import switched_forms
-from ltsim.physics.laws.columns import N_MODES_FACTOR
+from ltsim.physics.laws.catalogue_names import catalogue_name
+from ltsim.physics.laws.columns import N_MODES_IN_PRODUCT
 from ltsim.physics.laws.law import EmpiricalLaw
-from ltsim.physics.laws.names import catalogue_name
-from ltsim.physics.laws.regressor_library import OPERATOR_ODDS
+from ltsim.physics.laws.regressor_library import ODDS_PER_OPERATOR
 from ltsim.physics.laws.regressors import (
     CLOCK_COVARIATES,
     LEVER_FUNCTION,
@@ -71,7 +71,7 @@ def product_forms(calculator: EvidenceCalculator, form: Hypothesis, base_model: 
     laws = [_law_product(law, weight) for weight in weights]
     log_evidences = calculator.log_evidence(laws, base_model)
     top = index_of_best(log_evidences)
-    prior = form.log_prior + float(np.log(OPERATOR_ODDS / len(weights)))
+    prior = form.log_prior + float(np.log(ODDS_PER_OPERATOR / len(weights)))
     if log_evidences[top] + prior < form.log_evidence - MAX_REFINED_DEFICIT:
         return []
     refined, value = calculator.refine_locally([laws[top]], base_model)[0]
@@ -81,7 +81,7 @@ def product_forms(calculator: EvidenceCalculator, form: Hypothesis, base_model: 
         factor = (
             weight
             if weight.region is not None
-            else Regressor("product", factors=(smooth_regressor("time", N_MODES_FACTOR), weight))
+            else Regressor("product", factors=(smooth_regressor("time", N_MODES_IN_PRODUCT), weight))
         )
         alone = replace(refined, regressor=factor)
         products += switched_forms(calculator, alone, prior, base_model, refine=False)
@@ -91,4 +91,4 @@ def product_forms(calculator: EvidenceCalculator, form: Hypothesis, base_model: 
 def _law_product(law: EmpiricalLaw, weight: Regressor) -> EmpiricalLaw:
     """Product of a law with the second factor `weight`. A region is the first factor of the product."""
     factors = (weight, law.regressor) if weight.region is not None else (law.regressor, weight)
-    return replace(law, regressor=Regressor("product", factors=factors), scale_index=0)
+    return replace(law, regressor=Regressor("product", factors=factors), length_scale_index=0)

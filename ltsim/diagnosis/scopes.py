@@ -4,7 +4,7 @@ from ltsim.diagnosis.schema import FindingScope
 from ltsim.physics.effects.effect import NoiseEffect
 from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.laws.law import EmpiricalLaw
-from ltsim.physics.laws.regressors import covariate_file_names
+from ltsim.physics.laws.regressors import covariate_names_in_files
 from ltsim.physics.laws.variance import VarianceFunction
 from ltsim.recordings.recording import OBSERVABLES
 
@@ -23,7 +23,7 @@ def effect_scope(effect: CandidateEffect, carrying_observables: tuple[str, ...] 
         stations=() if instruments else stations,
         targets=effect.targets,
         instruments=instruments,
-        covariates=covariate_file_names(effect.covariates),
+        covariates=covariate_names_in_files(effect.covariates),
     )
 
 

@@ -39,8 +39,8 @@ from ltsim.diagnosis.schema import ParameterEstimate
 from ltsim.diagnosis.shapes import are_distinct, centre_estimates, interpolate_shape, shape_posterior
 from ltsim.diagnosis.space import law_batches
 from ltsim.physics.effects.linear_effect import CandidateEffect, ShapeParameter
+from ltsim.physics.laws.catalogue_names import catalogue_name
 from ltsim.physics.laws.law import EmpiricalLaw
-from ltsim.physics.laws.names import catalogue_name
 from ltsim.physics.laws.sizes import displayed_sizes
 
 MAX_RIGID_COEFFICIENTS = 10
@@ -252,7 +252,7 @@ class Searcher:
         order = ranked_indices(np.array([h.log_evidence for h in laws]), MAX_SINGLE_ROUNDING_ERROR)
         laws = [laws[i] for i in order[:MAX_RANKED_LAWS]]
         for hit in laws:
-            place, driver = hit.place, hit.regressor.centred_on(hit.place.targets)
+            place, driver = hit.place, hit.regressor.with_field_centred_on(hit.place.targets)
             law = EmpiricalLaw(place.stations, place.targets, hit.response, driver, place.instruments)
             key = (hit.response.name, driver.kind, driver.covariate_labels, place.stations, place.targets)
             kind = hit.response.name, driver.kind, len(place.targets) == 1

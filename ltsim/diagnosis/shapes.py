@@ -198,7 +198,7 @@ def centre_estimates(
     )
     return tuple(
         ParameterEstimate(name=f"centre-{axis}", value=float(value), sigma=float(np.sqrt(v)), unit="m")
-        for axis, value, v in zip(effect.hall_axes, centre, variance, strict=True)
+        for axis, value, v in zip(effect.source_position_axes, centre, variance, strict=True)
     )
 
 

@@ -18,7 +18,7 @@ from ltsim.core.arrays import Floats, Singles
 from ltsim.diagnosis.evidence import noise_level_factor
 from ltsim.diagnosis.law_batch import MAX_CACHED_COLUMN_ENTRIES, LawBatch, RegressorColumns, RowPartition
 from ltsim.diagnosis.prior import CAUSE_PRIOR, PLACE_PRIOR, RESPONSE_PRIOR, RESPONSE_PRIOR_AT_TARGETS
-from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_FACTOR
+from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_IN_PRODUCT
 from ltsim.physics.laws.places import (
     LawPlace,
     connected_groups,
@@ -30,12 +30,12 @@ from ltsim.physics.laws.places import (
 )
 from ltsim.physics.laws.regressor_library import (
     ACCUMULATED_ROTATIONS,
-    OPERATOR_COUNTS,
-    OPERATOR_ODDS,
+    N_OPERATORS_BY_REGRESSOR_KIND,
+    ODDS_PER_OPERATOR,
     candidate_regressors,
     is_admissible,
     target_group_regressors,
-    visits,
+    visit_regressors,
     wave_regressors,
 )
 from ltsim.physics.laws.regressors import CLOCK_COVARIATES, Regressor
@@ -49,7 +49,7 @@ GROUPED_TARGET_COUNTS = range(12, 101)
 and more take too much computing time."""
 MIN_POINTINGS_PER_FINE_COEFFICIENT = 4
 """Number of pointings of a set-up per coefficient, above which a curve of one set-up has `N_MODES_DEFAULT`
-eigenfunctions. With fewer pointings it has `N_MODES_FACTOR`."""
+eigenfunctions. With fewer pointings it has `N_MODES_IN_PRODUCT`."""
 MIN_POINTINGS_PER_COEFFICIENT = 2
 """Smallest number of pointings per coefficient at the places of a law; otherwise the law is not tried. The adjustment
 absorbs about half of the information of the pointings.
@@ -103,7 +103,7 @@ def _kinds_of_places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ..
     setup_regressors = (
         general_regressors
         if median_pointings > MIN_POINTINGS_PER_FINE_COEFFICIENT * N_MODES_DEFAULT
-        else candidate_regressors(s, N_MODES_FACTOR)
+        else candidate_regressors(s, N_MODES_IN_PRODUCT)
     )
     setup_waves = list(wave_regressors(s, ("station-time",), n_parts=len(s.station_names)))
     return [
@@ -125,7 +125,11 @@ def _kinds_of_places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ..
         (
             "target",
             targets,
-            {"constant": general_regressors["constant"], "clock": general_regressors["clock"], "amounts": visits(s, 2)},
+            {
+                "constant": general_regressors["constant"],
+                "clock": general_regressors["clock"],
+                "amounts": visit_regressors(s, 2),
+            },
         ),
         ("group", place_groups, target_group_regressors(s) if place_groups else {}),
     ]
@@ -188,8 +192,8 @@ class _LawBatchBuilder:
                     for d in regressors
                     if is_admissible(kind, d, self._sightings) and (name != "wave" or _is_wave_candidate(kind, d))
                 ]
-                depth = OPERATOR_COUNTS[name] + max(n_joint_observables - 1, 0)
-                weight = PLACE_PRIOR[place_kind] * kinds[kind] * OPERATOR_ODDS**depth / n_responses
+                depth = N_OPERATORS_BY_REGRESSOR_KIND[name] + max(n_joint_observables - 1, 0)
+                weight = PLACE_PRIOR[place_kind] * kinds[kind] * ODDS_PER_OPERATOR**depth / n_responses
                 self._divide_weight(
                     tuple(c for c, _ in kind_responses if _changes_with_region(name, c)),
                     admissible_regressors,

@@ -17,8 +17,8 @@ from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.evidence import index_of_best, log_evidence_of_coefficients
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
+from ltsim.physics.laws.catalogue_names import catalogue_name
 from ltsim.physics.laws.law import EmpiricalLaw
-from ltsim.physics.laws.names import catalogue_name
 from ltsim.physics.laws.regressor_library import MIN_EFFECTIVE_TARGETS, wave_regressors
 from ltsim.physics.laws.regressors import Regressor, scalar_regressor
 from ltsim.scene.sightings import Sightings
@@ -56,7 +56,7 @@ def n_resembling_waves(law: EmpiricalLaw, sightings: Sightings) -> int:
 
     The law with the best of these waves represents any switch. The prior of the switch is multiplied by their number.
     """
-    swing = law.switched_factor
+    swing = law.switchable_factor
     if swing is None or swing.kind != "wave":
         return 1
     return sum(wave.covariates == swing.covariates for wave in wave_regressors(sightings))
@@ -70,7 +70,7 @@ def switched_forms(
     The region of a law is fitted by a local search before its times, unless `refine` is false.
     """
     sightings = calculator.space.sightings
-    edges = law.candidate_switch_times(sightings)
+    edges = law.candidate_switch_steps(sightings)
     if len(edges) < N_INTERVALS_AFTER_MAXIMUM:
         return []
     if law.depends_on_fixed_region and refine:

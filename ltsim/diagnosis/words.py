@@ -8,7 +8,7 @@ from ltsim.adjustment.significance import MIN_CLEAR_SIGMAS
 from ltsim.core.notation import MAX_LISTED_ITEMS, listing, with_sigma
 from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS
 from ltsim.diagnosis.schema import Finding, FindingScope, InstrumentEntry, Misfit, ParameterEstimate
-from ltsim.physics.effects import catalogue_entry, find_effect, parameter_text, title_of
+from ltsim.physics.effects import catalogue_entry, effect_title, find_effect, parameter_text
 
 MIN_PROBABLE = 0.5
 """Smallest probability at which a name or an effect is reported as probable. It is then more probable than not."""
@@ -35,7 +35,7 @@ def estimates_phrase(parameters: Sequence[ParameterEstimate]) -> str:
 
 def effect_text(name: str) -> str:
     """Title of an effect within a sentence, from its name in the catalogue or `unknown`."""
-    return "an effect outside the catalogue" if name == "unknown" else title_of(name)
+    return "an effect outside the catalogue" if name == "unknown" else effect_title(name)
 
 
 def _estimate_text(parameter: ParameterEstimate) -> str:

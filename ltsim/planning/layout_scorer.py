@@ -72,7 +72,7 @@ class NormalBlocks:
 def target_weights(incidence_errors: IncidenceErrors, pointing_targets: Ints, n_targets: int) -> Floats:
     """Weights (T,): 1 for the targets in `pointing_targets` (n,) whose reflector has these errors, else 0."""
     weights = np.zeros(n_targets)
-    np.maximum.at(weights, pointing_targets, incidence_errors.reflector_weights)
+    np.maximum.at(weights, pointing_targets, incidence_errors.reflector_indicator)
     return weights
 
 
@@ -218,7 +218,8 @@ class LayoutScorer:
         )
         by_target = by_point @ np.swapaxes(sightings.station_rotations[sightings.station], 1, 2)
         reflectors = [
-            replace(e, reflector_weights=acts[sightings.target]).design(sightings) for e, acts in self._incidence_errors
+            replace(e, reflector_indicator=acts[sightings.target]).design(sightings)
+            for e, acts in self._incidence_errors
         ]
         designs = [*reflectors, by_value, *(effect.design(sightings) for effect in self.effects)]
         sigma = self.survey.nominal_noise(sightings)

@@ -8,7 +8,7 @@ from pydantic import Field
 from ltsim.adjustment.remedies.candidates import list_text
 from ltsim.adjustment.remedies.next_measurement import MeasurementProposal, RankedProposals
 from ltsim.core.results import Column, Table, columns_of, text_columns
-from ltsim.physics.effects import title_of
+from ltsim.physics.effects import effect_title
 from ltsim.planning.reflector_changes import to_degrees, to_millimetres
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, SourceEntry, Vector
 
@@ -118,7 +118,7 @@ class NextMeasurement(ResultFile):
         )
 
     def _lines(self) -> list[str]:
-        question = f" between {list_text([title_of(name) for name in self.between])}" if self.between else ""
+        question = f" between {list_text([effect_title(name) for name in self.between])}" if self.between else ""
         return [f"Next measurement{question}: {self.proposals[0].do}, of {len(self.proposals)} proposals"]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:

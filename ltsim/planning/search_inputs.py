@@ -10,7 +10,7 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import misalignment_construction
-from ltsim.physics.model.measurement import sightings_of
+from ltsim.physics.model.measurement import sightings_at_state
 from ltsim.planning.objective import (
     DIAGNOSIS_QUALITY_NAME,
     INSTRUMENT_QUALITY_NAME,
@@ -253,6 +253,6 @@ def layout_objective(plan: PlanFile, survey: PlannedSurvey) -> LayoutObjective:
             message = "acts on single targets or readings; name effects that act on all or on a station"
             raise SetupError(f"goal.effects: {name} {message}")
     built = misalignment_construction()
-    sightings = sightings_of(survey.noise_free_recording(built), survey.nominal_state(built)) if effects else None
+    sightings = sightings_at_state(survey.noise_free_recording(built), survey.nominal_state(built)) if effects else None
     places = {e.name: len(type(e).candidates(sightings)) for e in effects} if sightings else {}
     return LayoutObjective(weights, goal.criterion, tuple(effects), places)

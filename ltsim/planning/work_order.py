@@ -10,7 +10,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.units import DEGREE, MILLIMETRE
-from ltsim.physics.model.measurement import sightings_of
+from ltsim.physics.model.measurement import sightings_at_state
 from ltsim.planning.planner import PlannedNetwork
 
 MAX_PLUMB_HEIGHT = 2.2
@@ -99,7 +99,7 @@ def station_instructions(plan: PlannedNetwork) -> tuple[StationInstruction, ...]
     """Instructions for the stations of a plan, in the order of measurement."""
     survey, built = plan.layout.survey, plan.layout.information.construction
     recording = survey.noise_free_recording(built)
-    sightings = sightings_of(recording, survey.nominal_state(built))
+    sightings = sightings_at_state(recording, survey.nominal_state(built))
     sigma = survey.nominal_noise(sightings) * survey.is_recorded_observable
     horizontal = sightings.range_ * np.cos(sightings.elevation)
     error = np.linalg.norm(sigma * np.stack([np.ones_like(horizontal), horizontal, sightings.range_], axis=1), axis=1)

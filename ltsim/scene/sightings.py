@@ -297,7 +297,7 @@ class Sightings:
         return {name: np.nan_to_num(values) for name, values in (dict(self.covariates) | quantities).items()}
 
     @cached_property
-    def _incidence_angles(self) -> tuple[Floats, Floats]:
+    def _incidence_angle_and_direction(self) -> tuple[Floats, Floats]:
         """Incidence angle at the reflector, and direction of incidence around the nest's normal, each (n,) [rad]."""
         x, y, z = self.nest_normals.T
         level = np.hypot(x, y)
@@ -313,12 +313,12 @@ class Sightings:
     @property
     def incidence(self) -> Floats:
         """Incidence angle (n,) [rad] between the beam and the nest's normal; NaN if the nest is unknown."""
-        return self._incidence_angles[0]
+        return self._incidence_angle_and_direction[0]
 
     @property
     def incidence_direction(self) -> Floats:
         """Direction (n,) [rad] of the station around the nest's normal, 0 along the horizontal in the open face."""
-        return self._incidence_angles[1]
+        return self._incidence_angle_and_direction[1]
 
 
 def _index_by_name(names: Sequence[str]) -> dict[str, list[int]]:

@@ -5,7 +5,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError, as_setup_error
 from ltsim.core.units import ARCSECOND, DEGREE, MICROMETRE
-from ltsim.physics.effects import BASELINE_EFFECTS
+from ltsim.physics.effects import MISALIGNMENT_EFFECTS
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import GeometricErrorModel, construction_with_orders, misalignment_construction
@@ -31,7 +31,7 @@ def planned_construction(scenario: Scenario) -> GeometricErrorModel:
     if built.name == "steering-mirror":
         return built
     observables = {name for tracker in scenario.trackers_in_use.values() for name in tracker.observables}
-    return misalignment_construction(effect for effect in BASELINE_EFFECTS if observables & {*effect.observables})
+    return misalignment_construction(effect for effect in MISALIGNMENT_EFFECTS if observables & {*effect.observables})
 
 
 def instrument_error_distribution(scenario: Scenario, construction: GeometricErrorModel) -> tuple[Floats, Floats]:
@@ -55,7 +55,7 @@ def _error_distribution(
     parameters = construction.parameters
     error_means = np.array([errors.get(p.name, 0.0) * p.si_per_display_unit for p in parameters])
     free = [instrument.draws and p.name not in errors for p in parameters]
-    prior = np.array([p.sigma_from(instrument.prior) for p in parameters])
+    prior = np.array([p.prior_sigma_from(instrument.prior) for p in parameters])
     return error_means, np.where(free, instrument.error_factor * prior, 0.0)
 
 

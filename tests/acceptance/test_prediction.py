@@ -86,7 +86,7 @@ def test_limits(plan: AcceptancePlan) -> None:
 
 def test_chance_to_pass_is_that_of_simulated_instruments(plan: AcceptancePlan) -> None:
     stated = SHEET.to_instrument()
-    prior = np.array([p.sigma_from(stated.prior) for p in plan.construction.parameters])
+    prior = np.array([p.prior_sigma_from(stated.prior) for p in plan.construction.parameters])
     told = plan.predict(np.zeros(len(prior)), np.diag(prior**2), n_trials=20_000, seed=3)
     rng = np.random.default_rng(11)
     passed = [
@@ -106,7 +106,7 @@ def test_an_instrument_can_pass_and_be_bad(design: str) -> None:
     built = steering_mirror_construction() if design == "steering-mirror" else misalignment_construction()
     stated = SHEET.to_instrument(design)
     plan = AcceptancePlan(tuple(iso_two_face_tests(1.5)), built, SHEET, stated.noise)
-    prior = np.array([p.sigma_from(stated.prior) for p in built.parameters])
+    prior = np.array([p.prior_sigma_from(stated.prior) for p in built.parameters])
     values, rms, largest = plan.worst_passing_constants(prior, envelope_points())
     assert plan.is_within_limits(plan.test_errors(values)).all()
     assert np.linalg.norm(values / prior) <= 3.001
@@ -115,7 +115,7 @@ def test_an_instrument_can_pass_and_be_bad(design: str) -> None:
 
 def test_it_errs_on_a_network_as_told(plan: AcceptancePlan) -> None:
     """The worst instrument that passes is simulated in the workshop: targets are off, a good one's are not."""
-    prior = np.array([p.sigma_from(SHEET.to_instrument().prior) for p in plan.construction.parameters])
+    prior = np.array([p.prior_sigma_from(SHEET.to_instrument().prior) for p in plan.construction.parameters])
     worst, _, _ = plan.worst_passing_constants(prior, envelope_points())
     quiet = {"distance_mm": 1e-4, "distance_ppm": 0.0, "azimuth_arcsec": 1e-3, "elevation_arcsec": 1e-3}
     sizes = []

@@ -12,7 +12,7 @@ from ltsim.campaigns.trial_calibrators import BatchCalibrator
 from ltsim.campaigns.truth import CellTruth
 from ltsim.core.units import ARCSECOND
 from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
-from ltsim.physics.model.measurement import sightings_of
+from ltsim.physics.model.measurement import sightings_at_state
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.simulation.draws import EffectDistribution, TrialDistributions
 from tests.campaigns.small import FILE
@@ -40,9 +40,9 @@ def truth_of(
     """The workshop of the tests with errors drawn from the prior, stated noise, paper's resolution."""
     recording, state = workshop(faces=faces)
     built = construction or misalignment_construction()
-    sigma = np.array([[p.sigma_from(recording.setup.instrument.prior) for p in built.parameters]])
+    sigma = np.array([[p.prior_sigma_from(recording.setup.instrument.prior) for p in built.parameters]])
     population = TrialDistributions(
-        sightings=sightings_of(recording, state),
+        sightings=sightings_at_state(recording, state),
         construction=built,
         instruments=("",),
         instrument_means=np.zeros_like(sigma),

@@ -20,7 +20,7 @@ from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.geometry.rigid import remove_rigid_motion
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressors import smooth_regressor
-from ltsim.physics.laws.responses import RESPONSES_BY_NAME
+from ltsim.physics.laws.responses import RESPONSE_AND_DESIGN_BY_NAME
 from ltsim.physics.laws.variance import VarianceFunction
 from tests.networks import network
 
@@ -51,7 +51,7 @@ def test_a_law_that_does_much_is_taken_off_whole():
 def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_both_does():
     baseline = adjust(network(faces=1, seed=3)[0])
     case = SelectionState(baseline, baseline.problem.is_used_reading, 0)
-    elevation = RESPONSES_BY_NAME["elevation"][0]
+    elevation = RESPONSE_AND_DESIGN_BY_NAME["elevation"][0]
     laws = [EmpiricalLaw((), (), elevation, smooth_regressor(name)) for name in ("time", "station-time")]
     fitted = case.refit(laws, case.reading_sigmas)
     found = case.searcher.model_of([Hypothesis(law, 0.0, 0.0, "unknown") for law in laws])
@@ -78,7 +78,7 @@ def test_noise_moves_no_target() -> None:
     baseline = adjust(network(faces=1, seed=3)[0])
     case = SelectionState(baseline, baseline.problem.is_used_reading, 0)
     law = Hypothesis(
-        EmpiricalLaw((), (), RESPONSES_BY_NAME["elevation"][0], smooth_regressor("time")), 0.0, 5.0, "unknown"
+        EmpiricalLaw((), (), RESPONSE_AND_DESIGN_BY_NAME["elevation"][0], smooth_regressor("time")), 0.0, 5.0, "unknown"
     )
     noise = Hypothesis(VarianceFunction(("distance",), covariates=("distance",)), 0.0, 5.0 + np.log(19.0), "unknown")
     ranking = Ranking((noise, law), 8.0)

@@ -17,7 +17,7 @@ from ltsim.geometry.rigid import align_rigidly
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import design_from_displacements, design_from_front_face_corrections
 from ltsim.physics.model.construction import misalignment_construction
-from ltsim.physics.model.measurement import MeasurementModel, sightings_of
+from ltsim.physics.model.measurement import MeasurementModel, sightings_at_state
 from ltsim.recordings.recording import Recording
 from tests.networks import drawn, network
 
@@ -42,7 +42,7 @@ def concealing(name: str, seed: int, values: list[float], faces: int = 1, **fiel
     """A recording that conceals an effect of the catalogue, and the values it was given [SI]."""
     recording, state = workshop(seed, faces=faces)
     effect = find_effect(name)(**fields)
-    change = effect.reading_change(sightings_of(recording, state), np.array(values))
+    change = effect.reading_change(sightings_at_state(recording, state), np.array(values))
     hidden, factor = strengthened(recording, state, change)
     return hidden, factor * np.array(values)
 
@@ -82,7 +82,7 @@ def test_a_concealed_effect_is_named_placed_and_sized(name, fields, values):
 
 def test_two_effects_are_both_found():
     recording, state = workshop(5)
-    sightings = sightings_of(recording, state)
+    sightings = sightings_at_state(recording, state)
     for name, fields, values in (WEATHER, CYCLIC):
         change = find_effect(name)(**fields).reading_change(sightings, np.array(values))
         recording, _ = strengthened(recording, state, change)
@@ -92,7 +92,7 @@ def test_two_effects_are_both_found():
 
 def test_physics_outside_the_catalogue_is_called_unknown():
     recording, state = workshop(3)
-    sightings = sightings_of(recording, state)
+    sightings = sightings_at_state(recording, state)
     change = design_from_front_face_corrections(
         sightings, distance=np.sin(2 * sightings.azimuth) * np.sin(2 * sightings.elevation)
     )
@@ -112,7 +112,7 @@ def test_physics_outside_the_catalogue_is_called_unknown():
 def test_what_the_last_move_left_behind_is_no_noise():
     """Scatter to the eye: only the order of the work tells that it is none."""
     recording, state = workshop(9)
-    sightings = sightings_of(recording, state)
+    sightings = sightings_at_state(recording, state)
     change = design_from_front_face_corrections(
         sightings, elevation=np.abs(sightings.reading_changes[:, 1]) * sightings.range_
     )
@@ -126,7 +126,7 @@ def test_what_the_last_move_left_behind_is_no_noise():
 
 def test_neighbours_that_move_together_are_found_together():
     recording, state = workshop(13)
-    sightings = sightings_of(recording, state)
+    sightings = sightings_at_state(recording, state)
     corner = np.argsort(np.linalg.norm(sightings.target_points - sightings.target_points[4], axis=1))[:7]
     sinks = np.isin(sightings.target, corner) * sightings.time / 3600.0
     change = design_from_displacements(sightings, sinks[:, None, None] * np.array([0.0, 0.0, -1.0])[:, None])[:, :, 0]
@@ -142,7 +142,7 @@ def test_neighbours_that_move_together_are_found_together():
 @pytest.mark.long
 def test_a_wall_that_leans_is_one_motion_and_its_targets_are_where_they_were_at_first():
     recording, state = workshop(14)
-    sightings = sightings_of(recording, state)
+    sightings = sightings_at_state(recording, state)
     wall = sightings.target_points[:, 1] > np.median(sightings.target_points[:, 1])
     leans = wall[sightings.target] * sightings.target_points[sightings.target, 2] * sightings.time
     change = design_from_displacements(sightings, leans[:, None, None] * np.array([0.0, 1.0, 0.0])[:, None])[:, :, 0]
@@ -162,7 +162,7 @@ def test_a_wall_that_leans_is_one_motion_and_its_targets_are_where_they_were_at_
 def test_two_balls_in_turn_are_told_by_the_height_of_the_targets():
     """Every other target is measured with a larger ball, in two faces: no parity of the pointings tells that."""
     recording, state = workshop(16, faces=2)
-    sightings = sightings_of(recording, state)
+    sightings = sightings_at_state(recording, state)
     out = (sightings.seating_numbers % 2)[:, None] * np.nan_to_num(sightings.nest_normals[sightings.target])
     found = diagnose(strengthened(recording, state, design_from_displacements(sightings, out[:, :, None])[:, :, 0])[0])
     assert [f.carrier for f in found.findings] == ["height of targets in their nests"]
@@ -172,7 +172,7 @@ def test_two_balls_in_turn_are_told_by_the_height_of_the_targets():
 @pytest.mark.long
 def test_a_stand_that_is_pumped_up_again_and_again_swings():
     recording, state = workshop(17)
-    sightings = sightings_of(recording, state)
+    sightings = sightings_at_state(recording, state)
     visit = float(np.ptp(sightings.time[sightings.station == 1]))
     sinks = (sightings.station == 1) * np.mod(sightings.station_time / (visit / 4), 1.0)
     change = design_from_displacements(sightings, sinks[:, None, None] * np.array([0.0, 0.0, 1.0])[:, None])[:, :, 0]
@@ -199,7 +199,7 @@ def rigid_gap(points: np.ndarray, truth: np.ndarray) -> float:
 )
 def test_a_range_that_is_off_for_a_while_is_one_finding_with_sharp_edges(amount, told):
     recording, state = workshop(15)
-    sightings = sightings_of(recording, state)
+    sightings = sightings_at_state(recording, state)
     change = design_from_front_face_corrections(sightings, distance=amount(sightings.time).astype(np.float64))
     found = diagnose(strengthened(recording, state, change)[0])
     assert [f.effect for f in found.findings] == ["unknown"]
@@ -233,7 +233,7 @@ def test_what_lags_or_goes_by_what_came_before_is_told_in_such_words(law, carrie
     recording, state = workshop(18)
     warm = (recording.time > np.quantile(recording.time, 0.4)).astype(np.float64)
     recording = recording.replace(covariates={"hall": 20.0 + warm})
-    found = diagnose(strengthened(recording, state, law(sightings_of(recording, state)))[0])
+    found = diagnose(strengthened(recording, state, law(sightings_at_state(recording, state)))[0])
     assert [f.carrier for f in found.findings] == [carrier]
     assert told in found.findings[0].driver
 
@@ -243,7 +243,9 @@ def test_overwhelming_evidence_states_more_than_99_percent():
     """No count of anything stands between the readings and what is said of them."""
     recording, state = workshop(12, faces=2)
     effect = find_effect("azimuth-drift")(("S2",), law="visit")
-    hidden, _ = strengthened(recording, state, effect.reading_change(sightings_of(recording, state), np.array([4e-9])))
+    hidden, _ = strengthened(
+        recording, state, effect.reading_change(sightings_at_state(recording, state), np.array([4e-9]))
+    )
     larger = recording.with_readings(recording.readings + 6.0 * (hidden.readings - recording.readings))
     first = diagnose(larger).findings[0]
     assert (first.effect, first.where.stations) == ("azimuth-drift", ("S2",))
@@ -389,7 +391,7 @@ def test_noise_quieter_than_stated_does_not_raise_the_held_out_error():
 @pytest.mark.long
 def test_turbulence_is_told_from_a_higher_noise_level():
     recording, state = workshop(17)
-    sightings = sightings_of(recording, state)
+    sightings = sightings_at_state(recording, state)
     effect = find_effect("turbulence")()
     grown = np.sqrt(
         effect.variance(sightings, recording.sigma(), np.array([1.2e-12, 0.6e-12])) - recording.sigma() ** 2
@@ -402,7 +404,7 @@ def test_turbulence_is_told_from_a_higher_noise_level():
 @pytest.mark.long
 def test_a_wave_between_the_rates_of_the_grid_is_one_finding():
     recording, state = workshop(3)
-    sightings = sightings_of(recording, state)
+    sightings = sightings_at_state(recording, state)
     change = design_from_front_face_corrections(sightings, distance=np.sin(83.7 * sightings.elevation + 1.0))
     found = diagnose(strengthened(recording, state, change)[0])
     assert [f.effect for f in found.findings] == ["unknown"]
@@ -415,7 +417,7 @@ def test_a_wave_between_the_rates_of_the_grid_is_one_finding():
 @pytest.mark.long
 def test_an_encoder_of_any_number_of_lines_is_named():
     recording, state = workshop(3)
-    sightings = sightings_of(recording, state)
+    sightings = sightings_at_state(recording, state)
     change = design_from_front_face_corrections(sightings, elevation=np.sin(83.7 * sightings.elevation + 1.0))
     found = diagnose(strengthened(recording, state, change)[0])
     assert [f.effect for f in found.findings] == ["encoder-interpolation"]
@@ -426,7 +428,7 @@ def test_an_encoder_of_any_number_of_lines_is_named():
 def test_targets_are_no_worse_than_those_of_the_right_explanation():
     """An imitated law, unknown to the catalogue: targets after the diagnosis, and with the law itself."""
     recording, state = workshop(4)
-    sightings = sightings_of(recording, state)
+    sightings = sightings_at_state(recording, state)
     change = design_from_front_face_corrections(sightings, distance=np.sin(3 * sightings.azimuth))
     hidden, _ = strengthened(recording, state, change)
     found = diagnose(hidden)

@@ -13,8 +13,8 @@ from ltsim.diagnosis.directions import best_ratio
 from ltsim.diagnosis.evidence import log_evidence_of_coefficients
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressors import scalar_regressor, smooth_regressor
-from ltsim.physics.laws.responses import RESPONSES_BY_NAME
-from ltsim.physics.laws.words import law_suffix, parse_law, regressor_text
+from ltsim.physics.laws.responses import RESPONSE_AND_DESIGN_BY_NAME
+from ltsim.physics.laws.text_form import law_suffix, parse_law, regressor_text
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.recording import Recording
 from tests.networks import drawn, network
@@ -66,7 +66,11 @@ def test_a_law_along_a_ratio_changes_readings_as_separate_coefficients_in_that_r
     for each, ratio in ((False, (0.6, 0.0, -0.8)), (True, (0.5, -0.5, 0.25, 0.1, 0.3, 0.2, 0.4, 0.1, 0.35))):
         stations = tuple(sightings.station_names) if each else ()
         free = EmpiricalLaw(
-            stations, (), RESPONSES_BY_NAME["place of the stand"][0], smooth_regressor("time"), is_per_setup=each
+            stations,
+            (),
+            RESPONSE_AND_DESIGN_BY_NAME["place of the stand"][0],
+            smooth_regressor("time"),
+            is_per_setup=each,
         )
         ratio = (*ratio, *(0.1,) * (free.n_components - len(ratio)))
         fixed = EmpiricalLaw(stations, (), free.response, free.regressor, is_per_setup=each, direction=ratio)
@@ -78,7 +82,7 @@ def test_a_law_along_a_ratio_changes_readings_as_separate_coefficients_in_that_r
 
 
 def test_a_ratio_is_read_as_it_is_written(recording: Recording) -> None:
-    stand = RESPONSES_BY_NAME["place of the stand"][0]
+    stand = RESPONSE_AND_DESIGN_BY_NAME["place of the stand"][0]
     for each in (False, True):
         stations = recording.stations if each else ()
         bare = EmpiricalLaw(stations, (), stand, scalar_regressor("time", "power"), is_per_setup=each)

@@ -13,7 +13,7 @@ from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.diagnosis.search import Searcher
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressors import Regressor, scalar_regressor
-from ltsim.physics.laws.responses import RESPONSES_BY_NAME
+from ltsim.physics.laws.responses import RESPONSE_AND_DESIGN_BY_NAME
 from ltsim.physics.model.construction import misalignment_construction
 from tests.networks import drawn, network
 
@@ -25,7 +25,7 @@ def space() -> ResidualSpace:
 
 
 def law(carrier: str, driver: Regressor) -> EmpiricalLaw:
-    return EmpiricalLaw((), (), RESPONSES_BY_NAME[carrier][0], driver)
+    return EmpiricalLaw((), (), RESPONSE_AND_DESIGN_BY_NAME[carrier][0], driver)
 
 
 def test_the_drop_of_chi2_is_that_of_a_refit(space):

@@ -13,7 +13,7 @@ from ltsim.diagnosis.diagnose import diagnose
 from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.effects import find_effect
 from ltsim.physics.model.construction import misalignment_construction
-from ltsim.physics.model.measurement import MeasurementModel, NetworkState, sightings_of
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState, sightings_at_state
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Instrument, Setup, Station
 from ltsim.solve.projection import FactorResidualProjector
@@ -42,7 +42,7 @@ def monitoring(epochs: int, rate: float) -> Recording:
     exact = MeasurementModel(recording, misalignment_construction()).predict(state)
     recording = recording.with_readings(exact)
     exact = exact + find_effect("index-drift")(law="linear").reading_change(
-        sightings_of(recording, state), np.array([rate])
+        sightings_at_state(recording, state), np.array([rate])
     )
     noise = stream(6, "monitoring").standard_normal(exact.shape)
     return recording.with_readings(exact + recording.sigma() * noise)
@@ -66,7 +66,7 @@ def knocked(stations: int) -> tuple[Recording, str]:
     target = len(recording.targets) // 3
     times = np.sort(recording.time[recording.target == target])
     moved = find_effect("target-moved")((), (recording.targets[target],), time=float(np.mean(times[3:5])))
-    change = moved.reading_change(sightings_of(recording, state), np.array([150e-6, -120e-6, 90e-6]))
+    change = moved.reading_change(sightings_at_state(recording, state), np.array([150e-6, -120e-6, 90e-6]))
     return recording.with_readings(recording.readings + change), recording.targets[target]
 
 

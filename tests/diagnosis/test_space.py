@@ -28,7 +28,7 @@ from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressors import CONSTANT_REGRESSOR, scalar_regressor
-from ltsim.physics.laws.responses import RESPONSES_BY_NAME
+from ltsim.physics.laws.responses import RESPONSE_AND_DESIGN_BY_NAME
 from ltsim.physics.model.construction import misalignment_construction
 from tests.networks import drawn, network
 
@@ -119,7 +119,7 @@ def test_scores_by_sums_over_places_are_those_of_single_laws(space, made):
         for hit in (hits[0], hits[-1]):
             scales = range(len(hit.regressor.coefficient_sigmas))
             laws = [
-                EmpiricalLaw(hit.place.stations, hit.place.targets, hit.response, hit.regressor, scale_index=k)
+                EmpiricalLaw(hit.place.stations, hit.place.targets, hit.response, hit.regressor, length_scale_index=k)
                 for k in scales
             ]
             logs = np.array([alone(space, law, space.residuals, nothing) for law in laws])
@@ -129,7 +129,7 @@ def test_scores_by_sums_over_places_are_those_of_single_laws(space, made):
 
 def test_beside_what_was_found_nothing_of_it_is_left_to_score(space, made):
     probe, found, _ = made
-    law = EmpiricalLaw((), (), RESPONSES_BY_NAME["elevation"][0], scalar_regressor("move-elevation", "abs"))
+    law = EmpiricalLaw((), (), RESPONSE_AND_DESIGN_BY_NAME["elevation"][0], scalar_regressor("move-elevation", "abs"))
     left = space.project(space.whitened_design(law))
     left /= np.linalg.norm(left)
     residual = space.residuals + 20.0 * left[:, 0]
@@ -149,9 +149,9 @@ def test_beside_what_was_found_nothing_of_it_is_left_to_score(space, made):
 
 
 def test_many_effects_at_once_are_each_what_it_is_alone(space):
-    law = EmpiricalLaw((), (), RESPONSES_BY_NAME["elevation"][0], scalar_regressor("time", "power"))
+    law = EmpiricalLaw((), (), RESPONSE_AND_DESIGN_BY_NAME["elevation"][0], scalar_regressor("time", "power"))
     local = [
-        EmpiricalLaw(("S2",), (), RESPONSES_BY_NAME["distance"][0], CONSTANT_REGRESSOR),
+        EmpiricalLaw(("S2",), (), RESPONSE_AND_DESIGN_BY_NAME["distance"][0], CONSTANT_REGRESSOR),
         EmpiricalLaw(("S2",), (), law.response, law.regressor),
     ]
     effects = [law, find_effect("index-drift")(), *local, find_effect("station-weather")(("S1",)), law]
@@ -227,7 +227,7 @@ def test_a_negative_thickness_is_no_explanation():
 
 def test_unknown_is_told_where_it_is_likelier_than_all_names_together():
     def ranking(**values: float) -> Ranking:
-        law = EmpiricalLaw((), (), RESPONSES_BY_NAME["distance"][0], CONSTANT_REGRESSOR)
+        law = EmpiricalLaw((), (), RESPONSE_AND_DESIGN_BY_NAME["distance"][0], CONSTANT_REGRESSOR)
         return Ranking(tuple(Hypothesis(law, 0.0, v, n) for n, v in values.items()), 0.0)
 
     assert ranking(unknown=10.0, window=9.5, backlash=9.4).most_probable_name() == "window"
@@ -235,7 +235,7 @@ def test_unknown_is_told_where_it_is_likelier_than_all_names_together():
 
 
 def test_what_an_unknown_law_leaves_is_no_further_cause(space):
-    law = EmpiricalLaw((), (), RESPONSES_BY_NAME["distance"][0], scalar_regressor("time", "power"))
+    law = EmpiricalLaw((), (), RESPONSE_AND_DESIGN_BY_NAME["distance"][0], scalar_regressor("time", "power"))
     left = space.project(space.whitened_design(law))
     unknown = Hypothesis(law, 0.0, 0.0, "unknown")
     known = Hypothesis(find_effect("index-drift")(), 0.0, 0.0, "index-drift")

@@ -21,7 +21,7 @@ from ltsim.physics.laws.regressors import (
     smooth_regressor,
     switch_regressor,
 )
-from ltsim.physics.laws.responses import RESPONSES_BY_NAME
+from ltsim.physics.laws.responses import RESPONSE_AND_DESIGN_BY_NAME
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.scene.regions import HallRegion
 from tests.networks import drawn, network
@@ -51,21 +51,23 @@ def at(space: ResidualSpace, *shares: float) -> list[Regressor]:
 @pytest.mark.parametrize(
     "law",
     [
-        EmpiricalLaw((), (), RESPONSES_BY_NAME["azimuth"][0], smooth_regressor("time")),
-        EmpiricalLaw((), (), RESPONSES_BY_NAME["lean of the stand"][0], smooth_regressor("time")),
+        EmpiricalLaw((), (), RESPONSE_AND_DESIGN_BY_NAME["azimuth"][0], smooth_regressor("time")),
+        EmpiricalLaw((), (), RESPONSE_AND_DESIGN_BY_NAME["lean of the stand"][0], smooth_regressor("time")),
         EmpiricalLaw(
             (),
             (),
-            RESPONSES_BY_NAME["distance"][0],
+            RESPONSE_AND_DESIGN_BY_NAME["distance"][0],
             Regressor("product", factors=(smooth_regressor("time", 4), smooth_regressor("distance", 4))),
         ),
-        EmpiricalLaw((), (), RESPONSES_BY_NAME["distance"][0], passage_regressor(HallRegion("z", (1.0,), 0.5))),
+        EmpiricalLaw(
+            (), (), RESPONSE_AND_DESIGN_BY_NAME["distance"][0], passage_regressor(HallRegion("z", (1.0,), 0.5))
+        ),
     ],
     ids=["angle", "two components", "product", "region"],
 )
 def test_moments_of_toggled_spans_are_those_of_the_switched_law(space: ResidualSpace, law: EmpiricalLaw) -> None:
     base = with_law(space, law.with_switch(at(space, 0.2, 0.45)), 200.0)
-    exact, edges = EvidenceCalculator(space), law.candidate_switch_times(space.sightings)
+    exact, edges = EvidenceCalculator(space), law.candidate_switch_steps(space.sightings)
     first = scalar_regressor("time", "step", -np.inf)
     spans = _span_moments(exact, law, [first, *edges], base)
     on, _, toggled = _best_span_states(spans, law.with_switch([first]).size_scales)
@@ -79,7 +81,7 @@ def test_moments_of_toggled_spans_are_those_of_the_switched_law(space: ResidualS
 
 
 def test_the_times_of_a_machine_are_found(space: ResidualSpace) -> None:
-    law = EmpiricalLaw((), (), RESPONSES_BY_NAME["azimuth"][0], smooth_regressor("time"))
+    law = EmpiricalLaw((), (), RESPONSE_AND_DESIGN_BY_NAME["azimuth"][0], smooth_regressor("time"))
     times = at(space, 0.15, 0.3, 0.55, 0.8)
     base = with_law(space, law.with_switch(times), 600.0)
     exact = EvidenceCalculator(space)
@@ -94,7 +96,7 @@ def test_the_times_of_a_machine_are_found(space: ResidualSpace) -> None:
 def test_air_that_is_cold_for_a_time_is_found_from_the_times(space: ResidualSpace) -> None:
     region = passage_regressor(HallRegion("z", (0.8,), 0.4))
     gate = switch_regressor(at(space, 0.1, 0.2, 0.4, 0.5))
-    law = EmpiricalLaw((), (), RESPONSES_BY_NAME["distance"][0], Regressor("product", factors=(region, gate)))
+    law = EmpiricalLaw((), (), RESPONSE_AND_DESIGN_BY_NAME["distance"][0], Regressor("product", factors=(region, gate)))
     base, exact = with_law(space, law, 600.0), EvidenceCalculator(space)
     of_time = switched_forms(exact, EmpiricalLaw((), (), law.response, smooth_regressor("time")), 0.0, base)
     found = max(product_forms(exact, of_time[0], base), key=lambda form: form.log_evidence)
@@ -104,9 +106,13 @@ def test_air_that_is_cold_for_a_time_is_found_from_the_times(space: ResidualSpac
 
 def test_a_wave_in_azimuth_that_grows_with_the_distance_is_found_from_the_wave(space: ResidualSpace) -> None:
     wave = Regressor("wave", ("azimuth",), constant=3.0)
-    response = RESPONSES_BY_NAME["elevation"][0]
+    response = RESPONSE_AND_DESIGN_BY_NAME["elevation"][0]
     growing = EmpiricalLaw(
-        (), (), response, Regressor("product", factors=(wave, scalar_regressor("distance", "power"))), scale_index=0
+        (),
+        (),
+        response,
+        Regressor("product", factors=(wave, scalar_regressor("distance", "power"))),
+        length_scale_index=0,
     )
     base, exact = with_law(space, growing, 2000.0), EvidenceCalculator(space)
     plain = EmpiricalLaw((), (), response, wave)
@@ -123,7 +129,7 @@ def test_a_wave_in_azimuth_that_grows_with_the_distance_is_found_from_the_wave(s
 @pytest.mark.parametrize("axis", ["x", "y"])
 def test_a_band_of_a_coordinate_with_a_single_target_is_no_law(space: ResidualSpace, axis: str) -> None:
     """The cause belongs to that target: a wrong constant of its reflector, for example."""
-    carrier, sightings = RESPONSES_BY_NAME["distance"][0], space.sightings
+    carrier, sightings = RESPONSE_AND_DESIGN_BY_NAME["distance"][0], space.sightings
     at = sightings.quantities[axis][np.unique(sightings.target, return_index=True)[1]]
     middle = int(np.argsort(at)[len(at) // 2])
     base = with_law(space, EmpiricalLaw((), (sightings.target_names[middle],), carrier, CONSTANT_REGRESSOR), 1e4)

@@ -22,7 +22,7 @@ from ltsim.physics.effects import CATALOGUE
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.effects.nest_lift import NestLift
 from ltsim.physics.model.construction import misalignment_construction
-from ltsim.physics.model.measurement import MeasurementModel, NetworkState, sightings_of
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState, sightings_at_state
 
 PLACE = "experiments.20_concealed_physics."
 hall_of, known, law, made, tracker, score, report, entrants = (
@@ -151,7 +151,7 @@ def test_a_catalogued_cause_does_what_the_catalogue_says(name: str, tmp_path: Pa
     factors = {"um": 1e-6, "urad": 1e-6, "ppm": 1e-6, "um/h": 1e-6 / 3600, "urad/h": 1e-6 / 3600, "": 1.0}
     values = cause.values * [factors[unit] for unit in cause.units]
     recording = read(hall, hall.pointings.readings(), tmp_path)
-    sightings = sightings_of(recording, state_of(hall, recording))
+    sightings = sightings_at_state(recording, state_of(hall, recording))
     change, fits = cause.change, []
     for order in range(3, 7) if name == "azimuth-harmonic" else (3,):
         effect = effect_of(name, cause, order)

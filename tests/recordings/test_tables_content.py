@@ -260,7 +260,11 @@ def test_positions_of_a_moving_target_are_no_list_of_points(tmp_path: Path) -> N
         ("Time;X;Y;Z;Rx;Ry;Rz", "08:0{i}:00;{x};-3190.5;300.5;1.5;2.5;3.5", "8 positions without point names"),
         ("Time;X [mm];Y [mm];Z [mm]", "08:0{i}:00;{x};-3190.5;300.5", "8 positions without point names"),
         ("q1;q2;X;Y;Z", "{i}.25;-{i}.75;{x};-3190.5;300.5", "8 positions without point names"),
-        ("Station;X;Y;Z", "S{n};{x};-3190.5;300.5", "names no points, so common targets of its set-ups are unknown"),
+        (
+            "Station;X;Y;Z",
+            "S{n};{x};-3190.5;300.5",
+            "names no points, so common targets of its set-ups are unknown",
+        ),
         ("Name;X;Y;Z", "P{n};{n}00.50{i};-3190.5;300.5", "list of 2 points, measured 8 times in all"),
     ],
 )

@@ -115,9 +115,11 @@ def test_a_flipped_sign_fails_and_is_named(slot: str) -> None:
 
 @pytest.mark.long
 def test_a_parameter_that_the_model_lacks_fails() -> None:
-    from ltsim.physics.effects import BASELINE_EFFECTS
+    from ltsim.physics.effects import MISALIGNMENT_EFFECTS
 
-    without = misalignment_construction(effect for effect in BASELINE_EFFECTS if effect.name != "azimuth-eccentricity")
+    without = misalignment_construction(
+        effect for effect in MISALIGNMENT_EFFECTS if effect.name != "azimuth-eccentricity"
+    )
     failures = run_recovery("paper-workshop-re-aimed", 25, construction=without).failed_checks()
     assert "chi-square" in {failure.subject for failure in failures}
 

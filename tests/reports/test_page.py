@@ -22,7 +22,7 @@ from ltsim.calibration.files import write_calibration
 from ltsim.calibration.network import adjust, calibrate_network
 from ltsim.cli.main import run
 from ltsim.core.errors import LtsimError, RecordError
-from ltsim.physics.effects import title_of
+from ltsim.physics.effects import effect_title
 from ltsim.recordings import write
 from ltsim.reports.document_model import Document
 from ltsim.reports.page import document_of_folder, page_html
@@ -309,7 +309,7 @@ def test_next_measurement_stands_first(tmp_path: Path) -> None:
 def test_next_measurement_says_what_it_decides(tmp_path: Path) -> None:
     content = document_of_folder(samples.next_folder(tmp_path / "next", between=("range-step", "station-weather")))
     best = json.loads((tmp_path / "next" / "next.json").read_text())["proposals"][0]
-    pair = [title_of(name) for name in ("range-step", "station-weather")]
+    pair = [effect_title(name) for name in ("range-step", "station-weather")]
     begin = [best["do"]] if best["distinguishes"] else pair
     assert all(words.lower() in content.summary.lower() for words in begin)
     assert "Separation of the alternatives" in [block.title for block in content.sections[0].blocks]

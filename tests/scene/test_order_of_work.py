@@ -9,7 +9,7 @@ import pytest
 
 from ltsim.core.randomness import stream
 from ltsim.geometry.polar import wrap_angle
-from ltsim.physics.model.measurement import sightings_of
+from ltsim.physics.model.measurement import sightings_at_state
 from tests.networks import network
 
 
@@ -17,7 +17,7 @@ from tests.networks import network
 def sightings():
     """Of a recording whose rows are not in the order of the work."""
     recording, truth = network(faces=2, seed=4)
-    made = sightings_of(recording, truth.state)
+    made = sightings_at_state(recording, truth.state)
     time = stream(4, "order").permutation(len(made)).astype(np.float64)
     return replace(made, time=time)
 

@@ -33,7 +33,8 @@ def test_one_tracker_draws_what_it_always_drew_and_a_second_one_changes_nothing_
     prior = PAPER.instrument.prior
     for p in misalignment_construction().parameters:
         assert (
-            truth.instrument_values[p.name] == p.sigma_from(prior) * stream(7, "instrument", p.name).standard_normal()
+            truth.instrument_values[p.name]
+            == p.prior_sigma_from(prior) * stream(7, "instrument", p.name).standard_normal()
         )
     second = {"instruments.B.errors.draw": True, "stations.S5.instrument": "B"}
     beside, both = simulate(change_scenario(PAPER, second, Path("paper.toml")), 7)
@@ -43,7 +44,7 @@ def test_one_tracker_draws_what_it_always_drew_and_a_second_one_changes_nothing_
     assert {name: both.instrument_values[name] for name in truth.instrument_values} == truth.instrument_values
     tilt = next(p for p in misalignment_construction().parameters if p.name == "beam-tilt")
     draw = stream(7, "instrument", "B", "beam-tilt").standard_normal()
-    assert both.instrument_values["beam-tilt@B"] == tilt.sigma_from(prior) * draw
+    assert both.instrument_values["beam-tilt@B"] == tilt.prior_sigma_from(prior) * draw
 
 
 def test_a_tracker_with_a_name_measures_as_one_without() -> None:

@@ -61,9 +61,9 @@ def test_face_pairs_differ_by_half_a_turn(order: str) -> None:
 
 
 def test_face_order_per_target_and_per_station() -> None:
-    per_target, _ = simulate(TWO_FACE, 1)
-    assert per_target.face[:6].tolist() == [1, 2] * 3
-    assert np.array_equal(per_target.target[::2], per_target.target[1::2])
+    with_amount_per_target, _ = simulate(TWO_FACE, 1)
+    assert with_amount_per_target.face[:6].tolist() == [1, 2] * 3
+    assert np.array_equal(with_amount_per_target.target[::2], with_amount_per_target.target[1::2])
     per_station, _ = simulate(with_(TWO_FACE, work={"face_order": "per-station"}), 1)
     assert per_station.face[:56].tolist() == [1] * 28 + [2] * 28
 

@@ -26,7 +26,7 @@ from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.core.units import MICROMETRE
 from ltsim.geometry.polar import from_polar, to_polar, wrap_angle
 from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
-from ltsim.physics.model.measurement import NetworkState, sightings_of
+from ltsim.physics.model.measurement import NetworkState, sightings_at_state
 from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
 
@@ -101,7 +101,7 @@ class StationOccupation:
         mask = np.ones(len(recording), dtype=bool) if row_mask is None else row_mask
         weight = recording.is_usable & mask[:, None]
         sigma = recording.sigma() if sigma is None else sigma
-        sightings = replace(sightings_of(recording, _initial_state(recording, mask)), sight_vector_offsets=None)
+        sightings = replace(sightings_at_state(recording, _initial_state(recording, mask)), sight_vector_offsets=None)
         prior = prior_sigmas(recording, construction)[0]
         # At the mean of each target: at a gross reading, the columns of the instrument would contain its error.
         target_design, parameter_design = construction.reading_design(

@@ -32,7 +32,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import cross_matrix
-from ltsim.physics.effects.motions import exact_target_change
+from ltsim.physics.effects.motions import exact_change_by_displacement
 from ltsim.physics.model.nuisances import CentringErrors
 from ltsim.recordings.centring_errors import CentringUncertainty
 from ltsim.recordings.occupations import target_occupations
@@ -114,7 +114,7 @@ def _local_gain_and_sigma(fit: NetworkFit, place: _CentringPlace, rows: Ints) ->
         moved = np.zeros((len(place.occupation), 3))
         moved[rows] = displacement[of]
         offsets = moved if sightings.sight_vector_offsets is None else moved + sightings.sight_vector_offsets
-        residual = np.where(used, (fit.residuals - exact_target_change(sightings, moved))[rows], 0.0)
+        residual = np.where(used, (fit.residuals - exact_change_by_displacement(sightings, moved))[rows], 0.0)
         slope = replace(sightings, sight_vector_offsets=offsets).target_derivatives[rows] / sigma[:, :, None]
         slope = np.where(used[:, :, None], slope, 0.0)
         normal, score = np.zeros((len(first), 3, 3)), np.zeros((len(first), 3))

@@ -175,7 +175,7 @@ class NetworkFit:
         """Estimate (p,) and covariance (p, p) of a shift, or of the centring errors, of a hypothesis [SI]."""
         centrings = [h for h in self.hypotheses if isinstance(h.model_change, CentringChange)]
         slices = [(h, at) for h, _, at in self.shifts_with_slices]
-        slices += zip(reversed(centrings), reversed(self.problem.model.centring_columns), strict=False)
+        slices += zip(reversed(centrings), reversed(self.problem.model.centring_parameter_slices), strict=False)
         at = next(at for h, at in slices if h is hypothesis)
         return self.state.extra_parameters[at], self.adjustment.effect_covariance[at, at]
 

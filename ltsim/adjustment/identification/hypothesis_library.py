@@ -36,7 +36,7 @@ from ltsim.core.errors import NetworkError
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import MIN_RIGID_POINTS, largest_alignment_distance
 from ltsim.physics.effects.linear_effect import LinearEffect
-from ltsim.physics.effects.motions import station_design
+from ltsim.physics.effects.motions import station_motion_design
 from ltsim.physics.effects.smr_offset import SmrOffset
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.effects.target_moved import TargetMoved
@@ -189,7 +189,7 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
         )
         if np.isfinite(sightings.nest_normals).all(axis=1).any():
             yield ShiftFamily("reflector-radius", "position", "station", SmrOffset().design(sightings))
-    motion = station_design(sightings)
+    motion = station_motion_design(sightings)
     yield ShiftFamily("orientation", "azimuth", "station", azimuth, min_pointings_around_onset=MIN_RIGID_POINTS)
     yield ShiftFamily("station-bump", "position", "station", motion, min_pointings_around_onset=MIN_RIGID_POINTS)
     yield ShiftFamily("station-drift", "position", "station", UniformMotion().design(sightings))

@@ -27,7 +27,7 @@ from ltsim.adjustment.residual_space import ResidualSpace, orthonormal_columns
 from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL, MIN_EQUIVALENT_CORRELATION
 from ltsim.core.arrays import Floats, Ints, batches
 from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
-from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
+from ltsim.physics.effects import CATALOGUE, MISALIGNMENT_EFFECTS
 from ltsim.physics.effects.effect import Effect, NoiseEffect, Parameter
 
 PlaceT = TypeVar("PlaceT")
@@ -42,7 +42,7 @@ def search_noncentrality(dof: int, n_places: int) -> float:
     The false-alarm rate is divided among all places and constants of the effect, and among all effects of the
     catalogue. An unknown cause counts as one more effect.
     """
-    return noncentrality(dof, alpha=GLOBAL_TEST_LEVEL, n_tests=n_places * (len(CATALOGUE) - len(BASELINE_EFFECTS) + 1))
+    return noncentrality(dof, alpha=GLOBAL_TEST_LEVEL, n_tests=n_places * (len(CATALOGUE) - len(MISALIGNMENT_EFFECTS) + 1))
 
 
 @dataclass(frozen=True)

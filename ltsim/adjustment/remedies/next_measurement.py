@@ -33,7 +33,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
 from ltsim.core.values import ValueEquality
-from ltsim.physics.effects import find_effect, title_of
+from ltsim.physics.effects import effect_title, find_effect
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.verbs import effect_tuple
@@ -245,7 +245,7 @@ class RankedProposals(ValueEquality):
             list_text([f"{template_values[name]:.0f}" for name in distinguished])
             for template_values in (self.present_chi2, best_proposal.expected_chi2)
         )
-        titles = {name: title_of(name) for name in self.compared_explanations}
+        titles = {name: effect_title(name) for name in self.compared_explanations}
         other_titles = list_text([titles[name] for name in distinguished])
         template_values = {"first": titles[self.compared_explanations[0]], "others": other_titles, "then": then}
         if not best_proposal.distinguished_explanations:

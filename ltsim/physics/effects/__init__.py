@@ -55,42 +55,48 @@ find_effect = CATALOGUE.find
 """Class of an effect by its name; raises ModelError with the most similar names for an unknown one."""
 
 
-def title_of(name: str) -> str:
+def effect_title(effect_name: str) -> str:
     """Title of an effect, for use within a sentence; for an unknown name, the name without hyphens."""
     try:
-        title = catalogue_entry(find_effect(name)).title
+        title = catalogue_entry(find_effect(effect_name)).title
     except ModelError:
-        return name.replace("-", " ")
+        return effect_name.replace("-", " ")
     return f"{title[0].lower()}{title[1:]}"
 
 
-ORDINARY_CALIBRATION_EFFECTS = (
+ORDINARY_CALIBRATION_EFFECT_NAMES = (
     "range-offset range-scale transit-offset beam-offset beam-tilt transit-tilt vertical-index azimuth-eccentricity "
     "azimuth-second-order elevation-eccentricity elevation-second-order"
 )
 """Names of the effects whose parameters every ordinary calibration estimates."""
-BASELINE_EFFECTS = tuple(
-    effect for name in ORDINARY_CALIBRATION_EFFECTS.split() if isinstance(effect := find_effect(name)(), SlotEffect)
+MISALIGNMENT_EFFECTS = tuple(
+    effect
+    for name in ORDINARY_CALIBRATION_EFFECT_NAMES.split()
+    if isinstance(effect := find_effect(name)(), SlotEffect)
 )
 """Effects of the ordinary calibration: the 16 parameters of the geometric-misalignment model, including range zero and
 scale.
 """
 
 
-def _instrument_parameter_texts() -> dict[str, str]:
+def _instrument_parameter_text_by_name() -> dict[str, str]:
     """Texts of the parameters of an ordinary calibration: titles of their effects, with the component if it has two."""
     texts = {}
-    for effect in BASELINE_EFFECTS:
-        title = title_of(effect.name) if len(effect.parameters) > 1 else title_of(effect.name).removesuffix(" error")
+    for effect in MISALIGNMENT_EFFECTS:
+        title = (
+            effect_title(effect.name)
+            if len(effect.parameters) > 1
+            else effect_title(effect.name).removesuffix(" error")
+        )
         for parameter in effect.parameters:
-            component = COMPONENT_TEXTS.get(parameter.name.removeprefix(effect.name).strip("-"), "")
+            component = COMPONENT_TEXT_BY_NAME_ENDING.get(parameter.name.removeprefix(effect.name).strip("-"), "")
             texts[parameter.name] = f"{title} ({component})" if component else title
     return texts
 
 
-COMPONENT_TEXTS = {"cos": "cosine", "sin": "sine", "lateral": "lateral", "vertical": "vertical"}
+COMPONENT_TEXT_BY_NAME_ENDING = {"cos": "cosine", "sin": "sine", "lateral": "lateral", "vertical": "vertical"}
 """Texts of the components of effects with two parameters, by the end of the parameter's name."""
-INSTRUMENT_PARAMETER_TEXTS = _instrument_parameter_texts()
+INSTRUMENT_PARAMETER_TEXT_BY_NAME = _instrument_parameter_text_by_name()
 """Texts of the names of an instrument's parameters."""
 
 
@@ -98,5 +104,7 @@ def parameter_text(name: str) -> str:
     """Text of the name of an effect's parameter, or ``NAME@INSTRUMENT``, for use within a sentence."""
     name, _, instrument = name.partition("@")
     words = [name] if "." in name else name.replace("_", " ").replace("-", " ").split()  # J1.eX_c is a symbol
-    text = INSTRUMENT_PARAMETER_TEXTS.get(name) or " ".join(COMPONENT_TEXTS.get(word, word) for word in words)
+    text = INSTRUMENT_PARAMETER_TEXT_BY_NAME.get(name) or " ".join(
+        COMPONENT_TEXT_BY_NAME_ENDING.get(word, word) for word in words
+    )
     return f"{text} of {instrument}" if instrument else text

@@ -12,7 +12,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.air_gradient import AirGradient
-from ltsim.physics.effects.rays import relative_index_change_per_kelvin
+from ltsim.physics.effects.rays import relative_index_decrease_per_kelvin
 from ltsim.physics.effects.station_weather import StationWeather
 from ltsim.physics.effects.turbulence import Turbulence
 from ltsim.recordings.air import AirUncertainty
@@ -21,7 +21,7 @@ from ltsim.scene.sightings import Sightings
 
 def reading_changes_per_sigma(air: AirUncertainty, sightings: Sightings) -> Floats:
     """Change (n, 3, 2) of the raw readings by one standard deviation of the air temperature and of its gradient."""
-    weather = StationWeather().design(sightings) * (relative_index_change_per_kelvin() * air.temperature_k)
+    weather = StationWeather().design(sightings) * (relative_index_decrease_per_kelvin() * air.temperature_k)
     return np.concatenate([weather, AirGradient().design(sightings) * air.gradient_k_per_m], axis=2)
 
 
@@ -33,13 +33,13 @@ def turbulence_variance(air: AirUncertainty, sightings: Sightings) -> Floats:
 
 def air_point_sigma_across_beam(air: AirUncertainty, range_: float) -> float:
     """Standard deviation [m] of an observed point across the beam due to gradient and turbulence, at a range [m]."""
-    bent = 0.5 * relative_index_change_per_kelvin() * air.gradient_k_per_m * range_**2
+    bent = 0.5 * relative_index_decrease_per_kelvin() * air.gradient_k_per_m * range_**2
     return float(np.hypot(bent, np.sqrt(air.turbulence_um2_per_m3 * range_**3) * MICROMETRE))
 
 
 def air_point_sigma_along_beam(air: AirUncertainty, range_: float) -> float:
     """Standard deviation [m] of the range due to the temperature along the beam, at a range [m]."""
-    return relative_index_change_per_kelvin() * air.temperature_k * range_
+    return relative_index_decrease_per_kelvin() * air.temperature_k * range_
 
 
 def air_uncertainty_text(air: AirUncertainty, max_range: float) -> str:

@@ -5,7 +5,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.physics.effects.effect import LightPathStage, Parameter, design_from_front_face_corrections
-from ltsim.physics.effects.rays import TemperatureField, WarmAirEffect, relative_index_change_per_kelvin
+from ltsim.physics.effects.rays import TemperatureField, WarmAirEffect, relative_index_decrease_per_kelvin
 from ltsim.scene.sightings import Sightings
 
 
@@ -49,7 +49,7 @@ class AirGradient(WarmAirEffect):
         return np.full(len(sightings), float(sightings.target_points[:, 2].mean()))
 
     def design(self, sightings: Sightings) -> Floats:
-        index_gradient = relative_index_change_per_kelvin() * self.row_weights(sightings) * sightings.range_
+        index_gradient = relative_index_decrease_per_kelvin() * self.row_weights(sightings) * sightings.range_
         heights = sightings.station_positions[sightings.station, 2] + sightings.target_points[sightings.target, 2]
         _, across, up = sightings.beam_vectors
         column = design_from_front_face_corrections(
@@ -60,7 +60,7 @@ class AirGradient(WarmAirEffect):
         )
         return column[:, :, None]
 
-    def field(self, sightings: Sightings) -> TemperatureField:
+    def temperature_field(self, sightings: Sightings) -> TemperatureField:
         """Temperature field of air with a vertical gradient of 1 K/m."""
         sensor_height = self._sensor_height(sightings)
 

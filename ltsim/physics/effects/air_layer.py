@@ -8,9 +8,9 @@ from ltsim.physics.effects.effect import LightPathStage, Parameter, ShapeParamet
 from ltsim.physics.effects.rays import TemperatureField, WarmAirEffect
 from ltsim.scene.sightings import Sightings
 
-N_HEIGHTS = 7
+N_LAYER_HEIGHTS = 7
 """Number of layer heights that a search tries, between the lowest and the highest point of the network."""
-LAYER_WIDTHS = (0.15, 0.5)
+TRANSITION_WIDTHS = (0.15, 0.5)
 """Widths [m] of the transition between the two temperatures that a search tries."""
 
 
@@ -56,10 +56,10 @@ class AirLayer(WarmAirEffect):
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Candidates with heights between the lowest and the highest target or station."""
-        heights = np.linspace(0.0, float(np.ptp(_point_heights(sightings))), N_HEIGHTS + 2)[1:-1]
-        return [cls(height=float(z), width=w) for z in heights for w in LAYER_WIDTHS]
+        heights = np.linspace(0.0, float(np.ptp(_point_heights(sightings))), N_LAYER_HEIGHTS + 2)[1:-1]
+        return [cls(height=float(z), width=w) for z in heights for w in TRANSITION_WIDTHS]
 
-    def field(self, sightings: Sightings) -> TemperatureField:
+    def temperature_field(self, sightings: Sightings) -> TemperatureField:
         """Temperature field of a layer that is 1 K warmer than the air below."""
         from scipy.special import expit
 

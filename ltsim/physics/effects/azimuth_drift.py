@@ -29,5 +29,5 @@ class AzimuthDrift(Drift):
     )
     parameters = (rate_parameter,)
 
-    linear_laws = ("visit",)
+    candidate_linear_laws = ("visit",)
     tries_single_stations = True

@@ -26,11 +26,11 @@ from ltsim.physics.effects.effect import Effect, LightPathStage
 
 ENTRY_POINT_GROUP = "ltsim.effects"
 """Group of entry points with which an installed package provides effects."""
-BUILTIN_ORIGIN = "ltsim"
+BUILTIN_PROVIDER = "ltsim"
 """Provider of built-in effects in the catalogue."""
-SESSION_ORIGIN = "this session"
+SESSION_PROVIDER = "this session"
 """Provider in the catalogue of effects that were registered in the running session."""
-PACKAGE_EFFECTS_GROUP = "installed"
+PACKAGE_EFFECTS_HEADING = "installed"
 """Heading in the catalogue of the effects that installed packages provide."""
 EFFECT_NAME_PATTERN = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 """Permitted names of effects: lower-case words, joined by hyphens."""
@@ -130,7 +130,7 @@ class Catalogue(Sequence[type[Effect]]):
     ) -> None:
         self._entry_points = points
         self._builtin_effects = {
-            kind.name: ListedEffect(kind, group, BUILTIN_ORIGIN)
+            kind.name: ListedEffect(kind, group, BUILTIN_PROVIDER)
             for group, kinds in built_in_effects.items()
             for kind in kinds
         }
@@ -146,7 +146,9 @@ class Catalogue(Sequence[type[Effect]]):
             entry = _load_effect_class(point)
             earlier = (self._builtin_effects | added).get(entry.effect_class.name)
             if earlier is not None:
-                raise _refusal(point, f"{earlier.provider} has an effect '{entry.effect_class.name}' already")
+                raise _unusable_effect_error(
+                    point, f"{earlier.provider} has an effect '{entry.effect_class.name}' already"
+                )
             added[entry.effect_class.name] = entry
         return self._builtin_effects | {name: added[name] for name in sorted(added)}
 
@@ -156,10 +158,10 @@ class Catalogue(Sequence[type[Effect]]):
         A class without a complete docstring gets a catalogue entry without content. Raises ModelError if the class is
         no valid effect, or if its name is that of a built-in effect or of an effect of a package.
         """
-        if why := interface_fault(effect_class):
+        if why := invalid_effect_reason(effect_class):
             raise ModelError(f"{effect_class!r} cannot be an effect: {why}")
         earlier = self.entries.get(effect_class.name)
-        if earlier is not None and earlier.group != SESSION_ORIGIN:
+        if earlier is not None and earlier.group != SESSION_PROVIDER:
             raise ModelError(f"{earlier.provider} has an effect '{effect_class.name}' already: take another name")
         try:
             catalogue_entry(effect_class)
@@ -169,14 +171,14 @@ class Catalogue(Sequence[type[Effect]]):
             effect_class.__doc__ = f"{title}: an effect of this session.\n\nnot given\n\n{parts}\n"
         self.__dict__["entries"] = {
             **self.entries,
-            effect_class.name: ListedEffect(effect_class, SESSION_ORIGIN, SESSION_ORIGIN),
+            effect_class.name: ListedEffect(effect_class, SESSION_PROVIDER, SESSION_PROVIDER),
         }
         return effect_class
 
     @property
     def session_effects(self) -> tuple[type[Effect], ...]:
         """Effect classes that were registered in this session; other processes do not have them."""
-        return tuple(entry.effect_class for entry in self.entries.values() if entry.group == SESSION_ORIGIN)
+        return tuple(entry.effect_class for entry in self.entries.values() if entry.group == SESSION_PROVIDER)
 
     def find(self, name: str) -> type[Effect]:
         """Class of the effect `name`; raises ModelError with the most similar names for an unknown one."""
@@ -202,7 +204,7 @@ def _package_name(entry_point: EntryPoint) -> str:
     )
 
 
-def _refusal(entry_point: EntryPoint, reason: str) -> ModelError:
+def _unusable_effect_error(entry_point: EntryPoint, reason: str) -> ModelError:
     """Error for an effect of a package that cannot be used, with the reason."""
     place = f"{entry_point.value} of {_package_name(entry_point)}"
     return ModelError(
@@ -215,17 +217,17 @@ def _load_effect_class(entry_point: EntryPoint) -> ListedEffect:
     try:
         kind = entry_point.load()
     except Exception as problem:  # whatever a stranger's module does when it is imported
-        raise _refusal(entry_point, f"{type(problem).__name__}: {problem}") from problem
-    if why := interface_fault(kind):
-        raise _refusal(entry_point, why)
+        raise _unusable_effect_error(entry_point, f"{type(problem).__name__}: {problem}") from problem
+    if why := invalid_effect_reason(kind):
+        raise _unusable_effect_error(entry_point, why)
     try:
         catalogue_entry(kind)
     except ModelError as problem:
-        raise _refusal(entry_point, str(problem)) from None
-    return ListedEffect(kind, PACKAGE_EFFECTS_GROUP, _package_name(entry_point))
+        raise _unusable_effect_error(entry_point, str(problem)) from None
+    return ListedEffect(kind, PACKAGE_EFFECTS_HEADING, _package_name(entry_point))
 
 
-def interface_fault(effect_class: object) -> str:
+def invalid_effect_reason(effect_class: object) -> str:
     """Reason why a class is no valid effect, as text for users; empty for a valid effect."""
     if not (isinstance(effect_class, type) and issubclass(effect_class, Effect)):
         return "it is not a class derived from lt.Effect"

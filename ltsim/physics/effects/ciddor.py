@@ -19,7 +19,7 @@ HELIUM_NEON_WAVELENGTH = 633e-9
 """Vacuum wavelength of the helium-neon laser [m]."""
 
 
-def vapour_pressure(temperature: Floats) -> Floats:
+def saturation_vapour_pressure(temperature: Floats) -> Floats:
     """Saturation pressure [Pa] over water at temperatures [C] (IAPWS-IF97, region 4)."""
     kelvin = temperature + 273.15
     omega = kelvin - 2.38555575678e-1 / (kelvin - 6.50175348448e2)
@@ -65,7 +65,7 @@ def refractivity(
     dry = 1e-8 * (5_792_105.0 / (238.0185 - wave) + 167_917.0 / (57.362 - wave))
     vapour = 1.022e-8 * (295.235 + 2.6422 * wave - 0.032380 * wave**2 + 0.004028 * wave**3)
     enhancement = 1.00062 + 3.14e-8 * pressure + 5.6e-7 * temperature**2
-    share = humidity / 100.0 * enhancement * vapour_pressure(temperature) / pressure
+    share = humidity / 100.0 * enhancement * saturation_vapour_pressure(temperature) / pressure
     mass = 1e-3 * (28.9635 + 12.011e-6 * 50.0)
 
     def density(temperature: Floats, pressure: float, x: Floats) -> Floats:
@@ -79,7 +79,7 @@ def refractivity(
 
 
 @lru_cache
-def temperature_sensitivity(temperature: float = 20.0) -> float:
+def refractive_index_sensitivity(temperature: float = 20.0) -> float:
     """Sensitivity beta = -dn/dT [1/K] of the refractive index at `temperature` [C] (central difference).
 
     Pressure and relative humidity are constant, with the default values of `refractivity`. The amount of water vapour

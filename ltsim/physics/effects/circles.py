@@ -8,7 +8,7 @@ from ltsim.scene.sightings import Sightings
 
 CANDIDATE_ORDERS = range(3, 9)
 """Orders of harmonics that a search tries, in periods per turn."""
-READING_COLUMN = {"azimuth": 1, "elevation": 2}
+READING_COLUMN_BY_CIRCLE = {"azimuth": 1, "elevation": 2}
 """Column of a circle's angle in the array of readings."""
 
 
@@ -25,8 +25,8 @@ def cos_sin_parameters(
 
 def cos_sin_terms(circle: str, order: int) -> tuple[SlotTerm, SlotTerm]:
     """Terms with cosine and sine of `order` times the raw reading of a circle, as corrections of this reading."""
-    return SlotTerm(circle, HarmonicBasis("cos", READING_COLUMN[circle], order)), SlotTerm(
-        circle, HarmonicBasis("sin", READING_COLUMN[circle], order)
+    return SlotTerm(circle, HarmonicBasis("cos", READING_COLUMN_BY_CIRCLE[circle], order)), SlotTerm(
+        circle, HarmonicBasis("sin", READING_COLUMN_BY_CIRCLE[circle], order)
     )
 
 

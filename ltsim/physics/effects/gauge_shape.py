@@ -28,7 +28,7 @@ class GaugeShape(Effect):
     Status: validated against moved points on the known lengths.
     """
 
-    index: int = 0
+    target_index: int = 0
     """Index of the target in the network whose nest moved."""
 
     name = "gauge-shape"
@@ -50,5 +50,5 @@ class GaugeShape(Effect):
     def gauge_design(self, first_targets: Ints, second_targets: Ints, points: Floats) -> Floats:
         gap = points[first_targets] - points[second_targets]
         unit = gap / np.linalg.norm(gap, axis=1, keepdims=True)
-        ends = (second_targets == self.index).astype(float) - (first_targets == self.index)
+        ends = (second_targets == self.target_index).astype(float) - (first_targets == self.target_index)
         return unit * ends[:, None]

@@ -5,23 +5,23 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.physics.effects.effect import LightPathStage, Parameter, ShapeParameter, design_from_front_face_corrections
-from ltsim.physics.effects.rays import TemperatureField, WarmAirEffect, relative_index_change_per_kelvin
+from ltsim.physics.effects.rays import TemperatureField, WarmAirEffect, relative_index_decrease_per_kelvin
 from ltsim.scene.regions import HallRegion, candidate_regions
 from ltsim.scene.sightings import Sightings
 
-N_AZIMUTHS = 8
+N_CANDIDATE_AZIMUTHS = 8
 """Number of azimuths of candidate directions around a station or target."""
 CANDIDATE_ELEVATIONS = (-0.6, 0.0, 0.6)
 """Elevations [rad] of candidate directions, in addition to zenith and nadir."""
-STATION_CENTRE_DISTANCES = 0.5
+PLUME_DISTANCES_FROM_STATION = 0.5
 """Distance [m] of candidate centres of plumes from a station."""
-REFINEMENT_STEPS = (0.2, 0.08)
+CENTRE_REFINEMENT_SHIFTS = (0.2, 0.08)
 """Shifts [m] of the centre of a plume that a local search tries."""
 STATION_PLUME_RADIUS = 0.25
 """Radius [m] of candidate plumes near a station."""
 TARGET_PLUME_RADIUS = 0.5
 """Radius [m] of candidate plumes near a target."""
-MAX_SINGLE_PLACES = 40
+MAX_PLACES_TRIED_SINGLY = 40
 """Number of stations, or of targets, above which a search does not try plumes at single stations, or single targets."""
 
 
@@ -75,16 +75,16 @@ class HeatPlume(WarmAirEffect):
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Candidates around every station and target, and on a grid over the hall."""
-        angles = np.linspace(0.0, 2 * np.pi, N_AZIMUTHS, endpoint=False)
+        angles = np.linspace(0.0, 2 * np.pi, N_CANDIDATE_AZIMUTHS, endpoint=False)
         directions = [
             (np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)) for a in angles for e in CANDIDATE_ELEVATIONS
         ]
         offsets = [
-            _rounded_to_mm(STATION_CENTRE_DISTANCES * np.array(direction))
+            _rounded_to_mm(PLUME_DISTANCES_FROM_STATION * np.array(direction))
             for direction in (*directions, (0.0, 0.0, 1.0), (0.0, 0.0, -1.0))
         ]
-        stations = sightings.station_names if len(sightings.station_names) <= MAX_SINGLE_PLACES else ()
-        targets = sightings.target_names if len(sightings.target_names) <= MAX_SINGLE_PLACES else ()
+        stations = sightings.station_names if len(sightings.station_names) <= MAX_PLACES_TRIED_SINGLY else ()
+        targets = sightings.target_names if len(sightings.target_names) <= MAX_PLACES_TRIED_SINGLY else ()
         return [
             *(cls((name,), (), offset, STATION_PLUME_RADIUS) for name in stations for offset in offsets),
             *(cls((), (name,), radius=TARGET_PLUME_RADIUS) for name in targets),
@@ -98,7 +98,9 @@ class HeatPlume(WarmAirEffect):
         """Plumes with a shifted centre, for a local search."""
         if self.targets:
             return []
-        offsets = [sign * step * axis for step in REFINEMENT_STEPS for axis in np.eye(3) for sign in (1.0, -1.0)]
+        offsets = [
+            sign * step * axis for step in CENTRE_REFINEMENT_SHIFTS for axis in np.eye(3) for sign in (1.0, -1.0)
+        ]
         return [self.with_constants(offset=_rounded_to_mm(np.array(self.offset) + move)) for move in offsets]
 
     @property
@@ -124,7 +126,7 @@ class HeatPlume(WarmAirEffect):
         ball = HallRegion("xyz", tuple(self._centre(sightings).tolist()), self.radius)
         path, bending = ball.path_and_bending(sightings)
         _, across, up = sightings.beam_vectors
-        acts = relative_index_change_per_kelvin() * self.row_weights(sightings)
+        acts = relative_index_decrease_per_kelvin() * self.row_weights(sightings)
         bend = -bending * (acts / sightings.range_)[:, None]
         return design_from_front_face_corrections(
             sightings,
@@ -133,7 +135,7 @@ class HeatPlume(WarmAirEffect):
             elevation=np.sum(bend * up, axis=1),
         )[:, :, None]
 
-    def field(self, sightings: Sightings) -> TemperatureField:
+    def temperature_field(self, sightings: Sightings) -> TemperatureField:
         """Temperature field of a plume whose centre is 1 K warmer."""
         centre = self._centre(sightings)
 

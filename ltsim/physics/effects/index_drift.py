@@ -28,5 +28,5 @@ class IndexDrift(Drift):
     amplitude_parameter = Parameter("index-drift-amplitude", "urad", "index at the start, decaying", 20 * MICRORADIAN)
     parameters = (rate_parameter,)
 
-    linear_laws = ("linear", "visit")
+    candidate_linear_laws = ("linear", "visit")
     tries_single_stations = True

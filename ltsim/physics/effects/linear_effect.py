@@ -41,7 +41,7 @@ class Parameter:
     is_positive: bool = False
     """True for a quantity that is never negative, such as a thickness."""
 
-    def sigma_from(self, prior: Prior) -> float:
+    def prior_sigma_from(self, prior: Prior) -> float:
         """Prior standard deviation [SI] from the specification of the instrument."""
         if self.name in prior.parameters:
             return prior.parameters[self.name] * self.si_per_display_unit
@@ -109,9 +109,9 @@ class Linearisation(NamedTuple):
 
     shift: Floats
     """Change (n, 3) of the raw readings."""
-    by_values: Floats
+    parameter_derivatives: Floats
     """Derivative (n, 3, p) with respect to the parameters."""
-    by_geometry: tuple[Floats, Floats] | None = None
+    geometry_derivatives: tuple[Floats, Floats] | None = None
     """Derivatives with respect to the target's coordinates (n, 3, 3) and the station's motion (n, 3, 6).
 
     None if they are neglected, as for all changes that are small compared with the distance.
@@ -174,18 +174,20 @@ class LinearEffect(Protocol):
         """Weights (n,): 1 for pointings whose readings the effect changes, 0 for others."""
         acts = np.ones(len(sightings), dtype=bool)
         if self.stations:
-            acts &= _is_any_of(sightings.station, sightings.station_indices, self.stations)
+            acts &= _belongs_to_names(sightings.station, sightings.station_indices, self.stations)
         if self.targets:
-            acts &= _is_any_of(sightings.target, sightings.target_indices, self.targets)
+            acts &= _belongs_to_names(sightings.target, sightings.target_indices, self.targets)
         return acts.astype(np.float64)
 
 
-def _is_any_of(name_indices: Ints, allowed_names: Mapping[str, Sequence[int]], names: Sequence[str]) -> Bools:
-    """Flags (n,) of the indices `name_indices` (n,) that belong to one of `names`.
+def _belongs_to_names(
+    name_indices: Ints, indices_by_name: Mapping[str, Sequence[int]], permitted_names: Sequence[str]
+) -> Bools:
+    """Flags (n,) of the indices `name_indices` (n,) that belong to one of `permitted_names`.
 
-    `allowed_names` has the indices of every name.
+    `indices_by_name` has the indices of every name.
     """
-    ids = [i for name in names for i in allowed_names.get(name, ())]
+    ids = [i for name in permitted_names for i in indices_by_name.get(name, ())]
     return name_indices == ids[0] if len(ids) == 1 else np.isin(name_indices, ids)
 
 
@@ -217,7 +219,7 @@ class CandidateEffect(LinearEffect, Protocol):
         return ()
 
     @property
-    def hall_axes(self) -> str:
+    def source_position_axes(self) -> str:
         """Axes of the coordinates of `source_position`."""
         return "xyz"[: len(self.source_position)]
 

@@ -12,12 +12,12 @@ from ltsim.physics.effects.linear_effect import LinearEffect, Linearisation
 from ltsim.scene.sightings import Sightings
 
 
-def exact_target_change(sightings: Sightings, displacement: Floats) -> Floats:
+def exact_change_by_displacement(sightings: Sightings, displacement: Floats) -> Floats:
     """Exact change (n, 3) of the raw readings if each pointing's target is displaced by (n, 3) [m], network frame."""
     return reading_change(sightings, _sightings_with_displaced_targets(sightings, displacement).local_points)
 
 
-def exact_station_change(sightings: Sightings, motion: Floats) -> Floats:
+def exact_change_by_station_motion(sightings: Sightings, motion: Floats) -> Floats:
     """Exact change (n, 3) of the raw readings by motions (n, 6) of the station of each pointing.
 
     `motion` is a translation [m] and a rotation vector [rad] about the station's origin, both in the network frame.
@@ -46,20 +46,20 @@ def _apparent_sightings(sightings: Sightings, motion: Floats) -> Sightings:
 
 
 def _linearised_change(
-    sightings: Sightings, apparent_sightings: Sightings, displacement_by_values: Floats
+    sightings: Sightings, apparent_sightings: Sightings, displacement_derivatives: Floats
 ) -> Linearisation:
     """Change of the readings by displaced apparent positions of reflectors, with its derivatives.
 
-    `displacement_by_values` (n, 3, p) is the derivative of the change with respect to the parameters.
+    `displacement_derivatives` (n, 3, p) is the derivative of the change with respect to the parameters.
     """
     by_target = apparent_sightings.target_derivatives - sightings.target_derivatives
-    by_pose = station_design(apparent_sightings) - station_design(sightings)
+    by_pose = station_motion_design(apparent_sightings) - station_motion_design(sightings)
     return Linearisation(
-        reading_change(sightings, apparent_sightings.local_points), displacement_by_values, (by_target, by_pose)
+        reading_change(sightings, apparent_sightings.local_points), displacement_derivatives, (by_target, by_pose)
     )
 
 
-def station_design(sightings: Sightings) -> Floats:
+def station_motion_design(sightings: Sightings) -> Floats:
     """Change (n, 3, 6) of the raw readings per unit of the station's translation and rotation, to first order."""
     return pose_design(sightings.target_derivatives, sightings.sight_vectors)
 
@@ -82,7 +82,7 @@ class TargetDisplacement(LinearEffect):
         return design_from_displacements(sightings, self.displacement(sightings))
 
     def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:
-        return exact_target_change(sightings, self.displacement(sightings) @ parameter_values)
+        return exact_change_by_displacement(sightings, self.displacement(sightings) @ parameter_values)
 
     def linearise(self, sightings: Sightings, parameter_values: Floats) -> Linearisation:
         displacement = self.displacement(sightings)
@@ -100,16 +100,16 @@ class StationMotion(Effect):
     """Base class of effects that move stations."""
 
     def motion(self, sightings: Sightings) -> Floats:
-        """Motion (n, 6, p) of each pointing's station per unit of each parameter, as in `exact_station_change`."""
+        """Motion (n, 6, p) of each pointing's station per unit of each parameter (`exact_change_by_station_motion`)."""
         raise NotImplementedError
 
     def design(self, sightings: Sightings) -> Floats:
-        return station_design(sightings) @ self.motion(sightings)
+        return station_motion_design(sightings) @ self.motion(sightings)
 
     def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:
-        return exact_station_change(sightings, self.motion(sightings) @ parameter_values)
+        return exact_change_by_station_motion(sightings, self.motion(sightings) @ parameter_values)
 
     def linearise(self, sightings: Sightings, parameter_values: Floats) -> Linearisation:
         motion = self.motion(sightings)
         apparent = _apparent_sightings(sightings, motion @ parameter_values)
-        return _linearised_change(sightings, apparent, station_design(apparent) @ motion)
+        return _linearised_change(sightings, apparent, station_motion_design(apparent) @ motion)

@@ -41,12 +41,12 @@ def station_change_times(sightings: Sightings, *, min_pointings: int) -> list[tu
     ]
 
 
-def visit_change_times(sightings: Sightings, target: int, *, max_times: int) -> list[float]:
+def times_between_visits(sightings: Sightings, target_index: int, *, max_times: int) -> list[float]:
     """Times [s] between pointings to a target from two successive stations, at most `max_times`.
 
     If only one station measured the target, they are times between its pointings.
     """
-    target_rows = sightings.measurement_order[sightings.target[sightings.measurement_order] == target]
+    target_rows = sightings.measurement_order[sightings.target[sightings.measurement_order] == target_index]
     times, stations = sightings.time[target_rows], sightings.station[target_rows]
     if len(np.unique(stations)) < 2:
         return change_times(times, min_pointings=2, max_times=max_times)
@@ -78,7 +78,7 @@ def first_pointing_time(sightings: Sightings) -> float:
 
 TimeLaw = Literal["visit", "linear", "exponential"]
 
-WARM_UP_TIME_CONSTANT = ShapeParameter(
+WARM_UP_TIME_CONSTANT_PARAMETER = ShapeParameter(
     "time_constant", "min", "time constant of the warm-up", 600.0, 14_400.0, has_logarithmic_grid=True, n_grid_values=6
 )
 """Time constant of a warm-up, with the bounds [s] of a search for it."""
@@ -86,7 +86,7 @@ WARM_UP_TIME_CONSTANT = ShapeParameter(
 
 MAX_TIME_CONSTANT_RATIO = 2.0
 """Largest time constant of a warm-up that a search tries, divided by the duration of the measurement."""
-SHORT_RECORDING_TIME_CONSTANTS = (0.3, 1.0)
+SHORT_RECORDING_TIME_CONSTANT_FRACTIONS = (0.3, 1.0)
 """Time constants of warm-ups, divided by the duration of the measurement, that a search tries if all others exceed
 `MAX_TIME_CONSTANT_RATIO`."""
 
@@ -103,14 +103,14 @@ class Drift(Effect):
     """Time constant [s] of the exponential law."""
 
     covariates = ("time",)
-    shape_parameters = (WARM_UP_TIME_CONSTANT,)
+    shape_parameters = (WARM_UP_TIME_CONSTANT_PARAMETER,)
     slot: ClassVar[str]
     """Slot of the kinematic chain that drifts."""
     rate_parameter: ClassVar[Parameter]
     """Parameter of the laws ``visit`` and ``linear``: correction per time."""
     amplitude_parameter: ClassVar[Parameter]
     """Parameter of the law ``exponential``: correction at the start."""
-    linear_laws: ClassVar[tuple[TimeLaw, ...]]
+    candidate_linear_laws: ClassVar[tuple[TimeLaw, ...]]
     """Laws ``visit`` or ``linear`` that a search tries at all stations together; with one station only the first."""
     tries_single_stations: ClassVar[bool] = False
     """True if a search also tries the law ``visit`` at single stations."""
@@ -127,11 +127,11 @@ class Drift(Effect):
         linear. In a recording without times, row numbers replace time.
         """
         span = float(np.ptp(sightings.time))
-        times = [t for t in WARM_UP_TIME_CONSTANT.grid().tolist() if t <= MAX_TIME_CONSTANT_RATIO * span] or [
-            share * span for share in SHORT_RECORDING_TIME_CONSTANTS
+        times = [t for t in WARM_UP_TIME_CONSTANT_PARAMETER.grid().tolist() if t <= MAX_TIME_CONSTANT_RATIO * span] or [
+            share * span for share in SHORT_RECORDING_TIME_CONSTANT_FRACTIONS
         ]
         names = sightings.station_names if len(sightings.station_names) > 1 else ()
-        linear = [cls(law=law) for law in (cls.linear_laws if names else cls.linear_laws[:1])]
+        linear = [cls(law=law) for law in (cls.candidate_linear_laws if names else cls.candidate_linear_laws[:1])]
         single_station_drifts = [cls((name,), law="visit") for name in names if cls.tries_single_stations]
         warm_ups = [cls(law="exponential", time_constant=t) for t in times if t > 0.0]
         return [*linear, *single_station_drifts, *warm_ups]

@@ -21,7 +21,7 @@ MAX_WAVELENGTH = 2.0
 MAX_PHASE_ERROR = 0.125
 """Largest phase error in periods of a wave with the nearest wavelength that a search tries. It occurs at the ends of
 the interval of ranges if the phase is correct in its middle."""
-MAX_WAVELENGTHS = 1200
+MAX_WAVELENGTH_COUNT = 1200
 """Largest number of wavelengths that a search tries."""
 
 
@@ -69,7 +69,7 @@ class RangeCyclic(Effect):
         """Candidates with wavelengths that the interval of measured ranges can distinguish, the longest first."""
         span = float(np.ptp(sightings.range_)) if len(sightings) else 0.0
         step = 4 * MAX_PHASE_ERROR / max(span, 0.5)
-        highest = min(1 / MIN_WAVELENGTH, 1 / MAX_WAVELENGTH + MAX_WAVELENGTHS * step)
+        highest = min(1 / MIN_WAVELENGTH, 1 / MAX_WAVELENGTH + MAX_WAVELENGTH_COUNT * step)
         return [cls(wavelength=float(1 / f)) for f in np.arange(1 / MAX_WAVELENGTH, highest, step)]
 
     def design(self, sightings: Sightings) -> Floats:

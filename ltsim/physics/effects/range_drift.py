@@ -32,4 +32,4 @@ class RangeDrift(Drift):
     )
     parameters = (rate_parameter,)
 
-    linear_laws = ("linear", "visit")
+    candidate_linear_laws = ("linear", "visit")

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from ltsim.core.arrays import Bools, Floats
-from ltsim.physics.effects.ciddor import refractivity, temperature_sensitivity
+from ltsim.physics.effects.ciddor import refractive_index_sensitivity, refractivity
 from ltsim.physics.effects.effect import Effect, design_from_front_face_corrections
 from ltsim.physics.effects.motions import reading_change
 from ltsim.scene.sightings import Sightings
@@ -32,7 +32,7 @@ QUADRATURE_NODES, QUADRATURE_WEIGHTS = (a for a in np.polynomial.legendre.leggau
 
 
 @lru_cache
-def _refractivity_by_temperature() -> tuple[Polynomial, Polynomial]:
+def _refractivity_polynomials() -> tuple[Polynomial, Polynomial]:
     """Polynomials of the refractivity (refractive index minus one) and of its derivative [1/K].
 
     Their variable is the temperature minus that of the weather sensor, -15 to +40 K.
@@ -43,13 +43,15 @@ def _refractivity_by_temperature() -> tuple[Polynomial, Polynomial]:
 
 
 @lru_cache
-def relative_index_change_per_kelvin() -> float:
+def relative_index_decrease_per_kelvin() -> float:
     """Relative decrease beta / n [1/K] of the refractive index per kelvin, at the weather sensor."""
-    law, _ = _refractivity_by_temperature()
-    return temperature_sensitivity(REFERENCE_TEMPERATURE) / (1.0 + float(law(0.0)))
+    law, _ = _refractivity_polynomials()
+    return refractive_index_sensitivity(REFERENCE_TEMPERATURE) / (1.0 + float(law(0.0)))
 
 
-def first_order_change(sightings: Sightings, field: TemperatureField, row_weights: Bools | None = None) -> Floats:
+def first_order_reading_change(
+    sightings: Sightings, field: TemperatureField, row_weights: Bools | None = None
+) -> Floats:
     """Change (n, 3) of the raw readings to first order, by integrals along straight paths (Gauss-Legendre).
 
     If flags `row_weights` (n,) are given, only flagged pointings are computed, and the change of the others is zero.
@@ -61,7 +63,7 @@ def first_order_change(sightings: Sightings, field: TemperatureField, row_weight
     origins = sightings.station_positions[sightings.station[pointing_indices]]
     points = origins[:, None] + (ray_lengths[:, None] * path_fractions)[:, :, None] * beam[:, None]
     temperature_deviation, gradient = field(points.reshape(-1, 3))
-    beta = relative_index_change_per_kelvin()
+    beta = relative_index_decrease_per_kelvin()
     weight = 0.5 * QUADRATURE_WEIGHTS
     mean_deviation = temperature_deviation.reshape(len(ray_lengths), len(QUADRATURE_NODES)) @ weight
     weighted_gradient = np.einsum(
@@ -77,7 +79,7 @@ def first_order_change(sightings: Sightings, field: TemperatureField, row_weight
     return design_from_front_face_corrections(sightings, distance=change[0], azimuth=change[1], elevation=change[2])
 
 
-def integrated_change(sightings: Sightings, field: TemperatureField, *, steps: int = N_RAY_STEPS) -> Floats:
+def integrated_reading_change(sightings: Sightings, field: TemperatureField, *, n_steps: int = N_RAY_STEPS) -> Floats:
     """Change (n, 3) of the raw readings by integration of the ray equation (Runge-Kutta, fourth order).
 
     The ray starts in the first-order direction. This direction is then corrected by the distance between the end of the
@@ -86,11 +88,11 @@ def integrated_change(sightings: Sightings, field: TemperatureField, *, steps: i
     start, target = sightings.station_positions[sightings.station], sightings.target_points[sightings.target]
     ray_lengths = sightings.range_
     start_direction = _apparent_directions(sightings, field)
-    end, arrival, optical = _trace_rays(start, start_direction, ray_lengths, field, steps)
+    end, arrival, optical = _trace_rays(start, start_direction, ray_lengths, field, n_steps)
     end_error = target - end
     along = np.sum(end_error * arrival, axis=1)
     aim = start_direction + (end_error - along[:, None] * arrival) / ray_lengths[:, None]
-    law, _ = _refractivity_by_temperature()
+    law, _ = _refractivity_polynomials()
     at_target = law(field(target)[0])
     excess = (optical + at_target * along - law(0.0) * (ray_lengths + along)) / (1.0 + law(0.0))
     local = np.einsum("nji,nj->ni", sightings.station_rotations[sightings.station], aim)
@@ -101,34 +103,34 @@ def integrated_change(sightings: Sightings, field: TemperatureField, *, steps: i
 def _apparent_directions(sightings: Sightings, field: TemperatureField) -> Floats:
     """Unit vectors (n, 3) from the stations towards the apparent positions of the targets, to first order."""
     beam, across, up = sightings.beam_vectors
-    change = first_order_change(sightings, field)
+    change = first_order_reading_change(sightings, field)
     lateral_angle = change[:, 1] * np.cos(sightings.elevation)
     aim = beam + lateral_angle[:, None] * across + (change[:, 2] * sightings.face_sign)[:, None] * up
     return aim / np.linalg.norm(aim, axis=1, keepdims=True)
 
 
 def _trace_rays(
-    origins: Floats, direction: Floats, ray_lengths: Floats, field: TemperatureField, steps: int
+    origins: Floats, direction: Floats, ray_lengths: Floats, field: TemperatureField, n_steps: int
 ) -> tuple[Floats, Floats, Floats]:
     """End points (n, 3) [m] and end directions (n, 3) of rays, and integrals (n,) [m] of the refractivity along them.
 
     Rays are given by start points (n, 3), directions (n, 3) and arc lengths (n,) [m].
     """
-    law, slope = _refractivity_by_temperature()
+    law, slope = _refractivity_polynomials()
 
-    def rates(place: Floats, heading: Floats) -> tuple[Floats, Floats]:
-        warmer, gradient = field(place)
+    def rates(position: Floats, ray_direction: Floats) -> tuple[Floats, Floats]:
+        warmer, gradient = field(position)
         above = law(warmer)
         index_gradient = slope(warmer)[:, None] * gradient
-        turn = (index_gradient - np.sum(index_gradient * heading, axis=1, keepdims=True) * heading) / (1.0 + above)[
-            :, None
-        ]
+        turn = (index_gradient - np.sum(index_gradient * ray_direction, axis=1, keepdims=True) * ray_direction) / (
+            1.0 + above
+        )[:, None]
         return turn, above
 
     place, heading, optical = origins.copy(), direction.copy(), np.zeros(len(origins))
-    h = ray_lengths / steps
+    h = ray_lengths / n_steps
     hv = h[:, None]
-    for _ in range(steps):
+    for _ in range(n_steps):
         t1, n1 = rates(place, heading)
         h2 = heading + 0.5 * hv * t1
         t2, n2 = rates(place + 0.5 * hv * heading, h2)
@@ -147,20 +149,22 @@ def _trace_rays(
 class WarmAirEffect(Effect):
     """Base class of effects of warm air whose only parameter is a temperature difference [K]."""
 
-    def field(self, sightings: Sightings) -> TemperatureField:
+    def temperature_field(self, sightings: Sightings) -> TemperatureField:
         """Temperature field for a parameter of 1 K."""
         raise NotImplementedError
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings per kelvin, to first order."""
-        return first_order_change(sightings, self.field(sightings), self.row_weights(sightings) > 0)[:, :, None]
+        return first_order_reading_change(
+            sightings, self.temperature_field(sightings), self.row_weights(sightings) > 0
+        )[:, :, None]
 
     def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:
         """Change (n, 3) of the raw readings by integration of the ray equation."""
-        kelvin = self.field(sightings)
+        kelvin = self.temperature_field(sightings)
 
         def field(points: Floats) -> tuple[Floats, Floats]:
             warmer, gradient = kelvin(points)
             return parameter_values[0] * warmer, parameter_values[0] * gradient
 
-        return integrated_change(sightings, field) * self.row_weights(sightings)[:, None]
+        return integrated_reading_change(sightings, field) * self.row_weights(sightings)[:, None]

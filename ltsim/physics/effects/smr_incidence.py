@@ -101,7 +101,7 @@ class SmrIncidence(Effect):
             raise ModelError(f"smr-incidence.table has {len(self.table)} values, expected {len(TABLE_ANGLES)}")
 
     @classmethod
-    def error_derivatives(cls, incidence: Floats, direction: Floats) -> Floats:
+    def range_correction_design(cls, incidence: Floats, direction: Floats) -> Floats:
         """Change (n, 14) of the range correction (truth - reading) per unit of each parameter.
 
         `incidence` and `direction` (n,) [rad] are the angle of incidence and its direction around the nest's normal.
@@ -128,7 +128,7 @@ class SmrIncidence(Effect):
         odds = odd * np.cos(self.direction), odd * np.sin(self.direction)
         return -np.concatenate([even, *odds, np.zeros(2)])
 
-    def incidence_angles(self, sightings: Sightings) -> tuple[Floats, Floats]:
+    def incidence_angle_and_direction(self, sightings: Sightings) -> tuple[Floats, Floats]:
         """Incidence angle and its direction, each (n,) [rad]; 0 for a re-aimed reflector and for an unknown nest."""
         fixed = ~sightings.is_reaimed[sightings.target] & np.isfinite(sightings.incidence)
         angle = np.where(fixed, sightings.incidence, 0.0)
@@ -138,7 +138,7 @@ class SmrIncidence(Effect):
     def design(self, sightings: Sightings) -> Floats:
         acts = self.row_weights(sightings)[:, None]
         return design_from_front_face_corrections(
-            sightings, distance=acts * self.error_derivatives(*self.incidence_angles(sightings))
+            sightings, distance=acts * self.range_correction_design(*self.incidence_angle_and_direction(sightings))
         )
 
     def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:

@@ -8,7 +8,7 @@ from ltsim.physics.effects.effect import LightPathStage, Parameter, ShapeParamet
 from ltsim.physics.effects.motions import StationMotion
 from ltsim.scene.sightings import Sightings
 
-MOTION_COMPONENTS = [3, 4, 2]
+SETTLING_COMPONENTS = [3, 4, 2]
 """Indices of the components of a station's motion that change: rotation about x, about y, translation along z."""
 
 
@@ -54,4 +54,4 @@ class StationSettling(StationMotion):
 
     def motion(self, sightings: Sightings) -> Floats:
         settled = self.row_weights(sightings) * (1.0 - np.exp(-sightings.station_time / self.time_constant))
-        return settled[:, None, None] * np.eye(6)[:, MOTION_COMPONENTS]
+        return settled[:, None, None] * np.eye(6)[:, SETTLING_COMPONENTS]

@@ -7,10 +7,10 @@ from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE, SI_PER_UNIT
 from ltsim.physics.effects.effect import LightPathStage, axis_parameters
 from ltsim.physics.effects.motions import TargetMotion
-from ltsim.physics.effects.places import first_pointing_time, neighbouring_gap_times, visit_change_times
+from ltsim.physics.effects.places import first_pointing_time, neighbouring_gap_times, times_between_visits
 from ltsim.scene.sightings import Sightings
 
-MAX_STEP_TIMES = 8
+MAX_STEP_TIMES_PER_TARGET = 8
 """Largest number of times per target at which a search tries a step."""
 PLAUSIBLE_STEP = 60 * MICROMETRE
 """Plausible sudden displacement [m] of a target."""
@@ -56,7 +56,7 @@ class TargetMoved(TargetMotion):
         """Candidates for every target: a step between any two visits, and creep."""
         candidates = []
         for t, name in enumerate(sightings.target_names):
-            steps = visit_change_times(sightings, t, max_times=MAX_STEP_TIMES)
+            steps = times_between_visits(sightings, t, max_times=MAX_STEP_TIMES_PER_TARGET)
             candidates += [cls((), (name,), time) for time in steps]
             candidates += [cls((), (name,), kind="creep")] if len(steps) > 1 else []
         return candidates

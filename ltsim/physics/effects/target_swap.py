@@ -6,7 +6,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.physics.effects.effect import Blunder, LightPathStage, Parameter
-from ltsim.physics.effects.motions import exact_target_change
+from ltsim.physics.effects.motions import exact_change_by_displacement
 from ltsim.scene.sightings import Sightings
 
 
@@ -52,4 +52,4 @@ class TargetSwap(Blunder):
         partner = np.where(sightings.target == a, b, a)
         gap = sightings.target_points[partner] - sightings.target_points[sightings.target]
         acts = self.row_weights(sightings)[:, None]
-        return exact_target_change(sightings, gap * acts)[:, :, None]
+        return exact_change_by_displacement(sightings, gap * acts)[:, :, None]

@@ -28,7 +28,7 @@ class SizedEffect:
     """Values of the parameters by name, in display units."""
 
 
-S = TypeVar("S", bound=LinearEffect | SizedEffect)
+EffectT = TypeVar("EffectT", bound=LinearEffect | SizedEffect)
 
 
 def Effect(
@@ -81,13 +81,17 @@ def name_tuple(name_or_names: str | Sequence[str]) -> tuple[str, ...]:
     return (name_or_names,) if isinstance(name_or_names, str) else tuple(name_or_names)
 
 
-def effect_tuple(effect_or_effects: str | S | Sequence[str | S]) -> tuple[str | S, ...]:
+def effect_tuple(effect_or_effects: str | EffectT | Sequence[str | EffectT]) -> tuple[str | EffectT, ...]:
     """Effects (names or objects) as a tuple, from a single effect or a sequence of effects."""
     alone = isinstance(effect_or_effects, str) or not isinstance(effect_or_effects, Sequence)
-    return (cast("str | S", effect_or_effects),) if alone else tuple(cast("Sequence[str | S]", effect_or_effects))
+    return (
+        (cast("str | EffectT", effect_or_effects),)
+        if alone
+        else tuple(cast("Sequence[str | EffectT]", effect_or_effects))
+    )
 
 
-def make_effect(name: str, places: Mapping[str, tuple[str, ...]], shape: Mapping[str, Any]) -> AnyEffect:
+def make_effect(name: str, places: Mapping[str, tuple[str, ...]], constants: Mapping[str, Any]) -> AnyEffect:
     """Effect of the catalogue with places and constants (in the catalogue's unit if it has one, otherwise SI).
 
     Raises ModelError for an unknown effect or constant, and for an invalid value.
@@ -95,13 +99,13 @@ def make_effect(name: str, places: Mapping[str, tuple[str, ...]], shape: Mapping
     kind = find_effect(name)
     fields = {f.name: f.default for f in dataclasses.fields(kind) if f.name not in COMMON_FIELDS}
     units = {s.name: SI_PER_UNIT[s.unit] for s in kind.shape_parameters}
-    constants: dict[str, Any] = {}
-    for key, value in shape.items():
+    si_constants: dict[str, Any] = {}
+    for key, value in constants.items():
         if key not in fields:
             names, sizes = ", ".join(sorted(fields)) or "none", ", ".join(p.name for p in kind.parameters)
             raise ModelError(f"{name} has no constant called '{key}'; constants: {names}; sizes, where drawn: {sizes}")
-        constants[key] = _constant_in_si(f"{name}.{key}", value, fields[key], units.get(key, 1.0))
-    effect = kind(**{**places, **constants})
+        si_constants[key] = _constant_in_si(f"{name}.{key}", value, fields[key], units.get(key, 1.0))
+    effect = kind(**{**places, **si_constants})
     _check_constants(effect)
     return effect
 

@@ -11,13 +11,13 @@ from ltsim.scene.sightings import Sightings
 
 GLASS_REFRACTIVE_INDEX = 1.5
 """Refractive index of glass."""
-SEQUENCE_FRACTIONS = (0.25, 0.12)
+PANE_TARGET_FRACTIONS = (0.25, 0.12)
 """Numbers of neighbouring targets behind a candidate pane, as fractions of the station's targets."""
 PANE_ROTATIONS = (-0.15, -0.05, 0.05, 0.15)
 """Rotations [rad] of a pane about the vertical that a local search tries."""
 
 
-def _targets_by_azimuth(sightings: Sightings, station: str) -> list[int]:
+def _targets_in_azimuth_order(sightings: Sightings, station: str) -> list[int]:
     """Indices of the targets that a station measured, in the order of their azimuths."""
     s = sightings.station_names.index(station)
     arm = sightings.target_points - sightings.station_positions[s]
@@ -54,16 +54,16 @@ class Window(TargetMotion):
         """Candidates: upright panes at every station, in front of sequences of targets ordered by azimuth."""
         candidates = []
         for station in sightings.station_names:
-            order = _targets_by_azimuth(sightings, station)
-            for share in SEQUENCE_FRACTIONS:
+            order = _targets_in_azimuth_order(sightings, station)
+            for share in PANE_TARGET_FRACTIONS:
                 length = max(2, round(share * len(order)))
                 for first in range(0, len(order), max(1, length // 2)):
                     block = [order[(first + k) % len(order)] for k in range(min(length, len(order)))]
-                    candidates += cls._perpendicular_pane(sightings, station, block)
+                    candidates += cls._perpendicular_panes(sightings, station, block)
         return candidates
 
     @classmethod
-    def _perpendicular_pane(cls, sightings: Sightings, station: str, target_sequence: list[int]) -> list[Self]:
+    def _perpendicular_panes(cls, sightings: Sightings, station: str, target_sequence: list[int]) -> list[Self]:
         """Pane perpendicular to the middle of a sequence of targets; empty if the middle is undefined."""
         arm = (
             sightings.target_points[target_sequence]
@@ -77,14 +77,14 @@ class Window(TargetMotion):
 
     def neighbours(self, sightings: Sightings) -> list[Self]:
         """Neighbouring candidates: one target more or less at either end of the sequence; the pane slightly rotated."""
-        order = _targets_by_azimuth(sightings, self.stations[0])
+        order = _targets_in_azimuth_order(sightings, self.stations[0])
         behind = {sightings.target_names.index(name) for name in self.targets}
         inside = [t in behind for t in order]
         windows: list[Self] = []
         for k, t in enumerate(order):
             at_edge = inside[k] != inside[k - 1] or inside[k] != inside[(k + 1) % len(order)]
             if at_edge:
-                windows += self._perpendicular_pane(sightings, self.stations[0], sorted(behind ^ {t}))
+                windows += self._perpendicular_panes(sightings, self.stations[0], sorted(behind ^ {t}))
         x, y, _ = self.pane_normal
         angles = [np.arctan2(y, x) + angle for angle in PANE_ROTATIONS]
         return windows + [self.with_constants(pane_normal=(float(np.cos(a)), float(np.sin(a)), 0.0)) for a in angles]

@@ -22,20 +22,20 @@ CIRCULAR_COVARIATES = ("azimuth", "circle", "bearing", "nest-direction")
 N_MODES_DEFAULT = 9
 """Number of eigenfunctions of a smooth curve in a search. At the shortest of its length scales the prior deviation of
 the last eigenfunction is a tenth to a third of that of the first."""
-N_MODES_FACTOR = 4
+N_MODES_IN_PRODUCT = 4
 """Number of eigenfunctions of a smooth curve that is a factor of a product, or that a law of a single target has."""
 N_MODES_FINE = 32
 """Number of eigenfunctions of the finer curve that is tried in place of a smooth curve of the selected law."""
-BASIS_HALF_WIDTH = 1.25
+BASIS_WIDTH_RATIO = 1.25
 """Width of the interval at whose ends all eigenfunctions are zero, divided by the width of the covariate's range. It is
 larger than 1 because a curve is not necessarily zero at the ends of the range.
 """
-LENGTH_SCALES = {N_MODES_DEFAULT: (0.9, 0.4, 0.18), N_MODES_FACTOR: (0.6,), N_MODES_FINE: (0.07,)}
+LENGTH_SCALES_BY_N_MODES = {N_MODES_DEFAULT: (0.9, 0.4, 0.18), N_MODES_IN_PRODUCT: (0.6,), N_MODES_FINE: (0.07,)}
 """Length scales of the kernel by number of eigenfunctions, as fractions of half the covariate's range. For an angle on
 a full circle they are in radians."""
-MEMORY_PREFIXES = ("approach-", "move-", "last-", "work-", "wound-", "lapse")
+MEMORY_COVARIATE_PREFIXES = ("approach-", "move-", "last-", "work-", "wound-", "lapse")
 """Prefixes of the names of covariates that depend on preceding pointings, such as `move-azimuth`."""
-SHORT_LAW_FUNCTIONS: dict[str, Callable[[Floats, float], Floats]] = {
+FORMULA_FUNCTIONS: dict[str, Callable[[Floats, float], Floats]] = {
     "power": lambda x, k: x**k,
     "abs": lambda x, k: np.abs(x),
     "cos": lambda x, k: np.cos(k * x),
@@ -56,7 +56,7 @@ SHORT_LAW_FUNCTIONS: dict[str, Callable[[Floats, float], Floats]] = {
 PLAY_FUNCTION = "hysteresis"
 """Name of the function with hysteresis. It depends on the values of a covariate in the order of measurement. Its
 constant is half the width of the loop, in the unit of the covariate."""
-ZERO_FRACTION = 0.02
+MAX_NATURAL_ZERO_FRACTION = 0.02
 """Limit for the smallest absolute value of a covariate divided by the largest. Below it the covariate counts as a
 quantity, such as a load, that was zero during the measurement. Zero is then its reference value."""
 
@@ -66,7 +66,7 @@ def has_natural_zero(covariate: Floats) -> bool:
 
     The reference value of other covariates, such as a temperature, is their mean.
     """
-    return bool(np.nanmin(np.abs(covariate)) < ZERO_FRACTION * np.nanmax(np.abs(covariate)))
+    return bool(np.nanmin(np.abs(covariate)) < MAX_NATURAL_ZERO_FRACTION * np.nanmax(np.abs(covariate)))
 
 
 def scaled_to_unit_rms(column: Floats) -> Floats:
@@ -101,8 +101,8 @@ def smooth_curve_columns(name: str, covariate: Floats, n_modes: int) -> Floats:
     low, high = float(covariate.min()), float(covariate.max())
     half_range = max(0.5 * (high - low), 1e-300)
     u = (covariate - 0.5 * (low + high)) / half_range
-    waves = _unit_phasors(0.5 * np.pi * (u + BASIS_HALF_WIDTH) / BASIS_HALF_WIDTH, n_modes).imag / np.sqrt(
-        BASIS_HALF_WIDTH
+    waves = _unit_phasors(0.5 * np.pi * (u + BASIS_WIDTH_RATIO) / BASIS_WIDTH_RATIO, n_modes).imag / np.sqrt(
+        BASIS_WIDTH_RATIO
     )
     return np.hstack([np.sqrt(3.0) * u[:, None], np.sqrt(2.0) * waves])
 
@@ -111,22 +111,24 @@ def smooth_curve_columns(name: str, covariate: Floats, n_modes: int) -> Floats:
 def smooth_curve_sigmas(is_circular: bool, n_modes: int) -> tuple[Floats, ...]:
     """Prior standard deviations (k,) of the k coefficients of a smooth curve, one array per length scale.
 
-    Unless the covariate is an angle on a circle or `n_modes` is `N_MODES_FACTOR`, a last array is the prior of a random
-    walk.
+    Unless the covariate is an angle on a circle or `n_modes` is `N_MODES_IN_PRODUCT`, a last array is the prior of a
+    random walk.
     """
     spreads = []
     if is_circular:
         orders = np.repeat(np.arange(1, n_modes // 2 + 1 + n_modes % 2), 2)
-        spreads = [np.exp(-0.25 * (orders * scale) ** 2) for scale in LENGTH_SCALES[n_modes]]
+        spreads = [np.exp(-0.25 * (orders * scale) ** 2) for scale in LENGTH_SCALES_BY_N_MODES[n_modes]]
     else:
-        rates = 0.5 * np.pi * np.arange(1, n_modes + 1) / BASIS_HALF_WIDTH
-        spreads = [np.concatenate([[0.5], np.exp(-0.25 * (rates * scale) ** 2)]) for scale in LENGTH_SCALES[n_modes]]
-        spreads += [np.concatenate([[0.5], 1.0 / np.arange(1, n_modes + 1)])] if n_modes != N_MODES_FACTOR else []
+        rates = 0.5 * np.pi * np.arange(1, n_modes + 1) / BASIS_WIDTH_RATIO
+        spreads = [
+            np.concatenate([[0.5], np.exp(-0.25 * (rates * scale) ** 2)]) for scale in LENGTH_SCALES_BY_N_MODES[n_modes]
+        ]
+        spreads += [np.concatenate([[0.5], 1.0 / np.arange(1, n_modes + 1)])] if n_modes != N_MODES_IN_PRODUCT else []
     return tuple(spread / np.linalg.norm(spread) for spread in spreads)
 
 
 def function_column(sightings: Sightings, covariate: str, function_name: str, constant: float) -> Floats:
-    """Column (n, 1) of a function of `SHORT_LAW_FUNCTIONS`, or with hysteresis, of a covariate, with an rms of one."""
+    """Column (n, 1) of a function of `FORMULA_FUNCTIONS`, or with hysteresis, of a covariate, with an rms of one."""
     x = sightings.quantities[covariate]
     if function_name == PLAY_FUNCTION:
         slack = play_operator(x[sightings.measurement_order], constant)
@@ -136,20 +138,20 @@ def function_column(sightings: Sightings, covariate: str, function_name: str, co
     if function_name == "power" and covariate in sightings.covariates and not has_natural_zero(x):
         x = x - x.mean()
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        values = SHORT_LAW_FUNCTIONS[function_name](x, constant)
+        values = FORMULA_FUNCTIONS[function_name](x, constant)
     return scaled_to_unit_rms(np.nan_to_num(values, posinf=0.0, neginf=0.0)[:, None])
 
 
-def play_operator(input_values: Floats, slack: float) -> Floats:
+def play_operator(input_values: Floats, half_width: float) -> Floats:
     """Output (n,) of a play operator for a sequence of inputs (n,).
 
-    The output stays constant until the input differs from it by `slack`, and then follows at this distance. This is the
-    operator of mechanical hysteresis (Krasnosel'skii and Pokrovskii, Systems with hysteresis, 1989).
+    The output stays constant until the input differs from it by `half_width`, and then follows at this distance. This
+    is the operator of mechanical hysteresis (Krasnosel'skii and Pokrovskii, Systems with hysteresis, 1989).
     """
     output = np.empty_like(input_values)
     present_value = float(input_values[0]) if len(input_values) else 0.0
     for i, value in enumerate(input_values.tolist()):
-        present_value = min(max(present_value, value - slack), value + slack)
+        present_value = min(max(present_value, value - half_width), value + half_width)
         output[i] = present_value
     return output
 
@@ -173,13 +175,13 @@ def linear_field_columns(
     return np.hstack([np.ones((len(place), 1)), place, *more])
 
 
-def first_order_lag(sightings: Sightings, covariate: str, time_constant: float) -> Floats:
+def first_order_lag_columns(sightings: Sightings, covariate: str, time_constant: float) -> Floats:
     """Columns (n, 2): a covariate after a first-order lag, and the covariate minus the lagged one; unit rms each.
 
     `time_constant` is in seconds.
     """
     x = sightings.quantities[covariate]
-    x = np.abs(x) if covariate.startswith(MEMORY_PREFIXES) else x - x.mean()
+    x = np.abs(x) if covariate.startswith(MEMORY_COVARIATE_PREFIXES) else x - x.mean()
     lagged = lagged_values(x, sightings, time_constant)
     return np.hstack([scaled_to_unit_rms(lagged[:, None]), scaled_to_unit_rms((x - lagged)[:, None])])
 

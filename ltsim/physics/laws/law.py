@@ -14,12 +14,12 @@ import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.physics.effects.linear_effect import CandidateEffect, Parameter
-from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_FACTOR, N_MODES_FINE, indicator_columns
+from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_FINE, N_MODES_IN_PRODUCT, indicator_columns
 from ltsim.physics.laws.places import MIN_GROUP_SIZE
 from ltsim.physics.laws.regressor_library import (
     LAG_TIME_CONSTANTS,
     MAX_SEPARATE_PARTS,
-    WAVE_RATE_STEP,
+    WAVE_FREQUENCY_STEP,
     contains_several_targets,
 )
 from ltsim.physics.laws.regressors import (
@@ -31,7 +31,7 @@ from ltsim.physics.laws.regressors import (
     smooth_regressor,
     switch_regressor,
 )
-from ltsim.physics.laws.responses import RESPONSES_BY_NAME, Response
+from ltsim.physics.laws.responses import RESPONSE_AND_DESIGN_BY_NAME, Response
 from ltsim.physics.laws.short_regressors import short_regressors
 from ltsim.physics.laws.states import FIXED_COUNT_RESET_FUNCTION, POINTING_DECAY_FUNCTION, TIME_DECAY_FUNCTION
 from ltsim.recordings.recording import OBSERVABLES
@@ -49,10 +49,10 @@ MAX_SWITCH_EDGES = 60
 """Largest number of values of a covariate at which a search lets a switch turn on or off."""
 MAX_REFINED_PIECES = 4
 """Largest number of steps and ramps in a law that a local search moves. It leaves a law with more of them unchanged."""
-PIECE_MOVE_GAPS = 6
+MAX_PIECE_MOVE_GAPS = 6
 """Largest number of gaps between values of the covariate by which a local search moves a step or ramp. It is also the
 smallest number of gaps between two steps, because a few pointings do not determine the size of a step."""
-MAGNITUDE_SEARCH_FUNCTIONS = (
+MAGNITUDE_REFINED_FUNCTIONS = (
     *("decay", "fading", "relaxing", "saturated", "lagging", "hysteresis", "saw", "slack", "within", "stuck"),
     *(TIME_DECAY_FUNCTION, POINTING_DECAY_FUNCTION),
 )
@@ -69,13 +69,13 @@ class EmpiricalLaw(CandidateEffect):
     """Names of the stations at which the law acts; empty for all."""
     targets: tuple[str, ...] = ()
     """Names of the targets at which the law acts; empty for all."""
-    response: Response = RESPONSES_BY_NAME["distance"][0]
+    response: Response = RESPONSE_AND_DESIGN_BY_NAME["distance"][0]
     """Quantity of the forward model that the law changes."""
     regressor: Regressor = CONSTANT_REGRESSOR
     """Function of covariates on which the changed quantity depends."""
     instruments: tuple[str, ...] = ()
     """Names of the instruments at which the law acts; empty for all."""
-    scale_index: int = 0
+    length_scale_index: int = 0
     """Index of the prior of the coefficients in `Regressor.coefficient_sigmas`: one for each length scale of a curve.
     """
     is_per_setup: bool = False
@@ -92,7 +92,7 @@ class EmpiricalLaw(CandidateEffect):
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """Coefficients with their priors, one per component of the response and regressor column (and set-up)."""
-        spread = self.regressor.coefficient_sigmas[self.scale_index] * self.response.plausible_size
+        spread = self.regressor.coefficient_sigmas[self.length_scale_index] * self.response.plausible_size
         spreads = spread * np.sqrt(self.n_components) if self.direction else np.tile(spread, self.n_components)
         return tuple(
             Parameter(f"coefficient {i + 1}", self.response.display_unit, "coefficient", float(s))
@@ -116,7 +116,8 @@ class EmpiricalLaw(CandidateEffect):
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, k) of the three raw readings of n pointings per unit of each of k coefficients."""
-        derivatives = self.change_along_direction(RESPONSES_BY_NAME[self.response.name][1](sightings), sightings)
+        _, response_design = RESPONSE_AND_DESIGN_BY_NAME[self.response.name]
+        derivatives = self.change_along_direction(response_design(sightings), sightings)
         design: Floats = derivatives[:, :, :, None] * self.columns(sightings)[:, None, None, :]
         return design.reshape(len(sightings), 3, -1)
 
@@ -171,7 +172,7 @@ class EmpiricalLaw(CandidateEffect):
         return self.regressor.hall_region.centre if self.regressor.hall_region else ()
 
     @property
-    def hall_axes(self) -> str:
+    def source_position_axes(self) -> str:
         """Axes of the coordinates of `source_position`, such as `xy`."""
         return self.regressor.hall_region.bounded_axes if self.regressor.hall_region else ""
 
@@ -186,18 +187,18 @@ class EmpiricalLaw(CandidateEffect):
         """Variants of the law for a local search: one constant, step, frequency or region is changed a little."""
         regressor = self.regressor
         if regressor.kind in ("wave", "cycle"):
-            step = 2 * np.pi * WAVE_RATE_STEP / float(np.ptp(sightings.quantities[regressor.covariates[0]]))
+            step = 2 * np.pi * WAVE_FREQUENCY_STEP / float(np.ptp(sightings.quantities[regressor.covariates[0]]))
             rates = regressor.constant + step * np.linspace(-0.9, 0.9, 19)
             return [replace(self, regressor=replace(regressor, constant=float(r))) for r in rates if r > 0]
-        if self._movable_steps is not None:
-            return self._with_moved_pieces(sightings, self._movable_steps)
+        if self._movable_regressor is not None:
+            return self._with_moved_pieces(sightings, self._movable_regressor)
         if regressor.hall_region is not None:
             is_near = any(f.kind == "near" for f in (regressor, *regressor.factors))
             neighbours = [
                 r for r in regressor.hall_region.neighbours() if not is_near or contains_several_targets(r, sightings)
             ]
             return [replace(self, regressor=regressor.with_region(region)) for region in neighbours]
-        if regressor.function in MAGNITUDE_SEARCH_FUNCTIONS or regressor.kind in MAGNITUDE_SEARCH_FUNCTIONS:
+        if regressor.function in MAGNITUDE_REFINED_FUNCTIONS or regressor.kind in MAGNITUDE_REFINED_FUNCTIONS:
             sizes = [regressor.constant * scale for scale in (0.6, 0.8, 1.25, 1.7)]
             return [replace(self, regressor=replace(regressor, constant=size)) for size in sizes]
         if regressor.kind == "latch":
@@ -211,11 +212,11 @@ class EmpiricalLaw(CandidateEffect):
         regressor = self.regressor
         steps = np.ptp(sightings.quantities[regressor.covariates[0]]) * LATCH_THRESHOLD_STEPS
         neighbours = [replace(regressor, constant=regressor.constant + float(step)) for step in steps]
-        neighbours += [replace(regressor, latch_release=regressor.latch_release + float(step)) for step in steps]
-        return [replace(self, regressor=d) for d in neighbours if d.latch_release < d.constant]
+        neighbours += [replace(regressor, release_threshold=regressor.release_threshold + float(s)) for s in steps]
+        return [replace(self, regressor=d) for d in neighbours if d.release_threshold < d.constant]
 
     @property
-    def _movable_steps(self) -> Regressor | None:
+    def _movable_regressor(self) -> Regressor | None:
         """Steps, ramps or switch that a local search moves; None if there are none, or if it moves a region instead."""
         step_factors = [f for f in (self.regressor, *self.regressor.factors) if f.kind in ("pieces", "switch")]
         movable_factors = [f for f in step_factors if f.kind == "switch" or len(f.factors) <= MAX_REFINED_PIECES]
@@ -227,17 +228,17 @@ class EmpiricalLaw(CandidateEffect):
         gaps = np.searchsorted(x, [piece.constant for piece in steps.factors])
         laws = []
         for i, piece in enumerate(steps.factors):
-            for k in range(max(gaps[i] - PIECE_MOVE_GAPS, 1), min(gaps[i] + PIECE_MOVE_GAPS, len(x) - 1) + 1):
+            for k in range(max(gaps[i] - MAX_PIECE_MOVE_GAPS, 1), min(gaps[i] + MAX_PIECE_MOVE_GAPS, len(x) - 1) + 1):
                 if (
                     np.isfinite(piece.constant)
-                    and np.abs(np.delete(gaps, i) - k).min(initial=PIECE_MOVE_GAPS) >= PIECE_MOVE_GAPS
+                    and np.abs(np.delete(gaps, i) - k).min(initial=MAX_PIECE_MOVE_GAPS) >= MAX_PIECE_MOVE_GAPS
                 ):
                     moved = replace(piece, constant=float(0.5 * (x[k - 1] + x[k])))
                     regressor = replace(steps, factors=(*steps.factors[:i], moved, *steps.factors[i + 1 :]))
-                    laws.append(self._with_factor(steps, regressor))
-        return laws + [self._with_factor(steps, replace(steps, constant=time)) for time in _other_lags(steps)]
+                    laws.append(self._with_replaced_factor(steps, regressor))
+        return laws + [self._with_replaced_factor(steps, replace(steps, constant=k)) for k in _candidate_lags(steps)]
 
-    def _with_factor(self, old_factor: Regressor, new_factor: Regressor) -> EmpiricalLaw:
+    def _with_replaced_factor(self, old_factor: Regressor, new_factor: Regressor) -> EmpiricalLaw:
         """Copy of the law with `new_factor` instead of `old_factor`, its regressor or a factor of its regressor."""
         if self.regressor == old_factor:
             return replace(self, regressor=new_factor)
@@ -248,33 +249,34 @@ class EmpiricalLaw(CandidateEffect):
         """Laws with a formula with at most one constant, which may replace the smooth curve of this law."""
         if self.regressor.kind == "smooth":
             short = short_regressors(sightings, self.regressor.covariates[0])
-            return [replace(self, regressor=regressor, scale_index=0) for regressor in short]
+            return [replace(self, regressor=regressor, length_scale_index=0) for regressor in short]
         if self.regressor.function == "decay":
             return [replace(self, regressor=replace(self.regressor, function="relaxing"))]
         if self.regressor.kind != "product":
             return []
         options = [
-            list(short_regressors(sightings, f.covariates[0], reduced=True)) if f.kind == "smooth" else [f]
+            list(short_regressors(sightings, f.covariates[0], is_reduced_set=True)) if f.kind == "smooth" else [f]
             for f in self.regressor.factors
         ]
         products = [Regressor("product", factors=factors) for factors in product(*options)]
-        return [replace(self, regressor=regressor, scale_index=0) for regressor in products]
+        return [replace(self, regressor=regressor, length_scale_index=0) for regressor in products]
 
     def candidate_forms(self, sightings: Sightings) -> dict[str, list[list[EmpiricalLaw]]]:
         """Alternative forms of the law by kind (`curve`, `formula`): lists of laws that differ in the length scale."""
         regressor, forms = self.regressor, {"curve": [self], "formula": self.candidate_formulas(sightings)}
         if regressor.kind == "smooth":
-            n_modes = N_MODES_FINE if regressor.constant > N_MODES_FACTOR else N_MODES_DEFAULT
+            n_modes = N_MODES_FINE if regressor.constant > N_MODES_IN_PRODUCT else N_MODES_DEFAULT
             forms["fine"] = [replace(self, regressor=smooth_regressor(regressor.covariates[0], n_modes))]
         if MIN_GROUP_SIZE <= len(self.targets) <= MAX_SEPARATE_PARTS and self.response.kind == "target":
-            forms["members"] = [replace(self, regressor=regressor.per_target(self.targets), scale_index=0)]
+            per_target = regressor.with_amount_per_target(self.targets)
+            forms["members"] = [replace(self, regressor=per_target, length_scale_index=0)]
         if regressor.kind == "wave":
             forms["cycle"] = [replace(self, regressor=replace(regressor, kind="cycle"))]
-        return {
-            kind: [[replace(law, scale_index=k) for k in range(len(law.regressor.coefficient_sigmas))] for law in laws]
-            for kind, laws in forms.items()
-            if laws
-        }
+
+        def of_length_scales(law: EmpiricalLaw) -> list[EmpiricalLaw]:
+            return [replace(law, length_scale_index=k) for k in range(len(law.regressor.coefficient_sigmas))]
+
+        return {kind: [of_length_scales(law) for law in laws] for kind, laws in forms.items() if laws}
 
     def candidate_pieces(self, sightings: Sightings) -> list[Regressor]:
         """Steps and ramps at gaps between values of the covariate; a sum of some of them may replace a curve."""
@@ -292,19 +294,19 @@ class EmpiricalLaw(CandidateEffect):
         pieces, regressor = piecewise_regressor(steps), self.regressor
         if regressor.kind == "product":
             pieces = replace(regressor, factors=tuple(pieces if f.kind == "smooth" else f for f in regressor.factors))
-        return replace(self, regressor=pieces, scale_index=0)
+        return replace(self, regressor=pieces, length_scale_index=0)
 
     @property
-    def switched_factor(self) -> Regressor | None:
+    def switchable_factor(self) -> Regressor | None:
         """Curve or wave that a switch of its covariate may replace: the regressor or a factor of time. None without."""
         if self.regressor.kind in ("smooth", "wave"):
             return self.regressor
         curves = (f for f in self.regressor.factors if f.kind in ("smooth", "wave") and f.covariates == ("time",))
         return next(curves, None) if self.regressor.kind == "product" else None
 
-    def candidate_switch_times(self, sightings: Sightings) -> list[Regressor]:
+    def candidate_switch_steps(self, sightings: Sightings) -> list[Regressor]:
         """Single steps of a covariate at which a switch may turn on or off; of time for a law of a region."""
-        curve = self.switched_factor
+        curve = self.switchable_factor
         if curve is None and not self.depends_on_fixed_region:
             return []
         name = curve.covariates[0] if curve else "time"
@@ -314,20 +316,20 @@ class EmpiricalLaw(CandidateEffect):
 
     def with_steps(self, steps: Sequence[Regressor]) -> EmpiricalLaw:
         """Copy of the law with a sum of steps, each with a separate coefficient, as its regressor or a factor of it."""
-        return replace(self, regressor=self._regressor_with_gate(piecewise_regressor(steps)), scale_index=0)
+        return replace(self, regressor=self._regressor_with_gate(piecewise_regressor(steps)), length_scale_index=0)
 
-    def with_switch(self, edges: Sequence[Regressor]) -> EmpiricalLaw:
-        """Copy of the law with a switch that turns on and off at `edges`, as its regressor or a factor of it."""
-        return replace(self, regressor=self._regressor_with_gate(switch_regressor(edges)), scale_index=0)
+    def with_switch(self, edge_steps: Sequence[Regressor]) -> EmpiricalLaw:
+        """Copy of the law with a switch that turns on and off at `edge_steps`, as its regressor or a factor of it."""
+        return replace(self, regressor=self._regressor_with_gate(switch_regressor(edge_steps)), length_scale_index=0)
 
-    def _regressor_with_gate(self, gate: Regressor) -> Regressor:
-        """Regressor with `gate` (steps or a switch) in place of its switched factor, or times `gate` for a region."""
+    def _regressor_with_gate(self, gate_regressor: Regressor) -> Regressor:
+        """Regressor with a gate (steps or a switch) in place of its switchable factor, or times it for a region."""
         if self.depends_on_fixed_region:
-            return Regressor("product", factors=(self.regressor, gate))
-        others = [f for f in self.regressor.factors if f != self.switched_factor]
-        return Regressor("product", factors=(gate, *others)) if others else gate
+            return Regressor("product", factors=(self.regressor, gate_regressor))
+        others = [f for f in self.regressor.factors if f != self.switchable_factor]
+        return Regressor("product", factors=(gate_regressor, *others)) if others else gate_regressor
 
-    def equivalent_index_law(self, sightings: Sightings) -> EmpiricalLaw:
+    def equivalent_vertical_index_law(self, sightings: Sightings) -> EmpiricalLaw:
         """Law of the vertical index that is equivalent to this law of the elevation; the law itself if there is none.
 
         Both are equivalent if the error of the elevation changes sign with the face. If all readings are on one face,
@@ -335,7 +337,7 @@ class EmpiricalLaw(CandidateEffect):
         """
         if self.response.name != "elevation":
             return self
-        index = replace(RESPONSES_BY_NAME["vertical index"][0], plausible_size=self.response.plausible_size)
+        index = replace(RESPONSE_AND_DESIGN_BY_NAME["vertical index"][0], plausible_size=self.response.plausible_size)
         regressor = self.regressor
         names = {*regressor.covariates, *(n for f in regressor.factors for n in f.covariates)}
         single_face = not np.ptp(sightings.face)
@@ -345,7 +347,7 @@ class EmpiricalLaw(CandidateEffect):
         is_index = face == FACE_SIGN_REGRESSOR and len(rest) == 1
         return replace(self, response=index, regressor=rest[0]) if is_index else self
 
-    def per_setup(self, sightings: Sightings) -> EmpiricalLaw | None:
+    def with_coefficients_per_setup(self, sightings: Sightings) -> EmpiricalLaw | None:
         """Law with separate coefficients for each set-up; None if the law is limited to places, or is a product."""
         stations = tuple(sightings.station_names)
         is_restricted = len(self.stations) > 1 or self.targets or self.instruments
@@ -357,22 +359,22 @@ class EmpiricalLaw(CandidateEffect):
         return replace(self, stations=stations, is_per_setup=True) if len(stations) <= MAX_SEPARATE_PARTS else None
 
     def law_at_largest_effect(
-        self, mean: Floats, covariance: Floats, sightings: Sightings
+        self, coefficient_mean: Floats, coefficient_covariance: Floats, sightings: Sightings
     ) -> tuple[EmpiricalLaw, Floats, Floats, Floats]:
         """Law restricted to the set-up where its effect is largest, with its main direction and coefficients there.
 
         The tuple contains the law, the main direction, the coefficients and their covariance. The main direction is the
         unit vector (c,) of the c components along which the effect is largest, or one component if their units differ.
-        The coefficients have the shape (c, k) for k columns, and their covariance the shape (c, k, c, k). `mean` and
-        `covariance` are those of all coefficients of this law [SI].
+        The coefficients have the shape (c, k) for k columns, and their covariance the shape (c, k, c, k). The
+        arguments are the mean and the covariance of all coefficients of this law [SI].
         """
         n_components, k = len(self.response.component_names), self.regressor.n_columns
         if self.direction:
             ratios = np.array(self.direction)
-            mean = np.kron(ratios, mean).astype(np.float64)
-            covariance = np.kron(np.outer(ratios, ratios), covariance).astype(np.float64)
-        shape = (n_components, len(mean) // (n_components * k), k)
-        means, spread = mean.reshape(shape), covariance.reshape(*shape, *shape)
+            coefficient_mean = np.kron(ratios, coefficient_mean).astype(np.float64)
+            coefficient_covariance = np.kron(np.outer(ratios, ratios), coefficient_covariance).astype(np.float64)
+        shape = (n_components, len(coefficient_mean) // (n_components * k), k)
+        means, spread = coefficient_mean.reshape(shape), coefficient_covariance.reshape(*shape, *shape)
         columns = self.regressor.columns(sightings)
         if self.is_per_setup:
             rows = [sightings.station == sightings.station_names.index(name) for name in self.stations]
@@ -390,7 +392,7 @@ class EmpiricalLaw(CandidateEffect):
         return law, main_direction, means[:, largest], spread[:, largest, :, :, largest, :]
 
 
-def _other_lags(steps: Regressor) -> list[float]:
+def _candidate_lags(steps: Regressor) -> list[float]:
     """Lags [s] that a local search tries for a switch in time, in place of its lag; empty for other regressors."""
     if steps.kind != "switch" or steps.covariates != ("time",):
         return []

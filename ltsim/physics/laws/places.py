@@ -87,13 +87,13 @@ def neighbour_groups(sightings: Sightings) -> set[tuple[int, ...]]:
     return {tuple(sorted(n[: k + 1].tolist())) for n in near for k in NEIGHBOUR_GROUP_SIZES if 2 * k < len(n)}
 
 
-def connected_groups(sightings: Sightings, lengths: Iterable[tuple[str, str]]) -> set[tuple[int, ...]]:
+def connected_groups(sightings: Sightings, length_end_names: Iterable[tuple[str, str]]) -> set[tuple[int, ...]]:
     """Groups of targets that are connected by reference lengths, such as the targets of a gauge, each as indices.
 
-    `lengths` are the pairs of names at the ends of the reference lengths.
+    `length_end_names` are the pairs of names at the ends of the reference lengths.
     """
     index = {name: i for i, name in enumerate(sightings.target_names)}
-    index_pairs = [(index[a], index[b]) for a, b in lengths if a in index and b in index]
+    index_pairs = [(index[a], index[b]) for a, b in length_end_names if a in index and b in index]
     if not index_pairs:
         return set()
     count, (first, second) = len(index), np.array(index_pairs).T

@@ -3,7 +3,7 @@
 Base quantities are the readings and the position of a pointing, the time, and the additional columns of the recording.
 Operators make further regressors: the value at the previous pointing, the change since then, accumulated changes, a
 first-order lag, and a separate value per station or per previous target. Each operator, and each product, multiplies
-the prior odds by `OPERATOR_ODDS`.
+the prior odds by `ODDS_PER_OPERATOR`.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -13,7 +13,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.rounding import MAX_ROUNDING_ERROR
-from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_FACTOR
+from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_IN_PRODUCT
 from ltsim.physics.laws.places import MIN_GROUP_SIZE
 from ltsim.physics.laws.regressors import (
     CLOCK_COVARIATES,
@@ -36,8 +36,8 @@ from ltsim.physics.laws.states import (
     DECAY_TIME_FRACTIONS,
     STATE_INPUTS,
     TIME_DECAY_FUNCTION,
-    candidate_states,
-    latch_thresholds,
+    candidate_latches,
+    candidate_state_keys,
 )
 from ltsim.scene.regions import HallRegion, candidate_regions, is_distinctive
 from ltsim.scene.sightings import Sightings
@@ -54,14 +54,14 @@ _SIGN_COVARIATES = ("face", "approach-azimuth", "approach-elevation", "parity", 
 """Covariates with few values, such as the face, which a law uses as they are."""
 ACCUMULATED_ROTATIONS = ("work-azimuth", "work-elevation")
 """Accumulated rotations of the axes since the set-up began."""
-OPERATORS = ("last", "move", "work")
+OPERATOR_PREFIXES = ("last", "move", "work")
 """Prefixes of covariates by operator: the previous value, the change since then, the sum of the sizes of all changes.
 """
 MEMORY_COVARIATES = (
     "wound-azimuth",
     "lapse",
     "count",
-    *(f"{how}-{name}" for how in OPERATORS for name in RAW_READING_NAMES),
+    *(f"{how}-{name}" for how in OPERATOR_PREFIXES for name in RAW_READING_NAMES),
 )
 """Covariates that depend on preceding pointings."""
 READING_COVARIATES = tuple(
@@ -114,7 +114,7 @@ which it divides a recording in time. More coefficients fit any errors.
 """
 MAX_SEPARATE_TARGETS = 60
 """Largest number of targets for which a search tries a law with a separate value for each."""
-WAVE_RATE_STEP = 0.6
+WAVE_FREQUENCY_STEP = 0.6
 """Distance between the frequencies of waves that a search tries, in cycles over the covariate's span. A wave with a
 frequency in between still correlates with one of them.
 """
@@ -122,9 +122,9 @@ MAX_WAVE_CYCLES = 60
 """Largest number of cycles over the covariate's span of a wave that a search tries."""
 MIN_POINTINGS_PER_CYCLE = 8
 """Smallest number of pointings per cycle of a wave that a search tries."""
-OPERATOR_ODDS = 1.0 / 3.0
+ODDS_PER_OPERATOR = 1.0 / 3.0
 """Factor on the prior odds of a regressor for each operator, and for each factor of a product after the first."""
-OPERATOR_COUNTS = {
+N_OPERATORS_BY_REGRESSOR_KIND = {
     "constant": 0,
     "sign": 0,
     "curve": 0,
@@ -146,10 +146,10 @@ OPERATOR_COUNTS = {
     "room": 1,
     "product": 2,
 }
-"""Exponent of `OPERATOR_ODDS` by kind of regressor: the number of its operators and factors after the first."""
+"""Exponent of `ODDS_PER_OPERATOR` by kind of regressor: the number of its operators and factors after the first."""
 
 
-def additional_columns(sightings: Sightings) -> list[str]:
+def additional_column_names(sightings: Sightings) -> list[str]:
     """Names of the additional columns of the recording whose values vary."""
     return [name for name, values in sightings.covariates.items() if np.nanstd(values) > 0]
 
@@ -174,9 +174,10 @@ def is_admissible(response_kind: str, regressor: Regressor, sightings: Sightings
 
 def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -> dict[str, list[Regressor]]:
     """Regressors that a search tries, by kind. Curves have `n_modes` eigenfunctions."""
-    s, columns = sightings, additional_columns(sightings)
+    s, columns = sightings, additional_column_names(sightings)
     base = _varying_covariates(s, (*BASE_COVARIATES, *columns, *_CIRCLE_COVARIATES, *_NEST_COVARIATES))
-    before = _varying_covariates(s, (*MEMORY_COVARIATES, *(f"{how}-{name}" for how in OPERATORS for name in columns)))
+    remembered = [f"{prefix}-{name}" for prefix in OPERATOR_PREFIXES for name in columns]
+    before = _varying_covariates(s, (*MEMORY_COVARIATES, *remembered))
     turning = [n for n in base if n not in CLOCK_COVARIATES]  # a clock never turns back
     signs = [n for n in _varying_covariates(s, _SIGN_COVARIATES) if n != "seating-parity" or _seating_parity_differs(s)]
     return {
@@ -195,7 +196,7 @@ def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -
             *(scalar_regressor(name, "abs") for name in before if name.startswith("move-")),
         ],
         "lag": lag_regressors(s, (*columns, "elevation", "distance", "move-azimuth", "move-elevation")),
-        "amounts": [*visits(s, MIN_GROUP_SIZE + 1), *_per_previous_target_regressors(s)],
+        "amounts": [*visit_regressors(s, MIN_GROUP_SIZE + 1), *_per_previous_target_regressors(s)],
         "wave": list(wave_regressors(s)),
         "room": [
             *with_position_dependence(_slow_wave_regressors(s), 1),
@@ -218,10 +219,10 @@ def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -
             for region in candidate_regions(s, NEARNESS_REGION_SHAPES)
             if contains_several_targets(region, s)
         ],
-        "state": [state_regressor(*made) for made in candidate_states(s, _varying_covariates(s, STATE_INPUTS))],
+        "state": [state_regressor(*made) for made in candidate_state_keys(s, _varying_covariates(s, STATE_INPUTS))],
         "latch": [
             latch_regressor(*made)
-            for made in latch_thresholds(s, _varying_covariates(s, (*RAW_READING_NAMES, *columns)))
+            for made in candidate_latches(s, _varying_covariates(s, (*RAW_READING_NAMES, *columns)))
         ],
         "product": list(product_regressors(s)),
     }
@@ -261,23 +262,24 @@ def temporary_region_regressors(sightings: Sightings, function: str = "") -> Ite
 
 def single_target_regressors(sightings: Sightings) -> list[Regressor]:
     """Regressors for laws of single targets: functions of time, or of additional columns of the recording."""
-    names = _varying_covariates(sightings, ("time", *additional_columns(sightings)))
+    names = _varying_covariates(sightings, ("time", *additional_column_names(sightings)))
     straight = [scalar_regressor(name, "power") for name in names]
     return [
         *straight,
-        *(smooth_regressor(name, N_MODES_FACTOR) for name in names),
-        *lag_regressors(sightings, additional_columns(sightings)),
+        *(smooth_regressor(name, N_MODES_IN_PRODUCT) for name in names),
+        *lag_regressors(sightings, additional_column_names(sightings)),
     ]
 
 
 def target_group_regressors(sightings: Sightings) -> dict[str, list[Regressor]]:
     """Regressors for motions of a group of targets, by kind, such as `step`, `curve`, or `amounts` for each set-up."""
-    local, each, steps = single_target_regressors(sightings), visits(sightings, 2), _step_regressors(sightings)
+    local, steps = single_target_regressors(sightings), _step_regressors(sightings)
+    each = visit_regressors(sightings, 2)
     return {
         "constant": [CONSTANT_REGRESSOR],
         "sign": [scalar_regressor(name, "power") for name in _varying_covariates(sightings, _SIGN_COVARIATES[3:])],
         "curve": [
-            smooth_regressor(name, N_MODES_FACTOR) for name in _varying_covariates(sightings, _NEST_COVARIATES[:1])
+            smooth_regressor(name, N_MODES_IN_PRODUCT) for name in _varying_covariates(sightings, _NEST_COVARIATES[:1])
         ],
         "clock": local,
         "step": steps,
@@ -305,7 +307,7 @@ def _seating_parity_differs(sightings: Sightings) -> bool:
     return abs(float(parity @ seating)) < len(parity)
 
 
-def visits(sightings: Sightings, min_setups: int) -> list[Regressor]:
+def visit_regressors(sightings: Sightings, min_setups: int) -> list[Regressor]:
     """Regressor with a separate value for each set-up, in a list.
 
     The list is empty for fewer set-ups than `min_setups`, or more than `MAX_SEPARATE_PARTS`.
@@ -334,29 +336,26 @@ def lag_regressors(sightings: Sightings, covariates: Iterable[str]) -> list[Regr
 def product_regressors(sightings: Sightings) -> Iterator[Regressor]:
     """Iterator over products of two regressors, such as two curves, or the sign of the face and a curve."""
     names = _varying_covariates(
-        sightings, (*BASE_COVARIATES[:7], *additional_columns(sightings), *_CIRCLE_COVARIATES, *_NEST_COVARIATES)
+        sightings, (*BASE_COVARIATES[:7], *additional_column_names(sightings), *_CIRCLE_COVARIATES, *_NEST_COVARIATES)
     )
     trackers = len(np.unique(sightings.instrument))
     if 1 < trackers <= MAX_SEPARATE_PARTS:
         by_instrument = group_amounts_regressor("instrument", trackers)
         yield from (
-            Regressor("product", factors=(smooth_regressor(name, N_MODES_FACTOR), by_instrument)) for name in names
+            Regressor("product", factors=(smooth_regressor(name, N_MODES_IN_PRODUCT), by_instrument)) for name in names
         )
     for sign in _varying_covariates(sightings, _SIGN_COVARIATES[:3]):
         yield from (
-            Regressor("product", factors=(scalar_regressor(sign, "power"), smooth_regressor(name, N_MODES_FACTOR)))
+            Regressor("product", factors=(scalar_regressor(sign, "power"), smooth_regressor(name, N_MODES_IN_PRODUCT)))
             for name in names
         )
     weights = [scalar_regressor("distance", "power"), scalar_regressor("elevation", "power")]
     for name in _varying_covariates(sightings, ACCUMULATED_ROTATIONS):  # heat from the drives
-        fading = [
-            state_regressor(name, how, k)
-            for name, how, k in candidate_states(sightings, (name,))
-            if how == TIME_DECAY_FUNCTION
-        ]
+        state_keys = candidate_state_keys(sightings, (name,))
+        fading = [state_regressor(*key) for key in state_keys if key[1] == TIME_DECAY_FUNCTION]
         yield from (Regressor("product", factors=(heat, weight)) for heat in fading for weight in weights)
     weights += (
-        [smooth_regressor("lapse", N_MODES_FACTOR)] if np.ptp(sightings.quantities["lapse"]) > 0 else []
+        [smooth_regressor("lapse", N_MODES_IN_PRODUCT)] if np.ptp(sightings.quantities["lapse"]) > 0 else []
     )  # the effect of a motion may decay
     for move in _varying_covariates(sightings, [f"move-{name}" for name in RAW_READING_NAMES]):
         lengths = (scalar_regressor(move, how) for how in ("abs", "power"))
@@ -367,14 +366,16 @@ def product_regressors(sightings: Sightings) -> Iterator[Regressor]:
             {"azimuth", "bearing"},
         ) and second not in _CIRCLE_COVARIATES:
             yield Regressor(
-                "product", factors=(smooth_regressor(first, N_MODES_FACTOR), smooth_regressor(second, N_MODES_FACTOR))
+                "product",
+                factors=(smooth_regressor(first, N_MODES_IN_PRODUCT), smooth_regressor(second, N_MODES_IN_PRODUCT)),
             )
 
 
-def wave_rates(sightings: Sightings, covariate: str, max_cycles: float) -> Floats:
+def wave_frequencies(sightings: Sightings, covariate: str, max_cycles: float) -> Floats:
     """Angular frequencies [rad per unit of the covariate] of waves with 1 to `max_cycles` cycles over its span."""
     span = float(np.ptp(sightings.quantities[covariate]))
-    return 2 * np.pi * np.arange(1.0, max_cycles, WAVE_RATE_STEP) / span if span > MAX_ROUNDING_ERROR else np.zeros(0)
+    cycles = np.arange(1.0, max_cycles, WAVE_FREQUENCY_STEP)
+    return 2 * np.pi * cycles / span if span > MAX_ROUNDING_ERROR else np.zeros(0)
 
 
 def wave_regressors(
@@ -385,14 +386,14 @@ def wave_regressors(
     """Iterator over waves in covariates, with frequencies that a fraction 1 / `n_parts` of the pointings resolves."""
     max_waves = min(len(sightings) / MIN_POINTINGS_PER_CYCLE, MAX_WAVE_CYCLES) / n_parts
     for name in covariates:
-        for rate in wave_rates(sightings, name, max_waves):
+        for rate in wave_frequencies(sightings, name, max_waves):
             yield Regressor("wave", (name,), constant=float(rate))
 
 
-N_SLOW_RATES = 18
+N_SLOW_WAVE_FREQUENCIES = 18
 """Number of frequencies of waves in time, from the lowest, that a search tries for motions of targets."""
 
 
 def _slow_wave_regressors(sightings: Sightings) -> list[Regressor]:
-    """Waves in time with the `N_SLOW_RATES` lowest frequencies."""
-    return list(wave_regressors(sightings, ("time",)))[:N_SLOW_RATES]
+    """Waves in time with the `N_SLOW_WAVE_FREQUENCIES` lowest frequencies."""
+    return list(wave_regressors(sightings, ("time",)))[:N_SLOW_WAVE_FREQUENCIES]

@@ -11,10 +11,10 @@ import numpy as np
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.laws.columns import (
     CIRCULAR_COVARIATES,
-    MEMORY_PREFIXES,
+    MEMORY_COVARIATE_PREFIXES,
     N_HARMONICS,
     N_MODES_DEFAULT,
-    first_order_lag,
+    first_order_lag_columns,
     fourier_columns,
     function_column,
     group_means,
@@ -32,7 +32,7 @@ from ltsim.scene.sightings import Sightings
 
 CLOCK_COVARIATES = ("time", "station-time")
 """Covariates that are times."""
-FILE_NAMES_OF_COVARIATES = {
+COVARIATE_NAMES_IN_FILES = {
     "station": "place",
     "x": "place",
     "y": "place",
@@ -51,26 +51,26 @@ FILE_NAMES_OF_COVARIATES = {
 """Names of covariates in files, by their names in this package, where the names differ."""
 
 
-OPERATOR_INPUTS = ("azimuth", "elevation", "distance", "target")
+OPERATOR_INPUT_COVARIATES = ("azimuth", "elevation", "distance", "target")
 """Covariates of a pointing, such as the azimuth, whose previous value or change since then is a covariate as well."""
 
 
 def operator_input(covariate: str) -> str:
-    """Name of a covariate without the prefix of `MEMORY_PREFIXES`, such as `azimuth` for `last-azimuth`."""
+    """Name of a covariate without the prefix of `MEMORY_COVARIATE_PREFIXES`, such as `azimuth` for `last-azimuth`."""
     how, _, base = covariate.partition("-")
-    return base if base and f"{how}-" in MEMORY_PREFIXES else covariate
+    return base if base and f"{how}-" in MEMORY_COVARIATE_PREFIXES else covariate
 
 
-def covariate_file_names(covariates: Iterable[str]) -> tuple[str, ...]:
+def covariate_names_in_files(covariates: Iterable[str]) -> tuple[str, ...]:
     """Names in files of covariates. Covariates that depend on previous motions of the head are called `approach`."""
     memory = {
         name
         for name in covariates
-        if name == "lapse" or (operator_input(name) != name and operator_input(name) in OPERATOR_INPUTS)
+        if name == "lapse" or (operator_input(name) != name and operator_input(name) in OPERATOR_INPUT_COVARIATES)
     }
     return tuple(
         dict.fromkeys(
-            "approach" if n in memory else FILE_NAMES_OF_COVARIATES.get(operator_input(n), operator_input(n))
+            "approach" if n in memory else COVARIATE_NAMES_IN_FILES.get(operator_input(n), operator_input(n))
             for n in covariates
         )
     )
@@ -96,7 +96,7 @@ class Regressor:
       length is weighted by the fraction of the line beyond it.
     - `near`: 1 for a target at the centre of a region, decreasing with the distance of the target.
     - `state`: a quantity that pointings accumulate, and that decays or is reset (`laws.states`).
-    - `latch`: set above the threshold `constant` of a covariate, and released below `latch_release`.
+    - `latch`: set above the threshold `constant` of a covariate, and released below `release_threshold`.
     """
 
     kind: str
@@ -117,7 +117,7 @@ class Regressor:
     """Names of the targets whose centre is the origin of a field, or that have separate amounts; empty for all."""
     region: HallRegion | None = None
     """Region of the hall on which a `passage` or `near` regressor depends."""
-    latch_release: float = 0.0
+    release_threshold: float = 0.0
     """Threshold below which a latch is released."""
 
     def columns(self, sightings: Sightings, *, acts_on_targets: bool = False) -> Floats:
@@ -163,7 +163,7 @@ class Regressor:
             case "state" | "latch":
                 return scaled_to_unit_rms(self._state_column(sightings, name)[:, None])
             case "lagging":
-                return first_order_lag(sightings, name, self.constant)
+                return first_order_lag_columns(sightings, name, self.constant)
             case "amounts":
                 return indicator_columns(*self._group_indices(sightings))
             case "switch":
@@ -178,7 +178,7 @@ class Regressor:
     def _state_column(self, sightings: Sightings, name: str) -> Floats:
         """Value (n,) of the state or latch at each pointing, minus its mean."""
         if self.kind == "latch":
-            return latched(sightings, name, self.constant, self.latch_release)
+            return latched(sightings, name, self.constant, self.release_threshold)
         return state_column(sightings, name, self.function, self.constant)
 
     def _region_column(self, region: HallRegion, sightings: Sightings) -> Floats:
@@ -258,14 +258,14 @@ class Regressor:
             return replace(self, factors=factors)
         return replace(self, region=region, covariates=tuple(region.bounded_axes))
 
-    def centred_on(self, targets: tuple[str, ...]) -> Regressor:
+    def with_field_centred_on(self, targets: tuple[str, ...]) -> Regressor:
         """Copy of the regressor in which the origin of a field is the centre of `targets`."""
         if all(f.kind != "field" for f in self.factors):
             return self
         factors = tuple(replace(f, centre_targets=targets) if f.kind == "field" else f for f in self.factors)
         return replace(self, factors=factors)
 
-    def per_target(self, targets: tuple[str, ...]) -> Regressor:
+    def with_amount_per_target(self, targets: tuple[str, ...]) -> Regressor:
         """Product of this regressor, without its field, and a separate amount for each of `targets`."""
         other_factors = [f for f in self.factors or (self,) if f.kind != "field"]
         separate_amounts = group_amounts_regressor("target", len(targets), targets)
@@ -280,7 +280,7 @@ class Regressor:
     def covariate_labels(self) -> tuple[str, ...]:
         """Names in files of the covariates on which the regressor depends."""
         names = [*self.covariates, *(name for factor in self.factors for name in factor.covariates)]
-        return covariate_file_names(names)
+        return covariate_names_in_files(names)
 
 
 CONSTANT_REGRESSOR = Regressor("constant")
@@ -329,7 +329,7 @@ def state_regressor(covariate: str, function: str, constant: float) -> Regressor
 
 def latch_regressor(covariate: str, set_threshold: float, release_threshold: float) -> Regressor:
     """Regressor that switches on above one threshold of a covariate and off below another."""
-    return Regressor("latch", (covariate,), constant=set_threshold, latch_release=release_threshold)
+    return Regressor("latch", (covariate,), constant=set_threshold, release_threshold=release_threshold)
 
 
 def group_amounts_regressor(group_kind: str, n_groups: int, targets: tuple[str, ...] = ()) -> Regressor:

@@ -14,13 +14,13 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import ARCSECOND, MICROMETRE, PPM, SI_PER_UNIT
-from ltsim.physics.effects import BASELINE_EFFECTS
+from ltsim.physics.effects import MISALIGNMENT_EFFECTS
 from ltsim.physics.effects.air_gradient import AirGradient
 from ltsim.physics.effects.azimuth_eccentricity import AzimuthEccentricity
 from ltsim.physics.effects.effect import SlotTerm
 from ltsim.physics.effects.elevation_eccentricity import ElevationEccentricity
 from ltsim.physics.effects.linear_effect import design_from_displacements, design_from_front_face_corrections
-from ltsim.physics.effects.motions import station_design
+from ltsim.physics.effects.motions import station_motion_design
 from ltsim.physics.effects.smr_centring import reflector_axes
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
@@ -57,10 +57,10 @@ class Response:
     component_units: tuple[str, ...] = ()
     """Display units of the components; empty if all have `display_unit`."""
 
-    def display_unit_of(self, component: int) -> tuple[str, float]:
+    def display_unit_and_factor(self, component_index: int) -> tuple[str, float]:
         """Display unit of the component with this index, and the factor from its coefficient to that unit."""
         unit, scale = (
-            (self.component_units[component], self.component_scales[component])
+            (self.component_units[component_index], self.component_scales[component_index])
             if self.component_units
             else (self.display_unit, 1.0)
         )
@@ -100,20 +100,20 @@ _READING_RESPONSES = tuple(
     )
     for name in OBSERVABLES
 )
-_PLAUSIBLE_SIZES = {
+_PLAUSIBLE_SIZE_BY_OBSERVABLE = {
     "distance": PLAUSIBLE_LENGTH_ERROR,
     "azimuth": PLAUSIBLE_ANGLE_ERROR,
     "elevation": PLAUSIBLE_ANGLE_ERROR,
 }
-_JOINT_RESPONSES = tuple(
+_MULTI_OBSERVABLE_RESPONSES = tuple(
     Response(
         " and ".join(names),
         "um" if names[0] == "distance" else "urad",
-        _PLAUSIBLE_SIZES[names[0]],
+        _PLAUSIBLE_SIZE_BY_OBSERVABLE[names[0]],
         names,
         "reading",
         names,
-        tuple(_PLAUSIBLE_SIZES[name] / _PLAUSIBLE_SIZES[names[0]] for name in names),
+        tuple(_PLAUSIBLE_SIZE_BY_OBSERVABLE[name] / _PLAUSIBLE_SIZE_BY_OBSERVABLE[names[0]] for name in names),
         tuple("um" if name == "distance" else "urad" for name in names),
     )
     for count in (2, 3)
@@ -121,44 +121,48 @@ _JOINT_RESPONSES = tuple(
 )
 """Pairs and triples of observables that change together. They depend on the same regressor with separate coefficients.
 """
-_RANGE_SCALE = Response("range scale", "ppm", PLAUSIBLE_SCALE_ERROR, ("distance",))
+_RANGE_SCALE_RESPONSE = Response("range scale", "ppm", PLAUSIBLE_SCALE_ERROR, ("distance",))
 
 
-def constants_of_slot(slot: str) -> tuple[str, ...]:
+def constant_names_of_slot(slot: str) -> tuple[str, ...]:
     """Names of the constants of the ordinary calibration that act at a place (slot) in the kinematic chain."""
     return tuple(
-        p.name for e in BASELINE_EFFECTS for p, t in zip(e.parameters, e.terms, strict=True) if t == SlotTerm(slot)
+        p.name for e in MISALIGNMENT_EFFECTS for p, t in zip(e.parameters, e.terms, strict=True) if t == SlotTerm(slot)
     )
 
 
-VARIED_CONSTANTS = (
-    {response.name: constants_of_slot(slot) for slot, response in _SLOT_RESPONSES.items()}
+VARIED_CONSTANTS_BY_RESPONSE = (
+    {response.name: constant_names_of_slot(slot) for slot, response in _SLOT_RESPONSES.items()}
     | {response.name: tuple(p.name for p in effect.parameters) for response, effect in _ECCENTRICITY_RESPONSES.items()}
-    | {"distance": constants_of_slot("range"), _RANGE_SCALE.name: ("range-scale",)}
+    | {"distance": constant_names_of_slot("range"), _RANGE_SCALE_RESPONSE.name: ("range-scale",)}
 )
 """Names of the constants of the ordinary calibration that a law varies, by the name of the quantity that it changes."""
-_STAND_TILT = Response("lean of the stand", "urad", PLAUSIBLE_ANGLE_ERROR, (), "stand", ("about x", "about y"))
-_STAND_POSITION = Response("place of the stand", "um", PLAUSIBLE_MOTION, (), "stand", ("along x", "along y", "along z"))
-_TARGET_POSITION = Response("place of targets", "um", PLAUSIBLE_MOTION, (), "target", ("along x", "along y", "along z"))
-_TARGET_HEIGHT = Response("height of targets in their nests", "um", PLAUSIBLE_MOTION, (), "target")
-_AIR_GRADIENT = Response("air gradient", "K/m", 1.0, (), "air")
-_REFLECTOR_VERTEX = Response(
+_STAND_TILT_RESPONSE = Response("lean of the stand", "urad", PLAUSIBLE_ANGLE_ERROR, (), "stand", ("about x", "about y"))
+_STAND_POSITION_RESPONSE = Response(
+    "place of the stand", "um", PLAUSIBLE_MOTION, (), "stand", ("along x", "along y", "along z")
+)
+_TARGET_POSITION_RESPONSE = Response(
+    "place of targets", "um", PLAUSIBLE_MOTION, (), "target", ("along x", "along y", "along z")
+)
+_TARGET_HEIGHT_RESPONSE = Response("height of targets in their nests", "um", PLAUSIBLE_MOTION, (), "target")
+_AIR_GRADIENT_RESPONSE = Response("air gradient", "K/m", 1.0, (), "air")
+_REFLECTOR_VERTEX_RESPONSE = Response(
     "vertex of the reflectors", "um", PLAUSIBLE_LENGTH_ERROR, (), "reflector", ("axially", "sideways", "up")
 )
-_DISPLACEMENT_TOWARDS_INSTRUMENT = Response(
+_DISPLACEMENT_TOWARDS_INSTRUMENT_RESPONSE = Response(
     "level displacement of reflectors towards the instrument", "um", PLAUSIBLE_LENGTH_ERROR, (), "reflector"
 )
 
 
-def _reading_design(sightings: Sightings, observable: str) -> Floats:
+def _observable_design(sightings: Sightings, observable: str) -> Floats:
     """Change (n, 3, 1) of the raw readings per unit of a correction of one observable in the front face."""
     return design_from_front_face_corrections(sightings, **{observable: np.ones(len(sightings))})[:, :, None]
 
 
-def _joint_design(sightings: Sightings, response: Response) -> Floats:
+def _multi_observable_design(sightings: Sightings, response: Response) -> Floats:
     """Change (n, 3, c) of the raw readings per unit of each coefficient, for a joint change of c observables."""
     component_designs = [
-        scale * _reading_design(sightings, name)
+        scale * _observable_design(sightings, name)
         for name, scale in zip(response.observables, response.component_scales, strict=True)
     ]
     return np.concatenate(component_designs, axis=2)
@@ -180,7 +184,7 @@ def _nest_normal_design(sightings: Sightings) -> Floats:
     return design_from_displacements(sightings, normal[:, :, None])
 
 
-def _vertex_design(sightings: Sightings) -> Floats:
+def _reflector_vertex_design(sightings: Sightings) -> Floats:
     """Change (n, 3, 3) of the raw readings per metre of a displacement of the reflectors' vertices along three axes.
 
     The axes are those of `reflector_axes`: axially, sideways and up.
@@ -188,7 +192,7 @@ def _vertex_design(sightings: Sightings) -> Floats:
     return design_from_displacements(sightings, reflector_axes(sightings))
 
 
-def _displacement_towards_instrument(sightings: Sightings) -> Floats:
+def _displacement_towards_instrument_design(sightings: Sightings) -> Floats:
     """Change (n, 3, 1) of the raw readings per metre of a level motion of the reflectors towards the instrument."""
     back_sight = sightings.station_positions[sightings.station] - sightings.target_points[sightings.target]
     level = back_sight * [1.0, 1.0, 0.0]
@@ -197,33 +201,33 @@ def _displacement_towards_instrument(sightings: Sightings) -> Floats:
     )
 
 
-ResponseDesign = Callable[[Sightings], Floats]
+ResponseDesignFunction = Callable[[Sightings], Floats]
 """Function from sightings to the change (n, 3, c) of the raw readings per unit of each component of a quantity."""
 
 
-def _response_registry() -> dict[str, tuple[Response, ResponseDesign]]:
+def _response_registry() -> dict[str, tuple[Response, ResponseDesignFunction]]:
     """Responses by name, each with the function for the resulting change of the raw readings."""
-    derivatives: list[tuple[Response, ResponseDesign]] = [
-        *((response, partial(_reading_design, observable=response.name)) for response in _READING_RESPONSES),
-        *((response, partial(_joint_design, response=response)) for response in _JOINT_RESPONSES),
+    derivatives: list[tuple[Response, ResponseDesignFunction]] = [
+        *((response, partial(_observable_design, observable=response.name)) for response in _READING_RESPONSES),
+        *((response, partial(_multi_observable_design, response=response)) for response in _MULTI_OBSERVABLE_RESPONSES),
         *((response, partial(_slot_design, slot=slot)) for slot, response in _SLOT_RESPONSES.items()),
         *((response, effect.design) for response, effect in _ECCENTRICITY_RESPONSES.items()),
-        (_RANGE_SCALE, _range_scale_design),
-        (_STAND_TILT, lambda s: station_design(s)[:, :, 3:5]),
-        (_STAND_POSITION, lambda s: station_design(s)[:, :, :3]),
-        (_TARGET_POSITION, lambda s: s.target_derivatives),
-        (_AIR_GRADIENT, AirGradient().design),
-        (_TARGET_HEIGHT, _nest_normal_design),
-        (_REFLECTOR_VERTEX, _vertex_design),
-        (_DISPLACEMENT_TOWARDS_INSTRUMENT, _displacement_towards_instrument),
+        (_RANGE_SCALE_RESPONSE, _range_scale_design),
+        (_STAND_TILT_RESPONSE, lambda s: station_motion_design(s)[:, :, 3:5]),
+        (_STAND_POSITION_RESPONSE, lambda s: station_motion_design(s)[:, :, :3]),
+        (_TARGET_POSITION_RESPONSE, lambda s: s.target_derivatives),
+        (_AIR_GRADIENT_RESPONSE, AirGradient().design),
+        (_TARGET_HEIGHT_RESPONSE, _nest_normal_design),
+        (_REFLECTOR_VERTEX_RESPONSE, _reflector_vertex_design),
+        (_DISPLACEMENT_TOWARDS_INSTRUMENT_RESPONSE, _displacement_towards_instrument_design),
     ]
     return {response.name: (response, derivative) for response, derivative in derivatives}
 
 
-RESPONSES_BY_NAME = _response_registry()
+RESPONSE_AND_DESIGN_BY_NAME = _response_registry()
 """Responses by name, each with the function for the change (n, 3, c) of the raw readings per unit of each coefficient.
 """
-_RESPONSES_NEEDING_NESTS = {_TARGET_HEIGHT.name, _REFLECTOR_VERTEX.name}
+_RESPONSES_NEEDING_NESTS = {_TARGET_HEIGHT_RESPONSE.name, _REFLECTOR_VERTEX_RESPONSE.name}
 """Names of the changeable quantities that need declared normals of the nests."""
 
 
@@ -236,7 +240,7 @@ def response_designs(sightings: Sightings) -> dict[str, tuple[Response, Floats]]
     """
     designs: dict[str, tuple[Response, Floats]] = {}
     has_nest_normals = bool(np.isfinite(sightings.nest_normals).any())
-    for name, (response, derivative) in RESPONSES_BY_NAME.items():
+    for name, (response, derivative) in RESPONSE_AND_DESIGN_BY_NAME.items():
         if name in _RESPONSES_NEEDING_NESTS and not has_nest_normals:
             continue
         design = derivative(sightings)

@@ -11,30 +11,30 @@ from ltsim.scene.sightings import Sightings
 
 ANGULAR_COVARIATES = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
 """Covariates that are angles, whose sines, cosines and tangents a search tries."""
-SAW_PERIODS = np.array([1.0, 0.5, 0.25, 0.125])
+SAW_TOOTH_PERIOD_FRACTIONS = np.array([1.0, 0.5, 0.25, 0.125])
 """Periods of saw-tooth functions that a search tries, as fractions of the covariate's span."""
-SPAN_FRACTIONS = np.array([0.05, 0.15, 0.5])
+CONSTANT_SPAN_FRACTIONS = np.array([0.05, 0.15, 0.5])
 """Constants of decays, saturations and dead bands that a search tries, as fractions of the covariate's span."""
 
 
-def short_regressors(sightings: Sightings, covariate: str, *, reduced: bool = False) -> Iterator[Regressor]:
+def short_regressors(sightings: Sightings, covariate: str, *, is_reduced_set: bool = False) -> Iterator[Regressor]:
     """Iterator over functions of the `covariate` with at most one constant.
 
-    If `reduced`, it has fewer functions, to limit the number of products with functions of other covariates.
+    If `is_reduced_set`, it has fewer functions, to limit the number of products with functions of other covariates.
     """
-    times = SPAN_FRACTIONS * float(np.ptp(sightings.quantities[covariate]))
+    times = CONSTANT_SPAN_FRACTIONS * float(np.ptp(sightings.quantities[covariate]))
     circular = covariate in CIRCULAR_COVARIATES
     if circular:
-        for order in range(1, 4 if reduced else 7):
+        for order in range(1, 4 if is_reduced_set else 7):
             yield Regressor("wave", (covariate,), constant=float(order))
     function_constants: list[tuple[str, Sequence[float] | Floats]] = (
-        [] if circular and reduced else [("power", (1.0, 2.0))]
+        [] if circular and is_reduced_set else [("power", (1.0, 2.0))]
     )
-    if covariate in ANGULAR_COVARIATES and not (circular and reduced):
+    if covariate in ANGULAR_COVARIATES and not (circular and is_reduced_set):
         function_constants += [("sin", (1.0, 2.0, 3.0)), ("cos", (1.0, 2.0, 3.0)), ("tan", (1.0,))]
     function_constants += [("decay", times)] if covariate == "lapse" else []
-    if not reduced:
-        function_constants.append(("saw", SAW_PERIODS * float(np.ptp(sightings.quantities[covariate]))))
+    if not is_reduced_set:
+        function_constants.append(("saw", SAW_TOOTH_PERIOD_FRACTIONS * float(np.ptp(sightings.quantities[covariate]))))
         function_constants.append(("power", (3.0, -1.0) if covariate == "distance" else (3.0,)))
         function_constants += [("decay", times)] if covariate in CLOCK_COVARIATES else []
         function_constants += [("relaxing", times)] if covariate in (*CLOCK_COVARIATES, "lapse") else []

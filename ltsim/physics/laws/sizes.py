@@ -61,5 +61,5 @@ def displayed_sizes(
 
 def _displayed_size(law: EmpiricalLaw, name: str, value: float, variance: float, component: int = 0) -> DisplayedSize:
     """Size of one component of the changed quantity in its display unit, from its `value` and `variance` [SI]."""
-    unit, factor = law.response.display_unit_of(component)
+    unit, factor = law.response.display_unit_and_factor(component)
     return DisplayedSize(name.strip(), float(value) * factor, float(np.sqrt(max(variance, 0.0))) * factor, unit)

@@ -54,7 +54,7 @@ StateKey = tuple[str, str, float]
 """Key of a state: input, function, and constant (a limit, a time constant [s], or a number of pointings)."""
 
 
-def candidate_states(sightings: Sightings, inputs: Sequence[str]) -> list[StateKey]:
+def candidate_state_keys(sightings: Sightings, inputs: Sequence[str]) -> list[StateKey]:
     """Keys of the states that a search tries with `inputs`, names of covariates. The sightings cache their columns."""
     functions = list(_state_functions(sightings))
     states = [
@@ -122,7 +122,7 @@ def latch_column(sightings: Sightings, covariate: str, set_threshold: float, rel
     return latch_values - latch_values.mean()
 
 
-def latch_thresholds(sightings: Sightings, covariates: Iterable[str]) -> list[tuple[str, float, float]]:
+def candidate_latches(sightings: Sightings, covariates: Iterable[str]) -> list[tuple[str, float, float]]:
     """Latches that a search tries, each as a tuple of the covariate, its upper threshold and its lower threshold."""
     latches = []
     for name in covariates:
@@ -157,23 +157,23 @@ def _is_reset(sightings: Sightings, function_name: str, constant: float) -> Bool
     return np.asarray(has_previous & (quantity != quantity[before]))
 
 
-def _cache_states(sightings: Sightings, states: Sequence[StateKey]) -> None:
+def _cache_states(sightings: Sightings, state_keys: Sequence[StateKey]) -> None:
     """Computation of several states together. The sightings cache the values (n,) of each, minus their mean."""
-    states = [key for key in states if key not in sightings.derived_cache]
-    if not states:
+    state_keys = [key for key in state_keys if key not in sightings.derived_cache]
+    if not state_keys:
         return
     row_order = sightings.order_by_setup
-    inputs = {name: _increments(sightings, name)[row_order] for name in {name for name, _, _ in states}}
-    factors = {key: _remaining_fraction(sightings, *key)[row_order] for key in {(how, k) for _, how, k in states}}
-    increments = np.stack([inputs[name] for name, _, _ in states], axis=1)
-    factor = np.stack([factors[how, k] for _, how, k in states], axis=1)
+    inputs = {name: _increments(sightings, name)[row_order] for name in {name for name, _, _ in state_keys}}
+    factors = {key: _remaining_fraction(sightings, *key)[row_order] for key in {(how, k) for _, how, k in state_keys}}
+    increments = np.stack([inputs[name] for name, _, _ in state_keys], axis=1)
+    factor = np.stack([factors[how, k] for _, how, k in state_keys], axis=1)
     state_values = np.empty_like(increments)
-    present_values = np.zeros(len(states))
+    present_values = np.zeros(len(state_keys))
     for i in range(len(row_order)):
         present_values = factor[i] * (present_values + increments[i])
         state_values[i] = present_values
     state_values -= state_values.mean(axis=0)
-    for key, column in zip(states, state_values.T, strict=True):
+    for key, column in zip(state_keys, state_values.T, strict=True):
         sightings.derived_cache[key] = np.empty(len(row_order))
         sightings.derived_cache[key][row_order] = column
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.effects.linear_effect import CandidateNoiseEffect, Parameter
-from ltsim.physics.laws.columns import CIRCULAR_COVARIATES, MEMORY_PREFIXES
+from ltsim.physics.laws.columns import CIRCULAR_COVARIATES, MEMORY_COVARIATE_PREFIXES
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.regions import HallRegion
 from ltsim.scene.sightings import Sightings
@@ -36,7 +36,7 @@ def noise_groups(sightings: Sightings, group_kind: str) -> tuple[tuple[str, ...]
 def noise_covariate(sightings: Sightings, covariate: str) -> Floats:
     """Covariate (n,) on which noise depends. For a covariate of earlier pointings it is the absolute value."""
     covariate_values: Floats = sightings.quantities[covariate]
-    return np.abs(covariate_values) if covariate.startswith(MEMORY_PREFIXES) else covariate_values
+    return np.abs(covariate_values) if covariate.startswith(MEMORY_COVARIATE_PREFIXES) else covariate_values
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class VarianceFunction(CandidateNoiseEffect):
             x = noise_covariate(sightings, name)
             x = (x - x.min()) / max(float(np.ptp(x)), 1e-12)
             pattern = pattern * ((1 - x) if self.decreases else x) ** 2
-        return self._variance_plus_fraction(sigma, parameter_values[0] * pattern)
+        return self._declared_variance_plus_fraction(sigma, parameter_values[0] * pattern)
 
     def is_in_band(self, sightings: Sightings) -> Bools:
         """Flags (n,) of the pointings whose covariate is within the band."""
@@ -149,7 +149,7 @@ class VarianceFunction(CandidateNoiseEffect):
                 is_inside |= (x >= low) & (x <= high)
         return is_inside
 
-    def _variance_plus_fraction(self, sigma: Floats, added_fraction: Floats) -> Floats:
+    def _declared_variance_plus_fraction(self, sigma: Floats, added_fraction: Floats) -> Floats:
         """Variance (n, 3): the declared variance, increased by a fraction (n,) in the observables of this function."""
         acts = [float(o in self.observables) for o in OBSERVABLES]
         grown: Floats = sigma**2 * (1.0 + added_fraction[:, None] * np.array(acts))

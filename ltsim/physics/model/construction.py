@@ -12,7 +12,7 @@ from ltsim.core.errors import ModelError, NetworkError, unknown_name
 from ltsim.core.units import ARCSECOND, MICROMETRE, PPM
 from ltsim.geometry import kinematics
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap_angle
-from ltsim.physics.effects import BASELINE_EFFECTS
+from ltsim.physics.effects import MISALIGNMENT_EFFECTS
 from ltsim.physics.effects.azimuth_eccentricity import AzimuthEccentricity
 from ltsim.physics.effects.azimuth_second_order import AzimuthSecondOrder
 from ltsim.physics.effects.effect import (
@@ -36,7 +36,7 @@ MAX_NEWTON_STEPS = 12
 """Largest number of Newton steps in the inversion of the kinematic chain."""
 NEWTON_TOLERANCE = 1e-14
 """Size of a Newton step [m, rad] below which the inversion of the kinematic chain ends."""
-LAST_STEP_RESIDUAL = 1e-11
+FINAL_STEP_THRESHOLD = 1e-11
 """Size of a Newton step [m, rad] below which one more step, with the exact derivative, has rounding errors only."""
 
 
@@ -111,10 +111,10 @@ class GeometricErrorModel:
             error_by_slot[term.slot] = error_by_slot[term.slot] + amount if term.slot in error_by_slot else amount
         return error_by_slot
 
-    def _slot_amounts(self, bases: Floats, parameter_values: Floats) -> dict[str, Floats]:
+    def _errors_by_slot(self, basis_values: Floats, parameter_values: Floats) -> dict[str, Floats]:
         """Error (n,) of each slot from the values (n, p) of the basis functions and the parameters."""
         error_by_slot: dict[str, Floats] = {}
-        for term, amount in zip(self.terms, (bases * parameter_values).T, strict=True):
+        for term, amount in zip(self.terms, (basis_values * parameter_values).T, strict=True):
             error_by_slot[term.slot] = error_by_slot[term.slot] + amount if term.slot in error_by_slot else amount
         return error_by_slot
 
@@ -130,7 +130,7 @@ class GeometricErrorModel:
         """
         (chain, slots_of_readings), bases = self._chain_with_reading_slots, self.basis_values(readings)
         slots = {term.slot for term in self.terms} | set(slots_of_readings)
-        p, by_slot = kinematics.points_and_error_derivatives(chain, readings, self._slot_amounts(bases, values), slots)
+        p, by_slot = kinematics.points_and_error_derivatives(chain, readings, self._errors_by_slot(bases, values), slots)
         by_reading = np.stack([by_slot[slot] for slot in slots_of_readings], axis=2)
         if not self.terms:
             return p, by_reading, np.zeros((len(readings), 3, 0))
@@ -165,7 +165,7 @@ class GeometricErrorModel:
 
     def readings_and_design(self, points: Floats, face: Ints, values: Floats) -> tuple[Floats, Floats, Floats]:
         """Raw readings (n, 3) of points (n, 3) [m], with derivatives by point (n, 3, 3) and parameters (n, 3, p)."""
-        raw = self._invert_chain(points, face, values, LAST_STEP_RESIDUAL)
+        raw = self._invert_chain(points, face, values, FINAL_STEP_THRESHOLD)
         reached, by_reading, by_value = self.linearise(raw, values)
         by_point: Floats = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
         raw = raw + np.einsum("nij,nj->ni", by_point, points - reached)
@@ -179,7 +179,7 @@ class GeometricErrorModel:
         return by_point, -by_point @ by_value
 
 
-def misalignment_construction(effects: Iterable[SlotEffect] = BASELINE_EFFECTS) -> GeometricErrorModel:
+def misalignment_construction(effects: Iterable[SlotEffect] = MISALIGNMENT_EFFECTS) -> GeometricErrorModel:
     """Error model of a tracker with the source in the head: misalignments of `effects`, by default all 16."""
     chosen = tuple(effects)
     return GeometricErrorModel(
@@ -322,7 +322,7 @@ def ideal_construction() -> GeometricErrorModel:
     return GeometricErrorModel("ideal", kinematics.MISALIGNMENT_CHAIN, (), ())
 
 
-CONSTRUCTION_FACTORIES: dict[str, Callable[[], GeometricErrorModel]] = {
+CONSTRUCTION_FACTORY_BY_NAME: dict[str, Callable[[], GeometricErrorModel]] = {
     "misalignment": misalignment_construction,
     "dh": dh_construction,
     "steering-mirror": steering_mirror_construction,
@@ -336,10 +336,10 @@ def make_construction(name: str, max_order: int | None = None, degree: int | Non
 
     Raises ModelError for an unknown name, for orders of another model than `dh`, and for an order out of bounds.
     """
-    if name not in CONSTRUCTION_FACTORIES:
-        raise unknown_name("construction", name, CONSTRUCTION_FACTORIES)
+    if name not in CONSTRUCTION_FACTORY_BY_NAME:
+        raise unknown_name("construction", name, CONSTRUCTION_FACTORY_BY_NAME)
     if max_order is None and degree is None:
-        return CONSTRUCTION_FACTORIES[name]()
+        return CONSTRUCTION_FACTORY_BY_NAME[name]()
     if name != "dh":
         raise ModelError(f"harmonics and degree can be set for the construction 'dh' only, not for '{name}'")
     limits = (("harmonics", max_order, MAX_HARMONIC_ORDER), ("degree", degree, MAX_POLYNOMIAL_DEGREE))
@@ -382,9 +382,9 @@ def all_parameter_names() -> frozenset[str]:
     return frozenset(name for construction_ in constructions for name in construction_.parameter_names)
 
 
-def construction_of_design(design: str) -> GeometricErrorModel:
+def construction_of_beam_origin(beam_origin: str) -> GeometricErrorModel:
     """Geometric error model of an instrument, by the origin of its beam as declared in the set-up."""
-    return steering_mirror_construction() if design == "steering-mirror" else misalignment_construction()
+    return steering_mirror_construction() if beam_origin == "steering-mirror" else misalignment_construction()
 
 
 def declared_construction(recording: Recording) -> GeometricErrorModel:
@@ -397,4 +397,4 @@ def declared_construction(recording: Recording) -> GeometricErrorModel:
         mirror = ", ".join(name for name, design in designs.items() if design == "steering-mirror")
         message = f"stations {mirror} have a tracker with a steering mirror, the others have the source in the head"
         raise NetworkError(f"{message}; calibrate them separately, or choose one construction for all")
-    return construction_of_design(next(iter(designs.values()), ""))
+    return construction_of_beam_origin(next(iter(designs.values()), ""))

@@ -35,7 +35,7 @@ class IncidenceErrors(LinearEffect):
 
     reflector: str
     """Name of the reflector; empty if the recording has no names of reflectors."""
-    reflector_weights: Floats
+    reflector_indicator: Floats
     """Weights (n,): 1 for pointings to the reflector, 0 for others."""
     mean_parameters: Floats
     """Expected parameters (p,) [SI] of `smr-incidence`."""
@@ -62,8 +62,8 @@ class IncidenceErrors(LinearEffect):
     def _range_error_design(self, sightings: Sightings) -> Floats:
         """Range error (n, p) per unit of each parameter of `smr-incidence`."""
         return (
-            INCIDENCE_EFFECT.error_derivatives(*INCIDENCE_EFFECT.incidence_angles(sightings))
-            * self.reflector_weights[:, None]
+            INCIDENCE_EFFECT.range_correction_design(*INCIDENCE_EFFECT.incidence_angle_and_direction(sightings))
+            * self.reflector_indicator[:, None]
         )
 
     def design(self, sightings: Sightings) -> Floats:
@@ -84,16 +84,18 @@ def incidence_errors(recording: Recording) -> tuple[IncidenceErrors, ...]:
     return tuple(_incidence_errors_by_reflector(recording))
 
 
-def incidence_shift(recording: Recording, sightings: Sightings, reflectors: Mapping[str, Floats]) -> Floats:
+def incidence_reading_change(
+    recording: Recording, sightings: Sightings, parameters_by_reflector: Mapping[str, Floats]
+) -> Floats:
     """Change (n, 3) of the readings by the incidence errors of reflectors.
 
-    `reflectors` has the parameters (p,) [SI] of the effect `smr-incidence` by the name of the reflector. Reflectors
-    that are not in it have no error.
+    `parameters_by_reflector` has the parameters (p,) [SI] of the effect `smr-incidence` by the name of the reflector.
+    Reflectors that are not in it have no error.
     """
     names = np.array(smr_names(recording))
     by_law = INCIDENCE_EFFECT.design(sightings)
     change = np.zeros((len(recording), 3))
-    for name, values in reflectors.items():
+    for name, values in parameters_by_reflector.items():
         change += np.where((names == name)[:, None], by_law @ values, 0.0)
     return change
 
@@ -112,18 +114,20 @@ def _incidence_errors_by_reflector(recording: Recording) -> Iterator[IncidenceEr
         yield IncidenceErrors(name, (fixed & (names == name)).astype(np.float64), *law)
 
 
-def incidence_prior_from_bench_test(test: BenchTest | None) -> tuple[Floats, Floats]:
+def incidence_prior_from_bench_test(bench_test: BenchTest | None) -> tuple[Floats, Floats]:
     """Mean (p,) of the parameters of `smr-incidence` [SI] given a bench test, and root R (p, p) of their covariance.
 
     The covariance is R R'. Without a bench test the mean is zero and the covariance is that of the prior.
     """
     mean, root = np.zeros(len(INCIDENCE_EFFECT.parameters)), np.diag(INCIDENCE_EFFECT.size_scales)
-    if test is None:
+    if bench_test is None:
         return mean, root
-    angle, error, sigma = (np.array(column) for column in (test.angle_deg, test.error_um, test.sigma_um))
+    angle, error, sigma = (
+        np.array(column) for column in (bench_test.angle_deg, bench_test.error_um, bench_test.sigma_um)
+    )
     middle_index = int(np.argmin(np.abs(angle)))
-    direction = np.where(angle < 0.0, np.pi, 0.0) + test.direction_deg * DEGREE
-    terms = -SmrIncidence.error_derivatives(np.abs(angle) * DEGREE, direction)
+    direction = np.where(angle < 0.0, np.pi, 0.0) + bench_test.direction_deg * DEGREE
+    terms = -SmrIncidence.range_correction_design(np.abs(angle) * DEGREE, direction)
     is_used = np.arange(len(angle)) != middle_index
     spread = np.maximum(sigma[is_used, None] * MICROMETRE, MIN_BENCH_SIGMA)
     sensitivity = (terms - terms[middle_index])[is_used] @ root / spread

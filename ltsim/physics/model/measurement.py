@@ -13,14 +13,14 @@ from ltsim.geometry.rigid import align_rigidly, pose_design, rotation_about_z, s
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import GeometricErrorModel
-from ltsim.physics.model.incidence import IncidenceErrors, incidence_errors, incidence_shift
+from ltsim.physics.model.incidence import IncidenceErrors, incidence_errors, incidence_reading_change
 from ltsim.physics.model.nuisances import (
     CentringErrors,
-    HeadHeights,
+    HeightErrors,
     centring_errors,
-    head_heights,
+    height_errors,
     read_shared_errors,
-    refraction_unknown,
+    refraction_unknowns,
 )
 from ltsim.physics.model.state import NetworkState as NetworkState, Prediction as Prediction
 from ltsim.recordings.recording import Recording
@@ -28,7 +28,7 @@ from ltsim.recordings.reflectors import excess_radii
 from ltsim.scene.sightings import Sightings
 
 
-def sightings_of(recording: Recording, state: NetworkState) -> Sightings:
+def sightings_at_state(recording: Recording, state: NetworkState) -> Sightings:
     """Sightings of a recording's pointings with stations and targets at `state`.
 
     Nest normals are transformed from the floor plan to the network frame (`plan_rotation`).
@@ -39,7 +39,7 @@ def sightings_of(recording: Recording, state: NetworkState) -> Sightings:
 
 
 def _sightings_with_rotated_nests(recording: Recording, state: NetworkState, nest_rotation: Floats) -> Sightings:
-    """Sightings of `sightings_of`, with nest normals rotated by `nest_rotation` (3, 3)."""
+    """Sightings of `sightings_at_state`, with nest normals rotated by `nest_rotation` (3, 3)."""
     return Sightings(
         station=recording.station,
         target=recording.target,
@@ -70,15 +70,15 @@ def plumb_directions(recording: Recording) -> Floats:
     return _unit_vectors([recording.station_setup(name).vertical or (0.0, 0.0, 1.0) for name in recording.stations])
 
 
-def with_plumb_lines(recording: Recording, position: Floats) -> Recording:
+def with_plumb_lines(recording: Recording, station_positions: Floats) -> Recording:
     """Recording whose levelled stations have the plumb lines of a spherical earth, if its set-up is `curved`.
 
-    `position` (S, 3) [m] are the positions of the stations. Declared plumb lines are not replaced.
+    `station_positions` (S, 3) [m] are the positions of the stations. Declared plumb lines are not replaced.
     """
     if not recording.setup.curved:
         return recording
     stations = dict(recording.setup.stations)
-    lean = (position - position.mean(axis=0))[:, :2] / EARTH_RADIUS
+    lean = (station_positions - station_positions.mean(axis=0))[:, :2] / EARTH_RADIUS
     for name, (x, y) in zip(recording.stations, lean.tolist(), strict=True):
         station = recording.station_setup(name)
         if station.levelled and station.vertical is None:
@@ -131,9 +131,9 @@ class MeasurementModel:
     effects: tuple[LinearEffect, ...] = ()
 
     @cached_property
-    def head_heights(self) -> tuple[HeadHeights, ...]:
+    def height_errors(self) -> tuple[HeightErrors, ...]:
         """Errors of the heights of instruments and reflectors, if the set-up declares their standard deviation."""
-        return head_heights(self.recording, plumb_directions(self.recording))
+        return height_errors(self.recording, plumb_directions(self.recording))
 
     @cached_property
     def incidence_errors(self) -> tuple[IncidenceErrors, ...]:
@@ -142,9 +142,9 @@ class MeasurementModel:
         return () if free or not has_plan(self.recording) else incidence_errors(self.recording)
 
     @property
-    def incidence_columns(self) -> tuple[slice, ...]:
+    def incidence_parameter_slices(self) -> tuple[slice, ...]:
         """Slice of the q additional parameters that belongs to each of `incidence_errors`."""
-        first_column = self.n_effect_parameters + sum(len(heads.parameters) for heads in self.head_heights)
+        first_column = self.n_effect_parameters + sum(len(heads.parameters) for heads in self.height_errors)
         boundaries = first_column + np.cumsum([0, *(len(error.parameters) for error in self.incidence_errors)])
         return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(boundaries))
 
@@ -153,7 +153,7 @@ class MeasurementModel:
 
         `parameters` (q, ...) are the values of all additional parameters.
         """
-        columns = zip(self.incidence_errors, self.incidence_columns, strict=True)
+        columns = zip(self.incidence_errors, self.incidence_parameter_slices, strict=True)
         return {error.reflector: error.smr_incidence_parameters(parameters[at]) for error, at in columns}
 
     @cached_property
@@ -162,7 +162,7 @@ class MeasurementModel:
         return centring_errors(self.recording)
 
     @property
-    def centring_columns(self) -> tuple[slice, ...]:
+    def centring_parameter_slices(self) -> tuple[slice, ...]:
         """Slice of the q additional parameters that belongs to each of `centring_errors`."""
         n_parameters = [len(errors.parameters) for errors in self.centring_errors]
         boundaries = self.n_extra_parameters - sum(n_parameters) + np.cumsum([0, *n_parameters])
@@ -172,10 +172,10 @@ class MeasurementModel:
     def nuisance_errors(self) -> tuple[LinearEffect, ...]:
         """Nuisance errors with a prior: heights, incidence on reflectors, shared errors, refraction, centring."""
         return (
-            *self.head_heights,
+            *self.height_errors,
             *self.incidence_errors,
             *read_shared_errors(self.recording),
-            *refraction_unknown(self.recording),
+            *refraction_unknowns(self.recording),
             *self.centring_errors,
         )
 
@@ -194,7 +194,7 @@ class MeasurementModel:
         """Number of parameters of the additional effects, which come first."""
         return sum(len(effect.parameters) for effect in self.effects)
 
-    def _instrument_values(self, state: NetworkState) -> Floats:
+    def _instrument_parameter_values(self, state: NetworkState) -> Floats:
         """Instrument parameters at a state: (p,) for one instrument, otherwise (n, p) by pointing [SI]."""
         if len(state.instrument_parameters) == 1:
             return state.instrument_parameters[0]
@@ -208,7 +208,7 @@ class MeasurementModel:
         return _sightings_with_rotated_nests(self.recording, NetworkState(*none, np.zeros((0, 0))), np.eye(3))
 
     @cached_property
-    def _horizontal_distance_flags(self) -> Bools | None:
+    def _is_horizontal_distance(self) -> Bools | None:
         """Flags (n,) of horizontal distances; None if there are none."""
         flat = self.recording.is_horizontal
         return flat if flat.any() else None
@@ -225,7 +225,9 @@ class MeasurementModel:
 
     def _instrument_readings(self, geometry: Sightings, state: NetworkState) -> Floats:
         """Raw readings (n, 3) of the instrument with its errors, without additional effects."""
-        return self.construction.readings(geometry.local_points, geometry.face, self._instrument_values(state))
+        return self.construction.readings(
+            geometry.local_points, geometry.face, self._instrument_parameter_values(state)
+        )
 
     def geometry(self, state: NetworkState) -> Sightings:
         """Sightings at `state`, without the data that only additional effects need."""
@@ -239,17 +241,17 @@ class MeasurementModel:
             return np.zeros((len(sightings), 3, 0))
         return np.concatenate([effect.design(sightings) for effect in self.extra_effects], axis=2)
 
-    def extra_change(self, sightings: Sightings, parameters: Floats) -> Floats:
+    def change_by_extra_parameters(self, sightings: Sightings, parameters: Floats) -> Floats:
         """Change (n, 3) of the readings by all additional parameters with values (q,) [SI]."""
         return self._linear_effects_change(self.extra_effects, sightings, parameters)
 
-    def effects_change(self, sightings: Sightings, parameters: Floats) -> Floats:
+    def change_by_effects(self, sightings: Sightings, parameters: Floats) -> Floats:
         """Change (n, 3) of the readings by the additional effects alone."""
         return self._linear_effects_change(self.effects, sightings, parameters)
 
-    def incidence_change(self, sightings: Sightings, parameters: Floats) -> Floats:
+    def change_by_incidence_errors(self, sightings: Sightings, parameters: Floats) -> Floats:
         """Change (n, 3) of the readings by the incidence errors of reflectors alone."""
-        return incidence_shift(self.recording, sightings, self.incidence_parameters_by_reflector(parameters))
+        return incidence_reading_change(self.recording, sightings, self.incidence_parameters_by_reflector(parameters))
 
     def _linear_effects_change(
         self, linear_effects: tuple[LinearEffect, ...], sightings: Sightings, parameters: Floats
@@ -269,10 +271,10 @@ class MeasurementModel:
         raw_readings = self._instrument_readings(sightings, state)
         if self.extra_effects:
             sightings = self._with_effect_data(sightings, state, raw_readings)
-            raw_readings = raw_readings + self.extra_change(sightings, state.extra_parameters)
-        if self._horizontal_distance_flags is not None:
-            raw_readings[self._horizontal_distance_flags, 0] *= np.abs(
-                np.cos(raw_readings[self._horizontal_distance_flags, 2])
+            raw_readings = raw_readings + self.change_by_extra_parameters(sightings, state.extra_parameters)
+        if self._is_horizontal_distance is not None:
+            raw_readings[self._is_horizontal_distance, 0] *= np.abs(
+                np.cos(raw_readings[self._is_horizontal_distance, 2])
             )
         return raw_readings
 
@@ -285,7 +287,7 @@ class MeasurementModel:
     def linearise(self, state: NetworkState) -> Prediction:
         """Predicted readings at `state`, and their derivatives with respect to all unknowns."""
         sightings = self.geometry(state)
-        values = self._instrument_values(state)
+        values = self._instrument_parameter_values(state)
         raw, by_point, by_instrument = self.construction.readings_and_design(
             sightings.local_points, sightings.face, values
         )
@@ -298,12 +300,12 @@ class MeasurementModel:
             extra = zip(self.extra_effects, self._values_by_effect(state.extra_parameters), strict=True)
             parts = [effect.linearise(sightings, values) for effect, values in extra]
             raw = raw + np.sum([part.shift for part in parts], axis=0)
-            by_extra = np.concatenate([part.by_values for part in parts], axis=2)
-            for further in (part.by_geometry for part in parts if part.by_geometry is not None):
+            by_extra = np.concatenate([part.parameter_derivatives for part in parts], axis=2)
+            for further in (part.geometry_derivatives for part in parts if part.geometry_derivatives is not None):
                 by_target, by_pose = by_target + further[0], by_pose + further[1]
         derivatives = by_pose, by_target, by_instrument, by_extra
-        if self._horizontal_distance_flags is not None:
-            reduce_to_horizontal(raw, derivatives, self._horizontal_distance_flags)
+        if self._is_horizontal_distance is not None:
+            reduce_to_horizontal(raw, derivatives, self._is_horizontal_distance)
         return Prediction(raw, *derivatives)
 
 
@@ -327,7 +329,7 @@ MAX_AXIS_SPREAD = 5 * DEGREE
 Its cosine is compared with the length of the mean of their unit vectors."""
 MIN_PLAN_POSITIONS = 3
 """Smallest number of approximate station positions that determine the rotation from floor plan to network frame."""
-PLAN_DIRECTION_ACCURACY = 3 * DEGREE
+PLAN_DIRECTION_SIGMA = 3 * DEGREE
 """Accuracy [rad] of directions on a floor plan. A smaller rotation between floor plan and network counts as none."""
 
 
@@ -352,7 +354,7 @@ def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> F
     turn = _plan_rotation_from_positions([s.position_mm for s in setups], position, rotation)
     if turn is None:
         turn = _plan_rotation_from_yaws([s.yaw_deg for s in setups], rotation)
-    if turn is None or np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)) < PLAN_DIRECTION_ACCURACY:
+    if turn is None or np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)) < PLAN_DIRECTION_SIGMA:
         return np.eye(3)
     return turn
 

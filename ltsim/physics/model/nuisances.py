@@ -27,7 +27,7 @@ from ltsim.scene.sightings import Sightings
 
 
 @dataclass(frozen=True)
-class HeadHeights(LinearEffect):
+class HeightErrors(LinearEffect):
     """Errors of the heights of instruments and reflectors above their marks, one for each of q occupations."""
 
     sigma: float
@@ -55,7 +55,7 @@ class HeadHeights(LinearEffect):
         )
 
 
-def head_heights(recording: Recording, plumb_directions: Floats) -> tuple[HeadHeights, ...]:
+def height_errors(recording: Recording, plumb_directions: Floats) -> tuple[HeightErrors, ...]:
     """Errors of heights in a recording; none if its set-up does not declare their standard deviation.
 
     The columns `instrument_setup` and `target_setup` name the occupations; an empty cell has no height error.
@@ -72,7 +72,7 @@ def head_heights(recording: Recording, plumb_directions: Floats) -> tuple[HeadHe
         return ()
     unit_rows = np.eye(len(index_of_occupation) + 1, len(index_of_occupation))
     at, to = (unit_rows[[index_of_occupation.get(key, len(index_of_occupation)) for key in end]] for end in ends)
-    return (HeadHeights(sigma * MILLIMETRE, to - at, plumb_directions[recording.station]),)
+    return (HeightErrors(sigma * MILLIMETRE, to - at, plumb_directions[recording.station]),)
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,7 @@ class Refraction(LinearEffect):
         return self.design(sightings) @ (self.mean_coefficient + parameter_values)
 
 
-def refraction_unknown(recording: Recording) -> tuple[Refraction, ...]:
+def refraction_unknowns(recording: Recording) -> tuple[Refraction, ...]:
     """Refraction as an unknown, if the set-up declares its coefficient with a standard deviation."""
     declared_refraction = recording.setup.refraction
     return () if declared_refraction is None else (Refraction(*declared_refraction),)

@@ -24,7 +24,7 @@ from ltsim.diagnosis.schema import (
     Misfit,
 )
 from ltsim.diagnosis.words import clear_constants_texts, effect_text
-from ltsim.physics.effects import find_effect, parameter_text, title_of
+from ltsim.physics.effects import effect_title, find_effect, parameter_text
 from ltsim.physics.effects.catalogue import catalogue_entry
 from ltsim.recordings.result_file import require_same_recording
 from ltsim.reports import figures
@@ -121,7 +121,7 @@ def diagnosis_section(content: Diagnosis, context: ReportContext) -> Section:
     answer, simulation_notice = as_sentence(content.summary), ""
     if truth is not None and truth.effects:
         injected = listing(
-            [f"{title_of(a.effect.name)} ({effect_place_text(a.effect)})" for a in truth.applied_effects]
+            [f"{effect_title(a.effect.name)} ({effect_place_text(a.effect)})" for a in truth.applied_effects]
         )
         simulation_notice = (
             f"This recording is simulated, with {injected} injected on purpose; the diagnosis does not read the truth."
@@ -179,7 +179,7 @@ def _inspection_action(finding: Finding) -> str:
         return f"Check the {finding.carrier} ({place or 'all of them'})."
     covariates_text = f" with {listing(scope.covariates)}" if scope.covariates else ""
     change = f"change of the {finding.carrier or 'readings'}{covariates_text}"
-    title = title_of(finding.effect) if finding.is_catalogued else f"a {change}"
+    title = effect_title(finding.effect) if finding.is_catalogued else f"a {change}"
     action = f"Inspect {place} for the cause: {title}" if place else f"Look for {title} in all set-ups"
     return f"{action}{_confirmation_text(finding)}."
 
@@ -377,7 +377,7 @@ def _undetectable_table(content: Diagnosis) -> list[TableBlock]:
         if u.undetected_target_error_um and u.undetected_target_error_um >= MIN_REPORTED_TARGET_ERROR_UM
     ]
     largest_first = sorted(relevant, key=lambda u: -(u.undetected_target_error_um or 0.0))
-    with_titles = [u.model_copy(update={"effect": title_of(u.effect)}) for u in largest_first]
+    with_titles = [u.model_copy(update={"effect": effect_title(u.effect)}) for u in largest_first]
     table = UNDETECTABLE_TABLE.with_rows(with_titles).with_columns(
         "effect undetected_target_error_um detectable_at_factor"
     )

@@ -17,7 +17,7 @@ from ltsim.core.notation import number_text
 from ltsim.core.probability import format_p, p_text
 from ltsim.measurands.comparison import DISPLACEMENTS_TABLE, Comparison
 from ltsim.measurands.uncertainty import Uncertainty
-from ltsim.physics.effects import parameter_text, title_of
+from ltsim.physics.effects import effect_title, parameter_text
 from ltsim.planning.proposals import PROPOSALS_TABLE, NextMeasurement
 from ltsim.reports import figures
 from ltsim.reports.document_model import (
@@ -296,9 +296,8 @@ def next_measurement_section(content: NextMeasurement, _: ReportContext) -> Sect
     note = f"{note} {_site_sentence(content)}".rstrip()
     blocks: list[Block] = [*table_block("Further measurements, the best first", proposals, note=note)]
     if content.between:
-        explanation = (
-            f"The larger the chi2, the more reliably {title_of(content.between[0])} is separated from the alternative."
-        )
+        effect = effect_title(content.between[0])
+        explanation = f"The larger the chi2, the more reliably {effect} is separated from the alternative."
         blocks += table_block("Separation of the alternatives", content.table("separation"), note=explanation)
     blocks += [NoteBlock("Diagnosis of the recording", content.diagnosis)] if content.diagnosis else []
     facts = [

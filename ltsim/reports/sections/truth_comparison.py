@@ -14,7 +14,7 @@ from ltsim.core.units import SI_PER_UNIT
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import Finding
 from ltsim.diagnosis.words import effect_text
-from ltsim.physics.effects import parameter_text, title_of
+from ltsim.physics.effects import effect_title, parameter_text
 from ltsim.physics.effects.verbs import make_effect
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.reports import figures
@@ -73,7 +73,7 @@ def _injected_and_finding_rows(injected: AppliedEffect | None, finding: Finding 
     table_rows = [
         [
             "effect",
-            title_of(injected.effect.name) if injected else MISSING_TEXT,
+            effect_title(injected.effect.name) if injected else MISSING_TEXT,
             effect_text(finding.effect) if finding else "not detected",
         ],
         ["where", *place_texts],
@@ -124,7 +124,7 @@ def _injected_and_estimated_curves(
         "distance [m]" if is_over_distance else "time [min]",
         f"change of the {observable} [{typographic_text(unit)}]",
     )
-    cause = f"{title_of(injected.name)} ({effect_place_text(injected)})"
+    cause = f"{effect_title(injected.name)} ({effect_place_text(injected)})"
     text = f"Change of the {observable} readings by {cause}: injected and estimated."
     return [
         PictureBlock(

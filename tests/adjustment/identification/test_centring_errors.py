@@ -12,7 +12,7 @@ from ltsim.adjustment.identification import CauseSelection, FitInput, NetworkFit
 from ltsim.adjustment.identification.centring_errors import local_centring_hypotheses
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
-from ltsim.physics.effects.motions import exact_target_change
+from ltsim.physics.effects.motions import exact_change_by_displacement
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.centring_errors import CentringUncertainty
 from ltsim.recordings.native import read_recording, write_recording
@@ -41,7 +41,9 @@ def displaced(displacement: Floats, *, station: str | None = STATION) -> Recordi
     motion = by_station[recording.station, recording.target].copy()
     if station is not None:
         motion[recording.station != recording.stations.index(station)] = 0.0
-    return recording.with_readings(recording.readings + exact_target_change(adjust(recording).sightings, motion))
+    return recording.with_readings(
+        recording.readings + exact_change_by_displacement(adjust(recording).sightings, motion)
+    )
 
 
 def identified(recording: Recording) -> CauseSelection:

@@ -34,10 +34,10 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.randomness import stream
 from ltsim.core.units import ARCSECOND
 from ltsim.geometry.rigid import align_robustly, rotation_about_z
-from ltsim.physics.effects.motions import exact_station_change, exact_target_change
+from ltsim.physics.effects.motions import exact_change_by_displacement, exact_change_by_station_motion
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.model.construction import declared_construction, misalignment_construction
-from ltsim.physics.model.measurement import sightings_of
+from ltsim.physics.model.measurement import sightings_at_state
 from ltsim.recordings.centring_errors import CentringUncertainty
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.setup import Target
@@ -160,7 +160,7 @@ def test_a_station_that_moves_evenly_is_no_drift_of_a_constant() -> None:
     at = recording.station == 1
     elapsed = np.where(at, (recording.time - recording.time[at].min()) / np.ptp(recording.time[at]), 0.0)
     motion = elapsed[:, None] * np.array([2e-4, -1e-4, -3e-4, 2e-5, 0.0, 0.0])
-    change = exact_station_change(sightings_of(recording, truth.state), motion)
+    change = exact_change_by_station_motion(sightings_at_state(recording, truth.state), motion)
     selection = identified(recording.with_readings(recording.readings + change))
     assert the_one(selection) == ("station-drift", ("S2",), ())
 
@@ -183,7 +183,7 @@ def test_a_station_that_moved_in_mid_work(size: float) -> None:
     rows = np.flatnonzero(recording.station == 1)
     motion = np.zeros((len(recording), 6))
     motion[rows[len(rows) // 2 :], :2] = [0.8 * size, -0.6 * size]
-    change = exact_station_change(sightings_of(recording, truth.state), motion)
+    change = exact_change_by_station_motion(sightings_at_state(recording, truth.state), motion)
     selection = identified(recording.with_readings(recording.readings + change))
     assert the_one(selection) == ("station-bump", ("S2",), ())
     (test,) = [t for t in cause_tests(selection) if t.kind == "station-bump"]
@@ -218,7 +218,7 @@ def test_a_target_that_moved_between_two_stations() -> None:
     recording, truth = hall()
     motion = np.zeros((len(recording), 3))
     motion[(recording.target == 4) & (recording.station >= 2)] = [1e-3, 0.0, 2e-3]
-    change = exact_target_change(sightings_of(recording, truth.state), motion)
+    change = exact_change_by_displacement(sightings_at_state(recording, truth.state), motion)
     selection = identified(recording.with_readings(recording.readings + change))
     assert the_one(selection) == ("target-moved", (), ("T05",))
     sentence = cause_tests(selection)[0].sentence

@@ -15,7 +15,7 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.identification.reading_shifts import ReadingShift
 from ltsim.core.arrays import Ints
 from ltsim.core.units import ARCSECOND
-from ltsim.physics.effects.motions import exact_target_change
+from ltsim.physics.effects.motions import exact_change_by_displacement
 from ltsim.recordings.recording import Recording
 from ltsim.reports.sections import result_section
 from tests.networks import mesh, network
@@ -99,7 +99,7 @@ def moved_target(size: float) -> tuple[Recording, Place]:
     sightings = adjust(recording).sightings
     late = (recording.station >= 3) & (recording.target == recording.targets.index("T07"))
     displacement = late[:, None] * np.array([0.6, 0.5, -0.62]) * size
-    changed = recording.readings + exact_target_change(sightings, displacement)
+    changed = recording.readings + exact_change_by_displacement(sightings, displacement)
     return recording.with_readings(changed), ((), ("T07",))
 
 

@@ -18,7 +18,7 @@ from ltsim.diagnosis.detect import Detection, detect
 from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
 from ltsim.diagnosis.null_ensemble import MIN_SIMULATED_RECORDINGS, NullEnsemble
 from ltsim.diagnosis.search import Searcher
-from ltsim.physics.effects import BASELINE_EFFECTS, CATALOGUE
+from ltsim.physics.effects import CATALOGUE, MISALIGNMENT_EFFECTS
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.model.construction import misalignment_construction
 from tests.diagnosis.ensembles import with_trials
@@ -36,7 +36,7 @@ class Search:
 
     def families(self) -> Iterator[list[Effect]]:
         """All places and shapes of each effect beyond the ordinary calibration that shifts readings."""
-        ordinary = {type(effect) for effect in BASELINE_EFFECTS}
+        ordinary = {type(effect) for effect in MISALIGNMENT_EFFECTS}
         for kind in CATALOGUE:
             shifts = kind not in ordinary and not issubclass(kind, NoiseEffect)
             places = list(kind.candidates(self.space.sightings)) if shifts else []

@@ -10,9 +10,9 @@ import pytest
 from ltsim.core.arrays import Floats
 from ltsim.physics.effects.air_gradient import AirGradient
 from ltsim.physics.effects.air_layer import AirLayer
-from ltsim.physics.effects.ciddor import refractivity, temperature_sensitivity, vapour_pressure
+from ltsim.physics.effects.ciddor import refractive_index_sensitivity, refractivity, saturation_vapour_pressure
 from ltsim.physics.effects.heat_plume import HeatPlume
-from ltsim.physics.effects.rays import integrated_change, relative_index_change_per_kelvin
+from ltsim.physics.effects.rays import integrated_reading_change, relative_index_decrease_per_kelvin
 from ltsim.physics.effects.turbulence import Turbulence
 from tests.physics.effects.scenes import corrections, left_over, lengths, scene
 
@@ -53,7 +53,7 @@ def test_index_of_dry_air_is_that_of_the_paper(temperature: float, pressure: flo
 def test_sensitivities_are_those_of_the_catalogue() -> None:
     """Per K, per hPa, per percent of humidity, at 20 C and at 27 C."""
     for temperature, kelvin, hectopascal, percent in ((20.0, -0.955, 0.268, -0.0085), (27.0, -0.922, 0.262, -0.0126)):
-        assert -1e6 * temperature_sensitivity(temperature) == pytest.approx(kelvin, abs=6e-4)
+        assert -1e6 * refractive_index_sensitivity(temperature) == pytest.approx(kelvin, abs=6e-4)
         step = index(temperature, 101_375.0, 50.0) - index(temperature, 101_275.0, 50.0)
         assert 1e6 * step == pytest.approx(hectopascal, abs=6e-4)
         step = index(temperature, 101_325.0, 50.5) - index(temperature, 101_325.0, 49.5)
@@ -62,20 +62,20 @@ def test_sensitivities_are_those_of_the_catalogue() -> None:
 
 def test_vapour_pressure_over_water() -> None:
     """IAPWS-IF97, table 35: 3536.58941 Pa at 300 K."""
-    assert float(vapour_pressure(np.array(26.85))) == pytest.approx(3536.58941, rel=1e-8)
+    assert float(saturation_vapour_pressure(np.array(26.85))) == pytest.approx(3536.58941, rel=1e-8)
 
 
 def test_gradient_bends_and_shortens_as_the_formula_says() -> None:
     """Upright station: -1/2 beta G d cos el, +beta G d (mean height - sensor)."""
     s = scene(lean=0.0)
-    beta = temperature_sensitivity(20.0)
+    beta = refractive_index_sensitivity(20.0)
     sensor = s.target_points[:, 2].mean()
     mean = 0.5 * (s.target_points[s.target, 2] + s.station_positions[s.station, 2])
     found = corrections(AirGradient(), s)[:, :, 0]
     np.testing.assert_allclose(found[:, 0], beta * s.range_ * (mean - sensor), rtol=3e-4)
     np.testing.assert_allclose(found[:, 1], 0.0, atol=1e-18)
     np.testing.assert_allclose(found[:, 2], -0.5 * beta * s.range_ * np.cos(s.elevation), rtol=3e-4)
-    assert 1e6 * 0.5 * temperature_sensitivity(27.0) * 8.0 == pytest.approx(3.7, abs=0.05)
+    assert 1e6 * 0.5 * refractive_index_sensitivity(27.0) * 8.0 == pytest.approx(3.7, abs=0.05)
 
 
 def test_gradient_agrees_with_the_integrated_ray() -> None:
@@ -89,10 +89,10 @@ def test_gradient_agrees_with_the_integrated_ray() -> None:
 
 def test_horizontal_gradient_bends_sideways() -> None:
     """The same integral along x: the azimuth of a level ray along y, and its range by the distance from the sensor."""
-    beta, slope = relative_index_change_per_kelvin(), 0.05
+    beta, slope = relative_index_decrease_per_kelvin(), 0.05
 
     def change_by(slope: float) -> Floats:
-        return integrated_change(
+        return integrated_reading_change(
             SCENE, lambda points: (slope * (points[:, 0] - 3.0), np.broadcast_to([slope, 0.0, 0.0], points.shape))
         )
 
@@ -125,7 +125,7 @@ def test_sensor_on_the_head_leaves_a_scale_at_each_station() -> None:
     room, head = (AirGradient(sensor=place).design(SCENE)[:, :, 0] for place in ("room", "head"))
     height = SCENE.station_positions[SCENE.station, 2] - SCENE.target_points[:, 2].mean()
     np.testing.assert_allclose(
-        (room - head)[:, 0], -relative_index_change_per_kelvin() * height * SCENE.range_, atol=1e-15
+        (room - head)[:, 0], -relative_index_decrease_per_kelvin() * height * SCENE.range_, atol=1e-15
     )
     np.testing.assert_allclose((head - room)[:, 1:], 0.0)
     assert np.linalg.norm(left_over(SCENE, head, scale=True)) > 1e-8
@@ -153,7 +153,7 @@ def test_wide_layer_is_a_gradient() -> None:
     width, height = 60.0, float(SCENE.target_points[:, 2].mean() - FLOOR)
     layer = AirLayer(height=height, width=width).design(SCENE)[:, :, 0] * 4 * width
     gradient = AirGradient().design(SCENE)[:, :, 0]
-    layer[:, 0] += relative_index_change_per_kelvin() * 0.5 * 4 * width * SCENE.range_
+    layer[:, 0] += relative_index_decrease_per_kelvin() * 0.5 * 4 * width * SCENE.range_
     size = np.abs(gradient).max(axis=0)
     assert (np.abs(layer - gradient).max(axis=0) <= 1e-3 * size).all()
 
@@ -163,13 +163,13 @@ def test_wide_layer_is_a_gradient() -> None:
 )
 def test_integrated_ray_is_converged_and_agrees_with_first_order(effect: AirLayer | HeatPlume) -> None:
     step = np.array([0.05])
-    kelvin = effect.field(SCENE)
+    kelvin = effect.temperature_field(SCENE)
 
     def field(points: Floats) -> tuple[Floats, Floats]:
         warm, gradient = kelvin(points)
         return step[0] * warm, step[0] * gradient
 
-    coarse, fine = integrated_change(SCENE, field), integrated_change(SCENE, field, steps=256)
+    coarse, fine = integrated_reading_change(SCENE, field), integrated_reading_change(SCENE, field, n_steps=256)
     mask = effect.row_weights(SCENE)[:, None]
     linear = effect.design(SCENE) @ step
     size = np.abs(linear).max(axis=0)
@@ -182,7 +182,7 @@ def test_plume_in_the_path_shortens_the_range() -> None:
     plume = HeatPlume((), ("T10",), radius=0.5 / np.sqrt(2 * np.pi))
     change = plume.design(SCENE)[:, 0, 0][SCENE.target == 9] * 5.0
     # The target sits in the middle of the ball: half of it is in the path.
-    np.testing.assert_allclose(change, -0.5 * temperature_sensitivity(20.0) * 5.0 * 0.5, rtol=1e-3)
+    np.testing.assert_allclose(change, -0.5 * refractive_index_sensitivity(20.0) * 5.0 * 0.5, rtol=1e-3)
 
 
 def test_heat_near_the_station_bends_and_heat_near_the_target_does_not() -> None:

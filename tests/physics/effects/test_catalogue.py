@@ -18,9 +18,9 @@ from ltsim.physics.effects import EFFECT_CLASSES_BY_GROUP
 from ltsim.physics.effects.backlash import Backlash
 from ltsim.physics.effects.beam_tilt import BeamTilt
 from ltsim.physics.effects.catalogue import (
-    BUILTIN_ORIGIN,
+    BUILTIN_PROVIDER,
     DOCSTRING_SECTIONS,
-    PACKAGE_EFFECTS_GROUP,
+    PACKAGE_EFFECTS_HEADING,
     Catalogue,
     CatalogueEntry,
 )
@@ -67,7 +67,10 @@ def catalogue(module: ModuleType, **kinds: object) -> Catalogue:
 def test_installed_effects_follow_the_shipped_ones_by_name(strange: ModuleType) -> None:
     found = catalogue(strange, Warm=made("warmth"), Cold=made("cold"))
     assert [kind.name for kind in found] == ["beam-tilt", "backlash", "cold", "warmth"]
-    assert (found.entries["cold"].group, found.entries["backlash"].provider) == (PACKAGE_EFFECTS_GROUP, BUILTIN_ORIGIN)
+    assert (found.entries["cold"].group, found.entries["backlash"].provider) == (
+        PACKAGE_EFFECTS_HEADING,
+        BUILTIN_PROVIDER,
+    )
     assert found.find("warmth") is found[-1]
 
 

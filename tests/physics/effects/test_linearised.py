@@ -13,7 +13,7 @@ from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.effects.target_moved import TargetMoved
-from ltsim.physics.model.measurement import sightings_of
+from ltsim.physics.model.measurement import sightings_at_state
 from ltsim.scene.sightings import Sightings
 from tests.networks import network
 
@@ -23,7 +23,7 @@ STEP = 1e-6
 @cache
 def sightings() -> Sightings:
     recording, truth = network(faces=2)
-    return sightings_of(recording, truth.state)
+    return sightings_at_state(recording, truth.state)
 
 
 CASES = [
@@ -41,15 +41,15 @@ def test_derivatives_at_large_values_are_those_of_the_change(effect: LinearEffec
     for k, step in enumerate(np.eye(len(values)) * STEP):
         change = effect.reading_change(here, values + step) - effect.reading_change(here, values - step)
         change[:, 1:] = wrap_angle(change[:, 1:])
-        assert np.abs(change / (2 * STEP) - found.by_values[:, :, k]).max() < 1e-6
-    assert found.by_geometry is not None
+        assert np.abs(change / (2 * STEP) - found.parameter_derivatives[:, :, k]).max() < 1e-6
+    assert found.geometry_derivatives is not None
     for axis in range(3):
         moved = [
             replace(here, target_points=here.target_points + sign * STEP * np.eye(3)[axis]) for sign in (1.0, -1.0)
         ]
         change = np.subtract(*(effect.reading_change(place, values) for place in moved))
         change[:, 1:] = wrap_angle(change[:, 1:])
-        assert np.abs(change / (2 * STEP) - found.by_geometry[0][:, :, axis]).max() < 1e-5
+        assert np.abs(change / (2 * STEP) - found.geometry_derivatives[0][:, :, axis]).max() < 1e-5
 
 
 def test_displaced_reflectors_are_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.physics.laws.columns import first_order_lag
+from ltsim.physics.laws.columns import first_order_lag_columns
 from ltsim.scene.sightings import Sightings
 from tests.networks import network
 
@@ -23,7 +23,7 @@ def test_what_lags_comes_to_a_step_by_an_exponential_of_the_time(sightings):
     time = np.cumsum(np.linspace(5.0, 40.0, n))
     warm = (np.arange(n) >= n // 3).astype(np.float64)
     moved = replace(sightings, time=time, covariates={"hall": 20.0 + warm})
-    slow, behind = first_order_lag(moved, "hall", 600.0).T
+    slow, behind = first_order_lag_columns(moved, "hall", 600.0).T
     since = time - time[n // 3 - 1]
     expected = np.where(warm > 0, 1.0 - np.exp(-since / 600.0), 0.0)
     swing = np.ptp(slow) / np.ptp(expected)

@@ -11,9 +11,9 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.core.randomness import stream
-from ltsim.physics.effects.motions import station_design
+from ltsim.physics.effects.motions import station_motion_design
+from ltsim.physics.laws.catalogue_names import catalogue_name
 from ltsim.physics.laws.law import EmpiricalLaw
-from ltsim.physics.laws.names import catalogue_name
 from ltsim.physics.laws.places import MIN_GROUP_SIZE, target_clusters
 from ltsim.physics.laws.regressor_library import (
     READING_COVARIATES,
@@ -29,7 +29,7 @@ from ltsim.physics.laws.regressors import (
     scalar_regressor,
     smooth_regressor,
 )
-from ltsim.physics.laws.responses import RESPONSES_BY_NAME, response_designs
+from ltsim.physics.laws.responses import RESPONSE_AND_DESIGN_BY_NAME, response_designs
 from ltsim.physics.laws.sizes import displayed_sizes
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.recording import OBSERVABLES
@@ -103,7 +103,7 @@ def test_amounts_are_those_of_the_target_measured_before(sightings):
 def test_carriers_show_mainly_in_the_readings_that_they_name(sightings):
     designs = response_designs(sightings)
     assert "vertical index" in designs  # two faces tell it from the elevation
-    assert set(designs) <= set(RESPONSES_BY_NAME)
+    assert set(designs) <= set(RESPONSE_AND_DESIGN_BY_NAME)
     for name, (carrier, design) in designs.items():
         assert design.shape == (len(sightings), 3, len(carrier.component_names))
         assert np.isfinite(design).all(), name
@@ -113,7 +113,7 @@ def test_carriers_show_mainly_in_the_readings_that_they_name(sightings):
 
 
 def test_laws_are_effects_like_any_other(sightings):
-    law = EmpiricalLaw(("S2",), (), RESPONSES_BY_NAME["vertical index"][0], smooth_regressor("station-time"))
+    law = EmpiricalLaw(("S2",), (), RESPONSE_AND_DESIGN_BY_NAME["vertical index"][0], smooth_regressor("station-time"))
     assert pickle.loads(pickle.dumps(law)) == law
     design = law.design(sightings)
     assert design.shape == (len(sightings), 3, len(law.parameters))
@@ -124,13 +124,17 @@ def test_laws_are_effects_like_any_other(sightings):
         catalogue_name(EmpiricalLaw((), (), law.response, scalar_regressor("station-time", "decay", 900.0)))
         == "index-drift"
     )
-    wave = EmpiricalLaw((), (), RESPONSES_BY_NAME["elevation"][0], Regressor("wave", ("elevation",), constant=107.35))
+    wave = EmpiricalLaw(
+        (), (), RESPONSE_AND_DESIGN_BY_NAME["elevation"][0], Regressor("wave", ("elevation",), constant=107.35)
+    )
     assert catalogue_name(wave) == "encoder-interpolation"
     assert catalogue_name(law) == "unknown"
 
 
 def test_an_elevation_that_errs_as_the_vertical_index_is_told_as_that(sightings):
-    reading = EmpiricalLaw(response=RESPONSES_BY_NAME["elevation"][0], regressor=scalar_regressor("face", "power"))
+    reading = EmpiricalLaw(
+        response=RESPONSE_AND_DESIGN_BY_NAME["elevation"][0], regressor=scalar_regressor("face", "power")
+    )
     one, _ = network(faces=1, seed=1)
     alone = adjust(one, misalignment_construction()).sightings
     cases = [
@@ -138,16 +142,18 @@ def test_an_elevation_that_errs_as_the_vertical_index_is_told_as_that(sightings)
         (replace(reading, regressor=smooth_regressor("time")), sightings, "elevation"),
         (replace(reading, regressor=smooth_regressor("time")), alone, "vertical index"),
         (replace(reading, regressor=smooth_regressor("elevation")), alone, "elevation"),
-        (replace(reading, response=RESPONSES_BY_NAME["azimuth"][0]), sightings, "azimuth"),
+        (replace(reading, response=RESPONSE_AND_DESIGN_BY_NAME["azimuth"][0]), sightings, "azimuth"),
     ]
     for law, sightings, carrier in cases:
-        told = law.equivalent_index_law(sightings)
+        told = law.equivalent_vertical_index_law(sightings)
         assert told.response.name == carrier
         assert np.abs(np.abs(told.design(sightings)) - np.abs(law.design(sightings))).max() < 1e-12
 
 
 def test_a_wave_is_told_by_amplitude_and_phase(sightings):
-    wave = EmpiricalLaw((), (), RESPONSES_BY_NAME["distance"][0], Regressor("wave", ("azimuth",), constant=3.0))
+    wave = EmpiricalLaw(
+        (), (), RESPONSE_AND_DESIGN_BY_NAME["distance"][0], Regressor("wave", ("azimuth",), constant=3.0)
+    )
     amplitude, phase = displayed_sizes(wave, sightings, np.array([3e-6, 4e-6]), 1e-14 * np.eye(2))
     assert amplitude.value == pytest.approx(5.0 * np.sqrt(2.0))
     assert amplitude.sigma == pytest.approx(0.1 * np.sqrt(2.0))
@@ -156,11 +162,11 @@ def test_a_wave_is_told_by_amplitude_and_phase(sightings):
 
 def test_a_stand_that_leans_askew_is_one_law_and_told_along_both_axes(sightings):
     law = EmpiricalLaw(
-        ("S2",), (), RESPONSES_BY_NAME["lean of the stand"][0], scalar_regressor("station-time", "power")
+        ("S2",), (), RESPONSE_AND_DESIGN_BY_NAME["lean of the stand"][0], scalar_regressor("station-time", "power")
     )
     way = 5e-6 * np.array([0.6, 0.8])
     column = law.regressor.columns(sightings)[:, 0] * (sightings.station == 1)
-    expected = (station_design(sightings)[:, :, 3:5] @ way) * column[:, None]
+    expected = (station_motion_design(sightings)[:, :, 3:5] @ way) * column[:, None]
     np.testing.assert_allclose(law.design(sightings) @ way, expected, atol=1e-20)
     told = displayed_sizes(law, sightings, way, 1e-16 * np.eye(2))
     assert [e.name for e in told] == ["rms", "swing about x", "swing about y"]
@@ -172,8 +178,10 @@ def test_a_stand_that_leans_askew_is_one_law_and_told_along_both_axes(sightings)
 
 
 def test_what_every_set_up_does_in_its_own_way_is_the_laws_of_the_set_ups_together(sightings):
-    alone = EmpiricalLaw(("S2",), (), RESPONSES_BY_NAME["vertical index"][0], scalar_regressor("station-time", "power"))
-    together = alone.per_setup(sightings)
+    alone = EmpiricalLaw(
+        ("S2",), (), RESPONSE_AND_DESIGN_BY_NAME["vertical index"][0], scalar_regressor("station-time", "power")
+    )
+    together = alone.with_coefficients_per_setup(sightings)
     assert together is not None
     parts = [replace(alone, stations=(name,)).design(sightings) for name in sightings.station_names]
     np.testing.assert_array_equal(together.design(sightings), np.concatenate(parts, axis=2))
@@ -210,7 +218,7 @@ def test_coordinates_are_those_of_the_start_or_of_a_column_at_rest(sightings):
 def test_how_far_targets_move_is_told_as_far_as_they_move(sightings):
     decay = EmpiricalLaw(
         targets=("T02",),
-        response=RESPONSES_BY_NAME["place of targets"][0],
+        response=RESPONSE_AND_DESIGN_BY_NAME["place of targets"][0],
         regressor=scalar_regressor("time", "decay", 600.0),
     )
     mean = np.array([0.0, 0.0, 3e-5])
@@ -221,17 +229,21 @@ def test_how_far_targets_move_is_told_as_far_as_they_move(sightings):
 
 
 def test_an_elevation_that_errs_by_its_sign_is_the_vertical_index(sightings):
-    elevation, face = RESPONSES_BY_NAME["elevation"][0], scalar_regressor("face", "power")
+    elevation, face = RESPONSE_AND_DESIGN_BY_NAME["elevation"][0], scalar_regressor("face", "power")
     law = EmpiricalLaw((), (), elevation, Regressor("product", factors=(face, smooth_regressor("time", 4))))
-    assert (law.equivalent_index_law(sightings).response.name, law.equivalent_index_law(sightings).regressor) == (
+    assert (
+        law.equivalent_vertical_index_law(sightings).response.name,
+        law.equivalent_vertical_index_law(sightings).regressor,
+    ) == (
         "vertical index",
         smooth_regressor("time", 4),
     )
-    assert EmpiricalLaw((), (), elevation, face).equivalent_index_law(sightings).regressor.kind == "constant"
+    assert EmpiricalLaw((), (), elevation, face).equivalent_vertical_index_law(sightings).regressor.kind == "constant"
     assert (
-        EmpiricalLaw((), (), elevation, smooth_regressor("time")).equivalent_index_law(sightings).response == elevation
+        EmpiricalLaw((), (), elevation, smooth_regressor("time")).equivalent_vertical_index_law(sightings).response
+        == elevation
     )
-    index = law.equivalent_index_law(sightings).design(sightings)
+    index = law.equivalent_vertical_index_law(sightings).design(sightings)
     np.testing.assert_allclose(
         np.abs(index), np.abs(law.design(sightings)[:, :, 1:]), atol=1e-9
     )  # a product has a constant too
@@ -240,7 +252,7 @@ def test_an_elevation_that_errs_by_its_sign_is_the_vertical_index(sightings):
 def test_each_target_of_a_small_group_may_move_by_an_amount_of_its_own(sightings):
     group = sightings.target_names[:4]
     law = EmpiricalLaw(
-        (), group, RESPONSES_BY_NAME["height of targets in their nests"][0], scalar_regressor("time", "power")
+        (), group, RESPONSE_AND_DESIGN_BY_NAME["height of targets in their nests"][0], scalar_regressor("time", "power")
     )
     (own,) = law.candidate_forms(sightings)["members"][0]
     columns = own.columns(sightings)
@@ -250,7 +262,7 @@ def test_each_target_of_a_small_group_may_move_by_an_amount_of_its_own(sightings
         assert column[at].any() and not column[~at].any()
         assert column[sightings.time == sightings.time.min()].max(initial=0.0) == 0.0  # where it says at first
     assert "members" not in replace(law, targets=sightings.target_names[:2]).candidate_forms(sightings)
-    assert "members" not in replace(law, response=RESPONSES_BY_NAME["distance"][0]).candidate_forms(sightings)
+    assert "members" not in replace(law, response=RESPONSE_AND_DESIGN_BY_NAME["distance"][0]).candidate_forms(sightings)
 
 
 @pytest.mark.parametrize(
@@ -271,7 +283,7 @@ def test_each_target_of_a_small_group_may_move_by_an_amount_of_its_own(sightings
     ],
 )
 def test_a_law_that_a_card_describes_has_its_name(carrier, driver, stations, name):
-    assert catalogue_name(EmpiricalLaw(stations, (), RESPONSES_BY_NAME[carrier][0], driver)) == name
+    assert catalogue_name(EmpiricalLaw(stations, (), RESPONSE_AND_DESIGN_BY_NAME[carrier][0], driver)) == name
 
 
 @pytest.mark.parametrize(
@@ -287,4 +299,4 @@ def test_a_law_that_a_card_describes_has_its_name(carrier, driver, stations, nam
     ],
 )
 def test_a_step_or_creep_of_one_target_is_a_moved_target(targets, driver, name):
-    assert catalogue_name(EmpiricalLaw((), targets, RESPONSES_BY_NAME["place of targets"][0], driver)) == name
+    assert catalogue_name(EmpiricalLaw((), targets, RESPONSE_AND_DESIGN_BY_NAME["place of targets"][0], driver)) == name

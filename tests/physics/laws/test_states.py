@@ -15,14 +15,14 @@ from ltsim.physics.laws.regressor_library import (
     temporary_region_regressors,
 )
 from ltsim.physics.laws.regressors import latch_regressor, scalar_regressor, switch_regressor
-from ltsim.physics.laws.responses import RESPONSES_BY_NAME
+from ltsim.physics.laws.responses import RESPONSE_AND_DESIGN_BY_NAME
 from ltsim.physics.laws.states import (
     FIXED_COUNT_RESET_FUNCTION,
     POINTING_DECAY_FUNCTION,
     STATE_INPUTS,
     TIME_DECAY_FUNCTION,
-    candidate_states,
-    latch_thresholds,
+    candidate_latches,
+    candidate_state_keys,
     state_column,
 )
 from ltsim.scene.regions import REGION_SHAPES, HallRegion, region_levers, region_paths
@@ -82,7 +82,7 @@ def test_a_state_is_what_its_definition_gives(sightings: Sightings, name: str, h
 
 
 def test_states_that_are_tried_differ_and_are_kept(sightings: Sightings) -> None:
-    tried = candidate_states(sightings, STATE_INPUTS)
+    tried = candidate_state_keys(sightings, STATE_INPUTS)
     assert len(set(tried)) == len(tried) > 100
     columns = np.stack([sightings.derived_cache[key] for key in tried], axis=1)
     assert np.isfinite(columns).all() and (columns.std(axis=0) > 0.0).all()
@@ -106,7 +106,7 @@ def test_states_that_are_tried_differ_and_are_kept(sightings: Sightings) -> None
 
 
 def test_a_latch_holds_between_its_thresholds(sightings: Sightings) -> None:
-    for name, above, below in latch_thresholds(sightings, ("distance", "elevation")):
+    for name, above, below in candidate_latches(sightings, ("distance", "elevation")):
         x = sightings.quantities[name]
         on = latch_regressor(name, above, below).columns(sightings)[:, 0] > 0.0
         assert on[x > above].all() and not on[x < below].any()
@@ -135,7 +135,7 @@ def test_what_stands_in_the_hall_temporary_regions_acts_on_the_lines_that_pass_i
         path = region.columns(sightings)[:, 0][on]
         np.testing.assert_allclose(column[on] * np.linalg.norm(path), path * np.linalg.norm(column), rtol=1e-9)
         assert np.sqrt(np.mean(column**2)) == pytest.approx(1.0)
-        law = EmpiricalLaw(response=RESPONSES_BY_NAME["distance"][0], regressor=driver)
+        law = EmpiricalLaw(response=RESPONSE_AND_DESIGN_BY_NAME["distance"][0], regressor=driver)
         assert law.without_switch().regressor == region
         assert all(other.regressor.factors[1] == gate for other in law.neighbours(sightings))
 
@@ -143,7 +143,7 @@ def test_what_stands_in_the_hall_temporary_regions_acts_on_the_lines_that_pass_i
 def test_edges_of_a_switch_move_one_at_a_time(sightings: Sightings) -> None:
     times = np.quantile(sightings.time, (0.2, 0.5))
     law = EmpiricalLaw(
-        response=RESPONSES_BY_NAME["distance"][0],
+        response=RESPONSE_AND_DESIGN_BY_NAME["distance"][0],
         regressor=switch_regressor([scalar_regressor("time", "step", float(t)) for t in times]),
     )
     finer = law.neighbours(sightings)
@@ -183,7 +183,7 @@ def test_a_place_has_several_targets_near_it_wherever_it_is_moved(sightings: Sig
     tried = candidate_regressors(sightings)["near"]
     assert tried and all(contains_several_targets(driver.region, sightings) for driver in tried)
     law = EmpiricalLaw(
-        response=RESPONSES_BY_NAME["distance"][0],
+        response=RESPONSE_AND_DESIGN_BY_NAME["distance"][0],
         regressor=min(tried, key=lambda d: d.region.n_effective_targets(sightings)),
     )
     assert all(contains_several_targets(other.regressor.region, sightings) for other in law.neighbours(sightings))

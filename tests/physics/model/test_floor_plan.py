@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltsim.geometry.rigid import matrix_from_rotation_vector, rotation_about_z
-from ltsim.physics.model.measurement import NetworkState, plan_rotation, sightings_of
+from ltsim.physics.model.measurement import NetworkState, plan_rotation, sightings_at_state
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Station
 from ltsim.simulation.scenario import load_scenario
@@ -43,8 +43,8 @@ def recording_with(**stated: object) -> tuple[Recording, NetworkState]:
 )
 def test_incidences_are_those_of_the_room(stated: set[str]) -> None:
     recording, truth = network(faces=1)
-    expected = sightings_of(recording, truth.state)
-    found = sightings_of(*recording_with(**dict.fromkeys(stated)))
+    expected = sightings_at_state(recording, truth.state)
+    found = sightings_at_state(*recording_with(**dict.fromkeys(stated)))
     np.testing.assert_allclose(found.incidence, expected.incidence, atol=np.radians(1.0))
     assert np.degrees(np.abs(found.incidence)).max() < 90
 

@@ -49,11 +49,11 @@ def test_an_effect_without_a_prior_takes_its_place() -> None:
 def test_each_reflector_has_an_error_of_its_own() -> None:
     fixed = recorded(**{"targets.T01.reflector": "B", "targets.T02.reflector": "B"})
     first, second = incidence_errors(fixed)
-    np.testing.assert_array_equal(first.reflector_weights + second.reflector_weights, 1.0)
+    np.testing.assert_array_equal(first.reflector_indicator + second.reflector_indicator, 1.0)
     named = {
         fixed.targets[t]
         for t in fixed.target[
-            (first.reflector_weights if first.reflector_weights.sum() < 70 else second.reflector_weights) > 0
+            (first.reflector_indicator if first.reflector_indicator.sum() < 70 else second.reflector_indicator) > 0
         ]
     }
     assert named == {"T01", "T02"}
@@ -63,10 +63,10 @@ def test_a_bench_test_is_met_within_its_uncertainty_and_leaves_what_it_did_not_s
     mean, root = incidence_prior_from_bench_test(bench(direction_deg=20.0))
     truth = SmrIncidence(table=PAPER_RANGE_ERRORS, direction=20.0 * DEGREE).parameters_from_table
     angles = np.abs(TABLE_ANGLES), np.where(TABLE_ANGLES < 0, np.pi, 0.0) + 20.0 * DEGREE
-    seen = SmrIncidence.error_derivatives(*angles)
+    seen = SmrIncidence.range_correction_design(*angles)
     np.testing.assert_allclose(seen @ mean, seen @ truth, atol=0.5e-6)
     assert np.sqrt(np.sum((seen @ root) ** 2, axis=1)).max() < 0.5e-6
-    across = SmrIncidence.error_derivatives(np.full(1, 30 * DEGREE), np.full(1, 110.0 * DEGREE))
+    across = SmrIncidence.range_correction_design(np.full(1, 30 * DEGREE), np.full(1, 110.0 * DEGREE))
     assert np.linalg.norm(across @ root) > 3e-6
 
 
@@ -74,7 +74,7 @@ def test_a_bench_test_from_any_zero_conditions_the_prior_exactly() -> None:
     """Mean and covariance are those of Bayes' rule written out, without roots."""
     test = bench(1.5)
     mean, root = incidence_prior_from_bench_test(test.model_copy(update={"error_um": tuple((TABLE + 40.0).tolist())}))
-    terms = -SmrIncidence.error_derivatives(np.abs(TABLE_ANGLES), np.where(TABLE_ANGLES < 0, np.pi, 0.0))
+    terms = -SmrIncidence.range_correction_design(np.abs(TABLE_ANGLES), np.where(TABLE_ANGLES < 0, np.pi, 0.0))
     rows, gap = np.delete(terms - terms[4], 4, axis=0), np.delete(TABLE - TABLE[4], 4) * MICROMETRE
     prior = np.diag(SmrIncidence().size_scales ** 2)
     gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + np.eye(8) * (1.5 * MICROMETRE) ** 2)

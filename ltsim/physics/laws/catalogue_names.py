@@ -11,7 +11,7 @@ EFFECT_NAME_BY_RESPONSE_AND_COVARIATE = {
     ("distance", "incidence"): "smr-incidence",
 }
 """Name of the catalogue effect that is equivalent to a law, by the response and the covariate of the law."""
-NAMED_FUNCTIONS = ("decay", "power", "sin", "cos", "tan")
+FUNCTIONS_OF_NAMED_EFFECTS = ("decay", "power", "sin", "cos", "tan")
 """Functions of a covariate that have the name of the catalogue effect: the sine, cosine or tangent of an angle differ
 from its powers by less than an effect of the catalogue does from one instrument to the next.
 """
@@ -55,7 +55,7 @@ def catalogue_name(law: EmpiricalLaw) -> str:
     name = EFFECT_NAME_BY_RESPONSE_AND_COVARIATE.get((response_name, "".join(regressor.covariates)), law.name)
     if law.instruments and name == "refractivity-drift":  # all instruments share the air
         return law.name
-    return name if regressor.function in NAMED_FUNCTIONS else law.name
+    return name if regressor.function in FUNCTIONS_OF_NAMED_EFFECTS else law.name
 
 
 def _is_step_or_creep(regressor: Regressor) -> bool:

@@ -10,7 +10,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.core.errors import ModelError
-from ltsim.physics.laws.columns import PLAY_FUNCTION, SHORT_LAW_FUNCTIONS
+from ltsim.physics.laws.columns import FORMULA_FUNCTIONS, PLAY_FUNCTION
 from ltsim.physics.laws.regressor_library import READING_COVARIATES, candidate_regressors
 from ltsim.physics.laws.regressors import (
     CONSTANT_REGRESSOR,
@@ -28,9 +28,9 @@ from ltsim.physics.laws.regressors import (
     with_position_dependence,
 )
 from ltsim.physics.laws.states import FIXED_COUNT_RESET_FUNCTION, POINTING_DECAY_FUNCTION, TIME_DECAY_FUNCTION
-from ltsim.physics.laws.words import (
-    COVARIATE_PHRASES,
-    GROUP_KINDS,
+from ltsim.physics.laws.text_form import (
+    GROUP_COVARIATES,
+    PHRASE_BY_COVARIATE,
     TEXT_FORM_EXAMPLES,
     parse_law,
     parse_regressor,
@@ -72,7 +72,7 @@ def every() -> list[Regressor]:
     ]
     found += [Regressor("wave", (name,), constant=2 * np.pi / 0.4) for name in ("x", "hall_temperature_c")]
     found += [smooth_regressor(name) for name in ("circle", "hall_temperature_c")] + [
-        scalar_regressor(name, "power") for name in COVARIATE_PHRASES if name not in GROUP_KINDS
+        scalar_regressor(name, "power") for name in PHRASE_BY_COVARIATE if name not in GROUP_COVARIATES
     ]
     found += [
         scalar_regressor("distance", "power", -1.0),
@@ -82,7 +82,7 @@ def every() -> list[Regressor]:
         Regressor("lagging", ("hall_temperature_c",), constant=1200.0),
         group_amounts_regressor("last-target", 28),
     ]
-    found += [scalar_regressor("press_load_kn", "power").per_target(("T01", "T02", "T04"))]
+    found += [scalar_regressor("press_load_kn", "power").with_amount_per_target(("T01", "T02", "T04"))]
     found += with_position_dependence(
         [scalar_regressor("press_load_kn", "power"), piecewise_regressor(edges[:1] * 2)], 2
     )
@@ -134,13 +134,15 @@ def every() -> list[Regressor]:
 
 @pytest.mark.parametrize("clock", [True, False])
 def test_every_driver_is_read_as_it_is_told(recording: Recording, clock: bool) -> None:
-    assert {*SHORT_LAW_FUNCTIONS, PLAY_FUNCTION} <= {driver.function for driver in every()}
+    assert {*FORMULA_FUNCTIONS, PLAY_FUNCTION} <= {driver.function for driver in every()}
     for driver in every():
         words = regressor_text(driver, has_clock=clock)
         read = parse_regressor(words, recording.replace(has_clock=clock))
         assert regressor_text(read, has_clock=clock) == words
-        assert read.latch_release == pytest.approx(driver.latch_release, rel=6e-3)
-        close = replace(read, constant=driver.constant, latch_release=driver.latch_release, factors=driver.factors)
+        assert read.release_threshold == pytest.approx(driver.release_threshold, rel=6e-3)
+        close = replace(
+            read, constant=driver.constant, release_threshold=driver.release_threshold, factors=driver.factors
+        )
         assert close == driver and read.constant == pytest.approx(driver.constant, rel=6e-3), words
         assert [f.kind for f in read.factors] == [f.kind for f in driver.factors]
 
@@ -160,9 +162,9 @@ def test_what_a_diagnosis_may_tell_of_a_recording_is_read(recording: Recording) 
 def test_a_group_tilts_and_the_whole_bends(recording: Recording) -> None:
     words = "press_load_kn times the place in the room"
     group = parse_law("place of targets", words, recording, targets=("T01", "T02"))
-    assert group.regressor == with_position_dependence([scalar_regressor("press_load_kn", "power")], 1)[0].centred_on(
-        ("T01", "T02")
-    )
+    assert group.regressor == with_position_dependence([scalar_regressor("press_load_kn", "power")], 1)[
+        0
+    ].with_field_centred_on(("T01", "T02"))
     assert parse_law("place of targets", words, recording).regressor.factors[1].constant == 2
 
 

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.core.errors import ModelError
-from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_FACTOR
+from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_IN_PRODUCT
 from ltsim.physics.laws.law import EmpiricalLaw
-from ltsim.physics.laws.regressor_library import OPERATORS, READING_COVARIATES
+from ltsim.physics.laws.regressor_library import OPERATOR_PREFIXES, READING_COVARIATES
 from ltsim.physics.laws.regressors import (
     CLOCK_COVARIATES,
     COORDINATE_COVARIATES,
@@ -24,7 +24,7 @@ from ltsim.physics.laws.regressors import (
     scalar_regressor,
     switch_regressor,
 )
-from ltsim.physics.laws.responses import RESPONSES_BY_NAME
+from ltsim.physics.laws.responses import RESPONSE_AND_DESIGN_BY_NAME
 from ltsim.recordings.recording import Recording
 from ltsim.scene.regions import REGION_SHAPES, HallRegion
 
@@ -32,9 +32,9 @@ ANGLE_COVARIATES = ("azimuth", "bearing", "circle", "elevation", "nest-direction
 """Covariates that are displayed in degrees."""
 TIME_COVARIATES = (*CLOCK_COVARIATES, "lapse")
 """Covariates that are times, displayed in minutes or seconds."""
-COVARIATES_IN_METRES = ("distance", "height", "move-distance", "last-distance", "x", "y", "z")
+LENGTH_COVARIATES = ("distance", "height", "move-distance", "last-distance", "x", "y", "z")
 """Covariates that are displayed in metres or millimetres."""
-COVARIATE_PHRASES = {
+PHRASE_BY_COVARIATE = {
     "parity": "the parity of the order (every other pointing)",
     "seating-parity": "the parity of the seatings (every other target)",
     "station": "the station",
@@ -42,9 +42,9 @@ COVARIATE_PHRASES = {
     "last-target": "the target before",
 }
 """Phrases for covariates whose name is not understood in a sentence."""
-GROUP_KINDS = ("station", "target", "last-target")
+GROUP_COVARIATES = ("station", "target", "last-target")
 """Covariates for whose values (stations, targets, previous targets) a law may have separate amounts."""
-REGRESSOR_TEMPLATES: dict[tuple[str, str, float | None], str] = {
+REGRESSOR_TEXT_TEMPLATES: dict[tuple[str, str, float | None], str] = {
     ("constant", "", None): "constant",
     ("smooth", "", None): "a smooth function of {x}",
     ("field", "", None): "the place in the room",
@@ -91,7 +91,7 @@ REGRESSOR_TEMPLATES: dict[tuple[str, str, float | None], str] = {
 """Text of a regressor by its kind, function and constant. None stands for any constant. In the text x is a covariate, k
 is the constant, and value is the constant or a period with its unit.
 """
-CONSTANT_UNIT_COVARIATE = {
+UNIT_COVARIATE_BY_FUNCTION = {
     "lagging": "time",
     "fades": "time",
     "after pause": "lapse",
@@ -100,7 +100,7 @@ CONSTANT_UNIT_COVARIATE = {
 }
 """Variable whose unit a constant in the formula of a law has, by the function of the law that contains the constant.
 The constant of any other function has the unit of the variable to which the function is applied."""
-MIN_DISPLAYED = {"min": 2.0, "m": 1.0}
+MIN_VALUE_IN_DISPLAY_UNIT = {"min": 2.0, "m": 1.0}
 """Smallest value that is displayed in the unit. Below it the next smaller unit is used, as in 90 s and 400 mm."""
 PER_SETUP_SUFFIX = ", separately at each set-up"
 """Suffix of the text of a law with separate coefficients for each set-up."""
@@ -112,7 +112,7 @@ SWITCH_TEMPLATE = "a switch of {x}, on from {spans}"
 """Template of the text form of a switch."""
 SWITCH_LAG_SUFFIX = ", followed with a lag of {value}"
 """Suffix of the text of a switch, if the error follows the switch with a first-order lag."""
-START_TEXT = "the start"
+SWITCH_START_TEXT = "the start"
 """Text for the start of an interval of a switch that is on from the first pointing."""
 FACTOR_SEPARATORS = {"product": " times ", "pieces": ", "}
 """Separators between the texts of the factors of a product, and of the steps and ramps of a sum."""
@@ -126,20 +126,20 @@ REGION_PHRASES = {
 
 def covariate_value_text(covariate: str, value: float, *, has_clock: bool = True) -> str:
     """Text of a covariate's value [SI] with its display unit. Without a clock times count the recording's rows."""
-    units = _display_units(covariate, has_clock)
+    units = _si_per_display_unit(covariate, has_clock)
     *larger, last = units
-    unit = next((u for u in larger if abs(value) >= MIN_DISPLAYED[u] * units[u]), last)
+    unit = next((u for u in larger if abs(value) >= MIN_VALUE_IN_DISPLAY_UNIT[u] * units[u]), last)
     digits = 4 if unit in ("mm", "") else 3
     return f"{value / units[unit]:.{digits}g} {unit}".rstrip()
 
 
-def _display_units(covariate: str, has_clock: bool) -> dict[str, float]:
+def _si_per_display_unit(covariate: str, has_clock: bool) -> dict[str, float]:
     """Display units of a covariate with their sizes in SI, the larger unit first."""
     if covariate.endswith((*ANGLE_COVARIATES, "incidence")):
         return {"deg": np.pi / 180.0}
     if covariate in TIME_COVARIATES:
         return {"min": 60.0, "s": 1.0} if has_clock else {"rows": 1.0}
-    return {"m": 1.0, "mm": 1e-3} if covariate in COVARIATES_IN_METRES else {"": 1.0}
+    return {"m": 1.0, "mm": 1e-3} if covariate in LENGTH_COVARIATES else {"": 1.0}
 
 
 def regressor_text(regressor: Regressor, *, has_clock: bool = True) -> str:
@@ -155,16 +155,18 @@ def regressor_text(regressor: Regressor, *, has_clock: bool = True) -> str:
     if regressor.kind == "latch":
         above, below = (
             covariate_value_text(regressor.covariates[0], k, has_clock=has_clock)
-            for k in (regressor.constant, regressor.latch_release)
+            for k in (regressor.constant, regressor.release_threshold)
         )
         return f"a latch of {regressor.covariates[0]}, set above {above}, released below {below}"
     name, k, how = "".join(regressor.covariates[-1:]), regressor.constant, regressor.function
     if regressor.kind in ("wave", "cycle"):
         how = "turn" if name.endswith(ANGLE_COVARIATES) else "period"
-    phrase = REGRESSOR_TEMPLATES.get((regressor.kind, how, k)) or REGRESSOR_TEMPLATES[regressor.kind, how, None]
-    unit = CONSTANT_UNIT_COVARIATE.get(how, CONSTANT_UNIT_COVARIATE.get(regressor.kind, name))
+    phrase = (
+        REGRESSOR_TEXT_TEMPLATES.get((regressor.kind, how, k)) or REGRESSOR_TEXT_TEMPLATES[regressor.kind, how, None]
+    )
+    unit = UNIT_COVARIATE_BY_FUNCTION.get(how, UNIT_COVARIATE_BY_FUNCTION.get(regressor.kind, name))
     value = covariate_value_text(unit, 2 * np.pi / k if how == "period" else k, has_clock=has_clock)
-    return phrase.format(x=COVARIATE_PHRASES.get(name, name), k=f"{k:.4g}", value=value)
+    return phrase.format(x=PHRASE_BY_COVARIATE.get(name, name), k=f"{k:.4g}", value=value)
 
 
 def _switch_text(regressor: Regressor, *, has_clock: bool) -> str:
@@ -172,7 +174,7 @@ def _switch_text(regressor: Regressor, *, has_clock: bool) -> str:
     name = regressor.covariates[0]
     values = [covariate_value_text(name, factor.constant, has_clock=has_clock) for factor in regressor.factors]
     if regressor.factors[0].constant == -np.inf:
-        values[0] = START_TEXT
+        values[0] = SWITCH_START_TEXT
     spans = [f"{on} to {off}" for on, off in zip(values[::2], [*values[1::2], "the end"], strict=False)]
     lag = (
         SWITCH_LAG_SUFFIX.format(value=covariate_value_text("time", regressor.constant, has_clock=has_clock))
@@ -241,8 +243,10 @@ def parse_law(
 
     Raises ModelError for an unknown quantity, and for a text that is not the text form of a regressor.
     """
-    if response_name not in RESPONSES_BY_NAME:
-        raise ModelError(f"there is no response called '{response_name}'; responses are {', '.join(RESPONSES_BY_NAME)}")
+    if response_name not in RESPONSE_AND_DESIGN_BY_NAME:
+        raise ModelError(
+            f"there is no response called '{response_name}'; responses are {', '.join(RESPONSE_AND_DESIGN_BY_NAME)}"
+        )
     ratio = _RATIO_PATTERN.fullmatch(regressor_text)
     direction = tuple(map(float, ratio["values"].split(" / "))) if ratio else ()
     regressor_text = ratio["words"] if ratio else regressor_text
@@ -267,7 +271,7 @@ def parse_law(
     law = EmpiricalLaw(
         recording.stations if is_per_setup else stations,
         targets,
-        RESPONSES_BY_NAME[response_name][0],
+        RESPONSE_AND_DESIGN_BY_NAME[response_name][0],
         regressor,
         is_per_setup=is_per_setup,
     )
@@ -289,28 +293,29 @@ def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFA
         return Regressor(
             "product",
             factors=(
-                parse_regressor(text.removesuffix(PER_INSTRUMENT_SUFFIX), recording, N_MODES_FACTOR),
+                parse_regressor(text.removesuffix(PER_INSTRUMENT_SUFFIX), recording, N_MODES_IN_PRODUCT),
                 by_instrument,
             ),
         )
     if match := _REGION_PATTERN.fullmatch(text):
-        region = _parse_region(text, match)
+        region = _parse_hall_region(text, match)
         kind, function = next(key for key, through in REGION_PHRASES.items() if through == match["through"])
         return nearness_regressor(region) if kind == "near" else passage_regressor(region, function)
     if len(factors) > 1:
         return Regressor(
-            "product", factors=tuple(parse_regressor(factor.strip(), recording, N_MODES_FACTOR) for factor in factors)
+            "product",
+            factors=tuple(parse_regressor(factor.strip(), recording, N_MODES_IN_PRODUCT) for factor in factors),
         )
     if len(steps) > 1:
         return piecewise_regressor([parse_regressor(step, recording) for step in steps])
     further = recording.regressor_covariates
-    covariates = (*READING_COVARIATES, *further, *(f"{how}-{name}" for how in OPERATORS for name in further))
+    covariates = (*READING_COVARIATES, *further, *(f"{how}-{name}" for how in OPERATOR_PREFIXES for name in further))
     if match := _SWITCH_PATTERN.fullmatch(text):
         return _parse_switch(text, match, recording)
     if match := _LATCH_PATTERN.fullmatch(text):
         return _parse_latch(text, match, recording)
-    names = {"": ""} | {COVARIATE_PHRASES.get(name, name): name for name in (*covariates, *GROUP_KINDS)}
-    for (kind, how, constant), phrase in REGRESSOR_TEMPLATES.items():
+    names = {"": ""} | {PHRASE_BY_COVARIATE.get(name, name): name for name in (*covariates, *GROUP_COVARIATES)}
+    for (kind, how, constant), phrase in REGRESSOR_TEXT_TEMPLATES.items():
         pattern = re.sub(r"\\{(\w+)\\}", lambda group: _PLACEHOLDER_PATTERNS[group[1]], re.escape(phrase))
         if not (match := re.fullmatch(pattern, text)):
             continue
@@ -319,18 +324,14 @@ def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFA
         if (
             name is None
             or (how == "turn" and not name.endswith(ANGLE_COVARIATES))
-            or (name in GROUP_KINDS) != (kind == "amounts")
+            or (name in GROUP_COVARIATES) != (kind == "amounts")
         ):
             continue
         count = len(np.unique(recording.station)) if name == "station" else len(recording.targets)
         k = constant or {"smooth": n_modes, "field": 2.0, "amounts": count}.get(kind, 1.0 if kind == "state" else 0.0)
         if "k" in groups or "value" in groups:
-            k = _parse_constant(
-                text,
-                CONSTANT_UNIT_COVARIATE.get(how, CONSTANT_UNIT_COVARIATE.get(kind, name)),
-                groups,
-                recording.has_clock,
-            )
+            unit_covariate = UNIT_COVARIATE_BY_FUNCTION.get(how, UNIT_COVARIATE_BY_FUNCTION.get(kind, name))
+            k = _parse_constant(text, unit_covariate, groups, recording.has_clock)
             if k <= 0.0 and how not in ("step", "ramp", "power"):
                 raise ModelError(f"'{text}': expected a number above zero")
         along = COORDINATE_COVARIATES if kind == "field" else (name,) if name else ()
@@ -349,7 +350,7 @@ def _parse_switch(law_text: str, match: re.Match[str], recording: Recording) -> 
     is_covariate = name in {*READING_COVARIATES, *recording.regressor_covariates}
     ends = [end for span in match["spans"].split(", ") for end in span.split(" to ")]
     for text in ends[:-1] if ends[-1] == "the end" else ends:
-        if text == START_TEXT and not edges:
+        if text == SWITCH_START_TEXT and not edges:
             edges.append(scalar_regressor(name, "step", -np.inf))
             continue
         value = re.fullmatch(_PLACEHOLDER_PATTERNS["value"], text)
@@ -378,7 +379,7 @@ def _parse_latch(law_text: str, match: re.Match[str], recording: Recording) -> R
     return latch_regressor(name, thresholds[0], thresholds[1])
 
 
-def _parse_region(text: str, match: re.Match[str]) -> HallRegion:
+def _parse_hall_region(text: str, match: re.Match[str]) -> HallRegion:
     """Region of the hall from its text form; raises ModelError for missing coordinates or a width of zero."""
     axes = next(axes for axes, shape in REGION_SHAPES.items() if shape == match["shape"])
     centre = dict(_COORDINATE_PATTERN.findall(match["at"]))
@@ -392,7 +393,7 @@ def _parse_constant(text: str, covariate: str, groups: Mapping[str, str], has_cl
     """Constant [SI] in the text form of a regressor; raises ModelError for a unit that its covariate cannot have."""
     if "k" in groups:
         return float(groups["k"])
-    units, unit = _display_units(covariate, has_clock), groups["unit"]
+    units, unit = _si_per_display_unit(covariate, has_clock), groups["unit"]
     if unit not in units:
         unit_text = " or ".join(f"in {u}" if u else "without a unit" for u in units)
         raise ModelError(f"'{text}': expected a value of {covariate} {unit_text}")
