@@ -13,7 +13,7 @@ from ltsim.recordings.native import OBSERVATIONS_FILE
 from ltsim.recordings.result_file import ResultFile, read_json, read_result, write_result
 
 
-def read(path: str | Path, *, format: str | None = None, hints: Hints | None = None) -> Any:
+def read(path: str | Path, *, format: str | None = None, hints: Hints | None = None) -> Any:  # noqa: A002
     """Recording in any format, or result that a command or `lt.write` wrote.
 
     A file is data: it is checked against the model of its format, and nothing that it names is imported or run.
@@ -93,7 +93,7 @@ def write(
     result: Recording | ResultFile,
     path: str | Path,
     *,
-    format: str = "native",
+    format: str = "native",  # noqa: A002
     recording: Recording | None = None,
 ) -> None:
     """Write a recording or a result as the command of its name does: a folder, for a truth a file.
@@ -161,7 +161,7 @@ def convert(
     destination: str | Path,
     *,
     to: str = "native",
-    format: str | None = None,
+    format: str | None = None,  # noqa: A002
     hints: Hints | None = None,
     every: int = 1,
 ) -> Recording:

@@ -34,13 +34,13 @@ class ReportedUncertainty(Protocol):
     """Interface of a result with the errors that its standard deviations include."""
 
     @property
-    def uncertainty_factor(self) -> float: ...
+    def uncertainty_factor(self) -> float: ...  # noqa: D102
     @property
-    def air_text(self) -> str: ...
+    def air_text(self) -> str: ...  # noqa: D102
     @property
-    def hidden_errors(self) -> tuple[HiddenError, ...]: ...
+    def hidden_errors(self) -> tuple[HiddenError, ...]: ...  # noqa: D102
     @property
-    def constants_included(self) -> bool: ...
+    def constants_included(self) -> bool: ...  # noqa: D102
 
 
 def uncertainty_sentences(result: ReportedUncertainty) -> list[str]:

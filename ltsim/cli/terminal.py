@@ -37,7 +37,7 @@ def prepare_streams() -> None:
     for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
             _STREAMS_CLOSED_AT_START.add(descriptor)
-            null_device = Path(os.devnull).open("r+", encoding="utf-8")  # takes the lowest free number
+            null_device = Path(os.devnull).open("r+", encoding="utf-8")  # noqa: SIM115  # takes the lowest free number
             os.set_inheritable(null_device.fileno(), True)
             setattr(sys, name, null_device)
     for stream in (sys.stdout, sys.stderr):

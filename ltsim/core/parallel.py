@@ -47,7 +47,7 @@ def run_parallel(
         results = pool(delayed(function)(*arguments) for arguments in argument_tuples)
     try:
         with _without_working_folder():
-            for result in results:
+            for result in results:  # noqa: UP028 - `yield from` would close `results`, with a warning
                 yield result
     except TerminatedWorkerError:
         raise WorkerError(

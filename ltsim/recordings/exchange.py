@@ -124,7 +124,7 @@ FORMATS: tuple[FileFormat, ...] = (
 )
 
 
-def read(path: str | Path, *, format: str | None = None, hints: Hints | None = None) -> Recording:
+def read(path: str | Path, *, format: str | None = None, hints: Hints | None = None) -> Recording:  # noqa: A002
     """Recording from a file or folder in any supported format.
 
     Parameters
@@ -143,7 +143,7 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
     """
     path = Path(path)
     hints = hints or NO_HINTS
-    format = "table" if format is None and hints.columns is not None and path.exists() else format
+    format = "table" if format is None and hints.columns is not None and path.exists() else format  # noqa: A001
     file_format = recognise_format(path) if format is None else _format_by_name(format, FORMATS)
     try:
         recording = file_format.read(path, hints)
@@ -203,7 +203,7 @@ def recognise_format(path: Path) -> FileFormat:
     )
 
 
-def write(recording: Recording, path: Path | str, format: str = "native") -> None:
+def write(recording: Recording, path: Path | str, format: str = "native") -> None:  # noqa: A002
     """Export of a recording to one of the formats with a writer.
 
     Raises RecordError if the format cannot represent the recording, or the path cannot be written to. No partial file

@@ -51,7 +51,7 @@ def test_centring_errors_do_not_absorb_an_effect_in_the_model() -> None:
     recording, effect = centred_anew(14, SIGMA), RangeCyclic()
     size = np.array([2000.0, 0.0]) * MICROMETRE
     shifted = recording.with_readings(recording.readings + effect.reading_change(adjust(recording).sightings, size))
-    state = SelectionState(adjust(shifted), adjust(shifted).problem.used_readings, 0, None)
+    state = SelectionState(adjust(shifted), adjust(shifted).problem.is_used_reading, 0, None)
     ((_, hypothesis),) = centring_hypotheses_of_occupations(state.space)
     assert hypothesis.sizes[0] > 2.0 * SIGMA
     state.add_noise(hypothesis)

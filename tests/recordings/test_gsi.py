@@ -102,7 +102,7 @@ def test_a_cut_file(tmp_path: Path) -> None:
     assert len(read(gsi(tmp_path / "n.gsi", again))) == 3
     for cut in range(len(GSI16) - 1):
         file = gsi(tmp_path / "n.gsi", GSI16[:cut])
-        found = outcome(lambda: read(file, format="gsi"))
+        found = outcome(lambda: read(file, format="gsi"))  # noqa: B023
         assert isinstance(found, str) or GSI16[cut - 1] == "\n" or GSI16[cut] == "\n"
 
 

@@ -347,7 +347,7 @@ names = st.text(
 sizes = st.floats(0.001, 1e5)
 signed = st.floats(-1e6, 1e6)
 vectors = st.tuples(signed, signed, signed)
-maybe = lambda strategy: st.none() | strategy
+maybe = lambda strategy: st.none() | strategy  # noqa: E731
 
 
 @st.composite

@@ -156,5 +156,8 @@ def test_a_body_of_many_triangles_takes_no_more_of_a_page_than_its_picture() -> 
     """As vectors 200,000 triangles made a page of 45 MB, in 30 s."""
     few = workshop_scene.workshop_from_scenario(load_scenario("paper-workshop"))
     body = stream(3, "bodies").uniform(0.0, 3.0, (MAX_VECTOR_TRIANGLES + 1, 3, 3))
-    sizes = [len(svg_text(floor_plan(replace(few, obstacle_triangles=body[:count])))) for count in (1, MAX_VECTOR_TRIANGLES + 1)]
+    sizes = [
+        len(svg_text(floor_plan(replace(few, obstacle_triangles=body[:count]))))
+        for count in (1, MAX_VECTOR_TRIANGLES + 1)
+    ]
     assert sizes[1] - sizes[0] < 100_000

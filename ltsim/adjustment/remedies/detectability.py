@@ -42,7 +42,9 @@ def search_noncentrality(dof: int, n_places: int) -> float:
     The false-alarm rate is divided among all places and constants of the effect, and among all effects of the
     catalogue. An unknown cause counts as one more effect.
     """
-    return noncentrality(dof, alpha=GLOBAL_TEST_LEVEL, n_tests=n_places * (len(CATALOGUE) - len(MISALIGNMENT_EFFECTS) + 1))
+    return noncentrality(
+        dof, alpha=GLOBAL_TEST_LEVEL, n_tests=n_places * (len(CATALOGUE) - len(MISALIGNMENT_EFFECTS) + 1)
+    )
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ class SizedEffect:
 EffectT = TypeVar("EffectT", bound=LinearEffect | SizedEffect)
 
 
-def Effect(
+def Effect(  # noqa: N802 - it stands for a class of the catalogue
     name: str, *, stations: str | Sequence[str] = (), targets: str | Sequence[str] = (), **constants: Any
 ) -> AnyEffect | SizedEffect:
     """An effect of the catalogue at some places, with some of its constants: `lt.Effect("index-drift", stations="S3")`.

@@ -130,7 +130,9 @@ class GeometricErrorModel:
         """
         (chain, slots_of_readings), bases = self._chain_with_reading_slots, self.basis_values(readings)
         slots = {term.slot for term in self.terms} | set(slots_of_readings)
-        p, by_slot = kinematics.points_and_error_derivatives(chain, readings, self._errors_by_slot(bases, values), slots)
+        p, by_slot = kinematics.points_and_error_derivatives(
+            chain, readings, self._errors_by_slot(bases, values), slots
+        )
         by_reading = np.stack([by_slot[slot] for slot in slots_of_readings], axis=2)
         if not self.terms:
             return p, by_reading, np.zeros((len(readings), 3, 0))
