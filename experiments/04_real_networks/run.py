@@ -163,7 +163,7 @@ def cern(out: Path) -> None:
 WAYS: dict[str, dict[str, object]] = {
     "as stated": {},
     "robust": {"robust": True},
-    "robust, noise estimated": {"robust": True, "variance_components": "instrument"},
+    "robust, noise estimated": {"robust": True, "noise_grouping": "instrument"},
 }
 
 
@@ -243,7 +243,7 @@ def geoeasy(out: Path) -> None:
     recording = read(DATA / "geoeasy-total-station-22st" / "network.GSI")
     rows: Rows = []
     for name, built in (("none", ideal_construction()), ("16", misalignment_construction())):
-        for way, options in (("as stated", {}), ("noise estimated", {"variance_components": "observable"})):
+        for way, options in (("as stated", {}), ("noise estimated", {"noise_grouping": "observable"})):
             found = adjust(recording, built, robust=bool(options), **options)
             factors = {c.observable: f"{c.factor:.2f}" for c in found.variance_components}
             rows.append({"parameters": name, "way": way} | state_of(found) | factors)

@@ -49,7 +49,7 @@ def fit_pose(
 
     Parameters
     ----------
-    sight, points
+    fit_readings, points
         Readings of k pointings from the station, and the known points (k, 3) [m] to which they belong.
     is_levelled : bool
         True if the standing axis is vertical in the network.

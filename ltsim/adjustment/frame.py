@@ -101,7 +101,7 @@ class DeclaredFrame:
     ) -> tuple[Floats, Floats] | None:
         """Rotation (3, 3) and translation (3,) [m] of a network into the declared frame; None if undetermined.
 
-        `levelling_rotation` (3, 3) is the rotation that makes levelled stations upright, `rotation_to_known_yaws` (3,
+        `levelling_rotation` (3, 3) is the rotation that makes levelled stations upright, `rotation_to_declared_yaws` (3,
         3) the subsequent rotation about the vertical that brings stations to their known yaws.
         """
         here, there = self.network_and_declared_points(position, points)
@@ -204,7 +204,7 @@ class DeclaredFrame:
         motion = self.motion_to_floor_plan(position, rotation)
         return motion is not None and bool(alignment_distances(position, position, motion).max() < MAX_FLOOR_PLAN_ERROR)
 
-    def rotation_to_known_yaws(self, rotation: Floats, is_joined: Bools) -> Floats | None:
+    def rotation_to_declared_yaws(self, rotation: Floats, is_joined: Bools) -> Floats | None:
         """Rotation (3, 3) about z that brings upright stations to their known yaws; None without known yaws."""
         mask = self.has_declared_yaw & is_joined
         if not mask.any():

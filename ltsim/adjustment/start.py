@@ -262,7 +262,7 @@ class NetworkInitialiser:
         if self._is_in_frame or not self._frame.has_approximate_positions:
             return False
         turn = self._frame.levelling_rotation(self._rotations, self._is_joined)
-        heading = self._frame.rotation_to_known_yaws(turn @ self._rotations, self._is_joined)
+        heading = self._frame.rotation_to_declared_yaws(turn @ self._rotations, self._is_joined)
         motion = self._frame.motion_into_frame(self._positions, self._target_points(), turn, heading)
         if motion is None:
             return False
@@ -280,7 +280,7 @@ class NetworkInitialiser:
         first = int(np.argmax(self._is_joined))
         self._transform(self._rotations[first].T.copy(), -self._rotations[first].T @ self._positions[first])
         turn = self._frame.levelling_rotation(self._rotations, self._is_joined)
-        heading = self._frame.rotation_to_known_yaws(turn @ self._rotations, self._is_joined)
+        heading = self._frame.rotation_to_declared_yaws(turn @ self._rotations, self._is_joined)
         turn = turn if heading is None else heading @ turn
         if not np.array_equal(turn, np.eye(3)):
             self._transform(turn, np.zeros(3))

@@ -239,7 +239,7 @@ def _adjust_with_options(
     effects: Sequence[LinearEffect] = (),
 ) -> Adjustment:
     """Adjustment with the options of a calibration, with extra effects, and with the selected causes of a misfit."""
-    how: dict[str, Any] = {"robust": robust, "variance_components": grouping, "datum": datum, "prior": prior}
+    how: dict[str, Any] = {"robust": robust, "noise_grouping": grouping, "datum_names": datum, "prior": prior}
     if selection is not None and selection.requires_adjustment_with_causes:
         fit = selection.fit
         how["reading_mask"] = ~(fit.is_outlier & fit.is_gross_reading)

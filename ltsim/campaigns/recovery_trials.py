@@ -323,7 +323,7 @@ class RecoveryTrials(ValueEquality):
             chi2, expected, spread = (np.array([getattr(p, n) for p in parts]) for n in names)
             checks.append(chi_square_check(chi2, expected, spread, alpha))
         for what in ("targets", "stations"):
-            squares = np.array([getattr(part, f"{what[:-1]}_mean_square") for part in parts])
+            squares = np.array([getattr(part, f"{what[:-1]}_mean_square_z") for part in parts])
             if np.all(np.isfinite(squares)):
                 checks.append(mean_check(what, "mean squared error over variance", squares, alpha))
         return checks

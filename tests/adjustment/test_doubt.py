@@ -83,7 +83,7 @@ def test_a_station_with_clockwise_azimuths_is_doubted_aloud() -> None:
     readings = recording.readings.copy()
     readings[recording.station == 3, 1] *= -1
     judged = verdict_on(adjust(recording.with_readings(readings)))
-    assert judged.agreement is not VerdictCase.CLEAN
+    assert judged.case is not VerdictCase.CLEAN
     assert "station S4" in judged.sentence or "Station S4" in judged.sentence
 
 

@@ -130,7 +130,7 @@ def test_datum_by_inner_constraints_is_the_s_transformation(make) -> None:
     """Baarda's C' = S C S^T with S = I - G (B^T G)^-1 B^T, written out here with whole matrices."""
     recording = make(np.zeros(16))
     names = ("T03", "T09", "T14", "T22")
-    plain, found = adjust(recording), lt.adjust(recording, datum_names=names)
+    plain, found = adjust(recording), lt.adjust(recording, datum=names)
     unknowns, points = plain.problem.unknowns, plain.state.target_points
     whole = plain.factorised_normals.covariance_columns(np.eye(unknowns.n_columns))
     chosen = [recording.targets.index(name) for name in names]
@@ -162,14 +162,14 @@ def test_datum_by_inner_constraints_is_the_s_transformation(make) -> None:
 def test_a_datum_that_cannot_be_is_refused(make) -> None:
     recording = make(np.zeros(16))
     with pytest.raises(ModelError, match="target of the datum called 'T99'"):
-        lt.adjust(recording, datum_names=("T99", "T01", "T02"))
+        lt.adjust(recording, datum=("T99", "T01", "T02"))
     with pytest.raises(ModelError, match="at least three that are not on one line"):
-        lt.adjust(recording, datum_names=("T01", "T02"))
+        lt.adjust(recording, datum=("T01", "T02"))
     places = [(0, (1.0, 0.02, 0.2)), (3, (1.0, 0.02, 1.6)), (23, (0.02, 4.9, 5.6))]
     known = {f"T{i + 1:02d}": Target(known_mm=tuple(1e3 * v for v in p), known_sigma_mm=0.01) for i, p in places}
     held = recording.replace(setup=recording.setup.model_copy(update={"targets": known}))
     with pytest.raises(NetworkError, match="control points define the frame already"):
-        lt.adjust(held, datum_names=("T02", "T05", "T09"))
+        lt.adjust(held, datum=("T02", "T05", "T09"))
 
 
 # --- real recordings ----------------------------------------------------------------------------------------------

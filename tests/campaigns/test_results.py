@@ -202,7 +202,7 @@ def test_the_page_has_the_noise_floor_beside_each_error_and_says_what_its_statis
         means = [number_text(s.mean) for s in sweep.distribution(f"{prefix}error_true_parameters_um")]
         assert [floor.partition(" ")[0] for floor in floors] == means
     (listed,) = (block for block in blocks if block.title == "Definitions of the statistics")
-    meanings = listed.effect_text.splitlines()
+    meanings = listed.text.splitlines()
     assert len(meanings) == len([c for c in sweep.columns if ":" not in c])
     assert all(line.partition("]: ")[2] for line in meanings)
 

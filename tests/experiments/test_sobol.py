@@ -20,7 +20,7 @@ class Known(CriteriaPredictor):
     def __init__(self) -> None:
         pass
 
-    def expected_errors(self, group_sizes=None):  # type: ignore[no-untyped-def]
+    def expected_criteria(self, group_sizes=None):  # type: ignore[no-untyped-def]
         a, b = (np.sqrt(3) * np.log(group_sizes[name]) for name in ("a", "b"))
         return ExpectedCriteria(np.ones_like(a), 1 - a / 100, np.ones_like(a), a + 2 * b + a * b)
 

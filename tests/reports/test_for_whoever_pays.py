@@ -106,7 +106,7 @@ def test_hidden_stands_beside_found_with_every_constant(tmp_path: Path) -> None:
     assert html.index(content.simulation_notice) < html.index('<div class="answer')
     scene, curves, table = content.sections[0].blocks[:3]
     assert [scene.kind, curves.kind, table.kind] == ["scene", "picture", "table"]
-    rows = {row[0]: row[1:] for row in table.whitened_rows}
+    rows = {row[0]: row[1:] for row in table.rows}
     assert rows["effect"] == ["settling of a station"] * 2
     assert rows["where"] == ["S3", "S3"]
     assert rows["tilt x [urad]"] == ["25.0", "12.1 +- 1.8"]

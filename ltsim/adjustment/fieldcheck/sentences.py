@@ -24,7 +24,7 @@ TILT_COMPONENTS = slice(3, 5)
 """Slice of the six components of a station's motion that holds the tilts of the standing axis [rad]."""
 AZIMUTH_COMPONENT = slice(5, 6)
 """Slice of the six components of a station's motion that holds the rotation about the standing axis [rad]."""
-MAX_STATED_TILT_SIGMA = 100 * MICRORADIAN
+MAX_REPORTED_TILT_SIGMA = 100 * MICRORADIAN
 """Standard deviation of a station's tilt [rad] from which the sentence does not state the tilt."""
 
 
@@ -120,7 +120,7 @@ def station_drift_sentence(recording: Recording, fit: ColumnsFit, passed: bool) 
     if not passed:
         return f"{name} drifts {within}{_motion_text(fit)}"
     tilt, sigma = fit.estimate_length_and_sigma(TILT_COMPONENTS)
-    if not sigma < MAX_STATED_TILT_SIGMA:
+    if not sigma < MAX_REPORTED_TILT_SIGMA:
         return f"{name}: no drift of the station detected {within}; the repeated pointings hardly determine its tilt"
     tilt_text = with_sigma(tilt / MICRORADIAN, sigma / MICRORADIAN, "urad")
     return f"{name}: no drift of the station detected {within} (change of its tilt {tilt_text})"

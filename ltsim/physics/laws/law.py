@@ -273,10 +273,10 @@ class EmpiricalLaw(CandidateEffect):
         if regressor.kind == "wave":
             forms["cycle"] = [replace(self, regressor=replace(regressor, kind="cycle"))]
 
-        def of_length_scales(law: EmpiricalLaw) -> list[EmpiricalLaw]:
+        def with_length_scales(law: EmpiricalLaw) -> list[EmpiricalLaw]:
             return [replace(law, length_scale_index=k) for k in range(len(law.regressor.coefficient_sigmas))]
 
-        return {kind: [of_length_scales(law) for law in laws] for kind, laws in forms.items() if laws}
+        return {kind: [with_length_scales(law) for law in laws] for kind, laws in forms.items() if laws}
 
     def candidate_pieces(self, sightings: Sightings) -> list[Regressor]:
         """Steps and ramps at gaps between values of the covariate; a sum of some of them may replace a curve."""

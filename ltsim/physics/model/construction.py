@@ -81,11 +81,12 @@ class GeometricErrorModel:
     @cached_property
     def _chain_with_reading_slots(self) -> tuple[kinematics.KinematicChain, tuple[str, ...]]:
         """Chain with a slot on each motion that depends on a reading, and these slots for range, azimuth, elevation."""
-        zero_reading, chain, slots = np.zeros((1, 3)), list(self.kinematic_chain), []
+        zero_reading, unit_readings, chain, slots = np.zeros((1, 3)), np.eye(3), list(self.kinematic_chain), []
         for column in range(3):
-            unit_reading = np.eye(3)[[column]]
             motions, functions = self.kinematic_chain, [m.nominal_function for m in self.kinematic_chain]
-            place = [f is not None and f(unit_reading)[0] != f(zero_reading)[0] for f in functions].index(True)
+            place = [f is not None and f(unit_readings[[column]])[0] != f(zero_reading)[0] for f in functions].index(
+                True
+            )
             motion = motions[place]
             slots.append(motion.error_slot or f"reading-{column}")
             chain[place] = replace(motion, error_slot=slots[-1])
@@ -130,9 +131,8 @@ class GeometricErrorModel:
         """
         (chain, slots_of_readings), bases = self._chain_with_reading_slots, self.basis_values(readings)
         slots = {term.slot for term in self.terms} | set(slots_of_readings)
-        p, by_slot = kinematics.points_and_error_derivatives(
-            chain, readings, self._errors_by_slot(bases, values), slots
-        )
+        errors = self._errors_by_slot(bases, values)
+        p, by_slot = kinematics.points_and_error_derivatives(chain, readings, errors, slots)
         by_reading = np.stack([by_slot[slot] for slot in slots_of_readings], axis=2)
         if not self.terms:
             return p, by_reading, np.zeros((len(readings), 3, 0))

@@ -11,12 +11,12 @@ SECTION_WRITERS = {
     "diagnosis.json": ("diagnosis", "Diagnosis", "diagnosis_section"),
     "calibration.json": ("calibration", "Calibration", "calibration_section"),
     "plan.json": ("plan", "Plan", "plan_section"),
-    "history.json": ("plain", "History", "history_section"),
-    "uncertainty.json": ("plain", "Uncertainty", "uncertainty_section"),
-    "check.json": ("plain", "Check", "check_section"),
-    "comparison.json": ("plain", "Comparison", "comparison_section"),
-    "accept.json": ("plain", "AcceptanceFile", "acceptance_section"),
-    "next.json": ("plain", "NextMeasurement", "next_measurement_section"),
+    "history.json": ("simple_sections", "History", "history_section"),
+    "uncertainty.json": ("simple_sections", "Uncertainty", "uncertainty_section"),
+    "check.json": ("simple_sections", "Check", "check_section"),
+    "comparison.json": ("simple_sections", "Comparison", "comparison_section"),
+    "accept.json": ("simple_sections", "AcceptanceFile", "acceptance_section"),
+    "next.json": ("simple_sections", "NextMeasurement", "next_measurement_section"),
 }
 """Module, model and function of each result file; a module is imported on first use."""
 

@@ -486,5 +486,5 @@ def test_readings_to_targets_that_scatter_are_told_as_that_and_none_is_gross() -
 @pytest.mark.parametrize(("scenario", "seed"), [("paper-workshop-two-face", 5), ("paper-workshop", 13)])
 def test_what_an_uncalibrated_instrument_does_to_near_targets_is_no_scatter_of_theirs(scenario: str, seed: int) -> None:
     recording, _ = lt.simulate(scenario, seed=seed)
-    assert len(adjust(recording).noisy_targets[0])
+    assert len(adjust(recording).noisy_targets_and_scatter[0])
     assert check(recording).passed

@@ -12,7 +12,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.adjustment.identification import CauseSelection, FitInput, cause_tests, screen, select_causes
+from ltsim.adjustment.identification import CauseSelection, FitInput, cause_tests, screening, select_causes
 from ltsim.adjustment.identification.evidence import (
     LOG_SIZE_PRIOR_WIDTH,
     estimate_noise_factors,
@@ -294,7 +294,7 @@ def test_distances_are_put_aside_at_places_that_stand_out_alone(monkeypatch: pyt
     every = shift_candidates(fit.adjustment.sightings)
     for gross, stations in ((recording.station == 1, {1}), (recording.station < 3, set[int]())):
         tried: list[Ints] = []
-        monkeypatch.setattr(screen, "_fit_without_distances", lambda _, rows, tried=tried: tried.append(rows))
+        monkeypatch.setattr(screening, "_fit_without_distances", lambda _, rows, tried=tried: tried.append(rows))
         marked = SimpleNamespace(
             is_outlier=np.repeat(gross[:, None], 3, axis=1),
             is_gross_reading=np.ones((len(recording), 3), dtype=bool),

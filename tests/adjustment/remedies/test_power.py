@@ -51,7 +51,7 @@ class Search:
         seen = detectability_at_places(self.space, places)
         if seen is None:
             return None
-        row = min(seen.table(), key=lambda r: r.median_size / r.prior_sigma)
+        row = min(seen.table(), key=lambda r: r.median_size / r.plausible_size)
         if not np.isfinite(row.median_size):
             return None
         acting = [effect for effect in subsample_evenly(places) if self.space.whitened_design(effect).any()]
