@@ -36,6 +36,10 @@ from ltsim.recordings.files import parse_comma_number, quoted_text
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
 
+MAX_PREDICTED_TESTS = 2_000
+"""Largest number of tests of a prediction, which draws the errors of 2,000 instruments at a time: 64 MB an array."""
+MAX_TEST_DRAWS = 1e9
+"""Largest number of tests times trials of a prediction; 1e9 take a minute."""
 MIN_MARGIN_UM = 1e-3
 """Smallest distance [um] of an error from its limit by which the expanded uncertainty is divided."""
 
@@ -68,6 +72,15 @@ def accept(acceptance: str | Path | Mapping[str, Any] | AcceptanceSettings, fold
     elif not isinstance(acceptance, AcceptanceSettings):
         place, acceptance = Path(acceptance).parent, load_acceptance(Path(acceptance))
     return _predict_or_evaluate(acceptance, place)
+
+
+def _require_few_draws(n_tests: int, n_trials: int) -> None:
+    """Check of the numbers of tests and draws of a prediction; raises SetupError."""
+    if n_tests > MAX_PREDICTED_TESTS or n_tests * n_trials > MAX_TEST_DRAWS:
+        raise SetupError(
+            f"{n_tests} tests with {n_trials} trials each, expected at most {MAX_PREDICTED_TESTS} tests and "
+            f"{MAX_TEST_DRAWS:.0e} draws in all: give fewer tests, or a smaller number of trials"
+        )
 
 
 def _predict_or_evaluate(acceptance_settings: AcceptanceSettings, folder: Path) -> AcceptanceFile:
@@ -103,6 +116,7 @@ def _predict_or_evaluate(acceptance_settings: AcceptanceSettings, folder: Path) 
         if acceptance_settings.corrected:
             mean, of = mean - calibration.applied_values[0], "the corrected instrument"
     plan = AcceptancePlan(tests, model, limits, limits_si.noise)
+    _require_few_draws(len(tests), acceptance_settings.trials)
     outcome = plan.predict(mean, covariance, n_trials=acceptance_settings.trials, seed=acceptance_settings.seed)
     return predicted_result(plan, outcome, prior, acceptance_settings, instrument_description=of)
 

@@ -261,7 +261,7 @@ def correct_faces(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
     for s in np.unique(recording.station[wrong]):
         rows = np.flatnonzero(wrong & (recording.station == s))
         name, stored = recording.stations[s], sorted(set(recording.face[rows].tolist()))
-        far = float(np.nanmax(recording.readings[rows, 0]))
+        far = float(np.max(np.nan_to_num(recording.readings[rows, 0])))
         faces = " and ".join(str(face) for face in stored)
         sentence = (
             f"{len(rows)} pointings at station {name} are stored as face {faces}, but their raw elevations are those "

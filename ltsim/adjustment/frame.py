@@ -101,8 +101,8 @@ class DeclaredFrame:
     ) -> tuple[Floats, Floats] | None:
         """Rotation (3, 3) and translation (3,) [m] of a network into the declared frame; None if undetermined.
 
-        `levelling_rotation` (3, 3) is the rotation that makes levelled stations upright, `rotation_to_declared_yaws` (3,
-        3) the subsequent rotation about the vertical that brings stations to their known yaws.
+        `levelling_rotation` (3, 3) is the rotation that makes levelled stations upright, `heading_rotation` (3, 3) the
+        subsequent rotation about the vertical that brings stations to their known yaws.
         """
         here, there = self.network_and_declared_points(position, points)
         if len(here) >= 3 and not are_collinear(there):

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
+from ltsim.core.errors import NetworkError
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.model.measurement import plumb_directions
 from ltsim.recordings.recording import Recording
@@ -31,11 +32,12 @@ class StationMarks:
 
     @classmethod
     def from_recording(cls, recording: Recording) -> StationMarks:
-        """Marks of a recording."""
+        """Marks of a recording; raises NetworkError for a set-up in the place of a target that it measures."""
         places = {name: i for i, name in enumerate(recording.targets)}
         setups = [recording.station_setup(name) for name in recording.stations]
         names = tuple(s.over or "" for s in setups)
         target = np.array([places.get(name, -1) if name else -1 for name in names], dtype=np.int64)
+        _require_sights_above_marks(recording, target)
         first_on_mark: dict[str, int] = {}
         first = [first_on_mark.setdefault(name, i) if name and target[i] < 0 else i for i, name in enumerate(names)]
         vertical = plumb_directions(recording)
@@ -70,3 +72,15 @@ class StationMarks:
             points[self.target_indices[marked_indices]] + self.instrument_offsets[marked_indices]
         )
         return mark_positions
+
+
+def _require_sights_above_marks(recording: Recording, mark_targets: Ints) -> None:
+    """Check that no set-up, at the height of the target under it (S,), measures this target; raises NetworkError."""
+    for row in np.flatnonzero(recording.target == mark_targets[recording.station]).tolist():
+        station, target = recording.stations[recording.station[row]], recording.targets[recording.target[row]]
+        height = recording.station_setup(station).instrument_height_mm
+        if height == recording.target_setup(target).height_mm:
+            raise NetworkError(
+                f"station {station} measures target {target}, over which it stands at the same height; "
+                "correct over, or give instrument_height_mm"
+            )

@@ -180,7 +180,9 @@ def relax_exact_references(problem: NetworkProblem, state: NetworkState) -> Netw
     range_ = problem.model.geometry(state).range_
     sigma_lengths = problem.sigma * np.stack([np.ones_like(range_), range_, range_], axis=1)
     floor = MIN_RELATIVE_SIGMA * float(np.median(sigma_lengths[problem.is_used_reading]))
-    turn = floor / float(np.median(range_[problem.is_used_reading.any(axis=1)]))
+    if not floor > 0.0:  # angles alone, to a target in the place of the station
+        return problem
+    turn = floor / max(float(np.median(range_[problem.is_used_reading.any(axis=1)])), floor)
     floors = {
         "control_rows": floor,
         "control_rows_of_marks": floor,

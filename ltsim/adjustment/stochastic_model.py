@@ -92,7 +92,8 @@ def iterate_reweighted(
 
 def are_many_beyond_noise(whitened_residuals: Floats) -> bool:
     """True if so many whitened residuals (m,) exceed `MIN_RESIDUAL_BEYOND_NOISE` that Cauchy's weights are tried."""
-    return bool(np.mean(np.abs(whitened_residuals) > MIN_RESIDUAL_BEYOND_NOISE) > MAX_FRACTION_BEYOND_NOISE)
+    n_beyond = np.count_nonzero(np.abs(whitened_residuals) > MIN_RESIDUAL_BEYOND_NOISE)
+    return bool(n_beyond > MAX_FRACTION_BEYOND_NOISE * len(whitened_residuals))
 
 
 def best_solution_index(residuals_of_solutions: Sequence[Floats]) -> int:

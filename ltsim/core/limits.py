@@ -8,7 +8,7 @@ is read; before it is adjusted it must be thinned (`ltsim convert --every`).
 import os
 import re
 
-from ltsim.core.errors import ModelError
+from ltsim.core.errors import ModelError, RecordError
 
 MIB = 1024 * 1024
 """Number of bytes of a mebibyte."""
@@ -55,7 +55,13 @@ MAX_TOML_DEPTH = 32
 memory of the parser grow with the square of the depth.
 """
 MAX_TOML_KEYS = 100_000
-"""Largest number of keys and table headers in a TOML file: 20,000 points with five keys each. A table takes 2 kB."""
+"""Largest number of keys and table headers in a TOML file, each part of a dotted one counted: 20,000 points with five
+keys each. A table takes 2 kB.
+"""
+MAX_TOML_WORD_CHARACTERS = 1_000
+"""Largest number of characters of a key without quotes, a number or a date in a TOML file; the longest number that is
+read has 40. The parser takes 130 bytes for each digit of a number.
+"""
 MAX_TOML_VALUES = 400_000
 """Largest number of keys, tables, arrays and commas in a TOML file: 20,000 points with three coordinates and a
 covariance each.
@@ -75,16 +81,29 @@ MAX_XML_DEPTH = 64
 MAX_TAG_ATTRIBUTES = 1_000
 """Largest number of attributes in one XML tag; the parser holds all of them before it returns the tag."""
 
+MAX_COVARIANCE_VALUES = 1_000_000
+"""Largest number of values of a covariance matrix in an XML file: the upper triangle of 1,400 coordinates. A value
+takes 120 bytes while it is read.
+"""
+MAX_JOINT_COORDINATES = 4_000
+"""Largest number of coordinates with a joint covariance matrix, as compared epochs have it: a matrix takes 130 MB."""
+
 MAX_WORKBOOK_BYTES = 16 * MIB
 """Largest size [bytes] of all unpacked parts of a workbook, checked by their headers and again while unpacking. A cell
 takes 30 bytes and 30 us of reading time.
 """
+MAX_WORKBOOK_ELEMENTS = 1_200_000
+"""Largest number of XML elements in a part of a workbook: 600,000 cells of 27 bytes each, which fill
+`MAX_WORKBOOK_BYTES`.
+"""
+MAX_WORKBOOK_ROW_CELLS = 16_384
+"""Largest number of cells in a row of a workbook, as many as spreadsheets have columns. A cell takes 350 bytes while
+its row is read.
+"""
 MAX_WORKBOOK_PARTS = 1_000
 """Largest number of parts in a workbook archive."""
 MAX_WORKBOOK_SHEETS = 200
-"""Largest number of sheets in a workbook; several sheets may refer to the same part, which is then
-read several times.
-"""
+"""Largest number of sheets in a workbook."""
 
 MAX_CAD_BYTES = 512 * MIB
 """Largest size [bytes] of a CAD file."""
@@ -116,3 +135,13 @@ def max_pointings(default_limit: int) -> int:
             f"the environment variable {POINTINGS_LIMIT_VARIABLE} is {text!r}; expected a whole number of pointings"
         )
     return max(default_limit, int(text or 0))
+
+
+def require_few_coordinates(n_coordinates: int, file: object) -> None:
+    """Check that a joint covariance matrix of so many coordinates fits in memory.
+
+    RecordError, which names `file`, is raised for more than `MAX_JOINT_COORDINATES`.
+    """
+    if n_coordinates > MAX_JOINT_COORDINATES:
+        expected = f"expected at most {MAX_JOINT_COORDINATES}; leave out points"
+        raise RecordError(f"{n_coordinates} coordinates with a joint covariance matrix, {expected}", file=file)

@@ -1,5 +1,6 @@
 """Task file (ltsim-tasks/1): measurands, tolerances, and errors that the readings do not show."""
 
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -190,7 +191,7 @@ class Tasks(TomlSection):
     @model_validator(mode="after")
     def _check_unique_names(self) -> Self:
         names = [task.name for task in self.task]
-        twice = next((name for name in names if names.count(name) > 1), None)
+        twice = next((name for name, count in Counter(names).items() if count > 1), None)
         if twice is not None:
             raise ValueError(f"it should not name two tasks '{twice}'")
         return self

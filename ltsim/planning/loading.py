@@ -2,6 +2,7 @@
 
 import difflib
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -30,6 +31,8 @@ SCENARIO_TABLES = ("workshop", "instrument", "smr", "work")
 """Tables of a scenario that a plan file may contain."""
 USUAL_HEAD_HEIGHTS_MM = (1400.0, 1800.0)
 """Lowest and highest usual centre of the head [mm] on a stand; default range of heights in a hall of a plan."""
+MAX_PLAN_POINTS = 2_000
+"""Largest number of points in the list of a plan; the search takes 130 kB for each."""
 MAX_SAME_POINT_DISTANCE_MM = 0.1
 """Largest distance [mm] between a point of a list and the target of the same name in the scenario, at which they are
 the same point.
@@ -86,6 +89,8 @@ def _similar_names(name: str, candidates: Sequence[str]) -> str:
 def _with_defaults(plan_file: PlanFile, path: Path) -> dict[str, Any]:
     """Content of a plan file with the points of its list, and with defaults that depend on other keys."""
     points = read_points(path.parent / plan_file.points) if isinstance(plan_file.points, str) else plan_file.points
+    if len(points) > MAX_PLAN_POINTS:
+        raise SetupError(f"{path}: {len(points)} points, expected at most {MAX_PLAN_POINTS}; plan parts of the hall")
     new_fields: dict[str, Any] = {"points": points}
     if plan_file.workshop is not None and plan_file.floor.height_mm is None:
         new_fields["floor"] = plan_file.floor.model_copy(update={"height_mm": USUAL_HEAD_HEIGHTS_MM})
@@ -133,8 +138,9 @@ def _check_names(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
                     f"{file}: {key} names '{quoted_text(name)}', which does not exist; did you mean {near}?"
                 )
     new_names = [p.name for p in plan_file.reflectors.places] + [s.name for s in plan_file.reflectors.surfaces]
-    for name in new_names:
-        if new_names.count(name) > 1 or name in scenario.target_names:
+    targets = frozenset(scenario.target_names)
+    for name, count in Counter(new_names).items():
+        if count > 1 or name in targets:
             raise SetupError(f"{file}: reflectors: the name '{quoted_text(name)}' is given twice, or is a target's")
 
 

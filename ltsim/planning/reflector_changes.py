@@ -11,7 +11,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.objective import TARGETS_QUALITY_NAME, LayoutObjective
-from ltsim.planning.reflectors import MovableReflectors
+from ltsim.planning.reflectors import MovableReflectors, distances_in_pairs
 from ltsim.planning.search_space import SearchSpace
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.recordings.result_file import Entry, Finite, Vector
@@ -139,7 +139,7 @@ class _ChangeEvaluator:
             self.present_normal_matrix[None], self.present_places[None], objective
         )[0]
         self.present_sigmas = self._parameter_sigmas(self.present_normal_matrix)
-        gap = np.linalg.norm(movable_reflectors.places[:, None] - movable_reflectors.places[None], axis=2)
+        gap = distances_in_pairs(movable_reflectors.places)
         self.is_too_near = gap < spacing
 
     @property
@@ -171,7 +171,7 @@ class _ChangeEvaluator:
 
     def _free_places(self, used_places: Ints) -> Ints:
         """Indices of the places that are free and far enough from the reflectors in use."""
-        open_ = ~self.is_too_near[:, used_places].any(axis=1)
+        open_ = np.asarray(~self.is_too_near[:, used_places].any(axis=1))
         open_[self.present_places] = False
         return np.flatnonzero(open_)
 

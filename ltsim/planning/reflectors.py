@@ -248,6 +248,14 @@ def _initial_places(places: Floats, present_places: Bools, n_reflectors: int, sp
     return np.array(chosen, dtype=np.int64)
 
 
+def distances_in_pairs(places: Floats) -> Floats:
+    """Distances (P, P) [m] between places (P, 3) [m], row by row: all differences take four times the memory."""
+    distances = np.empty((len(places), len(places)))
+    for i, place in enumerate(places):
+        distances[i] = np.linalg.norm(place - places, axis=1)
+    return distances
+
+
 def _exchange_places(
     table: NormalMatrixTable, objective: LayoutObjective, places: Floats, place_indices: Ints, spacing: float
 ) -> Ints:
@@ -258,7 +266,7 @@ def _exchange_places(
     place_indices = place_indices.copy()
     normal_matrix = table.normal_matrix(place_indices)
     value = float(table.objective_values(normal_matrix[None], place_indices[None], objective)[0])
-    gap = np.linalg.norm(places[:, None] - places[None], axis=2)
+    gap = distances_in_pairs(places)
     for _ in range(MAX_REFLECTOR_SWEEPS):
         before = value
         for i in range(len(place_indices)):

@@ -37,6 +37,10 @@ from ltsim.simulation.workshop import (
     planned_layout,
 )
 
+MAX_CANDIDATE_PLACES = 3_000
+"""Largest number of candidate places of reflectors of a plan: the search holds their distances in pairs, 70 MB at this
+limit, and 7 kB for each place.
+"""
 MAX_TILT_COSINE_DEFICIT = 1e-3
 """Largest value of 1 - cos(tilt) of an instrument's axis at which a plan treats the station as upright (2.6 deg)."""
 RANGE_ONLY_OBSERVABLES = ("distance",)
@@ -183,13 +187,19 @@ def with_station_count(survey: PlannedSurvey, n_stations: int) -> PlannedSurvey:
 
 
 def candidate_places(plan: PlanFile, scenario: Scenario) -> tuple[Floats | None, tuple[str, ...]]:
-    """Candidate places (P, 3) [m] of reflectors, and their names; None if reflectors do not move."""
+    """Candidate places (P, 3) [m] of reflectors, and their names; None if reflectors do not move.
+
+    Raises SetupError for more than `MAX_CANDIDATE_PLACES`.
+    """
+    surfaces = plan.reflectors.surfaces
+    _require_few_places(len(plan.reflectors.places) + sum(surface.rows * surface.columns for surface in surfaces))
     points = [np.array(p.position_mm, dtype=np.float64)[None] for p in plan.reflectors.places]
     names = [p.name for p in plan.reflectors.places]
     for body in plan.reflectors.on:
         points.append(_places_on_body(plan, scenario, body))
         names += [f"{body}-{i}" for i in range(1, len(points[-1]) + 1)]
-    for surface in plan.reflectors.surfaces:
+    _require_few_places(sum(map(len, points)) + sum(surface.rows * surface.columns for surface in surfaces))
+    for surface in surfaces:
         steps = np.linspace(0, 1, surface.rows), np.linspace(0, 1, surface.columns)
         up, across = (share.reshape(-1, 1) for share in np.meshgrid(*steps, indexing="ij"))
         points.append(surface.origin_mm + up * np.array(surface.up_mm) + across * np.array(surface.across_mm))
@@ -197,6 +207,15 @@ def candidate_places(plan: PlanFile, scenario: Scenario) -> tuple[Floats | None,
     if not points:
         return None, ()
     return np.concatenate(points) * MILLIMETRE, tuple(names)
+
+
+def _require_few_places(n_places: int) -> None:
+    """Check of the number of candidate places of reflectors; raises SetupError above `MAX_CANDIDATE_PLACES`."""
+    if n_places > MAX_CANDIDATE_PLACES:
+        raise SetupError(
+            f"reflectors: {n_places} candidate places, expected at most {MAX_CANDIDATE_PLACES}; "
+            "give fewer rows and columns of surfaces, or a larger place_spacing_mm"
+        )
 
 
 def _places_on_body(plan: PlanFile, scenario: Scenario, obstacle_name: str) -> Floats:

@@ -20,6 +20,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
+from ltsim.core.limits import require_few_coordinates
 from ltsim.core.results import guard_formula, unguard_formula
 from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
 from ltsim.recordings.files import SourceLocation, decode_head, quoted_text
@@ -321,11 +322,11 @@ def _coordinates_from_gama(path: Path) -> EpochCoordinates:
     ]
     band = {cell.tag: cell for cell in elements["cov-mat"]}
     size, width = (_parse_number(band[key]) if key in band else -1 for key in ("dim", "band"))
+    require_few_coordinates(int(size), path)
     row, column, values = band_matrix_entries(
         elements["cov-mat"], size, width, [_parse_number(c) for c in elements["cov-mat"] if c.tag == "flt"]
     )
-    n_used = len(point_cells) * len(axes)
-    if size < n_used:
+    if size < (n_used := len(point_cells) * len(axes)):
         raise RecordError(f"has a <cov-mat> whose size does not match its {n_used} coordinates", file=path)
     matrix = np.zeros((int(size), int(size)))
     matrix[row, column] = matrix[column, row] = values
@@ -349,6 +350,7 @@ def _coordinates_from_list(path: Path) -> EpochCoordinates:
     if not measured[:, indices].all():
         row, axis = np.argwhere(~measured[:, indices])[0]
         raise SourceLocation(path, listed.line_numbers[row], axes[axis]).error("found '', expected a number")
+    require_few_coordinates(len(axes) * len(listed.names), path)
     points = np.where(measured, listed.points, 0.0)
     companion = path.with_suffix(".covariance.csv")
     if companion.is_file():
@@ -361,12 +363,10 @@ def _coordinates_from_list(path: Path) -> EpochCoordinates:
     if not np.isfinite(blocks).all():
         message = f"no precision is given; add {companion.name} or a column sigma_{axes[0]}_mm"
         raise RecordError(message, file=path)
-    count, axes_ = blocks.shape[:2]
-    covariance = np.zeros((count, axes_, count, axes_))
-    covariance[range(count), :, range(count)] = blocks
-    covariance = covariance.reshape(count * axes_, -1)
-    missing_file = f"{path.name} has no covariance between points ({companion.name})"
-    note = f"{missing_file}: they are treated as independent"
+    blocks_of_pairs = np.zeros(2 * blocks.shape[:2])
+    blocks_of_pairs[range(len(blocks)), :, range(len(blocks))] = blocks
+    covariance = blocks_of_pairs.reshape(blocks[:, :, 0].size, -1)
+    note = f"{path.name} has no covariance between points ({companion.name}): they are treated as independent"
     return EpochCoordinates(path.stem, listed.names, axes, points, covariance, (*listed.notes, note))
 
 

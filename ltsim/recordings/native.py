@@ -4,7 +4,7 @@ import csv
 import difflib
 import io
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -66,6 +66,8 @@ WRONG_UNIT_SUFFIXES = ("k", "f", "pa", "bar", "inch")
 """Suffixes of column names that are recognised as a wrong unit, in addition to the units of ltsim."""
 
 
+MAX_COMPARED_NAMES = 100_000
+"""Number of names that are compared, in all notes on unused settings, to propose similar ones; one takes 5 us."""
 MAX_INTERNED_TEXTS = 10_000
 """Number of distinct texts of cells, such as names, up to which equal cells share one string, which saves memory."""
 
@@ -258,9 +260,10 @@ def _additional_columns(
 
 
 def _require_valid_gauge(recording: Recording, file: Path) -> None:
+    targets = frozenset(recording.targets)
     for i, length in enumerate(recording.gauge.distance):
         for name in (length.from_, length.to):
-            if name not in recording.targets:
+            if name not in targets:
                 near = difflib.get_close_matches(name, recording.targets, n=3, cutoff=0.3)
                 hint = f"; measured were e.g. {', '.join(near)}" if near else ""
                 where = SourceLocation(file, column=f"gauge.distance {i + 1}")
@@ -284,29 +287,29 @@ def _require_declared_smrs(recording: Recording, folder: Path) -> None:
 
 def _unused_settings_notes(recording: Recording) -> tuple[str, ...]:
     """Notes on settings without effect, such as tables of stations without pointings, and on changed data sheets."""
-    setup, notes = recording.setup, []
-    marks = Counter(s.over for name, s in setup.stations.items() if s.over and name in recording.stations)
+    setup, notes = recording.setup, list[str]()
+    stations, targets = frozenset(recording.stations), frozenset(recording.targets)
+    marks = Counter(s.over for name, s in setup.stations.items() if s.over and name in stations)
     for name in recording.stations:
         over = recording.station_setup(name).over
-        if over and over not in recording.targets and over not in setup.targets and marks[over] == 1:
+        if over and over not in targets and over not in setup.targets and marks[over] == 1:
             notes.append(
                 f"stations.{name}.over names '{quoted_text(over)}', which no pointing and no other set-up names: "
-                f"it has no effect{_similar_names(over, recording.targets)}"
+                f"it has no effect{_similar_names(over, recording.targets, len(notes))}"
             )
-    notes += [
-        f"stations.{name} was never measured: it has no effect{_similar_names(name, recording.stations)}"
-        for name in setup.stations
-        if name not in recording.stations
-    ]
+    for name in setup.stations:
+        if name not in stations:
+            similar = _similar_names(name, recording.stations, len(notes))
+            notes.append(f"stations.{name} was never measured: it has no effect{similar}")
     joined = {name for entry in setup.differences for name in (entry.from_, entry.to)}
     for name, target in setup.targets.items():
-        if target.known_mm and name not in recording.targets and name not in marks and name not in joined:
-            similar = _similar_names(name, recording.targets)
+        if target.known_mm and name not in targets and name not in marks and name not in joined:
+            similar = _similar_names(name, recording.targets, len(notes))
             notes.append(f"targets.{name} has known coordinates, but was never measured{similar}")
-        elif target.datum and name not in recording.targets and name not in marks:
+        elif target.datum and name not in targets and name not in marks:
             notes.append(
                 f"targets.{name} is left out of the datum, because it was never "
-                f"measured{_similar_names(name, recording.targets)}"
+                f"measured{_similar_names(name, recording.targets, len(notes))}"
             )
     for place, entry in {"instrument": setup.instrument, **setup.instruments}.items():
         if keys := deviating_keys(entry):
@@ -318,8 +321,11 @@ def _unused_settings_notes(recording: Recording) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _similar_names(name: str, names: Iterable[str]) -> str:
-    similar = difflib.get_close_matches(name, list(names), n=3, cutoff=0.5)
+def _similar_names(name: str, names: Sequence[str], n_notes: int) -> str:
+    """Text with names similar to `name`, for one of the first notes; empty after `n_notes` notes with many names."""
+    if (n_notes + 1) * len(names) > MAX_COMPARED_NAMES:
+        return ""
+    similar = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
     return f"; did you mean {', '.join(similar)}?" if similar else ""
 
 

@@ -13,17 +13,26 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from ltsim.core.errors import ModelError, RecordError, as_setup_error
-from ltsim.core.limits import MAX_TOML_BYTES, MAX_TOML_DEPTH, MAX_TOML_KEYS, MAX_TOML_VALUES
+from ltsim.core.limits import (
+    MAX_TOML_BYTES,
+    MAX_TOML_DEPTH,
+    MAX_TOML_KEYS,
+    MAX_TOML_VALUES,
+    MAX_TOML_WORD_CHARACTERS,
+)
 from ltsim.recordings.files import SourceLocation, quoted_text, read_text, with_unix_line_ends
 from ltsim.recordings.setup import Instrument, Setup
 
 SettingsType = TypeVar("SettingsType", bound=BaseModel)
 _TOML_TOKEN_PATTERN = re.compile(
-    r'"""(?:[^"\\]++|\\.|"{1,2}(?!"))*+"{3,5}|"(?:[^"\\\n]++|\\.)*+"|#[^\n]*+|[][{}=,.\n]'
-    r"|'''(?:[^']++|'{1,2}(?!'))*+'{3,5}|'[^'\n]*+'",
+    r'"""(?:[^"\\]++|\\.|"{1,2}(?!"))*+(?:"{3,5})?+|"(?:[^"\\\n]++|\\.)*+"?+|#[^\n]*+|[][{}=,.\n]'
+    r"|'''(?:[^']++|'{1,2}(?!'))*+(?:'{3,5})?+|'[^'\n]*+'?+"
+    rf"|(?<![\w+:-])[\w+:-]{{{MAX_TOML_WORD_CHARACTERS + 1},}}+",
     re.DOTALL,
 )
-"""Pattern of strings, comments and structural characters of TOML, from which keys, values and depth are counted."""
+"""Pattern of strings, comments, structural characters and too long words of TOML, from which keys, values and depth are
+counted. A string that is not closed, which is no TOML, is one token, so that no character is looked at twice.
+"""
 _COMPLETE_LINE_ENDS = ("\n", '"', "'", "]", "}", "true", "false")
 
 
@@ -50,14 +59,20 @@ def read_toml(path: Path, kind: str) -> dict[str, Any]:
 def check_toml_limits(text: str, file: object) -> None:
     """Check of the number of keys and values, and of the depth of tables, in a TOML text before it is parsed.
 
-    Strings and comments are skipped. Each part of a dotted key, and each bracket around it, adds one to the depth.
-    Raises RecordError.
+    Strings and comments are skipped. Each part of a dotted key counts as a key; it, and each bracket around it, adds
+    one to the depth. Raises RecordError, also for a key or number of too many characters.
     """
     keys = values = brackets = parts = line = 0
+    is_header = False
     for token in _TOML_TOKEN_PATTERN.finditer(text):
         mark = token[0]
+        if mark in "\n=":
+            keys += parts if is_header or mark == "=" else 0
+            is_header = False
+        if mark == "[" and token.start() == line:
+            is_header, keys = True, keys + 1
         values += mark in "=[{,"
-        keys += mark in "={" or (mark == "[" and token.start() == line)
+        keys += mark in "={"
         if mark in "[{":
             brackets, parts = brackets + 1, 0
         elif mark in "]}":
@@ -66,14 +81,22 @@ def check_toml_limits(text: str, file: object) -> None:
             parts += 1
         elif mark in "\n=,":
             line, parts = token.end() if mark == "\n" else line, 0
+        elif len(mark) > MAX_TOML_WORD_CHARACTERS and mark[0] not in "\"'#":
+            raise SourceLocation(file, _row_of(token)).error(
+                f"a key or number is longer than {MAX_TOML_WORD_CHARACTERS} characters, the limit for reading"
+            )
         if brackets + parts > MAX_TOML_DEPTH:
-            row = text.count("\n", 0, token.start()) + 1
-            raise SourceLocation(file, row).error(
+            raise SourceLocation(file, _row_of(token)).error(
                 f"tables or keys are nested deeper than {MAX_TOML_DEPTH}, the limit for reading"
             )
         if keys > MAX_TOML_KEYS or values > MAX_TOML_VALUES:
             most = f"{MAX_TOML_KEYS} keys and tables or {MAX_TOML_VALUES} values"
             raise RecordError(f"holds more than {most}, the limit for reading", file=file)
+
+
+def _row_of(token: re.Match[str]) -> int:
+    """Number of the line in which a token begins, from 1."""
+    return token.string.count("\n", 0, token.start()) + 1
 
 
 def validate_setup(setup_tables: Mapping[str, Any], file: object) -> Setup:

@@ -15,11 +15,20 @@ from defusedxml.ElementTree import DefusedXMLParser
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
-from ltsim.core.limits import MAX_TAG_ATTRIBUTES, MAX_XML_ATTRIBUTES, MAX_XML_DEPTH, MAX_XML_TAGS
+from ltsim.core.limits import (
+    MAX_COVARIANCE_VALUES,
+    MAX_TAG_ATTRIBUTES,
+    MAX_WORKBOOK_ELEMENTS,
+    MAX_WORKBOOK_ROW_CELLS,
+    MAX_XML_ATTRIBUTES,
+    MAX_XML_DEPTH,
+    MAX_XML_TAGS,
+)
 from ltsim.recordings.files import SourceLocation, quoted_text, read_bytes
 
 _LONG_TAG_PATTERN = re.compile(rb"<[^<]{4096,}+")
 """Pattern of a tag with more than 4096 characters; a shorter one cannot contain too many attributes."""
+MATRIX_SIZE_MESSAGE = "a <cov-mat> whose numbers do not match dim and band"
 LINE_ATTRIBUTE = "{ltsim}line"
 """Attribute that the parser adds to each element: the number of its line. A value in the file is overwritten."""
 
@@ -59,6 +68,23 @@ class _DepthCheck:
         """End of the parser, which builds no tree."""
 
 
+class _WorkbookCheck(_DepthCheck):
+    """Check that counts elements also, and cells in each row: a library keeps both in memory."""
+
+    def __init__(self, file: Path) -> None:
+        super().__init__(file)
+        self.n_elements = self._n_cells = 0
+
+    def start(self, tag: Any, attributes: Any) -> None:
+        super().start(tag, attributes)
+        name = str(tag).rpartition("}")[2]
+        self.n_elements += 1
+        self._n_cells = 0 if name == "row" else self._n_cells + (name == "c")
+        if self.n_elements > MAX_WORKBOOK_ELEMENTS or self._n_cells > MAX_WORKBOOK_ROW_CELLS:
+            most = f"{MAX_WORKBOOK_ELEMENTS} XML elements, or {MAX_WORKBOOK_ROW_CELLS} cells in a row"
+            raise RecordError(f"holds more than {most}, the limit for reading; save the table as CSV", file=self._file)
+
+
 def check_tag_attributes(content: bytes, file: Path) -> None:
     """Check that no tag of an XML text has more attributes than permitted; raises RecordError.
 
@@ -71,14 +97,14 @@ def check_tag_attributes(content: bytes, file: Path) -> None:
 
 
 def check_xml_part(content: bytes, file: Path) -> None:
-    """Check of an XML text, before another library parses it: entities, depth, attributes of a tag, encoding.
+    """Check of a part of a workbook, before another library parses it: entities, elements, depth, attributes, encoding.
 
     Raises RecordError, or ParseError if the text is not well formed.
     """
     if b"\x00" in content:
         raise RecordError("contains a part that is not UTF-8", file=file)
     check_tag_attributes(content, file)
-    parser = DefusedXMLParser(target=_DepthCheck(file))
+    parser = DefusedXMLParser(target=_WorkbookCheck(file))
     parser.feed(content)
     parser.close()
 
@@ -169,6 +195,21 @@ class XmlNode:
         return self.location.name(self.required_attribute(name), kind)
 
 
+def band_matrix_size(node: XmlNode, n_rows: float, band: float) -> int:
+    """Number of values of the upper triangle of a matrix in Gama's band form.
+
+    Raises RecordError, which names `node`, for a size that is not possible or above the limit.
+    """
+    if not 0 <= band < n_rows or n_rows % 1:
+        raise node.location.error(MATRIX_SIZE_MESSAGE)
+    rows, width = int(n_rows), int(band)
+    size = rows * (width + 1) - width * (width + 1) // 2
+    if size > MAX_COVARIANCE_VALUES:
+        message = f"a <cov-mat> of more than {MAX_COVARIANCE_VALUES} values, the limit for reading; reduce its band"
+        raise node.location.error(message)
+    return size
+
+
 def band_matrix_entries(
     node: XmlNode, n_rows: float, band: float, band_values: Sequence[float]
 ) -> tuple[Ints, Ints, Floats]:
@@ -176,10 +217,10 @@ def band_matrix_entries(
 
     Raises RecordError, which names `node`, if the number of values does not match the size and the band width.
     """
-    row_indices = np.arange(min(int(n_rows), len(band_values)))
-    last_columns = np.minimum(row_indices + max(int(band), 0), int(n_rows) - 1)
+    if len(band_values) != band_matrix_size(node, n_rows, band):
+        raise node.location.error(MATRIX_SIZE_MESSAGE)
+    row_indices = np.arange(int(n_rows))
+    last_columns = np.minimum(row_indices + int(band), int(n_rows) - 1)
     counts = last_columns - row_indices + 1
-    if not 0 <= band < n_rows or len(row_indices) < n_rows or len(band_values) != counts.sum():
-        raise node.location.error("a <cov-mat> whose numbers do not match dim and band")
     column = np.concatenate([np.arange(i, j + 1) for i, j in zip(row_indices, last_columns, strict=True)])
     return np.repeat(row_indices, counts), column, np.array(band_values)

@@ -1,5 +1,6 @@
 """Scenario: all inputs of a simulation except the seed, in an editable file."""
 
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
@@ -318,8 +319,8 @@ def _name_errors(scenario: Scenario, file: Path) -> Iterator[str]:
         yield "stations is empty, expected at least one table [stations.NAME]"
     if len(names) < MIN_TARGETS:
         yield f"targets has {len(names)} reflectors including the gauge, expected at least {MIN_TARGETS}"
-    for name in names:
-        if names.count(name) > 1:
+    for name, count in Counter(names).items():
+        if count > 1:
             yield f"gauge.targets names '{quoted_text(name)}' twice, or it is a target of the mesh too"
     for kind, listed in (("station", scenario.stations), ("target", names), ("instrument", scenario.instruments)):
         for name in listed:

@@ -14,7 +14,7 @@ from ltsim.acceptance.network import evaluate_network
 from ltsim.acceptance.spec import AcceptanceSettings
 from ltsim.adjustment import adjust
 from ltsim.cli.main import run
-from ltsim.core.errors import NetworkError
+from ltsim.core.errors import NetworkError, SetupError
 from ltsim.physics.effects.target_moved import TargetMoved
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.centring_errors import CentringUncertainty
@@ -352,3 +352,16 @@ def test_several_instruments_are_refused():
     )
     with pytest.raises(NetworkError, match="has 2 instruments; an acceptance test needs one"):
         evaluate_network(recording.replace(setup=setup), LIMITS)
+
+
+@pytest.mark.parametrize(
+    ("keys", "says"),
+    [
+        ({"ranges_m": np.linspace(1.0, 50.0, 2001).tolist()}, "with 20000 trials each, expected at most 2000 tests"),
+        ({"ranges_m": np.linspace(1.0, 50.0, 200).tolist(), "trials": 10_000_000}, "1e.09 draws in all"),
+    ],
+)
+def test_tests_and_draws_of_a_prediction_are_bounded(keys: dict[str, object], says: str) -> None:
+    """100,000 ranges took 3.3 GB, then all memory."""
+    with pytest.raises(SetupError, match=says):
+        lt.accept({"standard": "asme-b89.4.19-2006", "instrument": "leica-at500", **keys})

@@ -68,3 +68,22 @@ def test_a_range_of_zero_is_a_sentence_of_every_verb(recording: Recording) -> No
     for verb in (lt.adjust, lt.check):
         said = refusal(verb, recording.with_readings(readings))
         assert said == "" or "singular" in said
+
+
+def test_a_set_up_in_the_place_of_a_target_that_it_measures_is_a_sentence(recording: Recording) -> None:
+    """A division by zero, and a singular matrix."""
+    name, target = recording.stations[0], recording.targets[int(recording.target[recording.station == 0][0])]
+    station = recording.station_setup(name).model_copy(update={"over": target})
+    setup = recording.setup.model_copy(update={"stations": {**recording.setup.stations, name: station}})
+    for verb in (lt.adjust, lt.calibrate, lt.diagnose):
+        assert f"station {name} measures target {target}, over which it stands" in refusal(
+            verb, recording.replace(setup=setup)
+        )
+
+
+def test_targets_in_one_place_get_no_calibrated_length(recording: Recording) -> None:
+    """`calibrate` proposed a bar of length zero between them, which no set-up may have."""
+    few = recording.select((recording.station == 0) & (recording.target < 2))
+    readings = np.tile(few.readings[:1], (len(few), 1))
+    setup = recording.setup.model_copy(update={"gauge": None})
+    assert len(lt.calibrate(few.with_readings(readings).replace(setup=setup)).parameters)

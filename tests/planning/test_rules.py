@@ -196,3 +196,27 @@ def test_the_page_marks_what_the_verdict_does_not_keep(hall: Path, tmp_path: Pat
     (row,) = (grid.rows[i] for i in grid.marked_rows)
     assert row[0] == made.tolerance_check.worst_point_name and row[3] == "100.04 %"  # type: ignore[union-attr]
     assert [entry.met for entry in content.reflectors if entry.name == row[0]] == [False]
+
+
+@pytest.mark.parametrize("rows", [200, 31])
+def test_places_of_reflectors_are_bounded_before_any_is_made(rows: int, hall: Path, tmp_path: Path) -> None:
+    """40,000,000 places of 1,000 surfaces would take gigabytes for their names alone."""
+    surface = (
+        "[[reflectors.surfaces]]\nname = 'w{}'\norigin_mm = [0, 0, 0]\nacross_mm = [6000, 0, 0]\nup_mm = [0, 0, 3000]\n"
+        f"rows = {rows}\ncolumns = 100\n"
+    )
+    count = 1000 if rows == 200 else 1
+    file = tmp_path / "many.toml"
+    file.write_text(
+        'format = "ltsim-plan/1"\nscenario = "paper-workshop"\n' + "".join(map(surface.format, range(count)))
+    )
+    with pytest.raises(SetupError, match=f"reflectors: {count * rows * 100} candidate places, expected at most 3000"):
+        lt.plan(file)
+
+
+def test_points_of_a_plan_are_bounded(tmp_path: Path) -> None:
+    """16,000 points took 2.1 GB."""
+    (tmp_path / "points.csv").write_text("name,x_mm,y_mm,z_mm\n" + "".join(f"P{i},{i},1,2\n" for i in range(2001)))
+    (tmp_path / "plan.toml").write_text('format = "ltsim-plan/1"\npoints = "points.csv"\n')
+    with pytest.raises(SetupError, match="2001 points, expected at most 2000"):
+        lt.plan(tmp_path / "plan.toml")

@@ -6,6 +6,7 @@ import copy
 import gc
 import io
 import pickle
+import re
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -248,6 +249,17 @@ def packed(base: Path, path: Path, part: str, change: Callable[[bytes], bytes]) 
         ("sheet1.xml", lambda c: c + b" " * 17_000_000, "unpacks to more than 16 MiB"),
         ("xl/workbook.xml", lambda c: c[:99], "it is damaged; save it again"),
         ("workbook.xml", lambda c: c.replace(b"<sheets>", b"<a>" * 70 + b"<sheets>"), "deeper than 64"),
+        (
+            "sheet1.xml",  # 4,000,000 cells in a row took 1.3 GB
+            lambda c: c.replace(b"</sheetData>", b"<row>" + b"<c/>" * 17_000 + b"</row></sheetData>"),
+            "16384 cells in a row",
+        ),
+        ("Strings.xml", lambda c: b"<sst>" + b"<si/>" * 1_200_001 + b"</sst>", "more than 1200000 XML elements"),
+        (
+            "xl/workbook.xml",  # a part that 199 sheets read took minutes
+            lambda c: re.sub(rb'(<sheet [^>]*?)name="[^"]*"([^>]*>)', rb'\g<0>\1name="again"\2', c),
+            "two sheets with the same content part",
+        ),
     ],
 )
 def test_workbooks_are_bounded_and_told(tmp_path: Path, part: str, change: Callable[[bytes], bytes], says: str) -> None:

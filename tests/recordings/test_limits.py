@@ -7,6 +7,7 @@ import os
 import resource
 import subprocess
 import sys
+import tracemalloc
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
@@ -26,7 +27,7 @@ from ltsim.core.limits import (
     POINTINGS_LIMIT_VARIABLE,
 )
 from ltsim.recordings import read
-from ltsim.recordings.coordinates import read_points
+from ltsim.recordings.coordinates import read_coordinates, read_points
 from ltsim.recordings.files import read_lines
 from ltsim.recordings.result_file import read_json
 from ltsim.recordings.settings import check_toml_limits, read_setup, read_toml
@@ -52,6 +53,15 @@ def test_toml_that_is_nested_too_deeply_is_refused_before_it_is_parsed(text: str
         check_toml_limits(text, "a.toml")
 
 
+@pytest.mark.parametrize("quotes", ['"', "'", '"""', "'''"])
+def test_a_string_of_toml_that_is_not_closed_is_looked_at_once(quotes: str) -> None:
+    """Each of its quotes was tried as the beginning of a string: 60 s for 6 MB."""
+    before = os.times().user
+    check_toml_limits(f"a = {quotes}" + '\\"' * 1_000_000, "a.toml")
+    check_toml_limits(f"a = {quotes}" + "\\'" * 1_000_000, "a.toml")
+    assert os.times().user - before < 10
+
+
 def test_strings_and_comments_of_toml_are_no_structure() -> None:
     quiet = '"' + "." * 100 + '"', "'" + "[" * 100 + "'", '"""\n' + "{\n" * 100 + '"""', "'''" + "[" * 100 + "'''"
     check_toml_limits("".join(f"k{i} = {text} # {'[' * 100}\n" for i, text in enumerate(quiet)), "a.toml")
@@ -62,6 +72,27 @@ def test_toml_of_too_many_keys_is_refused(tmp_path: Path) -> None:
     file.write_text("".join(f"k{i} = 1\n" for i in range(MAX_TOML_KEYS + 1)))
     with pytest.raises(RecordError, match=f"more than {MAX_TOML_KEYS} keys"):
         read_toml(file, "set-up")
+
+
+@pytest.mark.parametrize("line", ["k{}.b.c = 1\n", "[k{}.b.c]\n", "[[k{}.b.c]]\n", "k{} = {{ b.c = 1 }}\n"])
+def test_each_part_of_a_dotted_key_is_counted(line: str) -> None:
+    """90,000 keys of 30 parts each took 3.4 GB."""
+    text = "".join(line.format(i) for i in range(MAX_TOML_KEYS // 3 + 1))
+    with pytest.raises(RecordError, match=f"more than {MAX_TOML_KEYS} keys"):
+        check_toml_limits(text, "a.toml")
+    check_toml_limits("a = [\n" + "[1.5, 2.5],\n" * 60_000 + "]\n", "a.toml")  # a point in a number is none in a key
+
+
+@pytest.mark.parametrize(
+    "text", ["a = {}\n", "a = 1.{}\n", "a = [1,\n{}]\n", "{} = 1\n", "a = 1979-05-27T07:32:00.{}Z\n", "a = 0x{}\n"]
+)
+def test_a_long_word_of_toml_is_refused_before_it_is_parsed(text: str) -> None:
+    """A number of 7,000,000 digits took 0.9 GB."""
+    check_toml_limits(text.format("9" * 900), "a.toml")
+    for text_of_digits in ("9" * 2000, "9_" * 2000):
+        with pytest.raises(RecordError, match="a key or number is longer than 1000 characters"):
+            check_toml_limits("b = 1\n" + text.format(text_of_digits), "a.toml")
+    check_toml_limits(f'a = "{"9" * 2000}" # {"9" * 2000}\n', "a.toml")
 
 
 @pytest.mark.parametrize(
@@ -78,6 +109,51 @@ def test_xml_is_bounded(text: str, says: str, tmp_path: Path) -> None:
     (tmp_path / "a.xml").write_text(text)
     with pytest.raises(RecordError, match=says):
         parse_xml(tmp_path / "a.xml")
+
+
+GAMA = "<gama-local><network><points-observations>{}</points-observations></network></gama-local>"
+
+
+@pytest.mark.parametrize("tag", ["coordinates", "obs", "height-differences"])
+def test_a_covariance_matrix_of_xml_is_bounded_before_it_is_split(tag: str, tmp_path: Path) -> None:
+    """10,000,000 values of a matrix whose size they did not match took 800 MB."""
+    file = tmp_path / "a.gkf"
+    matrix = '<cov-mat dim="{}" band="{}">' + "1 " * 50 + "</cov-mat>"
+    for dim, band, says in ((5000, 4999, "more than 1000000 values"), (5, 4, "do not match"), (5, 5, "do not match")):
+        file.write_text(GAMA.format(f'<{tag} from="A">{matrix.format(dim, band)}</{tag}>'))
+        with pytest.raises(RecordError, match=says):
+            read(file)
+
+
+def test_many_height_differences_have_no_joint_matrix(tmp_path: Path) -> None:
+    """The matrix of 100,000 took 80 GB."""
+    file, count = tmp_path / "a.gkf", 6_000
+    rows = '<dh from="A" to="B" val="1" stdev="1"/>' * count
+    matrix = f'<cov-mat dim="{count}" band="1">' + "1 0.5 " * (count - 1) + "1</cov-mat>"
+    tracemalloc.start()
+    try:
+        for more in ("", matrix):
+            file.write_text(GAMA.format(f"<height-differences>{rows}{more}</height-differences>"))
+            with pytest.raises(RecordError, match="without pointings"):
+                read(file)
+        assert tracemalloc.get_traced_memory()[1] < 100e6
+    finally:
+        tracemalloc.stop()
+
+
+def test_coordinates_with_a_joint_matrix_are_bounded(tmp_path: Path) -> None:
+    """The matrix of 20,000 points takes 29 GB."""
+    file = tmp_path / "a.csv"
+    file.write_text("name,x_mm,y_mm,z_mm,sigma_mm\n" + "".join(f"P{i},{i},1,2,0.1\n" for i in range(20_000)))
+    with pytest.raises(RecordError, match="60000 coordinates with a joint covariance matrix, expected at most 4000"):
+        read_coordinates(file)
+    count = 5000
+    points = "".join(f"<point><id>P{i}</id><x>{i}</x></point>" for i in range(count))
+    matrix = f"<cov-mat><dim>{count}</dim><band>0</band>" + "<flt>1</flt>" * count + "</cov-mat>"
+    file = tmp_path / "a.xml"
+    file.write_text(f"<gama-local-adjustment><adjusted>{points}</adjusted>{matrix}</gama-local-adjustment>")
+    with pytest.raises(RecordError, match="5000 coordinates with a joint covariance matrix, expected at most 4000"):
+        read_coordinates(file)
 
 
 @pytest.mark.parametrize(
@@ -154,7 +230,7 @@ def test_long_cells_take_no_time(mark: str, tmp_path: Path) -> None:
 
 
 AT_LIMITS = {
-    "keys.toml": 'format = "ltsim-scenario/1"\n' + "".join(f"[t.k{i}]\n" for i in range(MAX_TOML_KEYS - 2)),
+    "keys.toml": 'format = "ltsim-scenario/1"\n' + "".join(f"[k{i}]\n" for i in range(MAX_TOML_KEYS - 2)),
     "flat.gkf": "<gama-local>" + "<a/>" * (MAX_XML_TAGS - 2) + "</gama-local>",
     "dicts.json": '{"format": "ltsim-calibration/1", "parameters": [' + "{}," * (MAX_JSON_VALUES // 2 - 2) + "{}]}",
 }

@@ -135,7 +135,7 @@ def zero_drift_sentence(recording: Recording, fit: ColumnsFit, passed: bool) -> 
         for value, sigma, (zero_name, unit_name, unit, max_sigma) in zip(
             fit.estimates, drift_sigmas, ZERO_NAMES_AND_MAX_SIGMAS, strict=True
         )
-        if sigma * duration < max_sigma
+        if duration > 0.0 and sigma * duration < max_sigma
     ]
     unknown_drift_text = "; the repeated pointings hardly determine its size"
     drift_text = f" ({', '.join(change_texts)} over the occupation)" if change_texts else unknown_drift_text

@@ -351,7 +351,10 @@ def calibrated_length_candidates(network: PlannedNetwork) -> Iterator[CandidateM
     if len(points) < 2:
         return
     first, second = np.triu_indices(len(points), k=1)
-    best_index = int(np.argmin(np.abs(np.linalg.norm(points[first] - points[second], axis=1) - REFERENCE_BAR_LENGTH)))
+    lengths = np.linalg.norm(points[first] - points[second], axis=1)
+    best_index = int(np.argmin(np.abs(lengths - REFERENCE_BAR_LENGTH)))
+    if lengths[best_index] <= REFERENCE_BAR_SIGMA_MM * MILLIMETRE:
+        return  # all targets are in one place
     i, j = int(first[best_index]), int(second[best_index])
     words = advice_sentence("length", length=REFERENCE_BAR_LENGTH, targets=list_text([names[i], names[j]]))
     yield CandidateMeasurement("length", words, BAR_CALIBRATION_TIME, network.with_length(i, j, REFERENCE_BAR_SIGMA_MM))

@@ -151,7 +151,8 @@ N_OPERATORS_BY_REGRESSOR_KIND = {
 
 def additional_column_names(sightings: Sightings) -> list[str]:
     """Names of the additional columns of the recording whose values vary."""
-    return [name for name, values in sightings.covariates.items() if np.nanstd(values) > 0]
+    covariates = sightings.covariates.items()
+    return [name for name, values in covariates if np.isfinite(values).any() and np.nanstd(values) > 0]
 
 
 def _varying_covariates(sightings: Sightings, covariates: Iterable[str]) -> list[str]:

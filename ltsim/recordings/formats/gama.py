@@ -185,17 +185,15 @@ def _read_coordinates(node: XmlNode, network: GamaNetwork) -> None:
     for child in [child for child in node if child.tag == "point"]:
         point, axes = _read_point(child, network), [i for i, axis in enumerate("xyz") if axis in child]
         first_row, next_row = next_row, next_row + len(axes)
-        is_row_of_point = (row >= first_row) & (row < next_row)
-        is_block_of_point = is_row_of_point & (column < next_row)
-        covariance, (i, j) = (
-            np.eye(3),
-            np.array(axes, dtype=np.int64)[np.stack([row[is_block_of_point], column[is_block_of_point]]) - first_row],
-        )
-        covariance[i, j] = covariance[j, i] = numbers[is_block_of_point]
+        of_point = slice(*np.searchsorted(row, [first_row, next_row]).tolist())
+        is_in_block = column[of_point] < next_row
+        rows_and_columns = np.stack([row[of_point], column[of_point]])[:, is_in_block] - first_row
+        covariance, (i, j) = np.eye(3), np.array(axes, dtype=np.int64)[rows_and_columns]
+        covariance[i, j] = covariance[j, i] = numbers[of_point][is_in_block]
         variances = np.diag(covariance)[axes]
         if np.count_nonzero(i == j) < len(axes) or not np.all(variances > 0):
             raise child.location.error("observed coordinates have no positive variance each, expected one")
-        if np.any(numbers[is_row_of_point & ~is_block_of_point]):
+        if np.any(numbers[of_point][~is_in_block]):
             network.notes.append(CORRELATIONS_NOTE)
         point.fixed_axes = "".join("xyz"[axis] for axis in axes)
         point.sigma = float(np.sqrt(np.mean(variances)))

@@ -13,7 +13,7 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.files import quoted_text
 from ltsim.recordings.pointings import SingleObservation, numbered_name
 from ltsim.recordings.setup import GaugeDistance, ReferenceDifference, Vector
-from ltsim.recordings.xml import XmlNode, band_matrix_entries
+from ltsim.recordings.xml import MATRIX_SIZE_MESSAGE, XmlNode, band_matrix_entries, band_matrix_size
 
 FIXED_SIGMA_MM = 1e-4
 """Standard deviation [mm] that a coordinate declared as fixed is given."""
@@ -170,8 +170,12 @@ def covariance_entries(node: XmlNode) -> tuple[Ints, Ints, Floats]:
     matrix = next((inner for inner in node if inner.tag == "cov-mat"), None)
     if matrix is None:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
-    band_values = [matrix.location.number(word, "cov-mat") for word in matrix.text.split()]
-    return band_matrix_entries(matrix, matrix.number("dim"), matrix.number("band"), band_values)
+    n_rows, band = matrix.number("dim"), matrix.number("band")
+    size = band_matrix_size(matrix, n_rows, band)
+    words = (matrix.element.text or "").split(maxsplit=size)
+    if len(words) != size:
+        raise matrix.location.error(MATRIX_SIZE_MESSAGE)
+    return band_matrix_entries(matrix, n_rows, band, [matrix.location.number(word, "cov-mat") for word in words])
 
 
 def read_differences(section: XmlNode, y_sign: float, apriori_sigma: float) -> tuple[list[ReferenceDifference], bool]:
@@ -187,18 +191,14 @@ def read_differences(section: XmlNode, y_sign: float, apriori_sigma: float) -> t
         raise wrong_child.location.error(f"<{quoted_text(wrong_child.tag)}> is in <{section.tag}>, expected <{tag}>")
     if len(numbers) and row[-1] + 1 != size * len(children):
         raise section.location.error("the size of <cov-mat> does not match its observations")
-    full_covariance, differences = np.zeros((size * len(children),) * 2), []
-    full_covariance[row, column] = full_covariance[column, row] = numbers
-    for k, child in enumerate(children):
-        block = slice(size * k, size * (k + 1))
-        covariance = (
-            full_covariance[block, block].copy()
-            if len(numbers)
-            else np.array([[_sigma_of_difference(child, apriori_sigma) ** 2]])
-        )
-        differences.append(_reference_difference(child, y_sign, covariance))
-        full_covariance[block, block] = 0.0
-    return differences, bool(full_covariance.any())
+    covariances = np.zeros((len(children), size, size))
+    is_within = row // size == column // size
+    k, i, j = row[is_within] // size, row[is_within] % size, column[is_within] % size
+    covariances[k, i, j] = covariances[k, j, i] = numbers[is_within]
+    if not len(numbers):
+        covariances = np.array([[[_sigma_of_difference(child, apriori_sigma) ** 2]] for child in children])
+    differences = [_reference_difference(child, y_sign, c) for child, c in zip(children, covariances, strict=True)]
+    return differences, bool(np.any(numbers[~is_within]))
 
 
 def _sigma_of_difference(child: XmlNode, apriori_sigma: float) -> float:

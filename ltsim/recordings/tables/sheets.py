@@ -337,11 +337,13 @@ def _check_workbook_parts(file: Path, zipped: io.BytesIO) -> None:
 def _read_workbook_sheets(book: Any, file: Path) -> list[tuple[str, list[WorkbookRow]]]:
     """Name and rows of each sheet of an open workbook; raises RecordError.
 
-    The limits apply to all sheets together, because several sheets may refer to the same part of the file.
+    The limits apply to all sheets together.
     """
     sheets = [sheet for sheet in book.worksheets if hasattr(sheet, "reset_dimensions")]
     if len(sheets) > MAX_WORKBOOK_SHEETS:
         raise RecordError(f"holds more than {MAX_WORKBOOK_SHEETS} sheets, the limit for reading", file=file)
+    if len({getattr(sheet, "_worksheet_path", sheet.title) for sheet in sheets}) < len(sheets):  # read once per sheet
+        raise RecordError("holds two sheets with the same content part: it is damaged; save it again", file=file)
     rows = cells = characters = 0
     contents = []
     for sheet in sheets:
