@@ -18,6 +18,10 @@ An error without an uncertainty is compared with the limit alone.
 """
 
 
+JUDGEMENT_ORDER: tuple[Judgement, ...] = ("rejected", "undecided", "accepted")
+"""Judgements, the worst first."""
+
+
 def joint_judgement(judgements: Collection[Judgement]) -> Judgement:
     """Judgement of several errors: rejected if one is, accepted if all are."""
     return "rejected" if "rejected" in judgements else "accepted" if {*judgements} <= {"accepted"} else "undecided"
@@ -47,6 +51,17 @@ class TestEntry(Entry):
     def guarded_limit_ratio(self) -> float:
         """Smallest ratio of error to limit that the uncertainty permits; more than 1 if the error is rejected."""
         return (abs(self.error_um) - (self.expanded_um or 0.0)) / self.limit_um
+
+    @property
+    def ease(self) -> tuple[float, int, float]:
+        """Key by which the hardest tests come first: by probability to pass, then judgement, then ratio to the limit.
+
+        The ratio is the one that decides: the smallest for a rejected error, otherwise the largest.
+        """
+        share = self.guarded_limit_ratio
+        if self.judgement != "rejected":
+            share += 2 * (self.expanded_um or 0.0) / self.limit_um
+        return self.passes or 0.0, JUDGEMENT_ORDER.index(self.judgement or "accepted"), -share
 
 
 class GroupEntry(Entry):
@@ -140,6 +155,8 @@ class AcceptanceFile(ResultFile):
     """Judgement of all measured errors by ISO 14253-1: rejected if one is, accepted if all are and no test of the plan
     is missing; null for a prediction.
     """
+    decision_rule: str = ""
+    """Rule by which measured errors are judged, and the content of their uncertainties; empty for a prediction."""
     unmeasured: tuple[str, ...] = ()
     """Tests of the plan without a measured error."""
     sentence: str

@@ -11,48 +11,27 @@ Wang, Muralikrishnan, Icasio Hernandez, Shakarji, Sawyer, Measurement 165 (2020)
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import combinations, pairwise
 
 import numpy as np
 
-from ltsim.acceptance.files import TestEntry, make_test_entry
-from ltsim.adjustment import Adjustment
+from ltsim.acceptance.files import TestEntry
+from ltsim.acceptance.tested_network import CENTRING_KIND, TestedNetwork
 from ltsim.adjustment.identification import CauseTest
 from ltsim.adjustment.identification.hypothesis import CauseKind
-from ltsim.adjustment.identification.reading_shifts import ReadingShift
 from ltsim.adjustment.identification.recommendations import recommendations_for_causes
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.correct import corrected_readings
 from ltsim.calibration.verbs import calibrate
-from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing
-from ltsim.geometry.polar import components_across_beam, from_polar, polar_jacobian, to_polar
-from ltsim.physics.effects.linear_effect import LinearEffect
-from ltsim.physics.effects.motions import StationMotion, TargetMotion
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.specification import Specification
 
 MAX_OUTLIER_ROUNDS = 3
 """Largest number of adjustments in which outliers are identified."""
-CENTRING_KIND: CauseKind = "centring"
-"""Kind of a cause that is not removed from the readings: the uncertainties contain it."""
 TRACKER_CAUSE_KINDS: tuple[CauseKind, ...] = ("constant-drift", "noise-level", CENTRING_KIND)
 """Kinds of causes that may be errors of the tracker. Random displacements at each set-up (`centring`) have the same
 effect as errors of the tracker that repeat in all rounds.
 """
-RECORDING_CAUSE_KINDS: tuple[CauseKind, ...] = (
-    "constant-offset",
-    "constant-step",
-    "scale-error",
-    "target-moved",
-    "station-bump",
-    "station-drift",
-    "orientation",
-    "reflector-radius",
-)
-"""Kinds of causes that are no errors of the tracker and that an adjustment estimates: wrong constants, motions, air."""
 
 
 def may_be_tracker_error(cause: CauseTest) -> bool:
@@ -64,13 +43,6 @@ def may_be_tracker_error(cause: CauseTest) -> bool:
     is_shift = cause.kind in ("constant-offset", "constant-step")
     is_possible = cause.kind in TRACKER_CAUSE_KINDS or (is_shift and cause.acts_on == "elevation")
     return is_possible and not cause.where.targets
-
-
-def is_recording_error(effect: LinearEffect) -> bool:
-    """True for an estimated effect that is no error of the tracker: a motion, or a shift with another cause."""
-    if isinstance(effect, ReadingShift):
-        return not (effect.is_drift or effect.observable == "elevation")
-    return isinstance(effect, StationMotion | TargetMotion)
 
 
 def _treatment_text(cause: CauseTest, treatment_text: str) -> str:
@@ -119,7 +91,8 @@ class NetworkTests:
         if self.unexplained_noise_ratio > 1.0:
             lines.append(
                 f"The readings scatter {self.unexplained_noise_ratio:.2f} times as much as declared, and the cause "
-                "is not identified: the uncertainties of the lengths are multiplied by this factor."
+                "is not identified: the uncertainties of the lengths are multiplied by this factor, and those of the "
+                "two-face errors contain the additional scatter."
             )
         return tuple(lines)
 
@@ -204,164 +177,3 @@ def _calibrate_without_outliers(recording: Recording) -> tuple[Calibration, tupl
     else:
         calibration = calibrate(recording, advise=False)
     return calibration, tuple(outliers)
-
-
-@dataclass(frozen=True)
-class TestedNetwork:
-    """Adjusted network with reference lengths, and the readings of each station that are compared with them."""
-
-    __test__ = False
-
-    adjustment: Adjustment
-    """Adjustment with the instrument's constants and the errors of the recording."""
-    uncertainty_factor: float
-    """Factor on the standard deviations of the adjustment."""
-    is_corrected_for_constants: bool = False
-    """True to test the readings after their correction by the estimated constants of the instrument."""
-
-    @cached_property
-    def _extra_slices(self) -> list[tuple[LinearEffect, slice]]:
-        """Estimated effects and nuisance errors, each with the slice of its additional parameters."""
-        effects = self.adjustment.problem.model.extra_effects
-        ends = np.cumsum([0, *(len(effect.parameters) for effect in effects)])
-        return [(e, slice(int(a), int(b))) for e, (a, b) in zip(effects, pairwise(ends), strict=True)]
-
-    @cached_property
-    def _is_recording_error(self) -> Bools:
-        """Flags (q,) of the additional parameters of errors of the recording."""
-        flags = [np.full(at.stop - at.start, is_recording_error(effect)) for effect, at in self._extra_slices]
-        return np.concatenate([np.zeros(0, dtype=bool), *flags])
-
-    @cached_property
-    def _is_nuisance(self) -> Bools:
-        """Flags (q,) of the additional parameters of nuisance errors, such as centring."""
-        n_effect_parameters = self.adjustment.problem.model.n_effect_parameters
-        return np.arange(len(self._is_recording_error)) >= n_effect_parameters
-
-    @cached_property
-    def _extra_design(self) -> Floats:
-        """Change (n, 3, q) of the readings per unit of each additional parameter."""
-        return self.adjustment.problem.model.extra_design(self.adjustment.sightings)
-
-    @cached_property
-    def readings(self) -> Floats:
-        """Front-face readings (n, 3) [m, rad, rad] without the errors of the recording."""
-        adjustment = self.adjustment
-        readings = adjustment.recording.readings.copy()
-        if self.is_corrected_for_constants:
-            constants = adjustment.state.instrument_parameters[0]
-            readings = corrected_readings(adjustment.recording, adjustment.construction, constants)
-        for effect, at in self._extra_slices:
-            if is_recording_error(effect):
-                readings -= effect.reading_change(adjustment.sightings, adjustment.state.extra_parameters[at])
-        return to_polar(from_polar(readings))
-
-    def is_corrected(self, cause: CauseTest) -> bool:
-        """True if an error of the recording is removed from the readings, or in the uncertainties of the lengths."""
-        place = cause.where
-        if cause.kind == CENTRING_KIND:
-            return bool(self.adjustment.problem.model.centring_errors)
-        if cause.kind in RECORDING_CAUSE_KINDS:
-            return any(
-                is_recording_error(e) and (e.stations, e.targets) == (place.stations, place.targets)
-                for e in self.adjustment.effects
-            )
-        is_reference = cause.kind in ("reference-value", "reference-scale")
-        return cause.sentence in self.adjustment.cause_sentences or (
-            is_reference and bool(self.adjustment.rejected_references)
-        )
-
-    def test_entries(self, limits: Specification) -> list[TestEntry]:
-        """Entries of the lengths and two-face differences of all stations, from the pointings in use."""
-        is_tested: Bools = np.asarray(self.adjustment.problem.is_used_reading.all(axis=1))
-        stations = range(len(self.adjustment.recording.stations))
-        return [entry for s in stations for entry in self.station_entries(s, is_tested, limits)]
-
-    def station_entries(self, station: int, is_tested: Bools, limits: Specification) -> list[TestEntry]:
-        """Entries of the lengths and two-face differences of a station, from the pointings that `is_tested` flags."""
-        recording = self.adjustment.recording
-        rows_by_face = [
-            np.flatnonzero(is_tested & (recording.station == station) & (recording.face == f)) for f in (1, 2)
-        ]
-        tested_rows = rows_by_face[0] if len(rows_by_face[0]) else rows_by_face[1]
-        test_entries = self._length_entries(recording.stations[station], tested_rows, limits)
-        front, back = map(self._mean_points, rows_by_face)
-        for t in sorted(front.keys() & back.keys()):
-            error = float(np.linalg.norm(components_across_beam((front[t] - back[t])[None], front[t][None])))
-            limit = float(limits.two_face_limits(front[t][None])[0])
-            name = f"{recording.stations[station]}: {recording.targets[t]}"
-            test_entries.append(make_test_entry(name, "two-face", error, limit))
-        return test_entries
-
-    def _mean_points(self, pointing_rows: Ints) -> dict[int, Floats]:
-        """Mean points (3,) [m] in the instrument's frame, by target, of the pointings in some rows."""
-        points, targets = from_polar(self.readings[pointing_rows]), self.adjustment.recording.target[pointing_rows]
-        return {int(t): points[targets == t].mean(axis=0) for t in np.unique(targets)}
-
-    def _length_entries(self, station: str, row_indices: Ints, limits: Specification) -> list[TestEntry]:
-        """Entries of all lengths between the targets in some rows of a station, with their uncertainty."""
-        adjustment = self.adjustment
-        names, points = adjustment.recording.targets, adjustment.state.target_points
-        mean_points = self._mean_points(row_indices)
-        targets = [
-            t for t in mean_points if names[t] not in adjustment.undetermined_targets and np.isfinite(points[t]).all()
-        ]
-        target_pairs = np.array(list(combinations(range(len(targets)), 2)), dtype=np.int64).reshape(-1, 2)
-        if not len(target_pairs):
-            return []
-        measured, reference = np.array([mean_points[t] for t in targets]), points[targets]
-        lengths, reference_lengths = (_pair_vectors(p, target_pairs) for p in (measured, reference))
-        error = np.linalg.norm(lengths, axis=1) - np.linalg.norm(reference_lengths, axis=1)
-        limit = limits.length_limits(*(measured[target_pairs[:, end]] for end in (0, 1)))
-        variance = self._length_variance(targets, row_indices, target_pairs, lengths, reference_lengths)
-        return [
-            make_test_entry(
-                f"{station}: {names[targets[a]]} to {names[targets[b]]}", f"lengths from {station}", *values
-            )
-            for (a, b), *values in zip(
-                target_pairs, error.tolist(), limit.tolist(), (2 * np.sqrt(variance)).tolist(), strict=True
-            )
-        ]
-
-    def _length_variance(
-        self, targets: list[int], row_indices: Ints, point_pairs: Ints, lengths: Floats, reference_lengths: Floats
-    ) -> Floats:
-        """Variances (k,) [m^2] of measured minus reference lengths, without the errors of the instrument.
-
-        The ends of a length have most errors in common (poses, constants), so that their joint covariance is needed; a
-        length does not depend on the datum. The corrections of the measured lengths belong to that covariance. Nuisance
-        errors are not corrected, because they are estimated from the tested readings alone; their prior variance is
-        added.
-        """
-        unknowns, size = self.adjustment.problem.unknowns, len(targets)
-        length_changes = np.einsum(
-            "kj,kjq->kq",
-            lengths / np.linalg.norm(lengths, axis=1)[:, None],
-            _pair_vectors(self._mean_point_changes(targets, row_indices), point_pairs),
-        )
-        is_corrected, is_nuisance = self._is_recording_error, self._is_nuisance
-        form = np.zeros((len(point_pairs), size, 3))
-        direction = reference_lengths / np.linalg.norm(reference_lengths, axis=1)[:, None]
-        every = np.arange(len(point_pairs))
-        form[every, point_pairs[:, 0]], form[every, point_pairs[:, 1]] = direction, -direction
-        coefficients = np.concatenate([form.reshape(len(point_pairs), -1), -length_changes[:, is_corrected]], axis=1)
-        columns = np.concatenate([unknowns.target_columns[targets].ravel(), unknowns.effect_columns[is_corrected]])
-        unit = np.zeros((unknowns.n_columns, len(columns)))
-        unit[columns, np.arange(len(columns))] = 1.0
-        covariance = self.adjustment.factorised_normals.covariance_columns(unit)[columns]
-        adjusted = self.uncertainty_factor**2 * np.einsum("ki,ij,kj->k", coefficients, covariance, coefficients)
-        prior = self.adjustment.problem.effect_sigma[is_nuisance]
-        return np.asarray(adjusted + np.sum((length_changes[:, is_nuisance] * prior) ** 2, axis=1))
-
-    def _mean_point_changes(self, targets: list[int], row_indices: Ints) -> Floats:
-        """Derivative (t, 3, q) of the mean points by the additional parameters, in the frame of the instrument."""
-        adjustment = self.adjustment
-        by_reading = np.linalg.inv(polar_jacobian(self.readings[row_indices], adjustment.recording.face[row_indices]))
-        point_changes = by_reading @ self._extra_design[row_indices]
-        is_mine = adjustment.recording.target[row_indices] == np.array(targets)[:, None]
-        return np.einsum("tn,niq->tiq", is_mine / is_mine.sum(axis=1, keepdims=True), point_changes)
-
-
-def _pair_vectors(points: Floats, point_pairs: Ints) -> Floats:
-    """Second minus first of each pair (k, 2) of rows of values (t, ...)."""
-    return np.asarray(points[point_pairs[:, 1]] - points[point_pairs[:, 0]])

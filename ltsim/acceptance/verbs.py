@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ltsim.acceptance.files import (
+    JUDGEMENT_ORDER,
     AcceptanceFile,
     Judgement,
     TestEntry,
@@ -42,6 +43,16 @@ MAX_TEST_DRAWS = 1e9
 """Largest number of tests times trials of a prediction; 1e9 take a minute."""
 MIN_MARGIN_UM = 1e-3
 """Smallest distance [um] of an error from its limit by which the expanded uncertainty is divided."""
+DECISION_RULE = (
+    "By ISO 14253-1, an error e with the expanded uncertainty U (95 %) is accepted if |e| + U is within its limit, "
+    "rejected if |e| - U exceeds it, and otherwise undecided."
+)
+"""Sentence with the rule by which measured errors are judged."""
+NETWORK_UNCERTAINTY_TEXT = (
+    "U of a length contains the adjusted network and the errors removed from the recording. A two-face error has no "
+    "reference: its U contains only those errors and scatter beyond the declared noise, so that it may be 0."
+)
+"""Sentences on the uncertainties of errors in a network."""
 
 
 def accept(acceptance: str | Path | Mapping[str, Any] | AcceptanceSettings, folder: str | Path = ".") -> AcceptanceFile:
@@ -187,6 +198,7 @@ def evaluated_result(
         plan=acceptance_settings.plan_name if recording is None else "own network",
         specification=acceptance_settings.limits,
         judgement=judgement,
+        decision_rule=DECISION_RULE if recording is None else f"{DECISION_RULE} {NETWORK_UNCERTAINTY_TEXT}",
         unmeasured=tuple(unmeasured_tests),
         sentence=sentence,
         next_actions=actions,
@@ -207,11 +219,10 @@ def _worst_entry(test_entries: Sequence[TestEntry], judgement: Judgement) -> Tes
 def _judgement_sentence(test_entries: Sequence[TestEntry], n_unmeasured_tests: int) -> str:
     """Sentence with the numbers of errors by judgement and the worst error."""
     numbers, total = Counter(t.judgement for t in test_entries), len(test_entries)
-    order: tuple[Judgement, ...] = ("rejected", "undecided", "accepted")
-    judgement = next(j for j in order if numbers[j])
+    judgement = next(j for j in JUDGEMENT_ORDER if numbers[j])
     worst_entry = _worst_entry(test_entries, judgement)
     error_text = f"{worst_entry.error_um:.1f} um" + (
-        f" +- {worst_entry.expanded_um:.1f} um" if worst_entry.expanded_um else ""
+        "" if worst_entry.expanded_um is None else f" +- {worst_entry.expanded_um:.1f} um"
     )
     phrase = f"{worst_entry.name}: {error_text} where {worst_entry.limit_um:.1f} um are permitted"
     if judgement == "rejected":

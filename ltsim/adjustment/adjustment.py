@@ -242,9 +242,8 @@ class Adjustment(Result):
         """Names of measured targets that the readings in use do not determine and that are not adjusted."""
         targets = self.recording.targets
         measured = np.bincount(self.recording.target, self.recording.is_measured.any(axis=1), len(targets)) > 0
-        return tuple(
-            targets[i] for i in np.flatnonzero(self.problem.undetermined_unknowns.is_unmeasured_target & measured)
-        )
+        is_unmeasured = self.problem.undetermined_unknowns.is_unmeasured_target & measured
+        return tuple(targets[i] for i in np.flatnonzero(is_unmeasured))
 
     @property
     def undetermined_stations(self) -> tuple[str, ...]:
@@ -255,10 +254,8 @@ class Adjustment(Result):
     @cached_property
     def is_rejected(self) -> Bools:
         """Flags (n, 3) of the rejected readings, without those to targets that no usable reading determines."""
-        determined_problem = drop_undetermined_targets(
-            replace(self.problem, is_used_reading=self.recording.is_usable), self.state
-        )
-        return determined_problem.is_used_reading & ~self.problem.is_used_reading
+        problem = replace(self.problem, is_used_reading=self.recording.is_usable)
+        return drop_undetermined_targets(problem, self.state).is_used_reading & ~self.problem.is_used_reading
 
     def flagged_readings(
         self, alpha: float = FAMILY_WISE_LEVEL, *, uses_estimated_noise: bool = False
@@ -341,9 +338,14 @@ class Adjustment(Result):
     def pose_covariance(self) -> Floats:
         """Covariances (S, 6, 6) of translation [m] and rotation [rad] of each of S stations, in the network frame.
 
-        They are NaN for components that the readings in use do not determine.
+        They are NaN for components that the readings do not determine, and 0 for components that define the frame.
         """
         covariance = self.covariance_of(self.problem.unknowns.pose_columns)
+        anchors = self.problem.undetermined_unknowns.datum_stations
+        if self.datum is None and len(anchors) == 1:  # without the variance of the numerical constraints of the datum
+            directions = self.problem.datum_directions(self.state)
+            variable = np.round(np.eye(6) - np.linalg.pinv(directions) @ directions, 12)
+            covariance[anchors] = variable @ covariance[anchors] @ variable
         held = self.problem.undetermined_unknowns.fixed_pose_components
         covariance[held[:, :, None] | held[:, None, :]] = np.nan
         over = self.problem.marks.target_indices
@@ -378,9 +380,8 @@ class Adjustment(Result):
     def with_effects(self, effects: Sequence[LinearEffect], start_state: NetworkState) -> Adjustment:
         """Adjustment of the same readings with the same weights, and with other additional effects."""
         old, model = self.problem, replace(self.problem.model, effects=tuple(effects))
-        new_problem = NetworkProblem.from_model(
-            model, sigma=old.sigma, reading_mask=old.is_used_reading, prior=old.prior
-        )
+        use = old.is_used_reading
+        new_problem = NetworkProblem.from_model(model, sigma=old.sigma, reading_mask=use, prior=old.prior)
         problem = replace(new_problem, gauge_rows=old.gauge_rows, difference_rows=old.difference_rows)
         problem = replace(problem, level_rows=old.level_rows, yaw_rows=old.yaw_rows)
         solution = solve(problem, replace(start_state, extra_parameters=np.zeros(model.n_extra_parameters)))

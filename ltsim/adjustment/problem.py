@@ -133,7 +133,7 @@ class NetworkProblem(NetworkRows):
         """Problem of the same set-up and pointings, in any order, with stations and targets at other positions."""
         moved, mine, theirs = replace(self, model=model), self.model.recording, model.recording
         moved = replace(moved, sigma=theirs.sigma())
-        vars(moved)["structure"] = self.undetermined_unknowns
+        vars(moved)["undetermined_unknowns"] = self.undetermined_unknowns
         if np.array_equal(mine.station, theirs.station) and np.array_equal(mine.target, theirs.target):
             vars(moved)["_pattern"] = self._sparsity_pattern
         return moved
@@ -321,6 +321,10 @@ class NetworkProblem(NetworkRows):
 
     def _datum_rows(self, state: NetworkState) -> Floats:
         """Whitened equations (f, 6 a) that fix the f free rigid motions at the a `datum_stations`."""
+        return self.datum_directions(state) / np.tile(DATUM_SIGMA, len(self.undetermined_unknowns.datum_stations))
+
+    def datum_directions(self, state: NetworkState) -> Floats:
+        """Changes (f, 6 a) of the poses of the a `datum_stations` by the f free motions, which the datum fixes."""
         anchors = self.undetermined_unknowns.datum_stations
         motion = self.free_motions / np.linalg.norm(self.free_motions, axis=0)
         turn = np.broadcast_to(motion[3:].T[:, None, :], (motion.shape[1], len(anchors), 3))
@@ -329,7 +333,7 @@ class NetworkProblem(NetworkRows):
         datum_rows = np.concatenate(
             [shift, turn if self.undetermined_unknowns.fixes_datum_rotations else np.zeros_like(shift)], axis=2
         )
-        return datum_rows.reshape(len(datum_rows), 6 * len(anchors)) / np.tile(DATUM_SIGMA, len(anchors))
+        return datum_rows.reshape(len(datum_rows), 6 * len(anchors))
 
     @cached_property
     def level_row_slice(self) -> slice:

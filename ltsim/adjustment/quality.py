@@ -344,6 +344,7 @@ def pose_curvatures(adjustment: Adjustment) -> Floats:
     turn = np.trace(np.nan_to_num(spread)[:, 3:, 3:], axis1=1, axis2=2)
     for s in np.flatnonzero((0.5 * turn * steepest > MAX_CURVATURE) & ~np.isnan(bend)):
         columns, size = problem.unknowns.pose_columns[s], np.sqrt(np.diag(spread[s]))
+        size = np.where(size > 0, size, 1.0)  # components that define the frame do not vary
         worst = np.linalg.eigh(spread[s] / np.outer(size, size))[1][:, -1] / size
         direction = np.zeros((problem.unknowns.n_columns, 1))
         direction[columns, 0] = worst

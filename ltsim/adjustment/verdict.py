@@ -34,7 +34,7 @@ class Verdict:
     case: VerdictCase
     """Conclusion from the tests."""
     sentence: str
-    """Sentence with the verdict and its reason."""
+    """Sentences with the verdict and its reasons, the most important first."""
     uses_estimated_noise: bool
     """True if standard deviations should be multiplied by the estimated sigma0."""
 
@@ -68,30 +68,35 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants
         return Verdict(VerdictCase.UNCHECKED, sentence, False)
     low, high = _sigma0_limits(dof, alpha)
     outliers, by_tau = adjustment.flagged_readings(), len(adjustment.flagged_readings(uses_estimated_noise=True))
-    by_w, wrong = len(outliers), _reading_count_text(len(outliers))
+    by_w, outlier_sentence = len(outliers), _outlier_sentence(len(outliers))
     phrase = f"sigma0 = {sigma0:.3f} ({dof} degrees of freedom, {low:.3f} to {high:.3f} expected)"
     if low <= sigma0 <= high and not by_w:
         return Verdict(VerdictCase.CLEAN, f"Noise and model agree with the readings: {phrase}, no outlier.", False)
     if low <= sigma0 <= high:
-        sentence = f"Trust the test of single readings: {wrong} although {phrase} passes, because a sum over many "
-        return Verdict(VerdictCase.HIDDEN_ERRORS, f"{sentence}readings hardly changes by a few outliers.", False)
+        sentence = (
+            f"{outlier_sentence} Trust the test of single readings, although the global test passes: {phrase}. A sum "
+            "over many readings hardly changes by a few outliers."
+        )
+        return Verdict(VerdictCase.HIDDEN_ERRORS, sentence, False)
     if sigma0 < low and dof < MIN_DOF_FOR_ESTIMATED_NOISE:
         sentence = (
-            f"Trust the declared noise: {phrase} is below that range, but few degrees of freedom support no other."
+            f"Trust the declared noise. The readings scatter less: {phrase}. But so few degrees of freedom support no "
+            "other noise."
         )
         return Verdict(VerdictCase.SMALLER_NOISE, sentence, False)
     if sigma0 < low:
         sentence = (
-            f"Trust the estimated sigma0: {phrase}, the declared noise is too large, and the w-test too tolerant; in "
-            f"the tau-test {_reading_count_text(by_tau)}. {noise_declaration_advice(adjustment, alpha)}"
+            f"The declared noise is too large: {phrase}. {noise_declaration_advice(adjustment, alpha)} "
+            f"Trust the estimated sigma0 and the tau-test. {_outlier_sentence(by_tau, ' in the tau-test')}"
         )
         return Verdict(VerdictCase.SMALLER_NOISE, sentence.rstrip(), True)
-    outlier_text = (
-        f"of the {by_w} readings that the w-test flags {by_tau or 'none'} are outliers at the observed noise level"
-    )
+    flagged_sentence = _flagged_sentence(by_w, by_tau)
     if adjustment.noise_sentences:
-        noise, constants = " ".join(adjustment.noise_sentences), _sigma0_with_constants_text(fit_with_constants, alpha)
-        sentence = f"{noise} Until then trust the estimated sigma0: {phrase}{constants}; {outlier_text}."
+        noise, constants = (
+            " ".join(adjustment.noise_sentences),
+            _sigma0_with_constants_sentence(fit_with_constants, alpha),
+        )
+        sentence = f"{noise} Until then trust the estimated sigma0: {phrase}. {constants}{flagged_sentence}"
         return Verdict(VerdictCase.LARGER_NOISE, sentence, True)
     chi2_rest = chi2 - sum(o.normalised_residual**2 for o in outliers)
     is_explained = dof > by_w and chi2_rest <= high**2 * (dof - by_w)
@@ -100,22 +105,23 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants
         and is_explained
         and by_w <= max(1, MAX_SINGLE_ERROR_FRACTION * int(adjustment.problem.is_used_reading.sum()))
     ):
-        rest_text = "the other readings agree with the declared noise."
-        if adjustment.cause_sentences:
-            sentence = f"{phrase} fails only because of this, which is not in the model: {wrong}, and {rest_text}"
-            return Verdict(VerdictCase.SINGLE_ERRORS, sentence[0].upper() + sentence[1:], False)
-        sentence = f"Trust the test of single readings: {phrase} fails only because {wrong}; {rest_text}"
+        because = "of this error, which is not in the model" if adjustment.cause_sentences else "of outliers"
+        trust = "" if adjustment.cause_sentences else "Trust the test of single readings. "
+        sentence = (
+            f"{outlier_sentence} {trust}The global test fails only because {because}: {phrase}. The other readings "
+            "agree with the declared noise."
+        )
         return Verdict(VerdictCase.SINGLE_ERRORS, sentence, False)
     if dof < MIN_DOF_FOR_ESTIMATED_NOISE:
         sentence = (
-            f"Trust the global test: {phrase}, the noise or the model is wrong; with so few degrees of freedom neither "
-            "the estimated sigma0 nor a test of single readings identifies the size or the place."
+            f"The noise or the model is wrong. Trust the global test, which fails: {phrase}. With so few degrees of "
+            "freedom neither the estimated sigma0 nor a test of single readings identifies the size or the place."
         )
         return Verdict(VerdictCase.UNEXPLAINED_MISFIT, sentence, True)
     reasons = _rejection_reasons(adjustment, alpha, fit_with_constants)
     sentence = (
-        f"Trust the global test and the estimated sigma0: {phrase}; {reasons}, "
-        f"and {outlier_text}{_noisy_targets_text(adjustment)}."
+        f"{reasons} Trust the global test, which fails, and the estimated sigma0: {phrase}. {flagged_sentence}"
+        f"{_noisy_targets_sentence(adjustment)}"
     )
     return Verdict(VerdictCase.UNEXPLAINED_MISFIT, sentence, True)
 
@@ -126,18 +132,18 @@ def _sigma0_limits(dof: int, alpha: float) -> tuple[float, float]:
     return low, high
 
 
-def _sigma0_with_constants_text(fit_with_constants: tuple[float, int] | None, alpha: float) -> str:
-    """Text on sigma0 with the instrument's constants estimated, after a semicolon; empty without such a fit."""
+def _sigma0_with_constants_sentence(fit_with_constants: tuple[float, int] | None, alpha: float) -> str:
+    """Sentence on sigma0 with the instrument's constants estimated, and a space; empty without such a fit."""
     if fit_with_constants is None or fit_with_constants[1] <= 0:
         return ""
     chi2, dof = fit_with_constants
     low, high = _sigma0_limits(dof, alpha)
     sigma0 = float(np.sqrt(chi2 / dof))
-    return f"; with the instrument's constants estimated it is {sigma0:.3f} ({low:.3f} to {high:.3f} expected)"
+    return f"With the instrument's constants estimated sigma0 is {sigma0:.3f} ({low:.3f} to {high:.3f} expected). "
 
 
 def _rejection_reasons(adjustment: Adjustment, alpha: float, fit_with_constants: tuple[float, int] | None) -> str:
-    """Text of the possible reasons for a failed global test.
+    """Sentences on the possible reasons for a failed global test.
 
     Errors of the instrument are a possible reason if they are neither corrected nor estimated. A fit that estimates
     them, `fit_with_constants` (chi-square and degrees of freedom), decides.
@@ -146,19 +152,19 @@ def _rejection_reasons(adjustment: Adjustment, alpha: float, fit_with_constants:
         chi2, dof = fit_with_constants
         low, high = _sigma0_limits(dof, alpha)
         sigma0 = float(np.sqrt(chi2 / dof))
-        fit = f"with these estimated sigma0 is {sigma0:.3f} ({low:.3f} to {high:.3f} expected)"
+        fit = f"With these constants estimated sigma0 is {sigma0:.3f} ({low:.3f} to {high:.3f} expected)"
         if sigma0 <= high:
-            reason = f"the instrument's constants are in the readings, and {fit}"
-            return reason if sigma0 >= low else f"{reason}, so the noise is smaller than declared"
+            smaller = "" if sigma0 >= low else ", so that the noise is smaller than declared"
+            return f"The instrument's constants are in the readings. {fit}{smaller}."
         return (
-            f"the instrument's constants do not suffice as the reason, because {fit}: the noise is larger than "
-            "declared, or a systematic effect is missing from the model"
+            "The noise is larger than declared, or a systematic effect is missing from the model. The instrument's "
+            f"constants do not suffice as the reason. {fit}."
         )
     if adjustment.construction.n_parameters or adjustment.recording.is_corrected:
-        return "the noise is larger than declared or a systematic effect is missing from the model"
+        return "The noise is larger than declared, or a systematic effect is missing from the model."
     return (
-        "the instrument's constants are in the readings, the noise is larger than declared, or a systematic effect is "
-        "missing from the model"
+        "The instrument's constants are in the readings, the noise is larger than declared, or a systematic effect is "
+        "missing from the model."
     )
 
 
@@ -188,16 +194,27 @@ def noise_declaration_advice(adjustment: Adjustment, alpha: float = GLOBAL_TEST_
     return " ".join(filter(None, sentences))
 
 
-def _noisy_targets_text(adjustment: Adjustment) -> str:
-    """Text on the targets whose readings scatter far more than those to other targets; empty if there are none."""
+def _noisy_targets_sentence(adjustment: Adjustment) -> str:
+    """Space and sentence on targets whose readings scatter far more than the others; empty if there are none."""
     named, scatter, rest = adjustment.noisy_targets_and_scatter
     if not len(named):
         return ""
     names = ", ".join(adjustment.recording.targets[t] for t in named)
-    return f"; readings to {names} scatter {scatter:.2g} times the declared noise, the others {rest:.2g} times"
+    return f" Readings to {names} scatter {scatter:.2g} times the declared noise, the others {rest:.2g} times."
 
 
-def _reading_count_text(n_readings: int) -> str:
+def _outlier_sentence(n_readings: int, condition: str = "") -> str:
+    """Sentence on the number of outliers, with the condition under which they are outliers."""
     if not n_readings:
-        return "no reading is an outlier"
-    return "one reading is an outlier" if n_readings == 1 else f"{n_readings} readings are outliers"
+        return f"No reading is an outlier{condition}."
+    count = "One reading is an outlier" if n_readings == 1 else f"{n_readings} readings are outliers"
+    return f"{count}{condition}."
+
+
+def _flagged_sentence(n_flagged: int, n_outliers: int) -> str:
+    """Sentence on the readings that the w-test flags, and on the outliers at the observed noise level."""
+    if not n_flagged:
+        return "The w-test flags no reading."
+    flagged = "one reading" if n_flagged == 1 else f"{n_flagged} readings"
+    verb = "is an outlier" if n_outliers == 1 else "are outliers"
+    return f"The w-test flags {flagged}, of which {n_outliers or 'none'} {verb} at the observed noise level."

@@ -85,10 +85,9 @@ def calibrate_distance(
     propagation = ErrorPropagation(recording, model, parameter_values, estimate, adjustment)
     added_covariance = propagation.added_covariance()
     unknowns = adjustment.problem.unknowns
-    pose = (
-        adjustment.pose_covariance
-        + added_covariance[unknowns.pose_columns[:, :, None], unknowns.pose_columns[:, None, :]]
-    )
+    pose = adjustment.pose_covariance
+    added_pose = added_covariance[unknowns.pose_columns[:, :, None], unknowns.pose_columns[:, None, :]]
+    pose = np.where(pose == 0.0, 0.0, pose + added_pose)  # components that define the frame stay exact
     scale = prior.ravel()
     null_space = np.array([d.vector for d in estimate.undetermined_combinations]).reshape(-1, len(scale))
     arrays = CalibrationArrays(

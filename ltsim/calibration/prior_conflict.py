@@ -32,6 +32,13 @@ def sigma0_of_readings(adjustment: Adjustment) -> float:
     return float(np.sqrt(max(adjustment.chi2 - float(gap @ gap), 0.0) / max(adjustment.dof, 1)))
 
 
+def informative_mask(adjustment: Adjustment) -> Bools:
+    """Mask (q,) of the free parameters of all instruments on which the readings have information."""
+    prior, columns = adjustment.problem.prior, adjustment.problem.unknowns.instrument_columns.ravel()
+    remaining = np.diag(adjustment.reduced_covariance)[columns] / prior.sigma.ravel() ** 2
+    return np.asarray(~prior.is_fixed.ravel() & (remaining < 1.0 - MAX_UNINFORMATIVE_GAIN))
+
+
 def is_noise_overstated(adjustment: Adjustment) -> bool:
     """True if readings scatter significantly less than declared, so that the declared noise is too large."""
     testable = adjustment.dof >= MIN_DOF_FOR_ESTIMATED_NOISE and sigma0_of_readings(adjustment) > MAX_NOISE_FREE_SIGMA0

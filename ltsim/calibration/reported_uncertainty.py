@@ -98,7 +98,10 @@ def _scaled_parameter_covariance(calibration: Calibration, factor: float) -> Flo
 
 
 def _scaled_pose(pose: StationPose, factor: float, air_covariance: Floats) -> StationPose:
-    """Pose with standard deviations multiplied by a factor, plus the covariance (6, 6) from errors of the air."""
+    """Pose with standard deviations multiplied by a factor, plus the covariance (6, 6) from errors of the air.
+
+    Components that define the frame keep the standard deviation 0.
+    """
     air = np.sqrt(np.diag(air_covariance))
     sigma_by_field = {}
     for name, unit, part in (
@@ -108,7 +111,8 @@ def _scaled_pose(pose: StationPose, factor: float, air_covariance: Floats) -> St
         sigma = getattr(pose, name)
         if sigma is not None:
             given = np.array([np.nan if value is None else value for value in sigma])
-            sigma_by_field[name] = tuple(np.hypot(factor * given, part / unit).tolist())
+            reported = np.where(given == 0.0, 0.0, np.hypot(factor * given, part / unit))
+            sigma_by_field[name] = tuple(reported.tolist())
     return pose.with_values(**sigma_by_field)
 
 

@@ -93,6 +93,11 @@ class ParameterEntry(Entry):
     instrument: str = ""
     """Name of the instrument; empty for a single unnamed one."""
 
+    @property
+    def information(self) -> float:
+        """Part of the prior variance that the recording removes; 1 without a prior."""
+        return 1.0 if not self.prior_sigma or self.sigma is None else 1.0 - (self.sigma / self.prior_sigma) ** 2
+
 
 class HarmonicEntry(Entry):
     """Amplitude and phase of a pair of a cosine and a sine coefficient; no phase for an insignificant amplitude."""
@@ -123,9 +128,9 @@ class StationPose(Entry):
     rotation_quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)
     """Rotation from instrument to network, as a quaternion x y z w."""
     sigma_position_mm: tuple[OptionalFloat, OptionalFloat, OptionalFloat] | None = None
-    """Standard deviation of each coordinate [mm]."""
+    """Standard deviation of each coordinate [mm]; 0 for one that defines the frame."""
     sigma_rotation_arcsec: tuple[OptionalFloat, OptionalFloat, OptionalFloat] | None = None
-    """Standard deviation of the rotation about each axis [arcsec]."""
+    """Standard deviation of the rotation about each axis [arcsec]; 0 for one that defines the frame."""
 
     @property
     def position(self) -> Floats:

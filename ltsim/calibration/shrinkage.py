@@ -2,6 +2,7 @@
 
 The estimates and their covariance belong to the declared prior. The applied values may be smaller:
 
+* a parameter that the readings do not determine keeps the mean of its prior, usually 0;
 * a parameter is not applied if the readings of targets are predicted better without it (`HeldOutTarget`);
 * if the readings contradict the scale of the prior, the correction follows the scale that they make most likely;
 * if the correction is expected to do harm under a plausible scale, the smallest plausible scale is used.
@@ -23,10 +24,9 @@ from scipy.linalg import block_diag
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.remedies.detectability import MAX_EXAMINED_PLACES
-from ltsim.adjustment.remedies.undetermined import MAX_UNINFORMATIVE_GAIN
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, GLOBAL_TEST_LEVEL
 from ltsim.calibration.evidence import cosine_sine_pairs
-from ltsim.calibration.prior_conflict import MAX_SIGMA0_FOR_WIDENING, sigma0_of_readings
+from ltsim.calibration.prior_conflict import MAX_SIGMA0_FOR_WIDENING, informative_mask, sigma0_of_readings
 from ltsim.calibration.schema import RecommendedCorrection
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.notation import listing
@@ -105,8 +105,10 @@ def recommend_correction(
         words, plural = listing(list(map(parameter_text, not_applied))), len(not_applied) > 1
         terms, they = ("terms", "they are") if plural else ("term", "it is")
         notes.append(f"held-out targets are predicted better without the {terms} {words}: {they} not applied")
-    held_means = mean * held
-    held_means[used_terms] = spread @ applied
+    applied_values = mean * held
+    applied_values[used_terms] = spread @ applied
+    if not history_prior:
+        applied_values = np.where(informative_mask(adjustment) | held, applied_values, mean)
     correction = RecommendedCorrection(
         prior_scale=evidence.most_likely_scale,
         plausible_scale=evidence.plausible_scale_limits,
@@ -116,7 +118,7 @@ def recommend_correction(
         not_applied=not_applied,
         sentences=tuple(notes),
     )
-    return correction, held_means.reshape(prior.mean.shape)
+    return correction, applied_values.reshape(prior.mean.shape)
 
 
 class ScaledPrior:
@@ -200,11 +202,11 @@ class ScaledPrior:
         scale_phrase = f"{self.most_likely_scale:.2g} times as large is most likely ({low:.2g} to {high:.2g})"
         if self._exceeds_plausible_scale:
             contradict = f" and contradict each other by {self._sigma0:.2g} times their noise"
-            why = ", which no instrument has" if self.most_likely_scale > MAX_PRIOR_SCALE else contradict
-            return (
-                f"the readings require parameters {self.most_likely_scale:.2g} times the declared priors{why}: "
-                "another cause explains the misfit, and no correction is applied"
-            )
+            why, cause = ", which no instrument has", "another cause explains the misfit"
+            if self.most_likely_scale <= MAX_PRIOR_SCALE:
+                why, cause = contradict, "the noise is larger than declared, or a systematic effect acts"
+            scale = f"{self.most_likely_scale:.2g} times the declared priors"
+            return f"the readings require parameters {scale}{why}: {cause}, and no correction is applied"
         if not self._is_scale_estimated:
             return f"the readings contradict the declared priors: {scale_phrase}; the correction uses this scale"
         share = self._strength / (self._strength + self.most_likely_scale**-2)
@@ -345,9 +347,7 @@ def parameters_to_drop(adjustment: Adjustment, noise_factor: float = 1.0) -> Int
 
 def _informative_parameter_groups(adjustment: Adjustment) -> list[Ints]:
     """Indices of each estimated parameter with information; a cosine and its sine form one group."""
-    prior, at = adjustment.problem.prior, adjustment.problem.unknowns.instrument_columns.ravel()
-    remaining = np.diag(adjustment.reduced_covariance)[at] / prior.sigma.ravel() ** 2
-    open_ = ~prior.is_fixed.ravel() & (remaining < 1.0 - MAX_UNINFORMATIVE_GAIN)
+    prior, open_ = adjustment.problem.prior, informative_mask(adjustment)
     sines = {i: j for _, i, j in cosine_sine_pairs(adjustment.construction.parameter_names)}
     term_groups = [[k, sines[k]] if k in sines else [k] for k in range(prior.mean.shape[1]) if k not in sines.values()]
     terms = [[i * prior.mean.shape[1] + k for k in term] for i in range(len(prior.mean)) for term in term_groups]

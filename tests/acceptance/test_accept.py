@@ -12,12 +12,14 @@ import pytest
 import ltsim as lt
 from ltsim.acceptance.network import evaluate_network
 from ltsim.acceptance.spec import AcceptanceSettings
+from ltsim.acceptance.tested_network import TestedNetwork
 from ltsim.adjustment import adjust
 from ltsim.cli.main import run
 from ltsim.core.errors import NetworkError, SetupError
 from ltsim.physics.effects.target_moved import TargetMoved
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.centring_errors import CentringUncertainty
+from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Station
 from ltsim.recordings.specification import Specification
 
@@ -225,7 +227,9 @@ def test_network_method(tmp_path: Path) -> None:
     assert good.judgement in ("accepted", "undecided")
     assert bad.judgement == "rejected" and "exceed their limits" in bad.sentence
     assert "two-face" in {g.name for g in bad.groups if g.judgement == "rejected"}
-    assert np.isfinite([t.expanded_um or np.nan for t in good.tests if t.group != "two-face"]).all()
+    assert np.isfinite([np.nan if t.expanded_um is None else t.expanded_um for t in good.tests]).all()
+    assert "without an uncertainty" not in good.sentence and good.decision_rule.startswith("By ISO 14253-1, an error e")
+    assert " two-face: " in bad.sentence and " +- 0.0 um where " in bad.sentence
     assert bad.next_actions == (
         "Have the maker adjust the tracker, or correct all readings by ltsim calibrate and ltsim correct. After this "
         "correction no error is rejected.",
@@ -328,8 +332,44 @@ def test_centring_is_in_the_uncertainty_of_a_network_length():
     recording, _ = lt.simulate("paper-workshop-two-face", seed=4)
     setup = recording.setup.model_copy(update={"centring": (CentringUncertainty(sigma_mm=0.1),)})
     entries = evaluate_network(recording.replace(setup=setup), LIMITS).entries
-    expanded = np.array([t.expanded_um for t in entries if t.expanded_um is not None])
+    expanded = np.array([t.expanded_um for t in entries if t.group != "two-face"])
+    assert max(t.expanded_um or 0.0 for t in entries if t.group == "two-face") < 0.1, "it is the same in both faces"
     assert np.all(expanded >= 2 * np.sqrt(2) * 100) and np.all(expanded < 2 * np.sqrt(2) * 100 * 1.5)
+
+
+def test_uncertainty_of_a_two_face_error_is_that_of_what_is_not_the_tracker():
+    """U is 0 in a recording that agrees with its declared noise, and grows by scatter beyond it and by corrections."""
+    recording, _ = lt.simulate(lt.scenario("paper-workshop-two-face", GOOD_TRACKER), seed=4)
+
+    def expanded(tested: Recording) -> dict[str, float]:
+        entries = evaluate_network(tested, LIMITS).entries
+        return {t.name: t.expanded_um for t in entries if t.group == "two-face" and t.expanded_um is not None}
+
+    clean = expanded(recording)
+    assert len(clean) == 140 and set(clean.values()) == {0.0}
+
+    instrument = recording.setup.instrument
+    half = {name: value / 2 for name, value in instrument.noise.model_dump().items()}
+    noise = instrument.noise.model_copy(update=half)
+    setup = recording.setup.model_copy(update={"instrument": instrument.model_copy(update={"noise": noise})})
+    noisy = recording.replace(setup=setup)
+    first = np.flatnonzero((recording.station == 0) & (recording.target == 0))
+    factor = adjust(noisy).sigma0
+    across = noisy.sigma()[first, 2].max() * recording.readings[first[0], 0] * np.sqrt(2.0)
+    u = 2e6 * np.sqrt(factor**2 - 1) * across
+    assert factor > 1.8 and expanded(noisy)["S1: T01 two-face"] == pytest.approx(u, rel=0.1)
+
+    shots = (recording.station == 2) & (recording.target == 5)
+    moment = float(recording.time[shots].mean())
+    moved = adjust(recording, declared_construction(recording), effects=[TargetMoved((), ("T06",), time=moment)])
+    entries = TestedNetwork(moved, 1.0).test_entries(LIMITS)
+    corrected = {t.name: t.expanded_um or 0.0 for t in entries if t.group == "two-face" and (t.expanded_um or 0) > 0.1}
+    assert corrected.keys() == {"S3: T06 two-face"}
+    columns = moved.problem.unknowns.effect_columns
+    design = np.asarray(moved.solution.system.design)
+    covariance = np.linalg.inv(design.T @ design)[np.ix_(columns, columns)]
+    low, _, high = 2e6 * np.sqrt(np.linalg.eigvalsh(covariance))
+    assert low < corrected["S3: T06 two-face"] <= high
 
 
 def test_outlying_readings_are_neither_adjusted_nor_tested():

@@ -84,7 +84,7 @@ def test_the_verdict_is_written_where_tests_conflict(make) -> None:
     one = calibrate_network(recording.with_readings(readings), recommend_measurements=False)
     said = one.content()["verdict"]
     assert said["case"] == "single errors hidden in the sum"
-    assert said["sentence"].startswith("Trust the test of single readings: one reading is an outlier although")
+    assert said["sentence"].startswith("One reading is an outlier. Trust the test of single readings, although")
     assert one.fit.p_value > 0.01
     quiet = recording.with_readings(recording.readings)
     noise = recording.setup.instrument.noise
@@ -187,7 +187,7 @@ def test_esa_robust_with_noise_of_each_instrument(shared: Path) -> None:
     recording = recorded(shared, "cern-lgc-trackers/20697_V2_Dirk_ESA_experimental.lgc")
     plain = lt.adjust(recording)
     assert plain.verdict is not None
-    assert "fails only because 4 readings are outliers" in plain.verdict.sentence
+    assert "4 readings are outliers. " in plain.verdict.sentence and "fails only because" in plain.verdict.sentence
     found = lt.adjust(recording, robust=True, noise_from_data=True)
     left = {o.row for o in found.outliers if o.excluded}
     assert {42, 199, 361, 362, 348, 363} <= left

@@ -72,6 +72,10 @@ def test_a_new_station_has_no_height_of_the_one_before(tmp_path: Path) -> None:
         "Álláspont;Pont;Vízszintes irány [gon];Zenitszög [gon];Ferde távolság [m];Műszermagasság;Jelmagasság",
         "Uppställning;Punkt;Horisontalvinkel [gon];Vertikalvinkel [gon];Lutande längd [m];Instrumenthöjd;Prismahöjd",
         "Standplaats;Punkt;Horizontale hoek [gon];Zenithoek [gon];Schuine afstand [m];Instrumenthoogte;Prismahoogte",
+        "器械点;視準点;水平角 [gon];天頂角 [gon];斜距離 [m];器械高;プリズム高",
+        "测站;目标点;水平角（gon）;天顶距（gon）;斜距（m）;仪器高;棱镜高",
+        "測站;目標點;水平角（gon）;豎直角（gon）;斜距（m）;儀器高;稜鏡高",
+        "기계점;시준점;수평각 [gon];연직각 [gon];사거리 [m];기계고;프리즘고",
     ],
 )
 def test_titles_in_several_languages(tmp_path: Path, header: str) -> None:

@@ -347,7 +347,7 @@ def test_calibration_says_what_was_left_out_and_which_noise_was_found(tmp_path: 
     write_calibration(plain, tmp_path / "plain")
     note = next(b for b in document_of_folder(tmp_path / "plain").sections[0].blocks if b.title == "Verdict")
     assert note.kind == "note"
-    assert note.text.startswith("Trust the ")
+    assert note.text.startswith("One reading is an outlier. Trust the ")
 
 
 def test_a_predicted_acceptance_test_is_not_called_kept(tmp_path: Path) -> None:

@@ -81,15 +81,13 @@ class GeometricErrorModel:
     @cached_property
     def _chain_with_reading_slots(self) -> tuple[kinematics.KinematicChain, tuple[str, ...]]:
         """Chain with a slot on each motion that depends on a reading, and these slots for range, azimuth, elevation."""
-        zero_reading, unit_readings, chain, slots = np.zeros((1, 3)), np.eye(3), list(self.kinematic_chain), []
+        zero_reading, chain, slots = np.zeros((1, 3)), list(self.kinematic_chain), []
+        functions = [m.nominal_function for m in self.kinematic_chain]
         for column in range(3):
-            motions, functions = self.kinematic_chain, [m.nominal_function for m in self.kinematic_chain]
-            place = [f is not None and f(unit_readings[[column]])[0] != f(zero_reading)[0] for f in functions].index(
-                True
-            )
-            motion = motions[place]
-            slots.append(motion.error_slot or f"reading-{column}")
-            chain[place] = replace(motion, error_slot=slots[-1])
+            unit_reading = np.eye(3)[[column]]
+            place = [f is not None and f(unit_reading)[0] != f(zero_reading)[0] for f in functions].index(True)
+            slots.append(chain[place].error_slot or f"reading-{column}")
+            chain[place] = replace(chain[place], error_slot=slots[-1])
         return tuple(chain), tuple(slots)
 
     def basis_values(self, readings: Floats) -> Floats:

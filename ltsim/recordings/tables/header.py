@@ -12,6 +12,7 @@ from ltsim.core.units import ANGLE_UNITS, LENGTH_UNITS, SMALL_ANGLE_UNITS, UNITS
 from ltsim.recordings.files import SourceLocation, quoted_text
 from ltsim.recordings.tables.title_words import (
     COMMON_SIGMA_ROLE,
+    EAST_ASIAN_LETTERS,
     FOREIGN_TITLE_WORDS,
     NUMBER_TITLE_ENDINGS,
     STATION_TITLE_PLACES,
@@ -71,7 +72,8 @@ MAPPABLE_ROLES = tuple(dict.fromkeys((*TITLE_WORDS, *SIGMA_ROLES.values())))
 """Roles that the option ``--columns`` accepts."""
 MAX_TITLE_LENGTH = 80
 """Number of characters above which a cell is not tested as a title."""
-_BRACKET_PATTERN = re.compile(r"(.*?)\s*[\[({]\s*([^\])}]*?)\s*[\])}]?\s*")
+_BRACKET_PATTERN = re.compile(r"(.*?)\s*[\[({（【]\s*([^\])}）】]*?)\s*[\])}）】]?\s*")
+_OTHER_SIGNS_PATTERN = re.compile(f"[^a-z0-9{EAST_ASIAN_LETTERS}]")
 _FACE_NUMBER_PATTERN = re.compile(r"(.*?)[\s._-]*(?:(?:face|lage|f|l)[\s._-]*)?(1|2|ii|i)", re.IGNORECASE)
 _SIGMA_TITLE_PATTERN = (
     re.compile(r"(?:sigma|stddev|std|sd|s)([a-z]+)"),
@@ -291,9 +293,9 @@ def title_role(name: str) -> str:
 
 
 def normalised_title(text: str) -> str:
-    """Letters and digits of a title in lower case, without accents."""
-    letters = "".join(c for c in unicodedata.normalize("NFKD", text.casefold()) if not unicodedata.combining(c))
-    return re.sub(r"[^a-z0-9]", "", letters)
+    """Letters and digits of a title in lower case, without accents; Latin or East Asian."""
+    letters = re.sub("[\u0300-\u036f]", "", unicodedata.normalize("NFKD", text.casefold()))
+    return _OTHER_SIGNS_PATTERN.sub("", unicodedata.normalize("NFC", letters))
 
 
 def _column_from_title(position: int, title: str, *, has_face: bool = True) -> TableColumn:

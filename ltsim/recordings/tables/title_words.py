@@ -1,8 +1,11 @@
 """Known titles of columns, by role, in English, German and other languages.
 
 Titles have the form of `normalised_title`: lower case, without blanks, accents and signs. Letters such as `ł` and `ø`,
-which are not a letter with an accent, are left out in this form.
+which are not a letter with an accent, are left out in this form. East Asian titles are written as they are.
 """
+
+EAST_ASIAN_LETTERS = "\u3040-\u30ff\u3400-\u9fff\uac00-\ud7a3"
+"""Ranges of letters of Japanese (hiragana, katakana), Chinese (ideographs) and Korean (syllables), for a pattern."""
 
 COMMON_SIGMA_ROLE = "sigma_mm"
 """Role of a column with one standard deviation for all three coordinates."""
@@ -147,6 +150,61 @@ FOREIGN_TITLE_WORDS = {
         "time": "ido",
         "instrument_height_mm": "muszermagassag",
         "target_height_mm": "jelmagassag prizmamagassag",
+    },
+    "Japanese": {
+        "station": "器械点 器械点名 機械点 機械点名 測站",
+        "target": "測点 測点名 点名 点番 点番号 視準点 視準点名 目標点",
+        "round": "対回 対回数",
+        "horizontal": "水平角 水平方向",
+        "azimuth": "方位角",
+        "vertical": "鉛直角",
+        "zenith": "天頂角 天頂距離",
+        "elevation": "高度角 高低角",
+        "distance": "斜距離 斜距離測定値",
+        "flat": "水平距離",
+        "date": "日付 観測日 測定日",
+        "time": "時刻 観測時刻 測定時刻",
+        "instrument_height_mm": "器械高 機械高",
+        "target_height_mm": "視準高 目標高 ミラー高 プリズム高 反射鏡高",
+        "air_temperature_c": "気温",
+        "air_pressure_hpa": "気圧",
+        "relative_humidity_pct": "湿度 相対湿度",
+    },
+    "Chinese": {
+        "station": "测站 测站名 测站点 测站点名 测站点号 測站名 測站點 測站點名 測站點號",
+        "target": "点号 目标 目标点 照准点 镜点 點號 點名 目標 目標點 照準點 棱镜点",
+        "round": "测回 测回数 測回 測回數",
+        "horizontal": "水平度盘 水平度盘读数 水平度盤 水平度盤讀數 方向值",
+        "vertical": "竖直角 垂直角 竖盘读数 豎直角 豎盤讀數",
+        "zenith": "天顶距 天顶角 天頂距",
+        "distance": "斜距 倾斜距离 傾斜距離",
+        "flat": "平距 水平距离",
+        "date": "日期 观测日期 觀測日期",
+        "time": "时间 观测时间 時間 觀測時間",
+        "instrument_height_mm": "仪器高 仪高 儀器高 儀高",
+        "target_height_mm": "棱镜高 镜高 觇标高 目标高 稜鏡高 鏡高 覘標高",
+        "air_temperature_c": "气温 氣溫",
+        "air_pressure_hpa": "气压 氣壓",
+        "relative_humidity_pct": "湿度值 相对湿度 相對濕度 濕度",
+    },
+    "Korean": {
+        "station": "기계점 기계점명",
+        "target": "측점 측점명 점명 점번호 시준점 시준점명",
+        "round": "대회 대회수",
+        "horizontal": "수평각",
+        "azimuth": "방위각",
+        "vertical": "연직각 수직각",
+        "zenith": "천정각 천정거리",
+        "elevation": "고도각 고저각",
+        "distance": "사거리 경사거리",
+        "flat": "수평거리",
+        "date": "날짜 일자 관측일",
+        "time": "시간 시각 관측시간 관측시각",
+        "instrument_height_mm": "기계고",
+        "target_height_mm": "시준고 목표고 프리즘고 타겟고",
+        "air_temperature_c": "기온",
+        "air_pressure_hpa": "기압",
+        "relative_humidity_pct": "습도 상대습도",
     },
 }
 """Titles in other languages: by language, and then by the meaning of the column."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from ltsim.adjustment.identification import CauseTest
 from ltsim.adjustment.identification.recommendations import recommendations_for_causes
+from ltsim.adjustment.remedies.undetermined import MAX_UNINFORMATIVE_GAIN
 from ltsim.adjustment.verdict import VerdictCase
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import read_targets
@@ -18,7 +19,6 @@ from ltsim.calibration.schema import (
     OUTLIERS_TABLE,
     PARAMETERS_TABLE,
     RESIDUALS_TABLE,
-    STATION_COORDINATES_TABLE,
     TARGETS_TABLE,
 )
 from ltsim.calibration.uncertainty import uncertainty_sentences
@@ -46,6 +46,7 @@ from ltsim.reports.formatting import as_sentence, count_text, global_test_verdic
 from ltsim.reports.residuals import Residuals
 from ltsim.reports.sections.network import (
     adjustment_pair_if_possible,
+    coordinates_table,
     determined_table,
     residual_figures,
     target_table,
@@ -85,7 +86,7 @@ def calibration_section(content: Calibration, context: ReportContext) -> Section
     after = Residuals.read(residuals).with_covariates(before) if residuals else None
     coordinate_table = target_table(targets, note=f"Axes: {content.frame or 'those of the first station'}.")
     is_accepted = agrees and converged and all(outlier.excluded for outlier in content.outliers)
-    agrees_with_constants = converged and _agrees_with_estimated_constants(content)
+    agrees_with_constants = converged and _agrees_with_constants(content)
     agreement_words = _global_tests_text(content) or agreement_words
     parameter_blocks = _parameter_blocks(content, truth_in_folder(context)) if content.parameters else []
     reference_value_tables = _reference_value_blocks(content)
@@ -184,6 +185,10 @@ def _corrected_faults(content: Calibration) -> list[CauseTest]:
 def _corrections_sentence(content: Calibration) -> str:
     """Sentence on the causes in the model of the result, with a leading blank; empty without one."""
     faults = [test for test in _corrected_faults(content) if test.kind != "noise-level"]
+    excluded_names = {entry.name for entry in content.reference_values if entry.excluded}
+    for test in faults:
+        if test.kind == "reference-value" and not excluded_names.intersection(test.where.targets):
+            return f" {test.sentence} This adjustment contains them; calibrate tests them with the constants estimated."
     if not faults:
         return ""
     places = dict.fromkeys(name for test in faults for name in (*test.where.stations, *test.where.targets))
@@ -193,19 +198,19 @@ def _corrections_sentence(content: Calibration) -> str:
     return f" The model corrects {count_text(len(faults), 'error')}{place_text}{degrees}."
 
 
-def _larger_noise_explains_misfit(content: Calibration) -> bool:
+def _has_explaining_noise(content: Calibration) -> bool:
     """True if larger noise than declared is the only cause of the misfit."""
     return content.verdict.case == VerdictCase.LARGER_NOISE.value
 
 
 def _larger_noise_sentence(content: Calibration) -> str:
     """Sentences on noise larger than declared as the only cause of the misfit, with a leading blank; empty without."""
-    if not _larger_noise_explains_misfit(content):
+    if not _has_explaining_noise(content):
         return ""
     return "".join(f" {test.sentence}" for test in content.tests if test.kind == "noise-level" and test.is_fault)
 
 
-def _agrees_with_estimated_constants(content: Calibration) -> bool:
+def _agrees_with_constants(content: Calibration) -> bool:
     """True if the readings scatter no more than declared in a fit that also estimates the instrument's constants."""
     fit = content.with_constants
     if fit is None:
@@ -220,7 +225,7 @@ def _global_tests_text(content: Calibration) -> str:
     if fit is None:
         return ""
     with_them, without = (global_test_verdict(f.chi2, f.dof, f.p_value)[1] for f in (fit, content.fit))
-    if _agrees_with_estimated_constants(content):
+    if _agrees_with_constants(content):
         return f"the instrument's constants are still in the coordinates; with these estimated {with_them}"
     return f"{without}, nor with the instrument's constants estimated (chi2 {fit.chi2:.0f} for {fit.dof})"
 
@@ -257,9 +262,8 @@ def _warning_blocks(content: Calibration, *, has_converged: bool, agrees: bool) 
     blocks += [BulletListBlock("Uncertainty", lines)] if lines else []
     if content.correction is not None and content.correction.uncorrected_um > 0:
         lines = [*([content.correction.point_error_text] if agrees else []), *content.correction.sentences]
-        blocks += (
-            [BulletListBlock("Benefit of the calibration", [as_sentence(line) for line in lines])] if lines else []
-        )
+        if lines:
+            blocks.append(BulletListBlock("Benefit of the calibration", [as_sentence(line) for line in lines]))
     if content.undetermined_targets:
         text = f"The readings that remain do not determine {', '.join(content.undetermined_targets)}."
         blocks.append(NoteBlock("Targets without coordinates", text, "bad"))
@@ -292,14 +296,10 @@ def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
     if (
         p_value is not None
         and p_value < AGREEMENT_LEVEL / 2
-        and not (
-            content.noise_estimated
-            or _agrees_with_estimated_constants(content)
-            or _larger_noise_explains_misfit(content)
-        )
+        and not (content.noise_estimated or _agrees_with_constants(content) or _has_explaining_noise(content))
     ):
         actions.append("Run ltsim diagnose to locate the disagreement of readings and model.")
-    if content.verdict.scale_by_sigma0 and not (content.noise or _agrees_with_estimated_constants(content)):
+    if content.verdict.scale_by_sigma0 and not (content.noise or _agrees_with_constants(content)):
         actions.append(f"If the noise is not known, estimate it from the data: {option('noise_from_data=True')}.")
     measurements = dict.fromkeys(e.measurement for e in content.undetermined if e.measurement)
     actions += [f"To determine the open parameters: {measurement}." for measurement in list(measurements)[:3]]
@@ -318,6 +318,11 @@ def _parameter_blocks(content: Calibration, truth: Truth | None) -> list[Block]:
     note = "Corrections, truth minus reading, +- one sigma."
     if any(p.applied is not None for p in rows):
         note += " Applied: estimates without the terms that are not applied, with the prior scaled to the readings."
+    undetermined = [
+        n for n, p in zip(names, rows, strict=True) if not p.held and p.information < MAX_UNINFORMATIVE_GAIN
+    ]
+    if undetermined:
+        note += f" Not determined by the recording, which leaves the prior: {listing(undetermined, 6)}."
     blocks: list[Block] = [
         PictureBlock(
             "Instrument parameters", lambda: figures.parameters.parameter_figure(rows, true_in_display_units), text
@@ -346,12 +351,8 @@ def _criteria_blocks(content: Calibration) -> list[TableBlock]:
 
 
 def _station_blocks(content: Calibration) -> list[TableBlock]:
-    table_rows = [
-        [s.name, *s.position_mm, *(None if v is None else 2e3 * v for v in s.sigma_position_mm or (None,) * 3)]
-        for s in content.stations
-    ]
-    note = f"U: expanded uncertainty, k = 2. Axes: {content.frame or 'those of the first station'}."
-    return table_block("Stations", STATION_COORDINATES_TABLE.with_rows(table_rows), note=note)
+    entries = [(s.name, s.position_mm, s.sigma_position_mm or (None,) * 3) for s in content.stations]
+    return coordinates_table("Stations", entries, note=f"Axes: {content.frame or 'those of the first station'}.")
 
 
 def calibrated_workshop(

@@ -14,7 +14,7 @@ from ltsim.calibration.files import read_targets
 from ltsim.calibration.schema import STATION_COORDINATES_TABLE
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ConvergenceError, NetworkError, is_installed, missing_extra
-from ltsim.core.notation import MISSING_TEXT, number_text
+from ltsim.core.notation import MISSING_TEXT, listing, number_text
 from ltsim.core.probability import p_text, two_sided
 from ltsim.core.results import Table, number_columns, text_columns
 from ltsim.physics.model.construction import declared_construction
@@ -160,9 +160,29 @@ def target_table(file: Path | None, *, note: str) -> list[TableBlock]:
         return []
     names, points, sigma = read_targets(file)
     order = sorted(range(len(names)), key=lambda i: natural_sort_key(names[i]))
-    table_rows = [[names[i], *(1e3 * points[i]).tolist(), *(2e6 * sigma[i]).tolist()] for i in order]
+    entries = [(names[i], (1e3 * points[i]).tolist(), (1e3 * sigma[i]).tolist()) for i in order]
+    return coordinates_table("Targets", entries, note=note, is_foldable=False)
+
+
+def coordinates_table(
+    title: str,
+    entries: Sequence[tuple[str, Sequence[float | None], Sequence[float | None]]],
+    *,
+    note: str,
+    is_foldable: bool = True,
+) -> list[TableBlock]:
+    """Table of points with their names, coordinates [mm] and standard deviations [mm], shown as expanded uncertainties.
+
+    A coordinate with the standard deviation 0 defines the frame: a dash stands for its uncertainty.
+    """
+    expanded_um = [[None if value is None or value == 0 else 2e3 * value for value in sigma] for *_, sigma in entries]
+    table_rows = [[name, *point, *expanded] for (name, point, _), expanded in zip(entries, expanded_um, strict=True)]
+    exact = [name for name, _, sigma in entries if any(value == 0 for value in sigma)]
     note = f"U: expanded uncertainty, k = 2. {note}"
-    return table_block("Targets", STATION_COORDINATES_TABLE.with_rows(table_rows), note=note, is_foldable=False)
+    if exact:
+        verb, pronoun = ("have", "they define") if len(exact) > 1 else ("has", "it defines")
+        note += f" {listing(exact, 4)} {verb} no U in coordinates that are exact, because {pronoun} the frame."
+    return table_block(title, STATION_COORDINATES_TABLE.with_rows(table_rows), note=note, is_foldable=is_foldable)
 
 
 def target_uncertainty_sentence(sigma: Floats) -> str:

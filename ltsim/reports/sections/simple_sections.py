@@ -160,15 +160,13 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
     caption = "Error of each test divided by its limit, with its expanded uncertainty; the limit is at +-1. "
     caption += "Crosses are beyond it" + ("." if predicted else ", open circles are undecided.")
     note = f"Assumed: {content.assumption}." if content.assumption else ""
-    least_likely_tests = sorted(content.tests, key=lambda t: (t.passes or 0.0, -t.guarded_limit_ratio))[
-        :MAX_LISTED_TESTS
-    ]
+    hardest_tests = sorted(content.tests, key=lambda t: t.ease)[:MAX_LISTED_TESTS]
     last_column = "passes" if predicted else "judgement"
     blocks: list[Block] = [
         PictureBlock("Errors over limits", lambda: figures.points.error_to_limit_figure(content), caption),
         *table_block("Groups", content.table("groups"), note=note),
         *entries_table(
-            "The hardest tests", least_likely_tests, "name=test", "error_um", "expanded_um=U (k = 2)", "limit_um",
+            "The hardest tests", hardest_tests, "name=test", "error_um", "expanded_um=U (k = 2)", "limit_um",
             last_column, is_marked=lambda t: t.judgement == "rejected",
         ),
         *entries_table(
@@ -176,6 +174,7 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
             "prior_sigma=usual size", "smallest_failing=detected from", "unit", "test=first failed test",
         ),
     ]  # fmt: skip
+    blocks += [NoteBlock("Decision rule", content.decision_rule)] if content.decision_rule else []
     worst_test = content.worst_passing
     if worst_test is not None:
         constants = ", ".join(

@@ -1,0 +1,245 @@
+"""Adjusted network whose targets are reference values, and the readings of each station that are compared with them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations, pairwise
+
+import numpy as np
+
+from ltsim.acceptance.files import TestEntry, make_test_entry
+from ltsim.adjustment import Adjustment
+from ltsim.adjustment.identification import CauseTest
+from ltsim.adjustment.identification.hypothesis import CauseKind
+from ltsim.adjustment.identification.reading_shifts import ReadingShift
+from ltsim.calibration.correct import corrected_readings
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.geometry.polar import components_across_beam, from_polar, polar_jacobian, to_polar, unit_vectors
+from ltsim.physics.effects.linear_effect import LinearEffect
+from ltsim.physics.effects.motions import StationMotion, TargetMotion
+from ltsim.recordings.specification import Specification
+
+CENTRING_KIND: CauseKind = "centring"
+"""Kind of a cause that is not removed from the readings: the uncertainties contain it."""
+RECORDING_CAUSE_KINDS: tuple[CauseKind, ...] = (
+    "constant-offset",
+    "constant-step",
+    "scale-error",
+    "target-moved",
+    "station-bump",
+    "station-drift",
+    "orientation",
+    "reflector-radius",
+)
+"""Kinds of causes that are no errors of the tracker and that an adjustment estimates: wrong constants, motions, air."""
+
+
+def is_recording_error(effect: LinearEffect) -> bool:
+    """True for an estimated effect that is no error of the tracker: a motion, or a shift as in `may_be_tracker`."""
+    if isinstance(effect, ReadingShift):
+        return not (effect.is_drift or effect.observable == "elevation")
+    return isinstance(effect, StationMotion | TargetMotion)
+
+
+@dataclass(frozen=True)
+class TestedNetwork:
+    """Adjusted network with reference lengths, and the readings of each station that are compared with them."""
+
+    __test__ = False
+
+    adjustment: Adjustment
+    """Adjustment with the instrument's constants and the errors of the recording."""
+    uncertainty_factor: float
+    """Factor on the standard deviations of the adjustment."""
+    is_corrected_for_constants: bool = False
+    """True to test the readings after their correction by the estimated constants of the instrument."""
+
+    @cached_property
+    def _extra_slices(self) -> list[tuple[LinearEffect, slice]]:
+        """Estimated effects and nuisance errors, each with the slice of its additional parameters."""
+        effects = self.adjustment.problem.model.extra_effects
+        ends = np.cumsum([0, *(len(effect.parameters) for effect in effects)])
+        return [(e, slice(int(a), int(b))) for e, (a, b) in zip(effects, pairwise(ends), strict=True)]
+
+    @cached_property
+    def _is_recording_error(self) -> Bools:
+        """Flags (q,) of the additional parameters of errors of the recording."""
+        flags = [np.full(at.stop - at.start, is_recording_error(effect)) for effect, at in self._extra_slices]
+        return np.concatenate([np.zeros(0, dtype=bool), *flags])
+
+    @cached_property
+    def _is_nuisance(self) -> Bools:
+        """Flags (q,) of the additional parameters of nuisance errors, such as centring."""
+        n_effect_parameters = self.adjustment.problem.model.n_effect_parameters
+        return np.arange(len(self._is_recording_error)) >= n_effect_parameters
+
+    @cached_property
+    def _extra_design(self) -> Floats:
+        """Change (n, 3, q) of the readings per unit of each additional parameter."""
+        return self.adjustment.problem.model.extra_design(self.adjustment.sightings)
+
+    @cached_property
+    def readings(self) -> Floats:
+        """Front-face readings (n, 3) [m, rad, rad] without the errors of the recording."""
+        adjustment = self.adjustment
+        readings = adjustment.recording.readings.copy()
+        if self.is_corrected_for_constants:
+            constants = adjustment.state.instrument_parameters[0]
+            readings = corrected_readings(adjustment.recording, adjustment.construction, constants)
+        for effect, at in self._extra_slices:
+            if is_recording_error(effect):
+                readings -= effect.reading_change(adjustment.sightings, adjustment.state.extra_parameters[at])
+        return to_polar(from_polar(readings))
+
+    def is_corrected(self, cause: CauseTest) -> bool:
+        """True if an error of the recording is removed from the readings, or in the uncertainties of the lengths."""
+        place = cause.where
+        if cause.kind == CENTRING_KIND:
+            return bool(self.adjustment.problem.model.centring_errors)
+        if cause.kind in RECORDING_CAUSE_KINDS:
+            return any(
+                is_recording_error(e) and (e.stations, e.targets) == (place.stations, place.targets)
+                for e in self.adjustment.effects
+            )
+        is_reference = cause.kind in ("reference-value", "reference-scale")
+        return cause.sentence in self.adjustment.cause_sentences or (
+            is_reference and bool(self.adjustment.rejected_references)
+        )
+
+    def test_entries(self, limits: Specification) -> list[TestEntry]:
+        """Entries of the lengths and two-face differences of all stations, from the pointings in use."""
+        is_tested: Bools = np.asarray(self.adjustment.problem.is_used_reading.all(axis=1))
+        stations = range(len(self.adjustment.recording.stations))
+        return [entry for s in stations for entry in self.station_entries(s, is_tested, limits)]
+
+    def station_entries(self, station: int, is_tested: Bools, limits: Specification) -> list[TestEntry]:
+        """Entries of the lengths and two-face differences of a station, from the pointings that `is_tested` flags."""
+        recording = self.adjustment.recording
+        rows_by_face = [
+            np.flatnonzero(is_tested & (recording.station == station) & (recording.face == f)) for f in (1, 2)
+        ]
+        tested_rows = rows_by_face[0] if len(rows_by_face[0]) else rows_by_face[1]
+        test_entries = self._length_entries(recording.stations[station], tested_rows, limits)
+        front, back = map(self._mean_points, rows_by_face)
+        targets = sorted(front.keys() & back.keys())
+        if not targets:
+            return test_entries
+        points = np.array([front[t] for t in targets])
+        differences = points - np.array([back[t] for t in targets])
+        error = np.linalg.norm(components_across_beam(differences, points), axis=1)
+        expanded = 2 * np.sqrt(self._two_face_variance(targets, rows_by_face, points))
+        names = [f"{recording.stations[station]}: {recording.targets[t]} two-face" for t in targets]
+        sizes = (error.tolist(), limits.two_face_limits(points).tolist(), expanded.tolist())
+        return test_entries + [make_test_entry(name, "two-face", *v) for name, *v in zip(names, *sizes, strict=True)]
+
+    def _mean_points(self, pointing_rows: Ints) -> dict[int, Floats]:
+        """Mean points (3,) [m] in the instrument's frame, by target, of the pointings in some rows."""
+        points, targets = from_polar(self.readings[pointing_rows]), self.adjustment.recording.target[pointing_rows]
+        return {int(t): points[targets == t].mean(axis=0) for t in np.unique(targets)}
+
+    def _length_entries(self, station: str, row_indices: Ints, limits: Specification) -> list[TestEntry]:
+        """Entries of all lengths between the targets in some rows of a station, with their uncertainty."""
+        adjustment = self.adjustment
+        names, points = adjustment.recording.targets, adjustment.state.target_points
+        mean_points = self._mean_points(row_indices)
+        targets = [
+            t for t in mean_points if names[t] not in adjustment.undetermined_targets and np.isfinite(points[t]).all()
+        ]
+        target_pairs = np.array(list(combinations(range(len(targets)), 2)), dtype=np.int64).reshape(-1, 2)
+        if not len(target_pairs):
+            return []
+        measured, reference = np.array([mean_points[t] for t in targets]), points[targets]
+        lengths, reference_lengths = (_pair_vectors(p, target_pairs) for p in (measured, reference))
+        error = np.linalg.norm(lengths, axis=1) - np.linalg.norm(reference_lengths, axis=1)
+        limit = limits.length_limits(*(measured[target_pairs[:, end]] for end in (0, 1)))
+        variance = self._length_variance(targets, row_indices, target_pairs, lengths, reference_lengths)
+        return [
+            make_test_entry(
+                f"{station}: {names[targets[a]]} to {names[targets[b]]}", f"lengths from {station}", *values
+            )
+            for (a, b), *values in zip(
+                target_pairs, error.tolist(), limit.tolist(), (2 * np.sqrt(variance)).tolist(), strict=True
+            )
+        ]
+
+    def _length_variance(
+        self, targets: list[int], row_indices: Ints, point_pairs: Ints, lengths: Floats, reference_lengths: Floats
+    ) -> Floats:
+        """Variances (k,) [m^2] of measured minus reference lengths, without the errors of the instrument.
+
+        The ends of a length have most errors in common (poses, constants), so that their joint covariance is needed; a
+        length does not depend on the datum. The corrections of the measured lengths belong to that covariance. Nuisance
+        errors are not corrected, because they are estimated from the tested readings alone; their prior variance is
+        added.
+        """
+        unknowns, size = self.adjustment.problem.unknowns, len(targets)
+        length_changes = np.einsum(
+            "kj,kjq->kq",
+            lengths / np.linalg.norm(lengths, axis=1)[:, None],
+            _pair_vectors(self._mean_point_changes(targets, row_indices), point_pairs),
+        )
+        is_corrected, is_nuisance = self._is_recording_error, self._is_nuisance
+        form = np.zeros((len(point_pairs), size, 3))
+        direction = reference_lengths / np.linalg.norm(reference_lengths, axis=1)[:, None]
+        every = np.arange(len(point_pairs))
+        form[every, point_pairs[:, 0]], form[every, point_pairs[:, 1]] = direction, -direction
+        coefficients = np.concatenate([form.reshape(len(point_pairs), -1), -length_changes[:, is_corrected]], axis=1)
+        columns = np.concatenate([unknowns.target_columns[targets].ravel(), unknowns.effect_columns[is_corrected]])
+        unit = np.zeros((unknowns.n_columns, len(columns)))
+        unit[columns, np.arange(len(columns))] = 1.0
+        covariance = self.adjustment.factorised_normals.covariance_columns(unit)[columns]
+        adjusted = self.uncertainty_factor**2 * np.einsum("ki,ij,kj->k", coefficients, covariance, coefficients)
+        prior = self.adjustment.problem.effect_sigma[is_nuisance]
+        return np.asarray(adjusted + np.sum((length_changes[:, is_nuisance] * prior) ** 2, axis=1))
+
+    def _two_face_variance(self, targets: list[int], rows_by_face: list[Ints], points: Floats) -> Floats:
+        """Variances (t,) [m^2] of differences between the faces across the beam, without the errors of the instrument.
+
+        A difference between the faces needs no reference, and the declared noise is an error of the instrument, so that
+        the variance is that of the removed errors of the recording and of nuisance errors that differ between the
+        faces. Noise beyond the declared noise is added, because its cause is not known to be the instrument. The
+        variance is that in the worst direction across the beam at the points (t, 3).
+        """
+        _, across, up = unit_vectors(*to_polar(points).T[1:])
+        directions = np.stack([across, up], axis=1)
+        changes = [self._mean_point_changes(targets, rows) for rows in rows_by_face]
+        extra_design = np.einsum("tci,tiq->tcq", directions, changes[0] - changes[1])
+        corrected = extra_design[:, :, self._is_recording_error]
+        nuisance = extra_design[:, :, self._is_nuisance] * self.adjustment.problem.effect_sigma[self._is_nuisance]
+        factor = self.uncertainty_factor
+        covariance = factor**2 * np.einsum("tci,ij,tdj->tcd", corrected, self._correction_covariance, corrected)
+        covariance += np.einsum("tcq,tdq->tcd", nuisance, nuisance)
+        for rows in rows_by_face:
+            root = self._point_derivatives(rows) * self.adjustment.problem.sigma[rows][:, None, :]
+            noise = np.einsum("tn,nij->tij", self._mean_weights(targets, rows) ** 2, root @ np.swapaxes(root, 1, 2))
+            covariance += max(factor**2 - 1.0, 0.0) * (directions @ noise @ np.swapaxes(directions, 1, 2))
+        return np.asarray(np.linalg.eigvalsh(covariance)[:, -1].clip(min=0.0))
+
+    @cached_property
+    def _correction_covariance(self) -> Floats:
+        """Covariance (e, e) of the e estimated parameters of errors of the recording."""
+        columns = self.adjustment.problem.unknowns.effect_columns[self._is_recording_error]
+        unit = np.zeros((self.adjustment.problem.unknowns.n_columns, len(columns)))
+        unit[columns, np.arange(len(columns))] = 1.0
+        return np.asarray(self.adjustment.factorised_normals.covariance_columns(unit)[columns])
+
+    def _mean_point_changes(self, targets: list[int], row_indices: Ints) -> Floats:
+        """Derivative (t, 3, q) of the mean points by the additional parameters, in the frame of the instrument."""
+        point_changes = self._point_derivatives(row_indices) @ self._extra_design[row_indices]
+        return np.einsum("tn,niq->tiq", self._mean_weights(targets, row_indices), point_changes)
+
+    def _mean_weights(self, targets: list[int], row_indices: Ints) -> Floats:
+        """Weights (t, n) of the pointings in n rows in the mean points of t targets."""
+        is_mine = self.adjustment.recording.target[row_indices] == np.array(targets)[:, None]
+        return np.asarray(is_mine / is_mine.sum(axis=1, keepdims=True))
+
+    def _point_derivatives(self, row_indices: Ints) -> Floats:
+        """Derivative (n, 3, 3) of the measured points by the raw readings in n rows."""
+        faces = self.adjustment.recording.face[row_indices]
+        return np.asarray(np.linalg.inv(polar_jacobian(self.readings[row_indices], faces)))
+
+
+def _pair_vectors(points: Floats, point_pairs: Ints) -> Floats:
+    """Second minus first of each pair (k, 2) of rows of values (t, ...)."""
+    return np.asarray(points[point_pairs[:, 1]] - points[point_pairs[:, 0]])
