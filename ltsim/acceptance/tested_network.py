@@ -36,7 +36,7 @@ RECORDING_CAUSE_KINDS: tuple[CauseKind, ...] = (
 
 
 def is_recording_error(effect: LinearEffect) -> bool:
-    """True for an estimated effect that is no error of the tracker: a motion, or a shift as in `may_be_tracker`."""
+    """True for an estimated effect that is no error of the tracker: a motion, or a shift with another cause."""
     if isinstance(effect, ReadingShift):
         return not (effect.is_drift or effect.observable == "elevation")
     return isinstance(effect, StationMotion | TargetMotion)

@@ -9,7 +9,6 @@ from scipy import special
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.datum import InnerDatum, motions_about_centre, move_to_datum, selected_datum_names
 from ltsim.adjustment.frame import alignment_distances
-from ltsim.adjustment.marks import StationMarks
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import WEAK_PRIOR_FACTOR, NetworkProblem
 from ltsim.adjustment.reference_snooping import snoop_references
@@ -112,7 +111,6 @@ def adjust(
     recording.require_at_most(MAX_ADJUSTED_POINTINGS, "an adjustment")
     built = construction or ideal_construction()
     recording, n_copied_rows = without_copied_rows(recording)
-    _require_unoccupied_targets(recording)
     gross, lost = np.zeros(len(recording), dtype=bool), np.zeros(len(recording.targets), dtype=bool)
     needs_start = start_state is None
     if start_state is None:
@@ -163,22 +161,6 @@ def adjust(
     gross &= ~problem.is_used_reading.any(axis=1)
     adjustment = Adjustment(problem, solution, gross, components, unconnected, wrong, n_duplicate_rows=n_copied_rows)
     return _transform_to_datum(adjustment, datum_names)
-
-
-def _require_unoccupied_targets(recording: Recording) -> None:
-    """Check that no set-up measures the target that it stands on, at range zero; raises NetworkError."""
-    if not any(recording.station_setup(name).over for name in recording.stations):
-        return
-    marks = StationMarks.from_recording(recording)
-    height = np.linalg.norm(marks.instrument_offsets, axis=1)
-    is_mark_of_station = marks.target_indices[recording.station] == recording.target
-    rows = np.flatnonzero(is_mark_of_station & recording.is_measured.any(axis=1) & (height[recording.station] == 0.0))
-    if len(rows):
-        station, target = recording.stations[recording.station[rows[0]]], recording.targets[recording.target[rows[0]]]
-        raise NetworkError(
-            f"row {rows[0] + 1}: station {station} stands over target {target} and measures it; "
-            "declare its instrument height or remove the row"
-        )
 
 
 def _is_over_wrong_mark(recording: Recording, is_gross: Bools) -> Bools:

@@ -76,11 +76,12 @@ class StationMarks:
 
 def _require_sights_above_marks(recording: Recording, mark_targets: Ints) -> None:
     """Check that no set-up, at the height of the target under it (S,), measures this target; raises NetworkError."""
-    for row in np.flatnonzero(recording.target == mark_targets[recording.station]).tolist():
+    is_at_mark = (recording.target == mark_targets[recording.station]) & recording.is_measured.any(axis=1)
+    for row in np.flatnonzero(is_at_mark).tolist():
         station, target = recording.stations[recording.station[row]], recording.targets[recording.target[row]]
         height = recording.station_setup(station).instrument_height_mm
         if height == recording.target_setup(target).height_mm:
             raise NetworkError(
-                f"station {station} measures target {target}, over which it stands at the same height; "
-                "correct over, or give instrument_height_mm"
+                f"row {row + 1}: station {station} stands over target {target} and measures it; "
+                "declare its instrument height or remove the row"
             )

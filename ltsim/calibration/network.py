@@ -247,14 +247,15 @@ def _adjust_with_options(
         adjustment = replace(adjustment, cause_sentences=_cause_sentences(selection))
         require_usable(adjustment)
         return _require_available_datum(adjustment, datum)
-    how["tested_kinds"] = TESTED_REFERENCE_KINDS if prior is None or prior.is_fixed.all() else SCALE_DEPENDENT_KINDS
+    has_no_scale_parameter = prior is None or prior.is_fixed.all()
+    how["tested_reference_kinds"] = TESTED_REFERENCE_KINDS if has_no_scale_parameter else SCALE_DEPENDENT_KINDS
     if selection is not None:
         effects = (*effects, *selection.certain_station_motions, *selection.certain_target_motions)
     adjustment = adjusted_network(recording, construction, effects=effects, **how)
     if adjustment.sigma0 >= MAX_SIGMA0_FOR_WIDENING and any(
         test.kind == "scale" for test in adjustment.rejected_references
     ):
-        how["tested_kinds"] = (
+        how["tested_reference_kinds"] = (
             TESTED_REFERENCE_KINDS  # lengths so far off that no scale of an instrument is: they count by their ratios
         )
         adjustment = adjusted_network(recording, construction, effects=effects, **how)

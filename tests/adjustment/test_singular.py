@@ -76,7 +76,7 @@ def test_a_set_up_in_the_place_of_a_target_that_it_measures_is_a_sentence(record
     station = recording.station_setup(name).model_copy(update={"over": target})
     setup = recording.setup.model_copy(update={"stations": {**recording.setup.stations, name: station}})
     for verb in (lt.adjust, lt.calibrate, lt.diagnose):
-        assert f"station {name} measures target {target}, over which it stands" in refusal(
+        assert f"station {name} stands over target {target} and measures it" in refusal(
             verb, recording.replace(setup=setup)
         )
 

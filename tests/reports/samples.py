@@ -207,7 +207,7 @@ def plan_folder(folder: Path) -> Path:
              "quality": {"instrument": q}, "efficient": best}
             for n, f, h, q, best in ways
         ],
-        "silent": ["dead-path"], "settings": {}, "seed": 5, "reflector_changes": REFLECTOR_CHANGES,
+        "undetectable_effects": ["dead-path"], "settings": {}, "seed": 5, "reflector_changes": REFLECTOR_CHANGES,
     }  # fmt: skip
     folder.mkdir(parents=True)
     (folder / "plan.json").write_text(json.dumps(content))
