@@ -221,7 +221,8 @@ def _select_model(case: SelectionState, threshold: float, comparison: ConstantCo
     shifts = case.searcher.lower_bound_model(threshold, noise).score
     if noise >= shifts:
         identified = case.searcher.catalogue_designs.hypotheses_of(case.identified_effects[: MAX_MODEL_MEMBERS - 1])
-        rival = max(shifts, case.searcher.ranking(case.empty_model).log_evidence_total)
+        start = case.searcher.model_of(identified)
+        rival = max(shifts - start.score, case.searcher.ranking(start).log_evidence_total)
         _select_noise(case, threshold, rival, identified)
         model = _select_effects_given_noise(case, threshold, identified)
     else:
