@@ -145,7 +145,7 @@ class AcceptancePlan:
         )
 
     def is_within_limits(self, errors: Floats) -> Bools:
-        """Flags (...,) of the instruments whose errors (..., k, 2) [m] are all within the limits."""
+        """Flags (..., k) of the tests, of each instrument, whose errors (..., k, 2) [m] are within their limits."""
         return np.hypot(errors[..., 0], errors[..., 1]) <= self.permissible_errors
 
     def smallest_failing_constants(self) -> tuple[Floats, list[AcceptanceTest]]:

@@ -230,8 +230,8 @@ def _judgement_sentence(test_entries: Sequence[TestEntry], n_unmeasured_tests: i
         sentence = f"{numbers['rejected']} of {total} errors {exceed}; the worst is {phrase}"
         sentence += f"; undecided: {numbers['undecided']}" if numbers["undecided"] else ""
     elif judgement == "undecided":
-        sentence = f"no error is shown to exceed its limit, but for {numbers['undecided']} of {total} the uncertainty "
-        sentence += f"reaches across the limit; the closest is {phrase}"
+        sentence = f"no error is shown to exceed its limit; {numbers['undecided']} of {total} are undecided, "
+        sentence += f"because their uncertainty includes the limit; the closest is {phrase}"
     else:
         sentence = f"all {total} measured errors are within their limits"
     n_without = sum(t.expanded_um is None for t in test_entries)

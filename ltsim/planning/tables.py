@@ -5,7 +5,9 @@ from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.planning.plan_entries import ConfusablePair, DetectableSize, TradeoffEntry
 from ltsim.planning.planner import LayoutEvaluation, PlannedNetwork
 
-PLACE_COLUMNS = number_columns(".10g", ".3f", x_mm="place in the workshop, to 0.001 mm", y_mm="as x_mm", z_mm="as x_mm")
+PLACE_COLUMNS = number_columns(
+    ".10g", ".3f", x_mm="position in the workshop, rounded to 0.001 mm", y_mm="as x_mm", z_mm="as x_mm"
+)
 PLANNED_STATIONS_TABLE = Table(
     "stations.csv",
     "places of the tripods",

@@ -208,7 +208,7 @@ def tape_deficiency_sentence(tape_distances: Sequence[TapeDistance], place: Floa
     misses = np.sqrt(np.sum((mirror - end_points) ** 2, axis=1) + rise) - [mark.length for mark in tape_distances]
     if np.linalg.norm(mirror - place[:2]) < MAX_POSITION_AMBIGUITY or np.abs(misses).max() > MIN_TAPE_MISCLOSURE:
         return ""
-    return f"The tapes meet a second time, at x {mirror[0]:.2f}, y {mirror[1]:.2f} m. Do not use this point."
+    return f"The two taped distances also meet at x {mirror[0]:.2f}, y {mirror[1]:.2f} m, which is not the station."
 
 
 def _zero_direction_text(plan: PlannedNetwork, place: Floats, yaw: float, is_visible: Bools) -> str:

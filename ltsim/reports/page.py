@@ -341,7 +341,8 @@ def _reflector_proposals_block(plan: Plan) -> list[Block]:
     if not moves_and_additions:
         return []
     lines = [
-        f"{c.action_text}: the other points improve by {c.gain_um:.2f} µm, most of all {c.most_affected_parameter}"
+        f"{c.action_text}: the errors of the other points decrease by {c.gain_um:.2f} µm. "
+        f"The parameter that improves most is {c.most_affected_parameter}."
         for c in moves_and_additions
     ]
     return [BulletListBlock("Possible improvements: one of these (z from the floor), then plan again", lines)]

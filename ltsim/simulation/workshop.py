@@ -65,7 +65,7 @@ def make_gauge_frame(gauge: ScenarioGauge) -> GaugeFrame:
     if abs(frame.lengths[worst_length] - lengths[worst_length]) > MAX_RELATIVE_LENGTH_ERROR:
         a, b = names[first[worst_length]], names[second[worst_length]]
         has, wanted = frame.lengths[worst_length] / MILLIMETRE, lengths[worst_length] / MILLIMETRE
-        message = f"the nearest frame in space has {has:.4f} mm between {a} and {b}, not {wanted:.4f} mm"
+        message = f"the points that fit them best have {has:.4f} mm between {a} and {b}, not {wanted:.4f} mm"
         raise SetupError(f"gauge: the lengths contradict each other; {message}")
     return frame
 

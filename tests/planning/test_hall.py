@@ -315,7 +315,7 @@ def test_tapes_meet_in_one_point_or_say_what_they_lack(hall: Path, monkeypatch) 
     in_line = marks((0.0, 0.0), (3.0, 0.0), (6.0, 0.0))
     assert (
         tape_deficiency_sentence(in_line, place)
-        == "The tapes meet a second time, at x 3.00, y -2.00 m. Do not use this point."
+        == "The two taped distances also meet at x 3.00, y -2.00 m, which is not the station."
     )
     flat = tape_deficiency_sentence(marks((0.0, 2.2), (6.0, 2.2), (7.0, 2.3)), place)
     assert re.fullmatch(
