@@ -164,7 +164,7 @@ class ParameterSelection:
             return [
                 k
                 for name in parameters_or_prefixes
-                for k in flat_parameter_indices(name, construction.parameter_names, recording.instruments)
+                for k in parameter_vector_indices(name, construction.parameter_names, recording.instruments)
             ]
 
         is_fixed = np.zeros(nominal_prior.mean.shape, dtype=bool)
@@ -189,7 +189,7 @@ class ParameterSelection:
         return ParameterPrior(np.where(is_fixed, prior_means, nominal_prior.mean), covariance, is_fixed)
 
 
-def flat_parameter_indices(
+def parameter_vector_indices(
     parameter_or_prefix: str, parameters: Sequence[str], instruments: Sequence[str]
 ) -> list[int]:
     """Indices of a parameter, or of all parameters with a common prefix, in the vector of all instruments' parameters.

@@ -19,7 +19,7 @@ ARGUMENT_BOUNDS: dict[str, tuple[float, float | None]] = {
 """Smallest and largest permitted value of each argument by its name; None means no upper bound.
 
 If the smallest value is an integer, only whole numbers are permitted."""
-MOVE_SYNTAX = "STATION=X,Y or STATION=X,Y,Z or STATION=X,Y,Z,YAW in mm and degrees, such as S2=5000,3000"
+STATION_POSITION_SYNTAX = "STATION=X,Y or STATION=X,Y,Z or STATION=X,Y,Z,YAW in mm and degrees, such as S2=5000,3000"
 """Syntax of a moved station, for messages and help."""
 
 
@@ -27,7 +27,7 @@ MAPPING_SYNTAX = {
     "hold": "NAME=VALUE with a number, e.g. beam-tilt=2.5",
     "tolerance": "NAME=QUANTITY, such as beam-tilt='2 urad'",
     "changes": "KEY=VALUE, such as work.faces=2",
-    "move": MOVE_SYNTAX,
+    "move": STATION_POSITION_SYNTAX,
 }
 """Syntax of the arguments that are mappings, by name, for messages and help."""
 MAX_MAPPING_NUMBER = 1e12

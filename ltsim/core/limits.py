@@ -27,7 +27,7 @@ MAX_TABLE_HEADERS = 10_000
 """Largest number of header lines in a table, one for each set-up or page; the rows between two are converted together,
 in a millisecond.
 """
-MAX_TABLE_CELLS = 3_000_000
+MAX_WORKBOOK_CELLS = 3_000_000
 """Largest number of cells in all sheets of a workbook together, 80 bytes each."""
 
 MAX_ADJUSTED_POINTINGS = 50_000

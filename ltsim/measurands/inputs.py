@@ -265,7 +265,7 @@ def _type_b_source(
     rows, columns = np.nonzero(problem.is_used_reading)
     design = (effect.design(adjustment.sightings) * sigma)[rows, columns]
     whitened_design = design / problem.sigma[rows, columns][:, None]
-    group = _draw_groups(adjustment.recording, type_b_entry.shared)[rows]
+    group = _group_of_pointing(adjustment.recording, type_b_entry.shared)[rows]
     response = np.zeros((point_response.shape[1], int(group.max(initial=0)) + 1, design.shape[1]))
     for g in np.unique(group):
         mine = np.flatnonzero(group == g)
@@ -317,7 +317,7 @@ def _effect_and_sizes(recording: Recording, type_b_entry: TypeBEffect, entry_num
     return effect, np.array([type_b_entry.sizes.get(p.name, 0.0) * p.si_per_display_unit for p in effect.parameters])
 
 
-def _draw_groups(recording: Recording, draw_scope: str) -> Ints:
+def _group_of_pointing(recording: Recording, draw_scope: str) -> Ints:
     """Group number of each pointing, shape (pointings,); pointings with the same number share one random draw."""
     return {
         "all": np.zeros(len(recording), dtype=np.int64),

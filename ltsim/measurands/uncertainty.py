@@ -62,7 +62,7 @@ HIDDEN_ERRORS_TABLE = Table(
         *text_columns(unit="of the change"),
     ),
 )
-NOT_INCLUDED = "not included"
+NOT_INCLUDED_TEXT = "not included"
 """Text in the budget table for an error that is not part of the uncertainty."""
 NonNegativeFloat = Annotated[float, Field(ge=0)]
 MAX_SUMMARY_RESULTS = 8
@@ -219,7 +219,9 @@ class Uncertainty(ResultFile):
             (r.task, r.name, p.source, p.type, r.unit, p.share, p.standard_uncertainty) for r, p in budget_rows
         ]
         task_rows += [
-            (r.task, r.name, p.source, NOT_INCLUDED, r.unit, None, p.change) for r in self.results for p in r.hidden
+            (r.task, r.name, p.source, NOT_INCLUDED_TEXT, r.unit, None, p.change)
+            for r in self.results
+            for p in r.hidden
         ]
         return {
             "results": lambda: RESULTS_TABLE.with_rows(r.table_row for r in self.results),

@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.adjustment.remedies.candidates import VisibilityFunction
 from ltsim.adjustment.remedies.next_measurement import ProgressCallback, no_progress, rank_next_measurements as ranked
-from ltsim.core.arguments import MAX_MAPPING_NUMBER, MOVE_SYNTAX, check_bounds, check_mapping
+from ltsim.core.arguments import MAX_MAPPING_NUMBER, STATION_POSITION_SYNTAX, check_bounds, check_mapping
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import SetupError, option, unknown_name
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
@@ -263,7 +263,7 @@ def _position_numbers(name: str, position: object) -> Floats:
     except (TypeError, ValueError):
         place = np.zeros(0)
     if not 2 <= len(place) <= 4 or not np.all(np.abs(place) <= MAX_MAPPING_NUMBER):
-        raise SetupError(f"{option('move')} {name}={','.join(map(str, words))}: expected {MOVE_SYNTAX}")
+        raise SetupError(f"{option('move')} {name}={','.join(map(str, words))}: expected {STATION_POSITION_SYNTAX}")
     return place
 
 

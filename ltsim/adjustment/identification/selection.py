@@ -273,28 +273,28 @@ def refit_with_hypothesis(fit: NetworkFit, hypothesis: Hypothesis, approximate_g
 
 
 def _drop_unneeded_hypotheses(
-    fit: NetworkFit, min_gain: float, n_initial: int, retained_hypotheses: list[Hypothesis]
+    fit: NetworkFit, min_gain: float, n_initial: int, indispensable_hypotheses: list[Hypothesis]
 ) -> NetworkFit:
     """Fit without hypotheses that are no longer needed.
 
     Of the first `n_initial` hypotheses only omitted reference values may be removed: without the others there is no
-    network. Hypotheses in `retained_hypotheses` remain too; those that prove to be necessary are added to it.
+    network. Hypotheses in `indispensable_hypotheses` remain too; those that prove to be necessary are added to it.
     """
     for i, h in enumerate(fit.hypotheses[:-1]):
         is_initial = i < n_initial and not isinstance(h.model_change, ReferenceOmission)
         if is_initial or not h.competes_with(fit.hypotheses[-1]):
             continue
-        rest = _fit_without_hypothesis(fit, h, retained_hypotheses)
+        rest = _fit_without_hypothesis(fit, h, indispensable_hypotheses)
         if rest is not None and rest.log_evidence > fit.log_evidence - min_gain:
             fit = rest
     return fit
 
 
 def _fit_without_hypothesis(
-    fit: NetworkFit, hypothesis: Hypothesis, retained_hypotheses: list[Hypothesis]
+    fit: NetworkFit, hypothesis: Hypothesis, indispensable_hypotheses: list[Hypothesis]
 ) -> NetworkFit | None:
-    """Fit without a hypothesis; None, and an entry in `retained_hypotheses`, if no fit is possible without it."""
-    if any(h is hypothesis for h in retained_hypotheses):
+    """Fit without a hypothesis; None, and an entry in `indispensable_hypotheses`, if no fit is possible without it."""
+    if any(h is hypothesis for h in indispensable_hypotheses):
         return None
     remaining = tuple(h for h in fit.hypotheses if h is not hypothesis)
     try:
@@ -302,7 +302,7 @@ def _fit_without_hypothesis(
     except LtsimError:
         rest = None
     if rest is None:
-        retained_hypotheses.append(hypothesis)
+        indispensable_hypotheses.append(hypothesis)
     return rest
 
 

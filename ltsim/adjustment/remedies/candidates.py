@@ -43,7 +43,7 @@ N_POINTINGS_TO_SUSPECT_TARGET = 3
 """Number of additional pointings to a suspect target."""
 MAX_REPEATED_SETUPS = 12
 """Number of set-ups up to which the repetition of each is evaluated; of more, an even selection."""
-N_GRID_POSITIONS = 5
+N_GRID_POSITIONS_PER_SIDE = 5
 """Number of candidate positions of an additional station along each side of the floor."""
 N_CANDIDATE_YAWS = 4
 """Number of candidate yaws at each position of an additional station."""
@@ -273,7 +273,7 @@ def station_candidates(
     limits = SightLimits(travel.elevation_min_deg * DEGREE, travel.elevation_max_deg * DEGREE)
     low, high = state.station_positions.min(axis=0), state.station_positions.max(axis=0)
     margin = 0.2 * (high - low) + 0.2
-    x, y = (np.linspace(low[k] - margin[k], high[k] + margin[k], N_GRID_POSITIONS) for k in range(2))
+    x, y = (np.linspace(low[k] - margin[k], high[k] + margin[k], N_GRID_POSITIONS_PER_SIDE) for k in range(2))
     places = np.array([(a, b, state.station_positions[:, 2].mean()) for a in x for b in y])
     occupied_places = np.concatenate([state.station_positions, state.target_points])
     is_visible = compute_visibility(places, state.target_points, limits).is_visible

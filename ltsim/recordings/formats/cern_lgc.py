@@ -57,7 +57,7 @@ OBSERVATION_KEYWORDS: dict[str, tuple[ObservationKind, ...]] = {
 """Observables in a line of each kind of block with observations."""
 CURVED_KEYWORDS = ("RS2K", "LEP", "SPHE")
 """Keywords of reference systems whose third coordinate is a height above a curved surface."""
-OPTION_KEYWORDS = (
+KEYWORDS_WITHOUT_OBSERVATIONS = (
     *("TITR", "OLOC", "HIST", "PREC", "PUNC", "FAUT", "JSON", "APRI", "DEFA", "FMTP", "NODUP", "SOBS", "EREL"),
     *("COVAR", "CONSI", "LM", "TOL", "NOSPC", "PRES", "CHABA", "INSTR", "POLAR", "PDOR", "TSTN", "V0", "END"),
 )
@@ -160,7 +160,14 @@ def _begin_block(keyword: str, words: LineWords, file: _LgcContent) -> None:
         _begin_setup(words, file)
     elif keyword == "V0":
         _begin_set(words, file)
-    elif keyword not in (*OPTION_KEYWORDS, *FIXED_AXES, *OBSERVATION_KEYWORDS, "OBSXYZ", "FRAME", "ENDFRAME"):
+    elif keyword not in (
+        *KEYWORDS_WITHOUT_OBSERVATIONS,
+        *FIXED_AXES,
+        *OBSERVATION_KEYWORDS,
+        "OBSXYZ",
+        "FRAME",
+        "ENDFRAME",
+    ):
         file.n_skipped_by_keyword.setdefault(keyword, 0)
 
 
@@ -213,7 +220,7 @@ def _process_line(keyword: str, words: LineWords, file: _LgcContent) -> bool:
     elif keyword in OBSERVATION_KEYWORDS:
         _add_observation(keyword, words, file)
     else:
-        return keyword in OPTION_KEYWORDS
+        return keyword in KEYWORDS_WITHOUT_OBSERVATIONS
     return True
 
 

@@ -326,7 +326,7 @@ def _parse_clock(text: str) -> timedelta | None:
     )
 
 
-def _numeric_date(text: str) -> str:
+def _with_numeric_month(text: str) -> str:
     """Text of a date and time in which the month is a number and separators are present."""
     compact = _COMPACT_STAMP_PATTERN.fullmatch(text)
     if compact is not None:
@@ -346,7 +346,7 @@ def _parse_date_and_time(text: str, letters: str, date_order: str | None) -> dat
     `date_order` excludes the other order of day and month. The time zone is ignored, because it is the same for all
     times of a file.
     """
-    day, _, clock_text = re.sub(r"(?<=\d)T(?=\d)", " ", _numeric_date(text.strip())).partition(" ")
+    day, _, clock_text = re.sub(r"(?<=\d)T(?=\d)", " ", _with_numeric_month(text.strip())).partition(" ")
     clock_text = re.sub(r"(Z|[+-]\d{2}:?\d{2})$", "", clock_text.strip())
     match, clock_time = _DATE_PATTERN.fullmatch(day), _parse_clock(clock_text) if clock_text else timedelta(0)
     if match is None or clock_time is None or (len(match[1]) == 4) != (letters == "ymd"):

@@ -20,9 +20,9 @@ from ltsim.core.limits import (
     MAX_FILE_BYTES,
     MAX_LINE_CHARACTERS,
     MAX_ROW_FIELDS,
-    MAX_TABLE_CELLS,
     MAX_TEXT_LINES,
     MAX_WORKBOOK_BYTES,
+    MAX_WORKBOOK_CELLS,
     MAX_WORKBOOK_PARTS,
     MAX_WORKBOOK_SHEETS,
     MIB,
@@ -350,19 +350,17 @@ def _read_workbook_sheets(book: Any, file: Path) -> list[tuple[str, list[Workboo
         sheet.reset_dimensions()  # the size that the file declares need not be true
         lines: list[WorkbookRow] = []
         for number, values in enumerate(sheet.iter_rows(values_only=True), start=1):
-            where = f"up to row {number} of sheet {quoted_text(sheet.title)}"
+            where = f"up to row {number} of sheet {quoted_text(sheet.title)}, the limit for reading"
             rows, cells = rows + 1, cells + len(values)
-            if rows > MAX_TEXT_LINES or cells > MAX_TABLE_CELLS:
-                what = (
-                    f"holds more than {MAX_TEXT_LINES} rows or {MAX_TABLE_CELLS} cells {where}, the limit for reading"
-                )
+            if rows > MAX_TEXT_LINES or cells > MAX_WORKBOOK_CELLS:
+                what = f"holds more than {MAX_TEXT_LINES} rows or {MAX_WORKBOOK_CELLS} cells {where}"
                 raise RecordError(f"{what}; delete the cells far away from the table", file=file)
             texts = _cell_texts(values)
             size = sum(map(len, texts))
             characters += size
             if size > MAX_LINE_CHARACTERS or characters > MAX_FILE_BYTES:
                 most = f"{MAX_LINE_CHARACTERS} characters in a row or {MAX_FILE_BYTES // MIB} million in all"
-                raise RecordError(f"holds more than {most} {where}, the limit for reading", file=file)
+                raise RecordError(f"holds more than {most} {where}", file=file)
             lines += [(number, texts)] if texts else []
         contents.append((sheet.title, lines))
     return contents
