@@ -144,12 +144,12 @@ class CatalogueDesigns:
         touching: list[CandidateEffect] = []
         sparse_designs: dict[int, list[tuple[int, Ints, Singles]]] = {}
         dense_designs: dict[tuple[int, tuple[bool, ...]], tuple[list[int], list[Singles]]] = {}
-        is_used_reading = np.nonzero(space.is_used_reading)
+        used_indices = np.nonzero(space.is_used_reading)
         other = np.ones(
-            space.n_rows - len(is_used_reading[0]), dtype=np.int64
+            space.n_rows - len(used_indices[0]), dtype=np.int64
         )  # rows of no reading: one more pointing, and kind
         pointing, kind = (
-            np.append(of, n * other) for of, n in zip(is_used_reading, space.is_used_reading.shape, strict=True)
+            np.append(of, n * other) for of, n in zip(used_indices, space.is_used_reading.shape, strict=True)
         )
         for effect in effects:
             design_columns = space.whitened_design(effect)

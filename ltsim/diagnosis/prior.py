@@ -62,7 +62,7 @@ P_SINGLE_SET_UP = {"stand": 0.5}
 """Prior probability that a law acts at only one set-up, by the kind of quantity that it changes. It is large for
 stands, which differ between set-ups more than instruments do."""
 MAX_MODEL_MEMBERS = 5
-"""Largest number of members of a model, of reported findings, and of reported constants of instruments."""
+"""Largest number of members of a model, and of reported constants of instruments."""
 LOG_ODDS_REPEATED = float(np.log(0.03))
 """Log prior odds of a second effect with the same name (two windows, two unknown laws), relative to a second effect
 with another name. They apply to effects that rarely occur twice."""

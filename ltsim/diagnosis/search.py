@@ -110,7 +110,7 @@ class Searcher:
             )
         self.catalogue_designs = catalogue_designs
         self.law_batches: list[LawBatch] = law_batches(space, with_constants=with_constants)
-        self.empty_model = Model((), (), (), space.residuals)
+        self.empty_model = Model.from_space((), space)
         self._rankings: dict[frozenset[str], Ranking] = {}
         self._projected_designs: OrderedDict[str, tuple[Floats, Floats]] = OrderedDict()
         self.evidence_calculator = EvidenceCalculator(space)
@@ -128,7 +128,7 @@ class Searcher:
         reduced.space, reduced.is_large_network = self.space.with_design_columns(unit), True
         reduced._n_refined, reduced._refines_every_kind = N_REFINED_IN_LARGE_NETWORK, False
         reduced.null_ensemble = self.null_ensemble.with_model(reduced.space.residuals, self.empty_model.basis)
-        reduced.empty_model = Model((), (), (), reduced.space.residuals)
+        reduced.empty_model = Model.from_space((), reduced.space)
         reduced._rankings, reduced._projected_designs = {}, OrderedDict()
         reduced.evidence_calculator = EvidenceCalculator(reduced.space)
         reduced.empty_model_screening = reduced._screening(reduced.empty_model)
