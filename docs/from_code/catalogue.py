@@ -56,7 +56,8 @@ def _card(kind: type[Effect], pictures: Pictures) -> list[str]:
     card = catalogue_entry(kind)
     lines = ["", f"### {kind.name}", "", f"**{card.title}**: {_text(card.cause_description)}.", ""]
     lines += [_law(card.equation), ""]
-    lines += [f"{name}\n: {_text(text)}\n" for name, text in card.sections()]
+    sections = [*card.sections(), ("Base rate", f"{kind.base_rate:g} (relative frequency in service; 1 is occasional)")]
+    lines += [f"{name}\n: {_text(text)}\n" for name, text in sections]
     sizes = [
         [f"`{p.name}`", f"{p.prior_sigma / p.si_per_display_unit:.3g}", p.unit, _text(p.description)]
         for p in kind.parameters

@@ -116,7 +116,7 @@ def catalogue_entry_text(effect: type[Effect]) -> str:
     ]
     lines += ["", entry.equation, ""]
     sections = [*entry.sections(), ("Acts on", ", ".join(effect.observables)), ("Scope", effect.scope)]
-    sections += [("Stage", effect.stage.name.lower())]
+    sections += [("Stage", effect.stage.name.lower()), ("Base rate", f"{effect.base_rate:g} (1 is occasional)")]
     sections += [("Depends on", ", ".join(effect.covariates))] if effect.covariates else []
     sections += [("Comes from", registration.provider)] if registration.provider != BUILTIN_PROVIDER else []
     for name, text in sections:

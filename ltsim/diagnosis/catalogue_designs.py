@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -19,7 +20,7 @@ from ltsim.core.arrays import Floats, Ints, Singles, batches, stack_and_release
 from ltsim.diagnosis.evidence import log_means_by_group, noise_level_factor, simulated_log_evidence
 from ltsim.diagnosis.hypotheses import Hypothesis
 from ltsim.diagnosis.null_ensemble import NullEnsemble, row_gram
-from ltsim.diagnosis.prior import log_prior_share
+from ltsim.diagnosis.prior import log_prior_by_base_rate
 from ltsim.physics.effects import CATALOGUE, MISALIGNMENT_EFFECTS
 from ltsim.physics.effects.effect import Effect, LightPathStage, NoiseEffect
 from ltsim.physics.effects.linear_effect import CandidateEffect
@@ -127,10 +128,18 @@ class CatalogueDesigns:
     family_of_effect: Ints
     """Index (h,) of the family of each effect."""
 
-    @property
-    def log_family_prior(self) -> float:
-        """Log prior of each effect of the catalogue, for all its places and shapes together."""
-        return log_prior_share("named", len(self.families))
+    @cached_property
+    def log_family_prior(self) -> Floats:
+        """Log prior (families,) of each effect of the catalogue, for all its places and shapes together."""
+        return log_prior_by_base_rate("named", self.families)
+
+    def log_prior_of(self, name: str) -> float:
+        """Log prior of the effect of the catalogue with a name, for all its places and shapes together.
+
+        The search of a large recording does not try single wrong readings; their prior is nevertheless defined.
+        """
+        names = self.families if name in self.families else (*self.families, name)
+        return float(log_prior_by_base_rate("named", names)[names.index(name)])
 
     def hypotheses_of(self, effects: Sequence[CandidateEffect]) -> tuple[Hypothesis, ...]:
         """Hypotheses of effects of the catalogue; effects that are not possible in the recording are left out."""

@@ -108,13 +108,9 @@ def diagnose(
         use = baseline.problem.is_used_reading
     else:
         baseline, use, mistaken = adapted_baseline(recording, construction, selection)
+    start_effects = () if selection is None else identified_effects(selection)
     case = SelectionState(
-        baseline,
-        use,
-        seed,
-        level,
-        tests_ordinary_constants=history is None,
-        identified_effects=() if selection is None else identified_effects(selection),
+        baseline, use, seed, level, tests_ordinary_constants=history is None, identified_effects=start_effects
     )
     detection = detect(case.searcher, case.noise_bank)
     mismatch = detection.p_value < level
@@ -124,7 +120,9 @@ def diagnose(
         if restored.any():  # the effects of the model explain them
             del case, beginning, model, fitted  # their memory is for the second search
             baseline, use, mistaken = adapted_baseline(recording, construction, selection, is_restored=restored)
-            case = SelectionState(baseline, use, seed, None, tests_ordinary_constants=history is None)
+            case = SelectionState(
+                baseline, use, seed, None, tests_ordinary_constants=history is None, identified_effects=start_effects
+            )
             beginning, model, fitted = _search_recording(case, comparison, mismatch=mismatch)
     final_adjustment = fitted.adjustment if fitted.adjustment.solution.has_converged else baseline
     contradicting = _contradicting_constants(case, model, final_adjustment, comparison)

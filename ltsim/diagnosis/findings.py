@@ -164,7 +164,7 @@ class ExplainedRecording:
         if isinstance(model.members[member].effect, Outlier):
             return 0.0
         redundancy = searcher.space.redundancy - np.sum(other_model.basis**2, axis=1)
-        prior = searcher.catalogue_designs.log_family_prior
+        prior = searcher.catalogue_designs.log_prior_of(Outlier.name)
         rival = log_evidence_of_wrong_readings(searcher.space, other_model.residual, redundancy, prior)
         return float(expit(rival - (model.score - other_model.score)))
 

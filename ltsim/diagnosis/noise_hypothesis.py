@@ -5,12 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
-import numpy as np
-
-from ltsim.diagnosis.prior import log_prior_share
+from ltsim.diagnosis.prior import log_prior_by_base_rate, log_prior_share
 from ltsim.diagnosis.schema import Equivalent
-from ltsim.physics.effects import find_effect
-from ltsim.physics.effects.effect import NoiseEffect
 from ltsim.physics.effects.linear_effect import CandidateNoiseEffect
 
 
@@ -58,13 +54,4 @@ def log_prior_of_noise_family(family: str, families: Collection[str]) -> float:
     in_catalogue = [name for name in families if not name.startswith("unknown")]
     if family.startswith("unknown"):
         return log_prior_share("scatter", len(families) - len(in_catalogue))
-    return log_prior_share("noise", 1) + float(
-        np.log(_base_rate(family)) - np.log(sum(_base_rate(name) for name in in_catalogue))
-    )
-
-
-def _base_rate(name: str) -> float:
-    """Base rate of a change of the noise in the catalogue."""
-    kind = find_effect(name)
-    assert issubclass(kind, NoiseEffect)
-    return kind.base_rate
+    return float(log_prior_by_base_rate("noise", in_catalogue)[in_catalogue.index(family)])

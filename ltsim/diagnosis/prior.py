@@ -1,18 +1,21 @@
 """Prior probabilities of a diagnosis, in one table that is normalised over all explanations of a recording.
 
 That there is a cause, and that there is none, have equal prior probabilities. The probability of a cause is divided
-among kinds of explanations, and each part equally among all explanations of its kind that are possible in a recording.
-These are effects of the catalogue with their places and shapes, and laws with their responses, regressors and places.
+among kinds of explanations, and each part among all explanations of its kind that are possible in a recording. These
+are effects of the catalogue in proportion to their base rates (`Effect.base_rate`), each divided equally among its
+places and shapes, and laws with their responses, regressors and places.
 Each operator of a regressor has the factor `laws.regressor_library.ODDS_PER_OPERATOR`. `prior_rows` is the table on the
 theory page. The numbers are judgements of how often a cause occurs in service. Several were revised after experiments
 with known causes. A factor of two in one of them changes the log evidence by 0.7.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from ltsim.core.arrays import Floats
 from ltsim.core.probability import P_CONSTANT
+from ltsim.physics.effects import find_effect
 
 CAUSE_PRIOR = {"named": 0.53, "law": 0.3, "noise": 0.095, "scatter": 0.035, "constant": P_CONSTANT}
 """Prior probability of each kind of cause, given that there is a cause."""
@@ -71,6 +74,15 @@ with another name. They apply to effects that rarely occur twice."""
 def log_prior_share(kind: str, n_explanations: int) -> float:
     """Log prior probability of each of `n_explanations` explanations of the same kind, one of `CAUSE_PRIOR`."""
     return float(np.log(CAUSE_PRIOR[kind] / max(n_explanations, 1)))
+
+
+def log_prior_by_base_rate(kind: str, names: Sequence[str]) -> Floats:
+    """Log prior probabilities (n,) of n effects of the catalogue, in proportion to their base rates.
+
+    `kind` is the key of their common probability in `CAUSE_PRIOR`.
+    """
+    rates = np.array([find_effect(name).base_rate for name in names])
+    return log_prior_share(kind, 1) + np.log(rates / rates.sum())
 
 
 def prior_rows() -> Iterator[tuple[str, float]]:

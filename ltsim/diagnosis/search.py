@@ -102,7 +102,7 @@ class Searcher:
         self.null_ensemble = NullEnsemble.from_space(space, seed, n_trials)
         self.is_large_network = self.null_ensemble.gram_is_monte_carlo
         self._n_refined = N_REFINED_IN_LARGE_NETWORK if self.is_large_network else N_REFINED
-        self._refines_every_kind = True
+        self._refines_every_kind = not self.is_large_network
         if catalogue_designs is None:
             every = catalogue_hypotheses(space.sightings, space.adjustment.recording.instruments)
             catalogue_designs = CatalogueDesigns.from_space(
@@ -151,7 +151,7 @@ class Searcher:
         values, chance = self.catalogue_designs.log_evidence_and_trials(probe)
         families = self.catalogue_designs.family_evidence(values) + self.catalogue_designs.log_family_prior
         laws: list[ScreenedLaw] = []
-        statistic, null = log_sum_exp(families), log_sum_exp(chance + self.catalogue_designs.log_family_prior)
+        statistic, null = log_sum_exp(families), log_sum_exp(chance + self.catalogue_designs.log_family_prior[:, None])
         for hits_here, law_total, law_chance in score_batches(self.law_batches, probe):
             laws += hits_here
             statistic, null = np.logaddexp(statistic, law_total), np.logaddexp(null, law_chance)
@@ -179,7 +179,7 @@ class Searcher:
         designs = self.catalogue_designs
         members = np.flatnonzero(designs.family_of_effect == family)
         members = members[ranked_indices(effect_log_evidence[members], MAX_SINGLE_ROUNDING_ERROR)]
-        prior = self.catalogue_designs.log_family_prior - float(np.log(len(members)))
+        prior = float(designs.log_family_prior[family] - np.log(len(members)))
         best = Hypothesis(designs.effects[members[0]], prior, family_log_evidence, designs.families[family])
         if not refine:
             return best

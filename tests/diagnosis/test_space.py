@@ -20,7 +20,6 @@ from ltsim.diagnosis.prior import (
     PLACE_PRIOR,
     RESPONSE_PRIOR,
     RESPONSE_PRIOR_AT_TARGETS,
-    log_prior_share,
     prior_rows,
 )
 from ltsim.diagnosis.space import law_batches
@@ -72,7 +71,7 @@ def test_priors_sum_to_one_over_everything(space, made):
         for p in found
     )
     cards = CatalogueDesigns.from_space(space, catalogue_hypotheses(space.sightings))
-    families = cards.family_evidence(np.zeros(len(cards.effects))) + log_prior_share("named", len(cards.families))
+    families = cards.family_evidence(np.zeros(len(cards.effects))) + cards.log_family_prior
     noise = NoiseBank.from_space(space, noise_hypotheses(space.sightings))
     nothing = np.append(
         noise._log_evidence_by_family(np.zeros((len(noise.hypotheses), 1))),
@@ -81,6 +80,17 @@ def test_priors_sum_to_one_over_everything(space, made):
     assert laws == pytest.approx(CAUSE_PRIOR["law"])
     assert np.exp(families).sum() == pytest.approx(CAUSE_PRIOR["named"])
     assert np.exp(nothing).sum() == pytest.approx(CAUSE_PRIOR["noise"] + CAUSE_PRIOR["scatter"])
+
+
+def test_effects_of_the_catalogue_share_their_prior_by_their_base_rates(space):
+    """Effects that shift readings among themselves, and so do changes of the noise."""
+    cards = CatalogueDesigns.from_space(space, catalogue_hypotheses(space.sightings))
+    prior = dict(zip(cards.families, cards.log_family_prior, strict=True))
+    assert prior["outlier"] - prior["window"] == pytest.approx(np.log(16.0))
+    assert prior["station-bump"] - prior["head-sag"] == pytest.approx(np.log(4.0))
+    noise = NoiseBank.from_space(space, noise_hypotheses(space.sightings))
+    level, station = (noise.log_prior_of_family(name) for name in ("noise-level", "station-noise"))
+    assert level - station == pytest.approx(np.log(4.0))
 
 
 def test_the_theory_page_has_the_table_of_priors(root):

@@ -21,6 +21,7 @@ class Backlash(Effect):
     """
 
     name = "backlash"
+    base_rate = 0.5
     stage = LightPathStage.AXES
     observables = ("azimuth", "elevation")
     covariates = ("approach",)

@@ -53,6 +53,7 @@ class BearingWobble(Effect):
     """Periods of the motion per turn."""
 
     name = "bearing-wobble"
+    base_rate = 0.5
     stage = LightPathStage.AXES
     covariates = ("azimuth", "elevation")
     parameters = (

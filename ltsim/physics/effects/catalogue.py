@@ -12,6 +12,7 @@ the cause. The equation follows, with its sign, and then a paragraph for each of
 """
 
 import inspect
+import math
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -237,6 +238,8 @@ def invalid_effect_reason(effect_class: object) -> str:
         return f"its name '{getattr(effect_class, 'name', '')}' should be lower-case words joined by '-'"
     if not isinstance(getattr(effect_class, "stage", None), LightPathStage) or not effect_class.parameters:
         return "its class lacks a stage or parameters"
+    if not (isinstance(effect_class.base_rate, int | float) and 0.0 < effect_class.base_rate < math.inf):
+        return f"its base_rate is {effect_class.base_rate!r}, expected a positive number"
     units = {p.name: p.unit for p in effect_class.parameters} | {s.name: s.unit for s in effect_class.shape_parameters}
     return next(
         (

@@ -29,6 +29,7 @@ class DeadPath(Effect):
     """
 
     name = "dead-path"
+    base_rate = 0.5
     stage = LightPathStage.RANGE
     observables = ("distance",)
     covariates = ("temperature",)

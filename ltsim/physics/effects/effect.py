@@ -83,6 +83,12 @@ class Effect(CandidateEffect):
     scope: ClassVar[PlaceScope] = "all"
     may_recur: ClassVar[bool] = False
     """True for an effect that commonly occurs several times in a recording: outliers, nests, targets."""
+    base_rate: ClassVar[float] = 1.0
+    """Relative frequency in service, a judgement: 8 very common, 4 common, 2 frequent, 1 occasional, 0.5 rare.
+
+    The prior probability of all effects of the catalogue that shift readings is divided among them in these
+    proportions, and so is that of its changes of the noise.
+    """
 
     @property
     def size_scales(self) -> Floats:
@@ -123,10 +129,6 @@ def effect_parameter_names(effects: Iterable[tuple[str, str, Sequence[str]]]) ->
 @dataclass(frozen=True)
 class NoiseEffect(CandidateNoiseEffect, Effect):
     """Base class of effects that change the noise and not the mean."""
-
-    base_rate: ClassVar[float] = 1.0
-    """Relative frequency of this change of the noise in service, among those of the catalogue. Their common prior
-    probability is divided in these proportions."""
 
 
 @dataclass(frozen=True)

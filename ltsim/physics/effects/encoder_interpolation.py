@@ -50,6 +50,7 @@ class EncoderInterpolation(SlotEffect):
     """Signal periods of the encoder per turn."""
 
     name = "encoder-interpolation"
+    base_rate = 0.5
     stage = LightPathStage.ENCODERS
     observables = ("azimuth", "elevation")
     covariates = ("azimuth", "elevation")

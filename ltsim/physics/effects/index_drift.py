@@ -21,6 +21,7 @@ class IndexDrift(Drift):
     """
 
     name = "index-drift"
+    base_rate = 2.0
     stage = LightPathStage.ENCODERS
     observables = ("elevation",)
     slot = "elevation"

@@ -37,6 +37,7 @@ class MeshExpansion(TargetMotion):
     """Mode of the expansion: equal along all axes, or vertical only."""
 
     name = "mesh-expansion"
+    base_rate = 2.0
     stage = LightPathStage.TARGET
     covariates = ("time", "place")
     parameters = (Parameter("mesh-expansion", "ppm/h", "growth of the structure", 10 * SI_PER_UNIT["ppm/h"]),)

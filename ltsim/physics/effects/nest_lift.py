@@ -39,6 +39,7 @@ class NestLift(TargetMotion):
     """Direction of the lift: along the normal of the nest, or any."""
 
     name = "nest-lift"
+    base_rate = 2.0
     stage = LightPathStage.TARGET
     covariates = ("place",)
     scope = "pointing"

@@ -38,6 +38,7 @@ class Outlier(Effect):
     """Observable whose reading is wrong."""
 
     name = "outlier"
+    base_rate = 8.0
     stage = LightPathStage.ELECTRONICS
     scope = "reading"
     may_recur = True

@@ -19,6 +19,7 @@ class RangeOffset(SlotEffect):
     """
 
     name = "range-offset"
+    base_rate = 2.0
     stage = LightPathStage.RANGE
     observables = ("distance",)
     parameters = (

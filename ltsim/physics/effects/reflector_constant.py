@@ -21,6 +21,7 @@ class ReflectorConstant(Effect):
     """
 
     name = "reflector-constant"
+    base_rate = 2.0
     stage = LightPathStage.RANGE
     observables = ("distance",)
     scope = "station"

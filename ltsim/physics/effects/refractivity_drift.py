@@ -21,6 +21,7 @@ class RefractivityDrift(Effect):
     """
 
     name = "refractivity-drift"
+    base_rate = 2.0
     stage = LightPathStage.AIR
     observables = ("distance",)
     covariates = ("time", "distance")

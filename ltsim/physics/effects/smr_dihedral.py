@@ -22,6 +22,7 @@ class SmrDihedral(Effect):
     """
 
     name = "smr-dihedral"
+    base_rate = 0.5
     stage = LightPathStage.TARGET
     observables = ("azimuth", "elevation")
     covariates = ("distance", "place")

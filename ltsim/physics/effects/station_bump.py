@@ -30,6 +30,7 @@ class StationBump(StationMotion):
     """Time [s] of the bump."""
 
     name = "station-bump"
+    base_rate = 4.0
     stage = LightPathStage.STATION
     covariates = ("time",)
     scope = "station"

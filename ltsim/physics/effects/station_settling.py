@@ -32,6 +32,7 @@ class StationSettling(StationMotion):
     time_constant: float = 600.0
 
     name = "station-settling"
+    base_rate = 2.0
     stage = LightPathStage.STATION
     covariates = ("time",)
     scope = "station"

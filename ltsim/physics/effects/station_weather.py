@@ -19,6 +19,7 @@ class StationWeather(Effect):
     """
 
     name = "station-weather"
+    base_rate = 2.0
     stage = LightPathStage.AIR
     observables = ("distance",)
     covariates = ("distance",)

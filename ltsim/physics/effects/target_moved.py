@@ -40,6 +40,7 @@ class TargetMoved(TargetMotion):
     """Kind of the motion: sudden step, or gradual creep."""
 
     name = "target-moved"
+    base_rate = 4.0
     stage = LightPathStage.TARGET
     covariates = ("time",)
     scope = "target"

@@ -30,6 +30,7 @@ class TimingLag(Effect):
     """
 
     name = "timing-lag"
+    base_rate = 0.5
     stage = LightPathStage.ELECTRONICS
     covariates = ("time", "approach")
     parameters = (

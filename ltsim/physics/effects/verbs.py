@@ -168,6 +168,7 @@ class EffectList(Result):
             "effect": [e.name for e in self.effect_classes],
             "observables": [", ".join(e.observables) for e in self.effect_classes],
             "scope": [str(e.scope) for e in self.effect_classes],
+            "base_rate": [e.base_rate for e in self.effect_classes],
             "meaning": [_summary_sentence(e) for e in self.effect_classes],
         }
 

@@ -43,6 +43,7 @@ class Window(TargetMotion):
     pane_normal: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     name = "window"
+    base_rate = 0.5
     stage = LightPathStage.AIR
     covariates = ("azimuth", "incidence")
     scope = "pointing"
