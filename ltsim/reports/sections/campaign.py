@@ -118,7 +118,7 @@ def campaign_section(folder: Path) -> Section:
         blocks=blocks,
         seed_text=str(manifest.seed),
         package_versions=versions,
-        axes_text="the axes of the scenario",
+        axes_text="those of the scenario",
         instrument_text=tracker_presets_text(manifest.scenarios),
         n_open_blocks=min(len(open_blocks), MAX_OPEN_BLOCKS),
     )

@@ -145,7 +145,7 @@ def comparison_section(content: Comparison, _: ReportContext) -> Section:
         action = f"If the lists are in different frames, compare them with {option('free=True')}."
     return Section(
         "Comparison of two epochs", "Comparison", answer, assessment_of(not moved_targets), facts, [picture, *table],
-        axes_text="the first epoch's", next_actions=[action] if moved_targets else [],
+        axes_text="those of the first epoch", next_actions=[action] if moved_targets else [],
     )  # fmt: skip
 
 
