@@ -37,6 +37,8 @@ MAX_PRINTED_ROWS = 120
 """Number of rows above which a table is not printed on paper (three pages)."""
 MAX_TERMINAL_ROWS = 8
 """Number of rows that a terminal prints of a table which is folded on a page."""
+MAX_RECOMMENDED_ACTIONS = 3
+"""Largest number of next actions at the head of a page and on a terminal."""
 MAX_TERMINAL_WIDTH = 160
 """Largest width of a table on a terminal [characters]; a wider one is printed as one line per row."""
 
@@ -200,13 +202,17 @@ class Section:
     method: str = ""
     """Method of the result, which the heading shows after its kind; empty for none."""
 
+    @property
+    def most_urgent_actions(self) -> list[str]:
+        """The first `MAX_RECOMMENDED_ACTIONS` different next actions, which page and terminal show."""
+        return list(dict.fromkeys(self.next_actions))[:MAX_RECOMMENDED_ACTIONS]
+
     def terminal_text(self) -> str:
         """Text for a terminal: summary, key figures, sentences, tables and next actions."""
         facts = "; ".join(f"{fact.name}: {fact.value}" for fact in self.key_figures)
         blocks = [self.simulation_notice, self.summary, facts, *map(_block_text, self.blocks[: self.n_terminal_blocks])]
-        blocks += (
-            ["\n".join(["What to do next:", *(f"- {line}" for line in self.next_actions)])] if self.next_actions else []
-        )
+        if actions := self.most_urgent_actions:
+            blocks.append("\n".join(["What to do next:", *(f"- {line}" for line in actions)]))
         return "\n\n".join(filter(None, blocks))
 
 

@@ -38,9 +38,6 @@ from ltsim.reports.formatting import duration_text, natural_sort_key, typographi
 from ltsim.reports.sections import SECTION_WRITERS, read_content, result_section
 from ltsim.reports.sections.network import TRUTH_FILE, recording_section
 
-MAX_RECOMMENDED_ACTIONS = 3
-"""Largest number of next actions at the head of a page."""
-
 
 HEADLINES = {
     ("Recording", "good"): "The readings agree with each other.",
@@ -150,7 +147,7 @@ def _recommended_actions(sections: list[Section]) -> list[str]:
     """Next actions of the first section; if there are none, of the first section with the same assessment."""
     first_section = sections[0]
     chosen = next((s for s in sections if s.next_actions and s.assessment == first_section.assessment), first_section)
-    return list(dict.fromkeys(first_section.next_actions or chosen.next_actions))[:MAX_RECOMMENDED_ACTIONS]
+    return first_section.most_urgent_actions or chosen.most_urgent_actions
 
 
 def _header_lines(page_parts: list[PagePart], sections: list[Section], about: ReportHeader) -> list[tuple[str, str]]:
