@@ -14,7 +14,7 @@ from ltsim.calibration.schema import DISPLAY_UNITS, RESIDUALS_TABLE, TARGETS_TAB
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, RecordError, unknown_name
 from ltsim.core.results import Table
-from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
+from ltsim.core.units import MILLIMETRE, SI_PER_UNIT, permitted_units_text
 from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import GeometricErrorModel, construction_for_parameters
 from ltsim.recordings.files import quoted_text
@@ -179,7 +179,7 @@ def _flat_parameter_indices(
             kind = f"parameter of construction {construction}"
             raise RecordError(f"parameters: {unknown_name(kind, quoted_text(row.name), names)}", file=file, row=number)
         if row.unit not in SI_PER_UNIT:
-            expected = f"expected one of {', '.join(SI_PER_UNIT)}"
+            expected = f"expected one of {permitted_units_text()}"
             raise RecordError(f"parameters: unknown unit '{quoted_text(row.unit)}'; {expected}", file=file, row=number)
         flat_indices.append(index_by_instrument_and_name[row.instrument, row.name])
         if flat_indices[-1] in flat_indices[:-1]:

@@ -21,7 +21,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from ltsim.core.errors import CalibratorError, RecordError, SetupError, option
 from ltsim.core.parallel import SAFE_PATH
-from ltsim.core.units import SI_PER_UNIT
+from ltsim.core.units import SI_PER_UNIT, permitted_units_text
 from ltsim.recordings import Recording, write as write_recording
 from ltsim.recordings.files import quoted_text
 from ltsim.recordings.result_file import read_json
@@ -133,7 +133,7 @@ def _validated_estimates(raw_estimates: object) -> dict[str, ParameterEstimate]:
         raise RecordError(f"{where} is {given}, {reason}; expected value, sigma and unit by name") from None
     lost = next((entry.unit for entry in estimates.values() if entry.unit not in SI_PER_UNIT), None)
     if lost is not None:
-        raise RecordError(f"'{quoted_text(lost)}' is not a unit, expected one of {', '.join(SI_PER_UNIT)}")
+        raise RecordError(f"'{quoted_text(lost)}' is not a unit, expected one of {permitted_units_text()}")
     if not estimates:
         raise RecordError("it has no parameter, expected at least one")
     return estimates

@@ -114,6 +114,11 @@ _QUANTITY_PATTERN = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\
 
 
 @functools.cache
+def permitted_units_text() -> str:
+    """List of the units for a message; a number without a unit has the empty text."""
+    return f"{', '.join(filter(None, SI_PER_UNIT))}, or '' for a number without a unit"
+
+
 def unit_ratio(numerator_unit: str, denominator_unit: str) -> Decimal:
     """Exact ratio of one unit to another; both are units of angle, of length or of time."""
     if numerator_unit in _CIRCLE_PARTS:

@@ -38,7 +38,6 @@ from ltsim.reports.formatting import duration_text, natural_sort_key, typographi
 from ltsim.reports.sections import SECTION_WRITERS, read_content, result_section
 from ltsim.reports.sections.network import TRUTH_FILE, recording_section
 
-
 HEADLINES = {
     ("Recording", "good"): "The readings agree with each other.",
     ("Recording", "bad"): "The readings do not agree with the declared set-up.",

@@ -13,7 +13,7 @@ from ltsim.adjustment.evaluation.criteria import NOMINAL_TABLE
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import LtsimError, ModelError
 from ltsim.core.results import Table, number_columns, text_columns
-from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
+from ltsim.core.units import MILLIMETRE, SI_PER_UNIT, permitted_units_text
 from ltsim.core.values import ValueEquality
 from ltsim.geometry.rigid import quaternion_from_matrix
 from ltsim.physics.effects.effect import Effect
@@ -68,7 +68,7 @@ class TruthArrays(ValueEquality):
 def _checked_unit(unit: str) -> str:
     """Unit unchanged, after a check that it is known; raises ValueError."""
     if unit not in SI_PER_UNIT:
-        raise ValueError(f"'{quoted_text(unit)}' is not a unit, expected one of {', '.join(SI_PER_UNIT)}")
+        raise ValueError(f"'{quoted_text(unit)}' is not a unit, expected one of {permitted_units_text()}")
     return unit
 
 

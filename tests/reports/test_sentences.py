@@ -106,5 +106,7 @@ def test_coverage_is_separate_where_the_noise_is_not_the_declared_one(tmp_path: 
 
 def test_the_three_most_urgent_actions_are_shown() -> None:
     """On a terminal as at the head of a page, each once."""
-    section = Section("Adjustment", "Adjustment", "It fails.", next_actions=["first", "second", "first", "third", "last"])
+    section = Section(
+        "Adjustment", "Adjustment", "It fails.", next_actions=["first", "second", "first", "third", "last"]
+    )
     assert section.terminal_text().endswith("What to do next:\n- first\n- second\n- third")

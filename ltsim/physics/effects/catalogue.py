@@ -22,7 +22,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Self
 
 from ltsim.core.errors import ModelError, unknown_name
-from ltsim.core.units import SI_PER_UNIT
+from ltsim.core.units import SI_PER_UNIT, permitted_units_text
 from ltsim.physics.effects.effect import Effect, LightPathStage
 
 ENTRY_POINT_GROUP = "ltsim.effects"
@@ -243,7 +243,7 @@ def invalid_effect_reason(effect_class: object) -> str:
     units = {p.name: p.unit for p in effect_class.parameters} | {s.name: s.unit for s in effect_class.shape_parameters}
     return next(
         (
-            f"the unit '{u}' of {name} is not in {', '.join(SI_PER_UNIT)}"
+            f"the unit '{u}' of {name} is none of {permitted_units_text()}"
             for name, u in units.items()
             if u not in SI_PER_UNIT
         ),

@@ -89,7 +89,7 @@ def test_what_ships_is_found_without_looking_for_packages() -> None:
         (made("Cold"), "lower-case words"),
         (made("cold", parameters=()), "lacks a stage or parameters"),
         (made("cold", base_rate=0.0), "its base_rate is 0.0, expected a positive number"),
-        (made("cold", parameters=(Parameter("c", "furlong", "", 1.0),)), "the unit 'furlong' of c is not in um, mm"),
+        (made("cold", parameters=(Parameter("c", "furlong", "", 1.0),)), "the unit 'furlong' of c is none of um, mm"),
         (made("cold", CARD.replace("Valid: in winter.\n", "")), "the sections Size, Like"),
         (type("Cold", (Effect,), {"name": "cold"}), "its class lacks design"),
     ],
