@@ -11,7 +11,7 @@ from ltsim.adjustment.remedies.next_measurement import rank_next_measurements
 from ltsim.core.parallel import run_parallel
 from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
-from ltsim.diagnosis.detectability import ambiguous_explanations
+from ltsim.diagnosis.detectability import explanations_of_ambiguous_finding
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.geometry.rigid import rotation_about_z
@@ -78,7 +78,7 @@ def one(scenario_name: str, case: dict[str, Any], seed: int, number: int) -> Row
     first = diagnose(recording, seed=seed)
     row: Row = {"true": case["name"], "recording": number}
     row |= {f"before_{key}": value for key, value in words(first, case["name"], case["stations"]).items()}
-    between, beside = ambiguous_explanations(first)
+    between, beside = explanations_of_ambiguous_finding(first)
     if not between:
         return row | {"between": "", "proposal": ""}
     proposals = rank_next_measurements(recording, explanations=between, with_effects=beside)

@@ -32,7 +32,7 @@ def ltsim(recording: Path, out: Path) -> None:
     given = lt.read(str(recording))
     diagnosis = lt.diagnose(given)
     lt.write(diagnosis, out)
-    change, factors = diagnosis.modelled_change(given), diagnosis.variance_factors
+    change, factors = diagnosis.modelled_reading_change(given), diagnosis.variance_factors
     notes = {"coefficients": diagnosis.n_coefficients}
     Model(np.asarray(change), factors, diagnosis.modelled_length_change(given), notes).write(out)
 

@@ -14,11 +14,11 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
 from ltsim.core.parallel import run_parallel
-from ltsim.diagnosis.catalogue_designs import CatalogueDesigns, catalogue_hypotheses
-from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
+from ltsim.diagnosis.catalogue_designs import CatalogueDesigns, catalogue_candidate_effects
+from ltsim.diagnosis.law_search_space import law_batches
+from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
 from ltsim.diagnosis.null_ensemble import MIN_SIMULATED_RECORDINGS, NullEnsemble
-from ltsim.diagnosis.prior import log_prior_share
-from ltsim.diagnosis.space import law_batches
+from ltsim.diagnosis.prior import log_prior_of_each_explanation
 from ltsim.physics.laws.regressors import Regressor, operator_input
 from ltsim.physics.model.construction import declared_construction
 from ltsim.reports.figures.campaign import SweepPoint, factor_panels_figure
@@ -42,17 +42,17 @@ def parts_of(space: ResidualSpace) -> dict[Part, list[Scored]]:
     """Log evidence of each part of the searched space, in the recording and in simulated ones (trials,)."""
     sightings, instruments = space.sightings, space.adjustment.recording.instruments
     probe = NullEnsemble.from_space(space, 0, MIN_SIMULATED_RECORDINGS)
-    bank = NoiseBank.from_space(space, noise_hypotheses(sightings, instruments))
-    cards = CatalogueDesigns.from_space(space, catalogue_hypotheses(sightings, instruments))
-    values, chance = cards.log_evidence_and_trials(probe)
-    own = np.append(bank.family_evidence(space.residuals[:, None], space.redundancy)[:, 0], -np.inf)
-    drawn = bank.family_evidence(probe.simulated_residuals, space.redundancy)
-    share, families = log_prior_share("named", len(cards.families)), cards.family_evidence(values)
+    bank = NoiseHypothesisSet.from_space(space, noise_hypotheses(sightings, instruments))
+    cards = CatalogueDesigns.from_space(space, catalogue_candidate_effects(sightings, instruments))
+    values, chance = cards.log_evidence_and_null_values(probe)
+    own = np.append(bank.log_evidence_by_family(space.residuals[:, None], space.redundancy)[:, 0], -np.inf)
+    drawn = bank.log_evidence_by_family(probe.simulated_residuals, space.redundancy)
+    share, families = log_prior_of_each_explanation("named", len(cards.families)), cards.log_evidence_by_family(values)
     found = {(CARDS, CARDS): [(float(log_sum_exp(families + share)), log_sum_exp(chance + share))],
              (NOISE, NOISE): [(float(log_sum_exp(own)), log_sum_exp(drawn))]}  # fmt: skip
     for panel in law_batches(space):
         part = panel.responses[0].kind, part_of(panel.regressors[0])
-        found.setdefault(part, []).append(panel.best_laws_and_totals(probe)[1:])
+        found.setdefault(part, []).append(panel.best_laws_and_log_totals(probe)[1:])
     return found
 
 

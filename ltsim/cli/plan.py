@@ -254,7 +254,7 @@ def _propose_next_measurement(
     result_folder: Path | None,
 ) -> None:
     """Output of measurements that separate the given effects, by default those that a diagnosis cannot separate."""
-    from ltsim.diagnosis.detectability import ambiguous_explanations
+    from ltsim.diagnosis.detectability import explanations_of_ambiguous_finding
     from ltsim.recordings.result_file import write_result
 
     terminal.print_text(recording.headline)
@@ -265,7 +265,7 @@ def _propose_next_measurement(
             diagnosis = lt.diagnose(recording)
         summary = diagnosis.summary
         terminal.print_text(summary)
-        effect_names, modelled_effects = ambiguous_explanations(diagnosis)
+        effect_names, modelled_effects = explanations_of_ambiguous_finding(diagnosis)
     with terminal.show_progress("trying further measurements", 200) as advance:
         callback_by_task: dict[str, Any] = {}
         content = lt.next_measurement(

@@ -9,93 +9,102 @@ from ltsim.core.arrays import Floats
 from ltsim.diagnosis.averaging import average_over_explanations
 from ltsim.diagnosis.detectability import DetectabilityReport
 from ltsim.diagnosis.diagnosis import AveragedTargets, Diagnosis, DiagnosisArrays
-from ltsim.diagnosis.findings import ExplainedRecording, noise_finding
+from ltsim.diagnosis.findings import SelectedModelFit
 from ltsim.diagnosis.held_out import HeldOutErrors
 from ltsim.diagnosis.instruments import instrument_entries
-from ltsim.diagnosis.schema import BeforeAfter, DetectableEntry, Finding, GlobalTest, Misfit
-from ltsim.diagnosis.words import MIN_PROBABLE, diagnosis_summary
+from ltsim.diagnosis.noise_findings import noise_finding
+from ltsim.diagnosis.schema import DetectableEntry, Finding, GlobalTest, Misfit, MisfitBeforeAfter
+from ltsim.diagnosis.sentences import MIN_PROBABLE, diagnosis_summary
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.recordings.result_file import SourceEntry
 
 
 def assemble_diagnosis(
-    source: SourceEntry,
-    model_fit: ExplainedRecording,
+    source_entry: SourceEntry,
+    model_fit: SelectedModelFit,
     detectability: DetectabilityReport,
-    certain_findings: Sequence[Finding],
+    test_findings: Sequence[Finding],
     final_adjustment: Adjustment,
-    errors: HeldOutErrors,
-    selection: CauseSelection | None,
+    held_out_errors: HeldOutErrors,
+    cause_selection: CauseSelection | None,
     *,
-    mismatch: bool,
+    is_mismatch: bool,
 ) -> Diagnosis:
     """Diagnosis from the selected model after its refit, and from the findings of tests.
 
-    `certain_findings` are those of tests, which need no search. `final_adjustment` is the adjustment with the model, or
-    without it if that did not converge. `errors` are prediction errors of held-out readings, and `selection` contains
-    the simple causes of the adjustment before the search.
+    `test_findings` are those of tests, which need no search. `final_adjustment` is the adjustment with the model, or
+    without it if that did not converge. `held_out_errors` are prediction errors of held-out readings, and
+    `cause_selection` contains the simple causes of the adjustment before the search.
     """
-    case, model, detection = model_fit.state, model_fit.model, model_fit.detection
-    baseline, adjusted = case.baseline, model_fit.refit.adjustment
-    shifts = [
-        model_fit.finding(i) for i, finding in enumerate(model.members) if finding.key not in model_fit.withheld_keys
+    state, model, global_test = model_fit.state, model_fit.model, model_fit.global_test
+    baseline, adjusted = state.baseline_adjustment, model_fit.refit.adjustment
+    shift_findings = [
+        model_fit.finding_of_member(i)
+        for i, finding in enumerate(model.members)
+        if finding.key not in model_fit.withheld_effect_keys
     ]
-    has_clock = case.recording.has_clock
-    noises = [noise_finding(finding, baseline.sightings, detection, has_clock=has_clock) for finding in case.noise]
-    certain = [finding for finding in (*shifts, *noises) if finding.evidence.p_real >= MIN_PROBABLE]
-    is_noise_only = not certain_findings and all(finding.effect == NoiseLevel.name for finding in certain)
+    has_clock = state.recording.has_clock
+    noise_findings = [
+        noise_finding(finding, baseline.sightings, global_test, has_clock=has_clock) for finding in state.noise_changes
+    ]
+    certain = [finding for finding in (*shift_findings, *noise_findings) if finding.evidence.p_real >= MIN_PROBABLE]
+    is_noise_only = not test_findings and all(finding.effect == NoiseLevel.name for finding in certain)
     likely_findings = (
-        (certain + [finding for finding in shifts if finding not in certain] or noises) if is_noise_only else certain
+        (certain + [finding for finding in shift_findings if finding not in certain] or noise_findings)
+        if is_noise_only
+        else certain
     )
-    findings = sorted([*certain_findings, *likely_findings], key=lambda finding: -finding.evidence.chi2_drop)
-    before = after = Misfit(chi2=baseline.chi2, dof=baseline.dof, held_out_rms=errors.before)
-    if model.members or case.noise:
+    findings = sorted([*test_findings, *likely_findings], key=lambda finding: -finding.evidence.chi2_drop)
+    before = after = Misfit(chi2=baseline.chi2, dof=baseline.dof, held_out_rms=held_out_errors.rms_without_model)
+    if model.members or state.noise_changes:
         dof = baseline.dof - model.basis.shape[1]
-        after = Misfit(chi2=adjusted.chi2, dof=dof, held_out_rms=errors.after)
-    verdict = "mismatch" if mismatch or certain_findings else "consistent"
+        after = Misfit(chi2=adjusted.chi2, dof=dof, held_out_rms=held_out_errors.rms_with_model)
+    verdict = "mismatch" if is_mismatch or test_findings else "consistent"
     detectable, undetectable = detectability
     return Diagnosis.from_arrays(
         DiagnosisArrays(
-            *_averaged_targets_and_change(model_fit, shifts, noises),
-            case.expected_variance_factors(model.effects),
+            *_averaged_targets_and_reading_change(model_fit, shift_findings, noise_findings),
+            state.expected_variance_factors(model.effects),
             baseline,
             adjusted,
         ),
-        recording=source,
+        recording=source_entry,
         verdict=verdict,
         summary=diagnosis_summary(
             verdict,
             findings,
-            detection.p_value,
+            global_test.p_value,
             before,
             after,
-            n_withheld=len(model_fit.withheld_keys),
-            is_contradicted=errors.log_odds_of_model < 0.0,
+            n_withheld=len(model_fit.withheld_effect_keys),
+            is_contradicted=held_out_errors.log_odds_of_model < 0.0,
         ),
         global_test=GlobalTest(
             statistic=baseline.chi2,
             dof=baseline.dof,
-            p_value=detection.chi2_p_value,
-            search_p_value=detection.p_value,
+            p_value=global_test.chi2_p_value,
+            search_p_value=global_test.p_value,
         ),
         findings=tuple(findings),
-        fit=BeforeAfter(before=before, after=after),
+        fit=MisfitBeforeAfter(before=before, after=after),
         undetectable=undetectable,
         detectable=tuple(map(DetectableEntry.from_minimal_size, detectable)),
         instruments=instrument_entries(final_adjustment),
-        tests=() if selection is None else cause_tests(selection),
+        tests=() if cause_selection is None else cause_tests(cause_selection),
     )
 
 
-def _averaged_targets_and_change(
-    model_fit: ExplainedRecording, shifts: Sequence[Finding], noises: Sequence[Finding]
+def _averaged_targets_and_reading_change(
+    model_fit: SelectedModelFit, shift_findings: Sequence[Finding], noise_findings: Sequence[Finding]
 ) -> tuple[AveragedTargets, Floats]:
     """Targets, and the change (n, 3) of the readings minus that of the refit, both averaged over explanations.
 
     If no cause is more probable than not, the targets are those of the ordinary adjustment.
     """
-    case = model_fit.state
-    targets, change = average_over_explanations(case.searcher, model_fit.model, model_fit.rankings, model_fit.refit)
-    if not any(finding.evidence.p_real >= MIN_PROBABLE for finding in (*shifts, *noises)):
-        targets, _ = average_over_explanations(case.searcher, case.empty_model, (), Refit(case.baseline, (), ()))
+    state = model_fit.state
+    targets, change = average_over_explanations(state.searcher, model_fit.model, model_fit.rankings, model_fit.refit)
+    if not any(finding.evidence.p_real >= MIN_PROBABLE for finding in (*shift_findings, *noise_findings)):
+        targets, _ = average_over_explanations(
+            state.searcher, state.empty_model, (), Refit(state.baseline_adjustment, (), ())
+        )
     return targets, change

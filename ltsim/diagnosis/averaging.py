@@ -29,28 +29,29 @@ from ltsim.diagnosis.evidence import (
 )
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking
 from ltsim.diagnosis.search import Searcher
-from ltsim.diagnosis.shapes import shape_constants_nodes
+from ltsim.diagnosis.shape_constants import shape_constants_nodes
 from ltsim.geometry.rigid import remove_rigid_motion
 from ltsim.physics.effects.effect import NoiseEffect
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.variance import VarianceFunction
 
-MAX_ERROR_INCREASE = 0.05
+MAX_RELATIVE_ERROR_INCREASE = 0.05
 """Limit on the relative increase of the coordinate error by the correction for a law. The probability that the increase
-exceeds it is at most `P_ERROR_INCREASE_EXCEEDED`."""
-P_ERROR_INCREASE_EXCEEDED = 0.03
-"""Largest permitted probability that the relative increase of the coordinate error exceeds `MAX_ERROR_INCREASE`."""
+exceeds it is at most `MAX_P_EXCEEDED_ERROR_INCREASE`."""
+MAX_P_EXCEEDED_ERROR_INCREASE = 0.03
+"""Largest permitted probability that the relative increase of the coordinate error exceeds
+`MAX_RELATIVE_ERROR_INCREASE`."""
 MIN_AVERAGED_PROBABILITY = 0.003
-"""Smallest probability of an explanation in the average. Less probable ones are left out, to limit the computing time.
-"""
+"""Smallest probability of an explanation in the average. Less probable explanations are left out, to limit the
+computing time."""
 
 
 def average_over_explanations(
-    searcher: Searcher, model: Model, rankings: Sequence[Ranking], fitted: Refit
+    searcher: Searcher, model: Model, rankings: Sequence[Ranking], refit: Refit
 ) -> tuple[AveragedTargets, Floats]:
     """Target coordinates and change of the readings, averaged over the explanations of each effect in a model.
 
-    `rankings` contain the alternatives to each effect in the model, and `fitted` is the nonlinear refit of the model.
+    `rankings` contain the alternatives to each effect in the model, and `refit` is the nonlinear refit of the model.
 
     Returns
     -------
@@ -59,13 +60,15 @@ def average_over_explanations(
     (n, 3) float
         Averaged change of the three readings of n pointings, minus their change by the refit [m, rad, rad].
     """
-    refitted = [replace(h, effect=effect) for h, effect in zip(model.members, fitted.effects, strict=True)]
-    space, linear = searcher.space, first_order_change(searcher, searcher.model_of(refitted))
-    points, change = fitted.adjustment.state.target_points + space.target_shifts(linear), -linear
+    refitted = [replace(h, effect=effect) for h, effect in zip(model.members, refit.effects, strict=True)]
+    space, linear = searcher.space, first_order_reading_change(searcher, searcher.model_of(refitted))
+    points, change = refit.adjustment.state.target_points + space.target_shifts(linear), -linear
     shift_by_laws, weighted_deviations = np.zeros_like(points), [np.zeros((0, *points.shape))]
     for i, ranking in enumerate(rankings):
         others = searcher.model_without(model, i)
-        weights, changes = model_weights(searcher, others, model.members[i], ranking, 1.0 + model.discrepancy_penalty)
+        weights, changes = alternative_weights_and_changes(
+            searcher, others, model.members[i], ranking, 1.0 + model.discrepancy_penalty
+        )
         shifts = np.stack([-space.target_shifts(row) for row in changes])
         mean = np.einsum("k,kti->ti", weights, shifts)
         points += mean
@@ -73,118 +76,138 @@ def average_over_explanations(
         shift_by_laws += mean if not model.members[i].is_catalogued else 0.0
         weighted_deviations.append(np.sqrt(weights)[:, None, None] * (shifts - mean))
     deviations = np.concatenate(weighted_deviations)
-    residual_shift = (1.0 - _safe_fraction_of_change(fitted.adjustment, shift_by_laws, deviations)) * shift_by_laws
+    residual_shift = (
+        1.0 - _max_safe_fraction_of_target_shifts(refit.adjustment, shift_by_laws, deviations)
+    ) * shift_by_laws
     spread = np.concatenate([deviations, residual_shift[None]])
-    adjustment = fitted.adjustment
+    adjustment = refit.adjustment
     covariance = adjustment.target_covariance + air_covariance(adjustment, adjustment.problem.unknowns.target_columns)
     covariance = covariance + np.einsum("kti,ktj->tij", spread, spread)
     return AveragedTargets(points - residual_shift, covariance, spread), space.unwhiten(change)
 
 
-def _safe_fraction_of_change(adjustment: Adjustment, change: Floats, deviations: Floats) -> float:
+def _max_safe_fraction_of_target_shifts(
+    adjustment: Adjustment, target_shifts: Floats, explanation_deviations: Floats
+) -> float:
     """Largest fraction of a shift of the targets that is likely to increase their errors only slightly.
 
-    `change` (T, 3) [m] is the shift of T targets, and `deviations` (k, T, 3) [m] are weighted differences of k
-    explanations from their mean.
+    `target_shifts` (T, 3) [m] is the shift of T targets, and `explanation_deviations` (k, T, 3) [m] are weighted
+    differences of k explanations from their mean.
     """
     problem, points = adjustment.problem, np.nan_to_num(adjustment.state.target_points)
     shift = remove_rigid_motion(
-        np.nan_to_num(change).reshape(-1, 1), points - points.mean(axis=0), problem.free_motions
+        np.nan_to_num(target_shifts).reshape(-1, 1), points - points.mean(axis=0), problem.free_motions
     )[:, 0]
     shift_vector = np.zeros(adjustment.solution.system.design.shape[1])
     shift_vector[problem.unknowns.target_columns.ravel()] = shift
-    deviations_along_shift = np.nan_to_num(deviations).reshape(len(deviations), len(shift)) @ shift
+    deviations_along_shift = (
+        np.nan_to_num(explanation_deviations).reshape(len(explanation_deviations), len(shift)) @ shift
+    )
     spread = float(
         shift_vector @ adjustment.factorised_normals.covariance_columns(shift_vector[:, None])[:, 0]
         + deviations_along_shift @ deviations_along_shift
     )
-    noise = float(np.nansum(np.einsum("tii->t", adjustment.target_covariance)) + np.nansum(deviations**2))
-    return safe_fraction(float(shift @ shift), spread, noise)
+    noise = float(np.nansum(np.einsum("tii->t", adjustment.target_covariance)) + np.nansum(explanation_deviations**2))
+    return max_safe_shift_fraction(float(shift @ shift), spread, noise)
 
 
-def safe_fraction(squared_shift: float, cross_variance: float, squared_error: float) -> float:
+def max_safe_shift_fraction(
+    shift_sum_of_squares: float, variance_of_cross_product: float, expected_sum_of_squared_errors: float
+) -> float:
     """Largest fraction t of a shift s whose subtraction is likely to increase the errors only slightly.
 
     With the error e without the shift, the change of the sum of squares is t^2 s's - 2 t (s's + s'e). It is below
-    ((1 + `MAX_ERROR_INCREASE`)^2 - 1) (s's + E[e'e]), except with the probability `P_ERROR_INCREASE_EXCEEDED`.
+    ((1 + `MAX_RELATIVE_ERROR_INCREASE`)^2 - 1) (s's + E[e'e]), except with the probability
+    `MAX_P_EXCEEDED_ERROR_INCREASE`.
 
     Parameters
     ----------
-    squared_shift : float
+    shift_sum_of_squares : float
         Sum of squares s's.
-    cross_variance : float
+    variance_of_cross_product : float
         Variance of s'e.
-    squared_error : float
+    expected_sum_of_squared_errors : float
         Expectation E[e'e].
     """
-    if squared_shift == 0.0:
+    if shift_sum_of_squares == 0.0:
         return 1.0
-    linear_term = -float(ndtri(P_ERROR_INCREASE_EXCEEDED)) * np.sqrt(cross_variance) - squared_shift
-    allowed_increase = ((1.0 + MAX_ERROR_INCREASE) ** 2 - 1.0) * (squared_shift + squared_error)
-    return min(1.0, float(np.sqrt(linear_term**2 + squared_shift * allowed_increase) - linear_term) / squared_shift)
+    linear_term = (
+        -float(ndtri(MAX_P_EXCEEDED_ERROR_INCREASE)) * np.sqrt(variance_of_cross_product) - shift_sum_of_squares
+    )
+    allowed_increase = ((1.0 + MAX_RELATIVE_ERROR_INCREASE) ** 2 - 1.0) * (
+        shift_sum_of_squares + expected_sum_of_squared_errors
+    )
+    return min(
+        1.0,
+        float(np.sqrt(linear_term**2 + shift_sum_of_squares * allowed_increase) - linear_term) / shift_sum_of_squares,
+    )
 
 
-def model_weights(
-    searcher: Searcher, other_effects: Model, selected: Hypothesis, ranking: Ranking, temperature: float
+def alternative_weights_and_changes(
+    searcher: Searcher, reduced_model: Model, selected_hypothesis: Hypothesis, ranking: Ranking, temperature: float
 ) -> tuple[Floats, Floats]:
-    """Probabilities (k,) of k alternatives to a selected effect, and changes (k, m) of the whitened readings by each.
+    """Probabilities (k,) of k alternatives to a selected effect, and changes (k, m) of the m whitened readings.
 
-    The first alternative is the effect `selected` itself, the last one is no effect. The probabilities of changes of
-    the noise are added to the last one, because they do not change readings either. Log evidences are divided by
-    `temperature`.
+    The first alternative is the effect `selected_hypothesis` itself, the last one is no effect. The probabilities of
+    changes of the noise are added to the last one, because they do not change readings either. Log evidences are
+    divided by `temperature`.
     """
     none, *rest_of = normalised_probabilities(
-        np.array([ranking.log_evidence_none, *(h.log_evidence for h in ranking.entries)]) / temperature
+        np.array([ranking.log_evidence_none, *(h.log_evidence for h in ranking.hypotheses)]) / temperature
     ).tolist()
-    probable = [(h, p) for h, p in zip(ranking.entries, rest_of, strict=True) if p > MIN_AVERAGED_PROBABILITY]
+    probable = [(h, p) for h, p in zip(ranking.hypotheses, rest_of, strict=True) if p > MIN_AVERAGED_PROBABILITY]
     other_models = [(h, p) for h, p in probable if not _is_noise_hypothesis(h)]
-    other_models = [(h, p) for h, p in other_models[:MAX_AVERAGED_HYPOTHESES] if h.key != selected.key]
-    none += sum(p for h, p in zip(ranking.entries, rest_of, strict=True) if _is_noise_hypothesis(h))
+    other_models = [(h, p) for h, p in other_models[:MAX_AVERAGED_HYPOTHESES] if h.key != selected_hypothesis.key]
+    none += sum(p for h, p in zip(ranking.hypotheses, rest_of, strict=True) if _is_noise_hypothesis(h))
     p_rest = max(1.0 - none - sum(p for _, p in other_models), 0.0)
-    instances = _instances_at_probable_shapes(searcher, other_effects, selected)
-    coordinate_changes = [expected_change(searcher, other_effects, h) for h, _ in (*instances, *other_models)]
+    instances = _hypotheses_at_probable_shapes(searcher, reduced_model, selected_hypothesis)
+    coordinate_changes = [expected_reading_change(searcher, reduced_model, h) for h, _ in (*instances, *other_models)]
     coordinate_changes.append(np.zeros_like(coordinate_changes[0]))
     weights = np.array([*(p_rest * p for _, p in instances), *(p for _, p in other_models), none])
     return weights / weights.sum(), np.array(coordinate_changes)
 
 
 def _is_noise_hypothesis(hypothesis: Hypothesis) -> bool:
-    """True for a change of the noise."""
+    """True if a hypothesis is a change of the noise, which shifts no reading."""
     return isinstance(hypothesis.effect, NoiseEffect | VarianceFunction)
 
 
-def _instances_at_probable_shapes(
-    searcher: Searcher, other_effects: Model, selected: Hypothesis
+def _hypotheses_at_probable_shapes(
+    searcher: Searcher, reduced_model: Model, selected_hypothesis: Hypothesis
 ) -> list[tuple[Hypothesis, float]]:
     """Copies of an explanation at its most probable shapes, with their probabilities."""
     shapes = (
         []
-        if isinstance(selected.effect, EmpiricalLaw)
+        if isinstance(selected_hypothesis.effect, EmpiricalLaw)
         else shape_constants_nodes(
-            searcher.evidence_calculator, selected.effect, other_effects, {}, within_plausible=True
+            searcher.evidence_calculator, selected_hypothesis.effect, reduced_model, {}, uses_search_prior=True
         )
     )
     if not shapes:
-        return [(selected, 1.0)]
+        return [(selected_hypothesis, 1.0)]
     weights = normalised_probabilities(np.array([node.log_weight for node in shapes]))
     ranked = sorted(zip(shapes, weights, strict=True), key=lambda pair: -pair[1])[:MAX_AVERAGED_HYPOTHESES]
-    return [(replace(selected, effect=node.effect), float(p)) for node, p in ranked if p > MIN_AVERAGED_PROBABILITY]
+    return [
+        (replace(selected_hypothesis, effect=node.effect), float(p))
+        for node, p in ranked
+        if p > MIN_AVERAGED_PROBABILITY
+    ]
 
 
-def first_order_change(searcher: Searcher, model: Model) -> Floats:
+def first_order_reading_change(searcher: Searcher, model: Model) -> Floats:
     """Linear approximation of the change (m,) of the whitened readings by all effects in a refitted model."""
     if not model.members:
         return np.zeros(searcher.space.n_rows)
     coefficient_means = wide_prior_posterior(
-        *model.gram_and_scores, np.concatenate([h.plausible_sizes for h in model.members])
+        *model.gram_and_score, np.concatenate([h.plausible_sizes for h in model.members])
     )[0]
     change: Floats = np.hstack([searcher.space.whitened_design(h.effect) for h in model.members]) @ coefficient_means
     return change
 
 
-def expected_change(searcher: Searcher, other_effects: Model, hypothesis: Hypothesis) -> Floats:
-    """Posterior mean (m,) of the change of the whitened readings by an explanation, given the `other_effects`."""
-    moments = searcher.evidence_calculator.gram_and_score([hypothesis.effect], other_effects)[0]
+def expected_reading_change(searcher: Searcher, reduced_model: Model, hypothesis: Hypothesis) -> Floats:
+    """Posterior mean (m,) of the change of the m whitened readings by an explanation, given `reduced_model`."""
+    moments = searcher.evidence_calculator.grams_and_scores([hypothesis.effect], reduced_model)[0]
     change: Floats = (
         searcher.space.whitened_design(hypothesis.effect)
         @ coefficient_posterior(*moments, hypothesis.plausible_sizes)[0]

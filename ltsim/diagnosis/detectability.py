@@ -21,7 +21,7 @@ from ltsim.core.errors import ModelError
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.catalogue_designs import CatalogueDesigns
 from ltsim.diagnosis.diagnosis import Diagnosis
-from ltsim.diagnosis.schema import Undetectable
+from ltsim.diagnosis.schema import UndetectableEntry
 from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import Effect, NoiseEffect
@@ -32,18 +32,18 @@ MAX_DETECTABLE_SIZE_RATIO = 10.0
 as not detectable."""
 DISTORTION_DECIMALS = 6
 """Number of decimals to which a distortion of the targets [um] is rounded."""
-DetectabilityReport = tuple[tuple[MinimalSize, ...], tuple[Undetectable, ...]]
+DetectabilityReport = tuple[tuple[MinimalSize, ...], tuple[UndetectableEntry, ...]]
 """Smallest detectable sizes of the detectable effects, and entries of the effects that are not detectable."""
 
 
 def detectability_report(space: ResidualSpace, catalogue_designs: CatalogueDesigns) -> DetectabilityReport:
-    """Detectable effects of the catalogue, and the others, those that cause the largest target errors first.
+    """Detectable effects of the catalogue, and undetectable ones in the order of decreasing target errors.
 
-    An effect with several parameters is reported with the one that has the smallest ratio of the detectable to the
-    plausible size, at a median place. `catalogue_designs` contain all effects of the catalogue at all places.
+    An effect with several parameters is reported with the parameter that has the smallest ratio of the detectable to
+    the plausible size, at a median place. `catalogue_designs` contain all effects of the catalogue at all places.
     """
     detectable, undetectable = [], []
-    for effects in catalogue_designs.effects_by_family():
+    for effects in catalogue_designs.effects_grouped_by_family():
         rows = _detectability_of_effects(space, effects).table()
         size_ratios = np.array([row.median_size / row.plausible_size for row in rows])
         best = int(np.flatnonzero(size_ratios <= size_ratios.min() * (1.0 + MAX_SOLUTION_ROUNDING_ERROR))[0])
@@ -55,9 +55,9 @@ def detectability_report(space: ResidualSpace, catalogue_designs: CatalogueDesig
 
 
 def _detectability_of_effects(space: ResidualSpace, effects: Sequence[Effect]) -> EffectDetectability:
-    """Detectability of an effect at a sample of its places, computed in double precision.
+    """Detectability of one effect of the catalogue at a sample of its places, computed in double precision.
 
-    `effects` are the effect at all its places and shapes.
+    `effects` are the variants of this effect, one for each of its places and shapes.
     """
     visible_effects: list[tuple[Effect, Floats, float, int, Floats]] = []
     for size, same in groupby(subsample_evenly(effects), key=lambda effect: len(effect.parameters)):
@@ -75,20 +75,24 @@ def _detectability_of_effects(space: ResidualSpace, effects: Sequence[Effect]) -
     return effect_detectability(visible_effects, len(effects))
 
 
-def _undetectable_entry(space: ResidualSpace, effect: Effect, size_ratio: float) -> Undetectable:
+def _undetectable_entry(space: ResidualSpace, effect: Effect, detectable_size_ratio: float) -> UndetectableEntry:
     """Entry of an effect that is not detectable.
 
-    `size_ratio` is its smallest detectable size divided by a large but plausible size.
+    `detectable_size_ratio` is its smallest detectable size divided by a large but plausible size.
     """
     plausible_changes = np.diag([p.prior_sigma for p in effect.parameters])
     distortion = round(
         max(target_distortion(space, space.whitened_design(effect) @ size_text) for size_text in plausible_changes),
         DISTORTION_DECIMALS,
     )
-    size_text = f"only from {size_ratio:.0f} times its plausible size on" if np.isfinite(size_ratio) else "at no size"
+    size_text = (
+        f"only from {detectable_size_ratio:.0f} times its plausible size on"
+        if np.isfinite(detectable_size_ratio)
+        else "at no size"
+    )
     reason = f"poses, targets and instrument parameters absorb the effect, which would be detected {size_text}"
-    factor = size_ratio if np.isfinite(size_ratio) else None
-    return Undetectable(
+    factor = detectable_size_ratio if np.isfinite(detectable_size_ratio) else None
+    return UndetectableEntry(
         effect=effect.name,
         reason=reason,
         undetected_target_error_um=distortion,
@@ -106,33 +110,33 @@ def target_distortion(space: ResidualSpace, shift: Floats) -> float:
     return float(1e6 * np.sqrt(3 * np.mean(distortion**2)))
 
 
-def separating_measurement(
-    adjustment: Adjustment, effect: str, equivalents: Iterable[str], other_effects: Sequence[LinearEffect]
+def separating_measurement_sentence(
+    adjustment: Adjustment, effect_name: str, equivalent_names: Iterable[str], other_effects: Sequence[LinearEffect]
 ) -> str:
     """Sentence on the measurement that discriminates an effect from its equivalents; empty without equivalents.
 
-    `effect` and `equivalents` are names of the catalogue. `other_effects` are those of the other findings, which are in
-    the model in any case.
+    `effect_name` and `equivalent_names` are names of the catalogue. `other_effects` are those of the other findings,
+    which are in the model in any case.
     """
-    names = _comparable_effects(effect, equivalents)
+    names = _names_of_comparable_effects(effect_name, equivalent_names)
     if not names:
         return ""
     space = residual_space_of(adjustment, other_effects)
     try:
         explanations = [best_explanation(space, name) for name in names]
-    except ModelError:  # the network absorbs one of them
+    except ModelError:  # the network absorbs one of the effects
         return ""
     return rank_deciding_measurements(adjustment, explanations, other_effects, stops_at_first=True).advice_sentence
 
 
-def ambiguous_explanations(diagnosis: Diagnosis) -> tuple[tuple[str, ...], tuple[LinearEffect, ...]]:
+def explanations_of_ambiguous_finding(diagnosis: Diagnosis) -> tuple[tuple[str, ...], tuple[LinearEffect, ...]]:
     """Names of the explanations of the first ambiguous finding, and the effects of all other findings.
 
     Both are empty for a diagnosis without an ambiguous finding.
     """
     for finding in diagnosis.findings:
         names = (
-            _comparable_effects(finding.effect, [other.effect for other in finding.equivalents])
+            _names_of_comparable_effects(finding.effect, [other.effect for other in finding.equivalents])
             if finding.is_catalogued
             else ()
         )
@@ -141,10 +145,10 @@ def ambiguous_explanations(diagnosis: Diagnosis) -> tuple[tuple[str, ...], tuple
     return (), ()
 
 
-def _comparable_effects(effect: str, equivalents: Iterable[str]) -> tuple[str, ...]:
+def _names_of_comparable_effects(effect_name: str, equivalent_names: Iterable[str]) -> tuple[str, ...]:
     """Names of an effect and of its equivalents that shift readings; empty if there is nothing to compare."""
-    remaining = [name for name in equivalents if name != "unknown" and _shifts_readings(name)]
-    return (effect, *remaining) if remaining and _shifts_readings(effect) else ()
+    remaining = [name for name in equivalent_names if name != "unknown" and _shifts_readings(name)]
+    return (effect_name, *remaining) if remaining and _shifts_readings(effect_name) else ()
 
 
 def _shifts_readings(name: str) -> bool:

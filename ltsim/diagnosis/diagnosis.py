@@ -22,13 +22,13 @@ from ltsim.diagnosis.schema import (
     FINDINGS_TABLE,
     FIT_TABLE,
     UNDETECTABLE_TABLE,
-    BeforeAfter,
     DetectableEntry,
     Finding,
     GlobalTest,
     InstrumentEntry,
+    MisfitBeforeAfter,
     ParameterEstimate,
-    Undetectable,
+    UndetectableEntry,
 )
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.laws.law import EmpiricalLaw
@@ -55,7 +55,7 @@ class DiagnosisArrays(ValueEquality):
 
     targets: AveragedTargets
     """Coordinates of the targets, averaged over the explanations."""
-    averaging_change: Floats
+    reading_change_by_averaging: Floats
     """Averaged change (n, 3) [m, rad, rad] of the readings of n pointings, minus their change by the refitted model."""
     variance_factors: Floats
     """Factors (n, 3) on the declared variances of the readings, averaged over the changes of the noise."""
@@ -81,9 +81,9 @@ class Diagnosis(ResultFile):
     """Unmodelled causes that explain the readings."""
     tests: tuple[CauseTest, ...] = ()
     """Table of tests, as in `adjust` and `check`: simple causes that the readings support, and outliers."""
-    fit: BeforeAfter | None = None
+    fit: MisfitBeforeAfter | None = None
     """Misfit without and with the findings."""
-    undetectable: tuple[Undetectable, ...] = ()
+    undetectable: tuple[UndetectableEntry, ...] = ()
     """Effects that are not detectable in this network."""
     detectable: tuple[DetectableEntry, ...] = ()
     """Smallest detectable sizes of all other effects."""
@@ -170,7 +170,7 @@ class Diagnosis(ResultFile):
             for p in f.parameters or (nothing,)
         )
 
-    def modelled_change(self, recording: Recording) -> Floats:
+    def modelled_reading_change(self, recording: Recording) -> Floats:
         """Change (n, 3) [m, rad, rad] of the raw readings that the diagnosis models: effects, corrections and outliers.
 
         Effects enter with their posterior mean over sizes and explanations, as in the coordinates. `recording` is the
@@ -178,7 +178,10 @@ class Diagnosis(ResultFile):
         """
         adjusted, state = self.final_adjustment, self.final_adjustment.state
         model = adjusted.problem.model
-        change = model.change_by_effects(model.sightings(state), state.extra_parameters) + self.arrays.averaging_change
+        change = (
+            model.change_by_effects(model.sightings(state), state.extra_parameters)
+            + self.arrays.reading_change_by_averaging
+        )
         change = np.where(adjusted.is_rejected, change + adjusted.residuals, change)
         corrected = recording.readings - adjusted.recording.readings
         corrected[:, 1:] = wrap_angle(corrected[:, 1:])

@@ -45,11 +45,11 @@ def index_of_best(log_evidences: Floats) -> int:
     return int(ties[(len(ties) - 1) // 2])
 
 
-def ranked_indices(log_evidences: Floats, max_difference: float = MAX_SOLUTION_ROUNDING_ERROR) -> Ints:
-    """Indices in the order of decreasing values. Values within `max_difference` keep their order."""
+def ranked_indices(log_evidences: Floats, tie_tolerance: float = MAX_SOLUTION_ROUNDING_ERROR) -> Ints:
+    """Indices in the order of decreasing values. Values within `tie_tolerance` keep their order."""
     falling = np.nan_to_num(-log_evidences)
     order = np.argsort(falling, kind="stable")
-    group = np.cumsum(np.diff(falling[order]) > max_difference)
+    group = np.cumsum(np.diff(falling[order]) > tie_tolerance)
     return order[np.lexsort((order, np.append(0, group)[: len(order)]))]
 
 
@@ -65,20 +65,25 @@ def simulated_log_evidence(scores: Floats, eigenvalues: Floats) -> Floats:
     `scores` (h, k, trials) and `eigenvalues` (h, k) are those of k eigenvectors.
     """
     log_evidence_parts = [
-        _log_sum_exp_in_place(logs, 1) for logs in _simulated_log_evidence(scores, eigenvalues, np.zeros(len(scores)))
+        _log_sum_exp_in_place(logs, 1)
+        for logs in _simulated_log_evidence_batches(scores, eigenvalues, np.zeros(len(scores)))
     ]
     evidence: Floats = np.concatenate(log_evidence_parts).astype(np.float64)
     return evidence
 
 
-def simulated_log_total(scores: Singles, eigenvalues: Floats, log_prior: Floats) -> Floats:
+def simulated_log_total_evidence(scores: Singles, eigenvalues: Floats, log_prior: Floats) -> Floats:
     """Log (trials,) of the sum of the evidence of all hypotheses with their priors (h,), for simulated residuals."""
     flattened = scores.reshape(-1, *scores.shape[-2:]), eigenvalues.reshape(-1, scores.shape[-2])
-    log_total_parts = [_log_sum_exp_in_place(logs, (0, 1)) for logs in _simulated_log_evidence(*flattened, log_prior)]
+    log_total_parts = [
+        _log_sum_exp_in_place(logs, (0, 1)) for logs in _simulated_log_evidence_batches(*flattened, log_prior)
+    ]
     return log_sum_exp(np.stack(log_total_parts).astype(np.float64))
 
 
-def _simulated_log_evidence(scores: Floats | Singles, eigenvalues: Floats, log_prior: Floats) -> Iterator[Singles]:
+def _simulated_log_evidence_batches(
+    scores: Floats | Singles, eigenvalues: Floats, log_prior: Floats
+) -> Iterator[Singles]:
     """Iterator over batches of hypotheses: log evidence with priors, (h, size factors, trials)."""
     for part in batches(len(scores), scores.size // max(len(scores), 1)):
         weights, constants = size_weights_and_constants(eigenvalues[part])
@@ -88,21 +93,22 @@ def _simulated_log_evidence(scores: Floats | Singles, eigenvalues: Floats, log_p
         yield logs
 
 
-def _log_sum_exp_in_place(logs: Singles, axis: int | tuple[int, ...]) -> Singles:
-    """Log of the sum of exp(logs) along `axis`. The array `logs` is overwritten."""
-    top = logs.max(axis=axis, keepdims=True)
-    np.exp(np.subtract(logs, top, out=logs), out=logs)
-    log_total: Singles = np.log(logs.sum(axis=axis)) + top.squeeze(axis)
+def _log_sum_exp_in_place(log_values: Singles, axis: int | tuple[int, ...]) -> Singles:
+    """Log of the sum of exp(logs) along `axis`. The array `log_values` is overwritten."""
+    top = log_values.max(axis=axis, keepdims=True)
+    np.exp(np.subtract(log_values, top, out=log_values), out=log_values)
+    log_total: Singles = np.log(log_values.sum(axis=axis)) + top.squeeze(axis)
     return log_total
 
 
-def log_restricted_likelihood_ratio(squares: Floats, redundancy: Floats, variance_factor: Floats) -> Floats:
+def log_restricted_likelihood_ratio(squared_residuals: Floats, redundancy: Floats, variance_factor: Floats) -> Floats:
     """Log restricted likelihood ratio of variances `variance_factor` times as large as declared, for each reading.
 
-    This is the diagonal form, in which the readings are independent. `squares` are squares of whitened residuals, and
-    `redundancy` the redundancy numbers of the readings. Both may be sums over readings with the same factor.
+    This is the diagonal form, in which the readings are independent. `squared_residuals` are squares of whitened
+    residuals, and `redundancy` the redundancy numbers of the readings. Both may be sums over readings with the same
+    factor.
     """
-    ratio: Floats = 0.5 * (squares * (1.0 - 1.0 / variance_factor) - redundancy * np.log(variance_factor))
+    ratio: Floats = 0.5 * (squared_residuals * (1.0 - 1.0 / variance_factor) - redundancy * np.log(variance_factor))
     return ratio
 
 
@@ -142,16 +148,16 @@ def log_evidence_of_wrong_readings(
     return float(np.maximum(log_evidences, 0.0).sum())
 
 
-def log_means_by_group(values: Floats, groups: Ints, n_groups: int) -> Floats:
+def log_mean_exp_by_group(values: Floats, group_indices: Ints, n_groups: int) -> Floats:
     """Log of the mean of exp(values) in each of `n_groups` groups, none of which is empty.
 
-    `groups` (h,) are the groups of the `values` (h,) or (h, trials).
+    `group_indices` (h,) are the groups of the `values` (h,) or (h, trials).
     """
-    order = np.argsort(groups, kind="stable")
-    starts = np.searchsorted(groups[order], np.arange(n_groups))
+    order = np.argsort(group_indices, kind="stable")
+    starts = np.searchsorted(group_indices[order], np.arange(n_groups))
     top = np.maximum.reduceat(values[order], starts, axis=0)
-    group_sums = np.add.reduceat(np.exp(values[order] - top[groups[order]]), starts, axis=0)
-    group_sizes = np.bincount(groups, minlength=n_groups).reshape(-1, *([1] * (values.ndim - 1)))
+    group_sums = np.add.reduceat(np.exp(values[order] - top[group_indices[order]]), starts, axis=0)
+    group_sizes = np.bincount(group_indices, minlength=n_groups).reshape(-1, *([1] * (values.ndim - 1)))
     means: Floats = top + np.log(group_sums / group_sizes)
     return means
 
@@ -168,35 +174,39 @@ def log_evidence_of_coefficients(gram: Floats, score: Floats, plausible_sizes: F
     plausible_sizes : (..., k) float
         Plausible sizes of the coefficients.
     """
-    eigenvalues, turn = _eigen_decomposition(gram, plausible_sizes)
-    return log_evidence((np.swapaxes(turn, -1, -2) @ score[..., None])[..., 0] ** 2, eigenvalues)
+    eigenvalues, eigenvectors = _scaled_eigen_decomposition(gram, plausible_sizes)
+    return log_evidence((np.swapaxes(eigenvectors, -1, -2) @ score[..., None])[..., 0] ** 2, eigenvalues)
 
 
 def coefficient_posterior(
     gram: Floats,
     score: Floats,
     plausible_sizes: Floats,
-    sizes: Floats = RELATIVE_EFFECT_SIZES,
+    size_factors: Floats = RELATIVE_EFFECT_SIZES,
     log_size_prior: Floats = LOG_SIZE_PRIOR,
 ) -> tuple[Floats, Floats, float]:
     """Posterior mean (k,), covariance (k, k) and log evidence of k coefficients, averaged over size factors t.
 
-    The prior of the coefficients is N(0, t^2 size^2) with their plausible sizes. The factors t are `sizes`, and
+    The prior of the coefficients is N(0, t^2 size^2) with their plausible sizes. The factors t are `size_factors`, and
     `log_size_prior` are the logs of their prior weights. `gram` and `score` are as in `log_evidence_of_coefficients`.
     """
-    eigenvalues, turn = _eigen_decomposition(gram, plausible_sizes)
-    z = turn.T @ score
-    log_evidences = log_evidence_by_size(z**2, size_weights_and_constants(eigenvalues, sizes, log_size_prior))
+    eigenvalues, eigenvectors = _scaled_eigen_decomposition(gram, plausible_sizes)
+    z = eigenvectors.T @ score
+    log_evidences = log_evidence_by_size(z**2, size_weights_and_constants(eigenvalues, size_factors, log_size_prior))
     weight = normalised_probabilities(log_evidences)
-    variances = sizes[:, None] ** 2 / (1.0 + sizes[:, None] ** 2 * eigenvalues)
+    variances = size_factors[:, None] ** 2 / (1.0 + size_factors[:, None] ** 2 * eigenvalues)
     means = variances * z
     averaged_mean = weight @ means
     deviations = means - averaged_mean
     inner_covariance = np.diag(weight @ variances) + (weight[:, None] * deviations).T @ deviations
-    return turn @ averaged_mean, turn @ inner_covariance @ turn.T, float(log_sum_exp(log_evidences))
+    return (
+        eigenvectors @ averaged_mean,
+        eigenvectors @ inner_covariance @ eigenvectors.T,
+        float(log_sum_exp(log_evidences)),
+    )
 
 
-def _eigen_decomposition(gram: Floats, plausible_sizes: Floats) -> tuple[Floats, Floats]:
+def _scaled_eigen_decomposition(gram: Floats, plausible_sizes: Floats) -> tuple[Floats, Floats]:
     """Eigenvalues (..., k) of Gram matrices scaled by plausible sizes, and the scaled eigenvectors (..., k, k).
 
     The product of the transposed eigenvectors with a score is the score along each eigenvector.
@@ -206,26 +216,31 @@ def _eigen_decomposition(gram: Floats, plausible_sizes: Floats) -> tuple[Floats,
 
 
 MAX_AVERAGED_HYPOTHESES = 12
-"""Largest number of hypotheses, the most probable first, over which an estimate is averaged (processor time)."""
-N_REFINED = 7
-"""Number of hypotheses of a kind (catalogue effects, noise changes, and laws, also at each place), the best ones of an
-approximation, that are evaluated without it (processor time).
+"""Largest number of hypotheses, the most probable first, over which an estimate is averaged, to limit the computing
+time."""
+N_EXACTLY_EVALUATED = 7
+"""Number of hypotheses of each kind (catalogue effects, changes of the noise, laws) that are evaluated without
+approximation, to limit the computing time. They are those with the largest approximate log evidence. A screening
+returns the same number of laws for each place.
 """
-MAX_REFINED_DEFICIT = 10.0
-"""Largest deficit of approximate log evidence of a hypothesis that is evaluated again without approximation: a local
-optimum of a family, or a product of a law and a second factor.
+MAX_EVIDENCE_DEFICIT = 10.0
+"""Largest difference of approximate log evidence between the best hypothesis and another hypothesis that is evaluated
+without approximation: a local optimum of a family, or a product of a law and a second factor.
 """
-WIDE_PRIOR_SIZES = 30.0
-"""Prior standard deviation of reported sizes, as a multiple of their plausible sizes. It hardly shrinks the estimates,
-but keeps undetermined combinations finite."""
+WIDE_PRIOR_SIGMA_FACTOR = 30.0
+"""Prior standard deviation of reported sizes, as a multiple of their plausible sizes. A prior this wide hardly shrinks
+the estimates, but keeps undetermined combinations finite."""
 
 
 def wide_prior_posterior(gram: Floats, score: Floats, plausible_sizes: Floats) -> tuple[Floats, Floats, float]:
-    """Posterior mean (k,), covariance (k, k) and log evidence of k coefficients with the prior `WIDE_PRIOR_SIZES`."""
-    return coefficient_posterior(gram, score, plausible_sizes, np.array([WIDE_PRIOR_SIZES]), np.zeros(1))
+    """Posterior mean (k,), covariance (k, k) and log evidence of k coefficients with a wide prior.
+
+    The prior standard deviation is `WIDE_PRIOR_SIGMA_FACTOR` times the plausible size.
+    """
+    return coefficient_posterior(gram, score, plausible_sizes, np.array([WIDE_PRIOR_SIGMA_FACTOR]), np.zeros(1))
 
 
-def log_sign_weight(posterior_mean: float, sigma: float) -> float:
+def log_positivity_factor(posterior_mean: float, sigma: float) -> float:
     """Log factor on the evidence of a parameter that cannot be negative, from its posterior mean and deviation.
 
     The factor is twice the posterior probability of a positive size.
@@ -240,15 +255,16 @@ def log_evidence_of_effect(effect: CandidateEffect, gram: Floats, score: Floats)
         return float(log_evidence_of_coefficients(gram, score, plausible_sizes))
     mean, covariance, total = coefficient_posterior(gram, score, plausible_sizes)
     for p, m, v in zip(effect.parameters, mean, np.diag(covariance), strict=True):
-        total += log_sign_weight(float(m), float(np.sqrt(v))) if p.is_positive else 0.0
+        total += log_positivity_factor(float(m), float(np.sqrt(v))) if p.is_positive else 0.0
     return total
 
 
 MAX_SIZE_FACTOR = 1e4
-"""Largest factor on a plausible size of an error of a tracker. It makes millimetres of tenths of a micrometre."""
+"""Largest factor on a plausible size of an error of a tracker. It raises a tenth of a micrometre to a
+millimetre."""
 
 
-def noise_level_factor(effects_in_sigmas: Floats) -> float:
+def size_factor_to_noise_level(effects_in_sigmas: Floats) -> float:
     """Factor, at least 1, that raises a plausible size to the noise level, because smaller effects are not detectable.
 
     `effects_in_sigmas` (n,) is the change of each of n pointings by an effect of plausible size, divided by the noise.
@@ -261,28 +277,32 @@ def noise_level_factor(effects_in_sigmas: Floats) -> float:
     return 1.0 / min(max(median, 1.0 / MAX_SIZE_FACTOR), 1.0)
 
 
-MIN_ACTIVE_FRACTION = 0.01
+MIN_SQUARED_SHIFT_FRACTION = 0.01
 """Smallest fraction of the squared shift that is in an observable on which an effect is reported to act."""
-MIN_PROJECTED_ACTIVE_FRACTION = 0.1
+MIN_SQUARED_PROJECTED_SHIFT_FRACTION = 0.1
 """Smallest fraction of the squared projected shift that is in an observable on which an effect is reported to act. It
-is larger than `MIN_ACTIVE_FRACTION`, because the adjustment spreads a shift of one observable over the others."""
+is larger than `MIN_SQUARED_SHIFT_FRACTION`, because the adjustment spreads a shift of one observable over the
+others."""
 
 
-def active_observables(acts_on: Bools, shift: Floats, projected_shift: Floats) -> tuple[str, ...]:
-    """Names of the observables on which an effect acts; empty for all.
+def active_observables(is_used_reading: Bools, shift: Floats, projected_shift: Floats) -> tuple[str, ...]:
+    """Names of the observables on which an effect acts; empty if it acts on all.
 
-    `acts_on` (n, 3) are flags of r readings, `shift` (r,) is the whitened shift of these readings by the effect, and
-    `projected_shift` (r,) its projection onto the residual space.
+    `is_used_reading` (n, 3) flags the r used readings of n pointings, `shift` (r,) is the whitened shift of these
+    readings by the effect, and `projected_shift` (r,) its projection onto the residual space.
     """
-    active = (_observable_fractions(acts_on, shift) >= MIN_ACTIVE_FRACTION) & (
-        _observable_fractions(acts_on, projected_shift) >= MIN_PROJECTED_ACTIVE_FRACTION
+    active = (_squared_shift_fractions(is_used_reading, shift) >= MIN_SQUARED_SHIFT_FRACTION) & (
+        _squared_shift_fractions(is_used_reading, projected_shift) >= MIN_SQUARED_PROJECTED_SHIFT_FRACTION
     )
     return () if active.all() else tuple(name for name, acts in zip(OBSERVABLES, active.tolist(), strict=True) if acts)
 
 
-def _observable_fractions(acts_on: Bools, shift: Floats) -> Floats:
-    """Fraction (3,) in each observable of the squares of a shift (r,) of the r readings flagged by `acts_on` (n, 3)."""
-    kind = np.nonzero(acts_on)[1]
+def _squared_shift_fractions(is_used_reading: Bools, shift: Floats) -> Floats:
+    """Fraction (3,) in each observable of the squares of a shift (r,) of r readings.
+
+    `is_used_reading` (n, 3) flags these readings.
+    """
+    kind = np.nonzero(is_used_reading)[1]
     squares = np.bincount(kind, shift**2, minlength=len(OBSERVABLES))
     fraction: Floats = squares / max(float(squares.sum()), 1e-300)
     return fraction

@@ -20,17 +20,17 @@ from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.responses import RESPONSE_AND_DESIGN_BY_NAME
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
-CachedType = TypeVar("CachedType", bound=CandidateEffect)
+CandidateEffectT = TypeVar("CandidateEffectT", bound=CandidateEffect)
 PlaceKey = tuple[tuple[str, ...], tuple[str, ...]]
 """Place of an effect: the names of its stations, and of its targets."""
 
 
-class ResidualRows(NamedTuple):
+class AffectedRows(NamedTuple):
     """Rows of the residual space on which an effect acts."""
 
-    rows: Ints | slice
+    row_indices: Ints | slice
     """Indices of the rows, or their slice."""
-    pointing: Ints
+    pointing_indices: Ints
     """Index (r,) of the pointing of each of the r rows that are readings."""
 
 
@@ -42,30 +42,35 @@ class EvidenceCalculator:
         self._pointing = np.nonzero(space.is_used_reading)[0]
         self._grams: dict[CandidateEffect, Floats] = {}
         self._changes_by_response: dict[str, Floats] = {}
-        self._rows: dict[PlaceKey, ResidualRows] = {}
+        self._rows: dict[PlaceKey, AffectedRows] = {}
 
-    def gram_and_score(self, effects: Sequence[CandidateEffect], base_model: Model) -> list[tuple[Floats, Floats]]:
+    def grams_and_scores(
+        self, effects: Sequence[CandidateEffect], conditioning_model: Model
+    ) -> list[tuple[Floats, Floats]]:
         """Gram matrix (k, k) and score (k,) of each effect, given the adjustment and a model.
 
         They are the products of the projected design columns of its k parameters with each other and with the
         residuals.
         """
         moments: dict[int, tuple[Floats, Floats]] = {}
-        for rows, members in self._batches(effects):
+        for rows, members in self._batches_with_same_rows(effects):
             batch_effects = [effects[i] for i in members]
-            designs, edges = self._adjacent_designs(batch_effects, rows)
-            self._cache_projected_grams(batch_effects, designs, edges, rows)
-            overlap, score = base_model.basis[rows.rows].T @ designs, base_model.residual[rows.rows] @ designs
-            for i, low, high in zip(members, edges[:-1], edges[1:], strict=True):
+            designs, column_edges = self._stacked_designs(batch_effects, rows)
+            self._cache_projected_grams(batch_effects, designs, column_edges, rows)
+            overlap, score = (
+                conditioning_model.basis[rows.row_indices].T @ designs,
+                conditioning_model.residual[rows.row_indices] @ designs,
+            )
+            for i, low, high in zip(members, column_edges[:-1], column_edges[1:], strict=True):
                 part = overlap[:, low:high]
                 moments[i] = self._grams[effects[i]] - part.T @ part, score[low:high]
         return [moments[i] for i in range(len(effects))]
 
-    def log_evidence(self, effects: Sequence[CandidateEffect], base_model: Model) -> Floats:
+    def log_evidence(self, effects: Sequence[CandidateEffect], conditioning_model: Model) -> Floats:
         """Log marginal likelihood ratio (effects,) of each effect given a model, averaged over sizes."""
         log_evidences = np.zeros(len(effects))
         by_size: dict[int, list[int]] = {}
-        moments = self.gram_and_score(effects, base_model)
+        moments = self.grams_and_scores(effects, conditioning_model)
         for i, (effect, (gram, score)) in enumerate(zip(effects, moments, strict=True)):
             if any(p.is_positive for p in effect.parameters):
                 log_evidences[i] = log_evidence_of_effect(effect, gram, score)
@@ -77,12 +82,15 @@ class EvidenceCalculator:
             log_evidences[members] = log_evidence_of_coefficients(grams, scores, spreads)
         return log_evidences
 
-    def refine_locally(self, effects: Sequence[CachedType], base_model: Model) -> list[tuple[CachedType, float]]:
-        """Best effect of a local search from each effect over its neighbours, with a log evidence.
+    def refine_locally(
+        self, effects: Sequence[CandidateEffectT], conditioning_model: Model
+    ) -> list[tuple[CandidateEffectT, float]]:
+        """Pairs of the best effect of a local search, one search from each given effect, and a log evidence.
 
-        The evidence is the mean over the best effect and its neighbours, not its maximum.
+        The search moves to neighbours of an effect. The evidence is the mean over the best effect and its neighbours,
+        not the maximum.
         """
-        best, values = list(effects), self.log_evidence(effects, base_model)
+        best, values = list(effects), self.log_evidence(effects, conditioning_model)
         means, moving_indices = values.copy(), list(range(len(best)))
         for _ in range(MAX_ITERATIONS):
             candidates = {
@@ -92,11 +100,11 @@ class EvidenceCalculator:
             if not candidates:
                 break
             logs = self.log_evidence(
-                [neighbour for neighbours in candidates.values() for neighbour in neighbours], base_model
+                [neighbour for neighbours in candidates.values() for neighbour in neighbours], conditioning_model
             )
-            edges = np.cumsum([len(neighbours) for neighbours in candidates.values()])[:-1]
+            first_indices = np.cumsum([len(neighbours) for neighbours in candidates.values()])[:-1]
             moving_indices = []
-            for (i, neighbours), parts in zip(candidates.items(), np.split(logs, edges), strict=True):
+            for (i, neighbours), parts in zip(candidates.items(), np.split(logs, first_indices), strict=True):
                 means[i] = log_sum_exp(np.append(parts, values[i])) - np.log(len(parts) + 1)
                 top = index_of_best(parts)
                 if parts[top] > values[i] + MAX_SOLUTION_ROUNDING_ERROR:
@@ -106,58 +114,60 @@ class EvidenceCalculator:
 
     def whitened_design(self, effect: CandidateEffect) -> Floats:
         """Whitened design matrix (m, k) of an effect with k parameters, on all m rows of the residual space."""
-        residual_rows = self._rows_of(effect)
+        affected_rows = self._affected_rows(effect)
         design_columns = np.zeros((self.space.n_rows, len(effect.parameters)))
-        design_columns[residual_rows.rows] = self._adjacent_designs([effect], residual_rows)[0]
+        design_columns[affected_rows.row_indices] = self._stacked_designs([effect], affected_rows)[0]
         return design_columns
 
-    def _batches(self, effects: Sequence[CandidateEffect]) -> Iterator[tuple[ResidualRows, list[int]]]:
+    def _batches_with_same_rows(self, effects: Sequence[CandidateEffect]) -> Iterator[tuple[AffectedRows, list[int]]]:
         """Batches of effects that act on the same rows, as pairs of the rows and the indices of the effects.
 
         A batch has at most `MAX_TEMPORARY_ENTRIES` entries.
         """
-        by_rows: dict[int, tuple[ResidualRows, list[int]]] = {}
+        by_rows: dict[int, tuple[AffectedRows, list[int]]] = {}
         for i, effect in enumerate(effects):
-            rows = self._rows_of(effect)
+            rows = self._affected_rows(effect)
             by_rows.setdefault(id(rows), (rows, []))[1].append(i)
         for rows, members in by_rows.values():
-            ends = np.cumsum([len(effects[i].parameters) for i in members]) * len(rows.pointing)
+            ends = np.cumsum([len(effects[i].parameters) for i in members]) * len(rows.pointing_indices)
             parts = np.split(members, np.flatnonzero(np.diff(ends // MAX_TEMPORARY_ENTRIES)) + 1)
             yield from ((rows, part.tolist()) for part in parts)
 
-    def _rows_of(self, effect: CandidateEffect) -> ResidualRows:
+    def _affected_rows(self, effect: CandidateEffect) -> AffectedRows:
         """Rows on which an effect acts: those at the places of a law, and all rows for an effect of the catalogue."""
         place = (effect.stations, effect.targets) if isinstance(effect, EmpiricalLaw) else (("",), ("",))
         if place not in self._rows:
             if not isinstance(effect, EmpiricalLaw):
-                self._rows[place] = ResidualRows(slice(None), self._pointing)
+                self._rows[place] = AffectedRows(slice(None), self._pointing)
             elif place == ((), ()):
-                self._rows[place] = ResidualRows(slice(len(self._pointing)), self._pointing)
+                self._rows[place] = AffectedRows(slice(len(self._pointing)), self._pointing)
             else:
                 acting_rows = np.flatnonzero(effect.row_weights(self.space.sightings)[self._pointing])
-                self._rows[place] = ResidualRows(acting_rows, self._pointing[acting_rows])
+                self._rows[place] = AffectedRows(acting_rows, self._pointing[acting_rows])
         return self._rows[place]
 
-    def _adjacent_designs(self, effects: Sequence[CandidateEffect], residual_rows: ResidualRows) -> tuple[Floats, Ints]:
+    def _stacked_designs(self, effects: Sequence[CandidateEffect], affected_rows: AffectedRows) -> tuple[Floats, Ints]:
         """Whitened design columns of effects side by side, (r, q) on r rows, and the index of the first column of each.
 
         The q columns are the parameters of all effects. The indices end with q.
         """
-        edges = np.append(0, np.cumsum([len(effect.parameters) for effect in effects]))
+        column_edges = np.append(0, np.cumsum([len(effect.parameters) for effect in effects]))
         if not isinstance(effects[0], EmpiricalLaw):
-            return np.hstack([self.space.whitened_design(effect) for effect in effects]), edges
-        designs = np.empty((len(residual_rows.pointing), edges[-1]))
+            return np.hstack([self.space.whitened_design(effect) for effect in effects]), column_edges
+        designs = np.empty((len(affected_rows.pointing_indices), column_edges[-1]))
         response_changes: dict[str, Floats] = {}
-        for effect, low, high in zip(effects, edges[:-1], edges[1:], strict=True):
+        for effect, low, high in zip(effects, column_edges[:-1], column_edges[1:], strict=True):
             assert isinstance(effect, EmpiricalLaw)
             name = effect.response.name
             if name not in response_changes:
-                response_changes[name] = self._response_changes(name)[residual_rows.rows]
-            moved = effect.change_along_direction(response_changes[name], self.space.sightings, residual_rows.pointing)
-            columns = effect.columns(self.space.sightings)[residual_rows.pointing]
+                response_changes[name] = self._response_changes(name)[affected_rows.row_indices]
+            moved = effect.change_along_direction(
+                response_changes[name], self.space.sightings, affected_rows.pointing_indices
+            )
+            columns = effect.columns(self.space.sightings)[affected_rows.pointing_indices]
             shape = len(designs), moved.shape[1], columns.shape[1]
             np.multiply(moved[:, :, None], columns[:, None, :], out=designs[:, low:high].reshape(shape))
-        return designs, edges
+        return designs, column_edges
 
     def _response_changes(self, name: str) -> Floats:
         """Whitened change (m, c) of the readings per unit of each of c components of a changed quantity, cached."""
@@ -168,18 +178,19 @@ class EvidenceCalculator:
         return self._changes_by_response[name]
 
     def _cache_projected_grams(
-        self, effects: Sequence[CandidateEffect], designs: Floats, edges: Ints, residual_rows: ResidualRows
+        self, effects: Sequence[CandidateEffect], designs: Floats, column_edges: Ints, affected_rows: AffectedRows
     ) -> None:
         """Computation of the Gram matrices of the projected design columns of new effects, which are then cached.
 
-        `edges` are the indices of the first column of each effect in `designs`, followed by the number of columns.
+        `column_edges` are the indices of the first column of each effect in `designs`, followed by the number of
+        columns.
         """
         new_indices = sorted({effect: i for i, effect in enumerate(effects) if effect not in self._grams}.values())
         if not new_indices:
             return
         columns = designs
         if len(new_indices) < len(effects):
-            columns = np.hstack([designs[:, edges[i] : edges[i + 1]] for i in new_indices])
-        ends = np.append(0, np.cumsum(np.diff(edges)[new_indices]))
-        grams = self.space.projector.gram_matrices(columns, ends, residual_rows.rows)
+            columns = np.hstack([designs[:, column_edges[i] : column_edges[i + 1]] for i in new_indices])
+        ends = np.append(0, np.cumsum(np.diff(column_edges)[new_indices]))
+        grams = self.space.projector.gram_matrices(columns, ends, affected_rows.row_indices)
         self._grams.update(zip((effects[i] for i in new_indices), grams, strict=True))

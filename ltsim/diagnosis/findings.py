@@ -12,10 +12,10 @@ from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MIN_SIGNIFICANT_SIGMAS
 from ltsim.core.arrays import Floats
-from ltsim.core.notation import MAX_LISTED_ITEMS, number_text, with_sigma
+from ltsim.core.notation import MAX_LISTED_ITEMS, number_text
 from ltsim.core.rounding import MAX_ROUNDING_ERROR
-from ltsim.diagnosis.detect import Detection
-from ltsim.diagnosis.detectability import MAX_DETECTABLE_SIZE_RATIO, separating_measurement, target_distortion
+from ltsim.diagnosis.catalogue_designs import ORDINARY_CALIBRATION_EFFECT_TYPES
+from ltsim.diagnosis.detectability import MAX_DETECTABLE_SIZE_RATIO, separating_measurement_sentence, target_distortion
 from ltsim.diagnosis.evidence import (
     active_observables,
     coefficient_posterior,
@@ -23,47 +23,38 @@ from ltsim.diagnosis.evidence import (
     log_evidence_of_wrong_readings,
 )
 from ltsim.diagnosis.forms import response_curve
-from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking, name_probabilities
-from ltsim.diagnosis.noise import NoiseHypothesis
-from ltsim.diagnosis.prior import P_EVEN
+from ltsim.diagnosis.global_test import GlobalTestResult
+from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking, probability_and_equivalents
+from ltsim.diagnosis.prior import P_EVEN_ODDS
 from ltsim.diagnosis.schema import Finding, FindingEvidence, FindingScope, ParameterEstimate
 from ltsim.diagnosis.scopes import effect_scope
 from ltsim.diagnosis.selection_state import SelectionState
-from ltsim.diagnosis.words import (
+from ltsim.diagnosis.sentences import (
     MIN_PROBABLE,
-    catalogue_sentence,
+    catalogue_effect_sentence,
     estimate_without_clock,
     law_sentence,
-    unknown_effect_sentence,
 )
-from ltsim.physics.effects import MISALIGNMENT_EFFECTS
 from ltsim.physics.effects.effect import Effect, SlotEffect
 from ltsim.physics.effects.linear_effect import CandidateEffect, n_constants
 from ltsim.physics.effects.outlier import Outlier
-from ltsim.physics.laws.centring import CentringVariance
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.places import instrument_places
 from ltsim.physics.laws.regressors import covariate_names_in_files
-from ltsim.physics.laws.text_form import covariate_value_text, law_suffix, region_text, regressor_text
-from ltsim.physics.laws.variance import VarianceFunction
+from ltsim.physics.laws.text_form import law_suffix, regressor_text
 from ltsim.recordings.recording import OBSERVABLES
-from ltsim.scene.sightings import Sightings
 
-MAX_REPORTED_NOISE_SIZES = 12
-"""Largest number of targets, set-ups or readings whose sizes a finding on separate noise reports."""
 MIN_LISTED_CHI2_FRACTION = 0.8
 """Smallest fraction of the chi-square decrease of a finding that the listed readings have together."""
-BASELINE_EFFECT_TYPES = tuple(type(effect) for effect in MISALIGNMENT_EFFECTS)
-"""Effects of the ordinary calibration, which are findings only if they exceed their prior."""
 
 
 @dataclass(frozen=True)
-class ExplainedRecording:
+class SelectedModelFit:
     """Selected model of a recording after its nonlinear refit, from which the findings are reported."""
 
     state: SelectionState
     """State of the model selection at its end."""
-    detection: Detection
+    global_test: GlobalTestResult
     """Result of the global tests."""
     model: Model
     """Selected model of effects."""
@@ -74,41 +65,41 @@ class ExplainedRecording:
     held_out_log_odds: float = 0.0
     """Log odds of the model against no effect if held-out readings contradict it; otherwise 0."""
 
-    def _ranking(self, member: int) -> Ranking:
+    def _ranking_of_alternatives(self, member_index: int) -> Ranking:
         """Ranking of all alternatives to an effect in the model, with changes of the noise and an unmodelled cause."""
         searcher, model = self.state.searcher, self.model
-        other_members = searcher.model_without(model, member)
+        reduced_model = searcher.model_without(model, member_index)
         noises = [
             Hypothesis(change.effect, 0.0, value, change.effect.name)
-            for value, change in self.state.ranked_noise(other_members)
+            for value, change in self.state.ranked_noise_changes(reduced_model)
         ]
-        effect, spread = self.refit.effects[member], model.members[member].plausible_sizes
-        moments = searcher.evidence_calculator.gram_and_score([effect], other_members)[0]
+        effect, spread = self.refit.effects[member_index], model.members[member_index].plausible_sizes
+        moments = searcher.evidence_calculator.grams_and_scores([effect], reduced_model)[0]
         coefficient_means = coefficient_posterior(*moments, spread)[0]
         redundancy = searcher.space.redundancy - np.sum(model.basis**2, axis=1)
         shift = searcher.space.whitened_design(effect) @ coefficient_means
         likeness = log_bayes_factor_discrepancy(searcher.space, shift, model.residual, redundancy)
-        ranking = searcher.ranking(other_members).with_rivals(noises).with_unmodelled_cause(likeness)
+        ranking = searcher.ranking(reduced_model).with_rivals(noises).with_unmodelled_cause(likeness)
         return ranking.with_held_out_evidence(self.held_out_log_odds)
 
-    def probability(self, member: int) -> float:
+    def p_same_name(self, member_index: int) -> float:
         """Posterior probability that an effect with the same name as this effect in the model is the cause.
 
         For an unknown effect it is the probability that an unknown effect acts on the same observables.
         """
-        hypothesis, ranking = self.model.members[member], self.rankings[member]
+        hypothesis, ranking = self.model.members[member_index], self.rankings[member_index]
         if hypothesis.is_catalogued:
             return ranking.probabilities_by_name().get(hypothesis.name, 0.0)
         changed_observables = set(hypothesis.effect.observables)
         p_same = ranking.posterior_probability_of(
             lambda h: not h.is_catalogued and set(h.effect.observables) == changed_observables
         )
-        return p_same + P_EVEN * ranking.p_unmodelled
+        return p_same + P_EVEN_ODDS * ranking.p_unmodelled
 
     @cached_property
     def rankings(self) -> list[Ranking]:
         """Rankings of all alternatives to each effect in the model."""
-        return [self._ranking(i) for i in range(len(self.model.members))]
+        return [self._ranking_of_alternatives(i) for i in range(len(self.model.members))]
 
     @cached_property
     def p_located(self) -> list[float]:
@@ -122,7 +113,7 @@ class ExplainedRecording:
         return [others.residual**2 - self.model.residual**2 for others in reduced_models]
 
     @cached_property
-    def withheld_keys(self) -> tuple[str, ...]:
+    def withheld_effect_keys(self) -> tuple[str, ...]:
         """Keys of improbable effects, which are in the model but are not reported.
 
         The effect in the model with the largest chi-square decrease is reported nevertheless, if there is no other
@@ -131,60 +122,63 @@ class ExplainedRecording:
         members, gains = self.model.members, [gain.sum() for gain in self.squared_residual_decreases]
         is_doubtful = [
             self.p_real(i) < MIN_PROBABLE
-            and (gains[i] < max(gains) or (self.has_test_findings and self.p_any(i) < 1.0 - FAMILY_WISE_LEVEL))
+            and (gains[i] < max(gains) or (self.has_test_findings and self.p_any_cause(i) < 1.0 - FAMILY_WISE_LEVEL))
             for i in range(len(members))
         ]
         return tuple(member.key for member, doubt in zip(members, is_doubtful, strict=True) if doubt)
 
-    def p_real(self, member: int) -> float:
+    def p_real(self, member_index: int) -> float:
         """Probability that an effect in the model is real under any name, and not a number of wrong readings.
 
         It is 0 if neither a size nor the decrease of chi-square is significant. It is also 0 if neither the place, nor
         the observable, nor the form of the effect is determined.
         """
-        effect, gain = self.refit.effects[member], float(self.squared_residual_decreases[member].sum())
-        size_estimates = [size for size in self.refit.estimates[member] if size.parameter in effect.parameters]
+        effect, gain = self.refit.effects[member_index], float(self.squared_residual_decreases[member_index].sum())
+        size_estimates = [size for size in self.refit.estimates[member_index] if size.parameter in effect.parameters]
         is_significant = isinstance(effect, EmpiricalLaw) or gain > MIN_SIGNIFICANT_SIGMAS**2 * n_constants(effect)
         is_significant |= any(abs(size.value) > MIN_SIGNIFICANT_SIGMAS * size.sigma for size in size_estimates)
-        p_located = self.p_located[member]
+        p_located = self.p_located[member_index]
         anywhere = FindingScope(covariates=covariate_names_in_files(effect.covariates))
         is_specific = self._scope(effect) != anywhere or p_located >= MIN_PROBABLE
         if not (is_significant and is_specific):
             return 0.0
-        return max(self.probability(member), p_located) * (1.0 - self._p_wrong_readings(member))
+        return max(self.p_same_name(member_index), p_located) * (1.0 - self._p_wrong_readings(member_index))
 
-    def p_any(self, member: int) -> float:
+    def p_any_cause(self, member_index: int) -> float:
         """Probability of any cause in place of an effect in the model, other than a number of wrong readings."""
-        return (1.0 - self.rankings[member].p_none) * (1.0 - self._p_wrong_readings(member))
+        return (1.0 - self.rankings[member_index].p_none) * (1.0 - self._p_wrong_readings(member_index))
 
-    def _p_wrong_readings(self, member: int) -> float:
+    def _p_wrong_readings(self, member_index: int) -> float:
         """Probability that several wrong readings with separate errors are the cause, not an effect in the model."""
         searcher, model = self.state.searcher, self.model
-        other_model = searcher.model_without(model, member)
-        if isinstance(model.members[member].effect, Outlier):
+        other_model = searcher.model_without(model, member_index)
+        if isinstance(model.members[member_index].effect, Outlier):
             return 0.0
         redundancy = searcher.space.redundancy - np.sum(other_model.basis**2, axis=1)
-        prior = searcher.catalogue_designs.log_prior_of(Outlier.name)
+        prior = searcher.catalogue_designs.log_prior_of_family(Outlier.name)
         rival = log_evidence_of_wrong_readings(searcher.space, other_model.residual, redundancy, prior)
-        return float(expit(rival - (model.score - other_model.score)))
+        return float(expit(rival - (model.penalised_log_evidence - other_model.penalised_log_evidence)))
 
-    def finding(self, member: int) -> Finding:
+    def finding_of_member(self, member_index: int) -> Finding:
         """Finding of an effect in the model, given the other effects in it."""
-        searcher, model, ranking = self.state.searcher, self.model, self.rankings[member]
-        space, others = searcher.space, searcher.model_without(model, member)
-        hypothesis = replace(model.members[member], effect=self.refit.effects[member])
+        searcher, model, ranking = self.state.searcher, self.model, self.rankings[member_index]
+        space, others = searcher.space, searcher.model_without(model, member_index)
+        hypothesis = replace(model.members[member_index], effect=self.refit.effects[member_index])
         effect, name = hypothesis.effect, hypothesis.name
-        probability, rivals = self.probability(member), name_probabilities(ranking.probabilities_by_name(), name)[1]
-        p_located = self.p_located[member]
-        gain = self.squared_residual_decreases[member]
+        probability, rivals = (
+            self.p_same_name(member_index),
+            probability_and_equivalents(ranking.probabilities_by_name(), name)[1],
+        )
+        p_located = self.p_located[member_index]
+        gain = self.squared_residual_decreases[member_index]
         coefficient_means = coefficient_posterior(
-            *searcher.evidence_calculator.gram_and_score([effect], others)[0], hypothesis.plausible_sizes
+            *searcher.evidence_calculator.grams_and_scores([effect], others)[0], hypothesis.plausible_sizes
         )[0]
         design_columns, rows = space.whitened_design(effect), int(space.is_used_reading.sum())
         shift = design_columns @ coefficient_means
         projected_design = searcher.model_of([hypothesis]).projected_designs[0] @ coefficient_means
         scope = self._scope(effect, active_observables(space.is_used_reading, shift[:rows], projected_design[:rows]))
-        estimates = self._estimates_of(member, hypothesis, others)
+        estimates = self._estimates_of(member_index, hypothesis, others)
         extra_fields: dict[str, Any] = {}
         sentence = ""
         if isinstance(effect, EmpiricalLaw):
@@ -197,17 +191,21 @@ class ExplainedRecording:
             sentence = law_sentence(scope, estimates, p_located, law)
             extra_fields["formula"] = "" if hypothesis.is_catalogued else law
         elif isinstance(effect, Effect):
-            other_effects = [e for k, e in enumerate(self.refit.effects) if k != member]
+            other_effects = [e for k, e in enumerate(self.refit.effects) if k != member_index]
             names = [rival.effect for rival in rivals]
-            extra_fields["separate_by"] = separating_measurement(self.state.baseline, name, names, other_effects)
+            extra_fields["separate_by"] = separating_measurement_sentence(
+                self.state.baseline_adjustment, name, names, other_effects
+            )
         if hypothesis.is_catalogued:
             doubt = self._plausibility_sentence(effect, estimates)
-            sentence = catalogue_sentence(name, scope, estimates, probability, p_located=p_located) + doubt
+            sentence = catalogue_effect_sentence(name, scope, estimates, probability, p_located=p_located) + doubt
         extra_fields["moves_targets_um"] = distortion = target_distortion(space, shift)
         n_touched = max(int(np.count_nonzero(design_columns.any(axis=1))), 1)
         sigmas_text = number_text(np.sqrt(max(float(gain.sum()), 0.0) / n_touched), 2)
         sentence += f" If left uncorrected, it causes residuals of {sigmas_text} sigma (rms)"
-        sentence += f" and shifts the targets by {number_text(distortion, 2)} um (rms).{self._readings_sentence(gain)}"
+        sentence += (
+            f" and shifts the targets by {number_text(distortion, 2)} um (rms).{self._decisive_readings_sentence(gain)}"
+        )
         return Finding(
             effect=name,
             known=hypothesis.is_catalogued,
@@ -216,16 +214,16 @@ class ExplainedRecording:
             evidence=FindingEvidence(
                 chi2_drop=float(gain.sum()),
                 parameters=model.basis.shape[1] - others.basis.shape[1],
-                p_value=self.detection.p_value_of(ranking.log_evidence_total),
+                p_value=self.global_test.p_value_of(ranking.log_evidence_total),
                 probability=probability,
                 p_located=p_located,
             ),
             sentence=sentence,
             equivalents=rivals,
-            **_non_empty_entries(extra_fields),
+            **non_empty_entries(extra_fields),
         )
 
-    def _readings_sentence(self, chi2_decreases: Floats) -> str:
+    def _decisive_readings_sentence(self, chi2_decreases: Floats) -> str:
         """Sentence on the readings with most of the decrease of chi-square (m,) by row; empty for many readings."""
         use, recording = self.state.searcher.space.is_used_reading, self.state.recording
         reading_gain = chi2_decreases[: int(use.sum())]
@@ -243,15 +241,15 @@ class ExplainedRecording:
             f"{OBSERVABLES[k]} from {station[recording.station[i]]} to {target[recording.target[i]]} (row {i + 1})"
             for i, k in row_and_observable
         )
-        return f" Most of it is in the {', the '.join(names)}."
+        return f" Most of the decrease of chi-square is in the {', the '.join(names)}."
 
-    def _p_located_of(self, member: int) -> float:
+    def _p_located_of(self, member_index: int) -> float:
         """Sum of the probabilities of all explanations with the observables, place and covariates of the given effect.
 
         Effects that act on one target only have the same scope, because a target that moved, is badly seated or was
         read wrongly changes the same readings.
         """
-        effect = self.model.members[member].effect
+        effect = self.model.members[member_index].effect
 
         def scope_of(candidate: CandidateEffect) -> FindingScope:
             scope = self._scope(candidate)
@@ -260,11 +258,11 @@ class ExplainedRecording:
             return scope.model_copy(update={"observables": tuple(sorted(candidate.observables))})
 
         scope = scope_of(effect)
-        return self.rankings[member].posterior_probability_of(lambda h: scope_of(h.effect) == scope)
+        return self.rankings[member_index].posterior_probability_of(lambda h: scope_of(h.effect) == scope)
 
-    def _scope(self, effect: CandidateEffect, carrying_observables: tuple[str, ...] = ()) -> FindingScope:
+    def _scope(self, effect: CandidateEffect, default_observables: tuple[str, ...] = ()) -> FindingScope:
         """Scope of an effect. An effect at all set-ups of one of several instruments has this instrument as place."""
-        scope = effect_scope(effect, carrying_observables)
+        scope = effect_scope(effect, default_observables)
         for tracker in instrument_places(self.state.searcher.space.sightings, self.state.recording.instruments):
             if set(scope.stations) == set(tracker.stations) and isinstance(effect, SlotEffect):
                 return scope.model_copy(update={"stations": (), "instruments": tracker.instruments})
@@ -273,7 +271,7 @@ class ExplainedRecording:
     def _plausibility_sentence(self, effect: CandidateEffect, estimates: Sequence[ParameterEstimate]) -> str:
         """Sentence on the declared prior of a constant, or on a size that is implausible for its cause; else empty."""
         recording = self.state.recording
-        if isinstance(effect, BASELINE_EFFECT_TYPES):
+        if isinstance(effect, ORDINARY_CALIBRATION_EFFECT_TYPES):
             name = recording.instruments[self._instrument_index(effect)]
             prior = recording.setup.instrument_named(name).prior
             declared = ((p.prior_sigma_from(prior) / p.si_per_display_unit, p.unit) for p in effect.parameters)
@@ -282,12 +280,12 @@ class ExplainedRecording:
         implausible = " Such a size is hardly plausible for this cause. Check other causes too."
         return implausible if _is_implausible_size(effect, estimates) else ""
 
-    def _constants_without_prior(self, effect: CandidateEffect) -> tuple[ParameterEstimate, ...]:
+    def _constant_estimates_without_prior(self, effect: CandidateEffect) -> tuple[ParameterEstimate, ...]:
         """Estimates of the constants of an effect of the ordinary calibration without their prior.
 
         All other constants of the instrument have their prior.
         """
-        adjustment, which = self.state.baseline, self._instrument_index(effect)
+        adjustment, which = self.state.baseline_adjustment, self._instrument_index(effect)
         prior = prior_sigmas(self.state.recording, adjustment.construction)[which]
         variance = np.diag(adjustment.instrument_covariance_of(which))
         factors = 1.0 / np.maximum(1.0 - variance / prior**2, MAX_ROUNDING_ERROR)
@@ -303,89 +301,33 @@ class ExplainedRecording:
         index = recording.stations.index(effect.stations[0]) if effect.stations else int(recording.station[0])
         return int(recording.instrument[recording.station == index][0])
 
-    def _estimates_of(self, member: int, hypothesis: Hypothesis, other_members: Model) -> tuple[ParameterEstimate, ...]:
+    def _estimates_of(
+        self, member_index: int, hypothesis: Hypothesis, reduced_model: Model
+    ) -> tuple[ParameterEstimate, ...]:
         """Estimates of the sizes and shape constants of an effect. Without a clock, its times are numbers of rows."""
         refitted = [
             ParameterEstimate.from_si(*estimate)
-            for estimate in self.refit.estimates[member]
+            for estimate in self.refit.estimates[member_index]
             if np.isfinite(estimate.sigma)
         ]
-        if isinstance(hypothesis.effect, BASELINE_EFFECT_TYPES):
-            return self._constants_without_prior(hypothesis.effect)
-        estimates = self.state.searcher.estimates(hypothesis, other_members, refitted)
+        if isinstance(hypothesis.effect, ORDINARY_CALIBRATION_EFFECT_TYPES):
+            return self._constant_estimates_without_prior(hypothesis.effect)
+        estimates = self.state.searcher.estimates(hypothesis, reduced_model, refitted)
         return estimates if self.state.recording.has_clock else tuple(estimate_without_clock(e) for e in estimates)
 
 
-def noise_finding(
-    hypothesis: NoiseHypothesis, sightings: Sightings, detection: Detection, *, has_clock: bool = True
-) -> Finding:
-    """Finding on a change of the noise, limited to the observables in which the change is significant."""
-    effect = hypothesis.effect
-    scope = effect_scope(effect, _observables_with_changed_noise(hypothesis, sightings))
-    size_estimates = zip(effect.parameters, hypothesis.sizes, hypothesis.size_sigmas, strict=True)
-    estimates = [ParameterEstimate.from_si(*names) for names in size_estimates if np.isfinite(names[2])]
-    more, sentence = {}, ""
-    if isinstance(effect, VarianceFunction):
-        more = {"formula": effect.text, "carrier": effect.response_text, "driver": effect.regressor_text}
-        most = ""
-        if effect.group_kind:
-            estimates = sorted(estimates, key=lambda e: -e.value)[:MAX_REPORTED_NOISE_SIZES]
-            sure = [e for e in estimates if e.value > MIN_SIGNIFICANT_SIGMAS * e.sigma] or estimates
-            worst = {e.name.partition(" at ")[2]: number_text(np.sqrt(1.0 + e.value), 2) for e in reversed(sure)}
-            names = [f"{name} ({times})" for name, times in reversed(worst.items())][:2]
-            most = f", most at {' and '.join(names)}, as a factor on the declared standard deviation"
-        if effect.covariate_band:
-            ends = [covariate_value_text(effect.covariates[0], x, has_clock=has_clock) for x in effect.covariate_band]
-            most = f", from {', '.join(f'{low} to {high}' for low, high in zip(ends[::2], ends[1::2], strict=True))}"
-        if effect.region is not None:
-            most += f", {region_text(effect.region)}"
-            estimates += [
-                ParameterEstimate(name=f"centre-{axis}", value=value, sigma=effect.region.width, unit="m")
-                for axis, value in zip(effect.region.bounded_axes, effect.region.centre, strict=True)
-            ]
-        sentence = unknown_effect_sentence(scope, effect.text + most)
-        if isinstance(effect, CentringVariance):
-            sentence = effect.sentence(with_sigma(estimates[0].value, estimates[0].sigma, estimates[0].unit))
-    return Finding(
-        effect=effect.name,
-        known=not isinstance(effect, VarianceFunction),
-        where=scope,
-        parameters=tuple(estimates),
-        evidence=FindingEvidence(
-            chi2_drop=hypothesis.chi2_drop,
-            parameters=len(estimates),
-            p_value=detection.p_value_of(hypothesis.evidence),
-            probability=hypothesis.probability,
-        ),
-        sentence=sentence or catalogue_sentence(effect.name, scope, estimates, hypothesis.probability),
-        equivalents=hypothesis.equivalents,
-        **_non_empty_entries(more),
-    )
-
-
-def _observables_with_changed_noise(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str, ...]:
-    """Observables whose noise is significantly larger than declared, or smaller if the largest change is a decrease."""
-    size_scales = hypothesis.effect.size_scales
-    sizes_in_units = np.array(hypothesis.sizes) / size_scales
-    signed_sizes = (
-        sizes_in_units * np.sign(sizes_in_units[np.argmax(np.abs(sizes_in_units))])
-        > MIN_SIGNIFICANT_SIGMAS * np.array(hypothesis.size_sigmas) / size_scales
-    )
-    unit_variance = np.ones((len(sightings), len(OBSERVABLES)))
-    is_changed = (
-        hypothesis.effect.variance(sightings, unit_variance, np.where(signed_sizes, size_scales, 0.0)) != unit_variance
-    ).any(axis=0)
-    return tuple(name for name, act in zip(OBSERVABLES, is_changed, strict=True) if act)
-
-
-def law_text(law: EmpiricalLaw, driver: str) -> str:
-    """Text of a law from that of its regressor (`driver`): ``distance correction follows cos(3 azimuth)``."""
+def law_text(law: EmpiricalLaw, regressor_phrase: str) -> str:
+    """Text of a law from that of its regressor (`regressor_phrase`): ``distance correction follows cos(3 azimuth)``."""
     phrase = f"{law.response.name} correction" if law.response.kind == "reading" else law.response.name
     suffix = law_suffix(law)
-    return f"{phrase} differs{suffix}" if law.regressor.kind == "constant" else f"{phrase} follows {driver}{suffix}"
+    return (
+        f"{phrase} differs{suffix}"
+        if law.regressor.kind == "constant"
+        else f"{phrase} follows {regressor_phrase}{suffix}"
+    )
 
 
-def _non_empty_entries(entry_values: Mapping[str, Any]) -> dict[str, Any]:
+def non_empty_entries(entry_values: Mapping[str, Any]) -> dict[str, Any]:
     """Entries whose value is not empty."""
     return {key: value for key, value in entry_values.items() if value}
 

@@ -7,12 +7,12 @@ from ltsim.adjustment.identification import CauseTest
 from ltsim.adjustment.reference_tests import ReferenceTest
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import MILLIMETRE
-from ltsim.diagnosis.hypotheses import name_probabilities
+from ltsim.diagnosis.hypotheses import probability_and_equivalents
 from ltsim.diagnosis.instruments import ConstantContradiction
-from ltsim.diagnosis.prior import P_CAP_TESTS
+from ltsim.diagnosis.prior import MAX_P_OF_TEST_FINDINGS
 from ltsim.diagnosis.schema import Equivalent, Finding, FindingEvidence, ParameterEstimate
 from ltsim.diagnosis.scopes import confined_scope
-from ltsim.diagnosis.words import percent_text
+from ltsim.diagnosis.sentences import percent_text
 from ltsim.physics.effects import MISALIGNMENT_EFFECTS, parameter_text
 from ltsim.physics.effects.linear_effect import Parameter
 from ltsim.recordings.recording import OBSERVABLES
@@ -21,7 +21,7 @@ DECLARED_COORDINATES_TEXT = "declared coordinates"
 """Text for the erroneous quantity of a point whose declared coordinates define the axes."""
 
 
-def gross_error_finding(blunder: IdentifiedBlunder) -> Finding:
+def blunder_finding(blunder: IdentifiedBlunder) -> Finding:
     """Finding of a blunder whose size the network determines."""
     return Finding(
         effect=blunder.effect_name,
@@ -29,13 +29,16 @@ def gross_error_finding(blunder: IdentifiedBlunder) -> Finding:
         where=confined_scope(observables=blunder.observables, stations=blunder.stations, targets=blunder.targets),
         parameters=(ParameterEstimate(name="size", value=1e3 * blunder.size, sigma=1e3 * blunder.sigma, unit="mm"),),
         evidence=FindingEvidence(
-            chi2_drop=(blunder.size / blunder.sigma) ** 2, parameters=3, p_value=None, probability=P_CAP_TESTS
+            chi2_drop=(blunder.size / blunder.sigma) ** 2,
+            parameters=3,
+            p_value=None,
+            probability=MAX_P_OF_TEST_FINDINGS,
         ),
         sentence=blunder.sentence,
     )
 
 
-def axis_finding(test: ReferenceTest) -> Finding:
+def axes_point_finding(test: ReferenceTest) -> Finding:
     """Finding of a point whose declared coordinates contradict the axes that the other points define."""
     estimates = [
         ParameterEstimate(name=f"off along {axis}", value=e / MILLIMETRE, sigma=s / MILLIMETRE, unit="mm")
@@ -47,34 +50,38 @@ def axis_finding(test: ReferenceTest) -> Finding:
         known=False,
         where=confined_scope(targets=(test.name,)),
         parameters=tuple(estimates),
-        evidence=FindingEvidence(chi2_drop=test.chi2_drop, parameters=test.rank, p_value=None, probability=P_CAP_TESTS),
+        evidence=FindingEvidence(
+            chi2_drop=test.chi2_drop, parameters=test.rank, p_value=None, probability=MAX_P_OF_TEST_FINDINGS
+        ),
         sentence=test.sentence[0].upper() + test.sentence[1:] + ".",
         formula=f"the {DECLARED_COORDINATES_TEXT} of {test.name} is wrong",
         carrier=DECLARED_COORDINATES_TEXT,
     )
 
 
-def instrument_finding(contradiction: ConstantContradiction) -> Finding:
+def contradicting_constant_finding(contradiction: ConstantContradiction) -> Finding:
     """Finding of a constant that contradicts the other instruments, its history or its declared correction."""
-    p, off = contradiction.parameter, 1.0 / (1.0 + float(np.exp(-contradiction.evidence)))
-    chances: dict[str, float] = {}
-    for constant, share in contradiction.rivals.items():
-        chances[_effect_of_constant(constant)] = chances.get(_effect_of_constant(constant), 0.0) + off * share
+    p, off = contradiction.parameter, 1.0 / (1.0 + float(np.exp(-contradiction.log_evidence)))
+    p_by_effect_name: dict[str, float] = {}
+    for constant, share in contradiction.evidence_shares.items():
+        p_by_effect_name[_effect_name_of_constant(constant)] = (
+            p_by_effect_name.get(_effect_name_of_constant(constant), 0.0) + off * share
+        )
     estimate, (probability, rivals) = (
         ParameterEstimate.from_si(p, contradiction.difference, contradiction.sigma),
-        name_probabilities(chances, _effect_of_constant(p)),
+        probability_and_equivalents(p_by_effect_name, _effect_name_of_constant(p)),
     )
-    rival_names = " or ".join(parameter_text(other.name) for other in contradiction.rivals if other != p)
+    rival_names = " or ".join(parameter_text(other.name) for other in contradiction.evidence_shares if other != p)
     owners = " and ".join(filter(None, contradiction.instruments)) or "the instrument"
-    ambiguity = f" These readings hardly distinguish it from {rival_names}." if rival_names else ""
+    ambiguity = f" These readings hardly distinguish this constant from {rival_names}." if rival_names else ""
     sentence = (
         f"The {parameter_text(p.name)} of {owners} differs by "
-        f"({with_sigma(estimate.value, estimate.sigma)}) {p.unit} from {contradiction.against}, "
+        f"({with_sigma(estimate.value, estimate.sigma)}) {p.unit} from {contradiction.reference_text}, "
         f"with a probability of {percent_text(off)}.{ambiguity}"
     )
     chi2_drop = (contradiction.difference / contradiction.sigma) ** 2
     return Finding(
-        effect=_effect_of_constant(p),
+        effect=_effect_name_of_constant(p),
         known=True,
         where=confined_scope(instruments=tuple(filter(None, contradiction.instruments))),
         parameters=(estimate,),
@@ -86,12 +93,12 @@ def instrument_finding(contradiction: ConstantContradiction) -> Finding:
     )
 
 
-def _effect_of_constant(constant: Parameter) -> str:
+def _effect_name_of_constant(constant: Parameter) -> str:
     """Name of the effect of the ordinary calibration to which a constant belongs."""
     return next(e.name for e in MISALIGNMENT_EFFECTS if constant.name in {q.name for q in e.parameters})
 
 
-EFFECT_BY_CAUSE = {
+EFFECT_NAME_BY_CAUSE = {
     ("constant-offset", "distance"): "reflector-constant",
     ("constant-offset", "elevation"): "vertical-index",
     ("constant-step", "distance"): "range-step",
@@ -115,9 +122,9 @@ EFFECT_BY_CAUSE = {
 outliers are reported as `outlier`, and all other causes as `unknown`."""
 
 
-def finding_of_test(test: CauseTest) -> Finding:
+def cause_test_finding(test: CauseTest) -> Finding:
     """Finding of a test that was accepted as a cause."""
-    name = "outlier" if test.kind == "outlier" else EFFECT_BY_CAUSE.get((test.kind, test.acts_on), "unknown")
+    name = "outlier" if test.kind == "outlier" else EFFECT_NAME_BY_CAUSE.get((test.kind, test.acts_on), "unknown")
     observables = (test.acts_on,) if test.acts_on in OBSERVABLES else ()
     estimates: tuple[ParameterEstimate, ...] = ()
     if test.estimate is not None:
@@ -134,7 +141,7 @@ def finding_of_test(test: CauseTest) -> Finding:
         ),
         sentence=test.sentence,
         equivalents=tuple(
-            Equivalent(effect=EFFECT_BY_CAUSE.get((a.kind, "position"), a.kind), probability=a.probability)
+            Equivalent(effect=EFFECT_NAME_BY_CAUSE.get((a.kind, "position"), a.kind), probability=a.probability)
             for a in test.alternatives
         ),
         formula=formula if wrong else "",

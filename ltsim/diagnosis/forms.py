@@ -12,22 +12,22 @@ import numpy as np
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
-from ltsim.diagnosis.directions import best_ratio
+from ltsim.diagnosis.component_ratios import best_component_ratio
 from ltsim.diagnosis.evidence import index_of_best, log_evidence_of_coefficients
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
-from ltsim.diagnosis.prior import FORM_WEIGHTS, P_EVEN, P_RARE_FORM, P_SINGLE_SET_UP
-from ltsim.diagnosis.products import may_have_a_second_factor, product_forms
+from ltsim.diagnosis.law_products import may_have_a_second_factor, product_forms
+from ltsim.diagnosis.law_search_space import MIN_POINTINGS_PER_COEFFICIENT
+from ltsim.diagnosis.prior import FORM_WEIGHTS, P_EVEN_ODDS, P_RARE_FORM, P_SINGLE_SET_UP_BY_RESPONSE_KIND
 from ltsim.diagnosis.schema import ResponseCurve
-from ltsim.diagnosis.space import MIN_POINTINGS_PER_COEFFICIENT
-from ltsim.diagnosis.switches import MAX_PIECES, N_INTERVALS_AFTER_MAXIMUM, n_resembling_waves, switched_forms
+from ltsim.diagnosis.switches import MAX_PIECES, N_INTERVALS_AFTER_MAXIMUM, n_waves_of_same_covariate, switched_forms
 from ltsim.physics.laws.catalogue_names import catalogue_name
 from ltsim.physics.laws.columns import fourier_columns
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressors import CONSTANT_REGRESSOR, COORDINATE_COVARIATES, Regressor
 from ltsim.scene.sightings import Sightings
 
-TILT_REGRESSOR = Regressor("field", COORDINATE_COVARIATES, constant=1.0)
+RIGID_MOTION_REGRESSOR = Regressor("field", COORDINATE_COVARIATES, constant=1.0)
 """Regressor of a group of targets that moves and tilts as a rigid body."""
 MAX_ABSORBED_EVIDENCE_DIFFERENCE = 0.5
 """Difference of log evidence up to which a law at all set-ups counts as equal to the same law at one set-up. The poses
@@ -43,42 +43,57 @@ def min_promising_evidence(best_evidence: float) -> float:
 
 
 def evaluate_forms(
-    calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, base_model: Model, *, pieces: bool
+    calculator: EvidenceCalculator,
+    law: EmpiricalLaw,
+    log_prior: float,
+    conditioning_model: Model,
+    *,
+    with_steps_and_switches: bool,
 ) -> list[Hypothesis]:
     """Best form of a law for each name of an effect, with the summed evidence of all forms with that name.
 
-    Steps, ramps and switches are tried only with `pieces`.
+    Steps, ramps and switches are tried only if `with_steps_and_switches`.
     """
     sightings = calculator.space.sightings
     law = law.equivalent_vertical_index_law(sightings)
     base_evidence = log_prior + float(np.log(len(law.regressor.coefficient_sigmas)))
     hypotheses = (
-        _piecewise_forms(calculator, law, base_evidence + float(np.log(P_RARE_FORM)), base_model) if pieces else []
+        _piecewise_forms(calculator, law, base_evidence + float(np.log(P_RARE_FORM)), conditioning_model)
+        if with_steps_and_switches
+        else []
     )
     base_evidence += float(np.log(1.0 - P_RARE_FORM)) if hypotheses else 0.0
-    permanent_law, share = law.without_switch(), float(np.log(P_RARE_FORM * n_resembling_waves(law, sightings)))
-    switch_hypotheses = switched_forms(calculator, permanent_law, base_evidence + share, base_model) if pieces else []
+    permanent_law, share = law.without_switch(), float(np.log(P_RARE_FORM * n_waves_of_same_covariate(law, sightings)))
+    switch_hypotheses = (
+        switched_forms(calculator, permanent_law, base_evidence + share, conditioning_model)
+        if with_steps_and_switches
+        else []
+    )
     base_evidence += float(np.log(1.0 - P_RARE_FORM)) if switch_hypotheses else 0.0
     hypotheses += switch_hypotheses
     setup_laws = law.with_coefficients_per_setup(sightings)
     hypotheses += _functional_forms(
-        calculator, law, base_evidence + (np.log(1.0 - P_RARE_FORM) if setup_laws else 0.0), base_model
+        calculator, law, base_evidence + (np.log(1.0 - P_RARE_FORM) if setup_laws else 0.0), conditioning_model
     )
     hypotheses += (
-        _functional_forms(calculator, setup_laws, base_evidence + np.log(P_RARE_FORM), base_model) if setup_laws else []
+        _functional_forms(calculator, setup_laws, base_evidence + np.log(P_RARE_FORM), conditioning_model)
+        if setup_laws
+        else []
     )
     hypotheses += (
-        _functional_forms(calculator, permanent_law, base_evidence, base_model) if permanent_law != law else []
+        _functional_forms(calculator, permanent_law, base_evidence, conditioning_model) if permanent_law != law else []
     )
     factors = (
         [h for h in hypotheses if isinstance(h.effect, EmpiricalLaw) and may_have_a_second_factor(h.effect)]
-        if pieces
+        if with_steps_and_switches
         else []
     )
-    hypotheses += product_forms(calculator, factors[_index_of_best(factors)], base_model) if factors else []
-    hypotheses = [form for hypothesis in hypotheses for form in _forms_with_ratio(calculator, hypothesis, base_model)]
+    hypotheses += product_forms(calculator, factors[_index_of_best(factors)], conditioning_model) if factors else []
+    hypotheses = [
+        form for hypothesis in hypotheses for form in _forms_with_ratio(calculator, hypothesis, conditioning_model)
+    ]
     top = hypotheses.pop(_index_of_best(hypotheses))
-    hypotheses += _forms_at_set_ups(calculator, top, base_model)
+    hypotheses += _forms_at_single_set_ups(calculator, top, conditioning_model)
     best_items = []
     for name in {h.name: None for h in hypotheses}:
         same_name = [h for h in hypotheses if h.name == name]
@@ -93,7 +108,7 @@ def _index_of_best(forms: Sequence[Hypothesis]) -> int:
 
 
 def _functional_forms(
-    calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, base_model: Model
+    calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, conditioning_model: Model
 ) -> list[Hypothesis]:
     """Forms of a law as a curve, a formula and the like, at the place of the law and with their log evidence."""
     forms = law.candidate_forms(calculator.space.sightings)
@@ -105,9 +120,9 @@ def _functional_forms(
     single, several = (
         [form for form in form_scales if (len(form[1]) == 1) == is_single] for is_single in (True, False)
     )
-    refined = calculator.refine_locally([scales[0] for _, scales in single], base_model)
+    refined = calculator.refine_locally([scales[0] for _, scales in single], conditioning_model)
     candidates = [(share, *best) for (share, _), best in zip(single, refined, strict=True)]
-    moments = calculator.gram_and_score([scales[0] for _, scales in several], base_model)
+    moments = calculator.grams_and_scores([scales[0] for _, scales in several], conditioning_model)
     for (share, scales), (gram, score) in zip(several, moments, strict=True):
         spreads = np.stack([scaled.size_scales for scaled in scales])
         logs = log_evidence_of_coefficients(gram, score[None], spreads)
@@ -115,16 +130,16 @@ def _functional_forms(
     return [Hypothesis(best, share, value + share, catalogue_name(best)) for share, best, value in candidates]
 
 
-def _forms_with_ratio(calculator: EvidenceCalculator, form: Hypothesis, base_model: Model) -> list[Hypothesis]:
+def _forms_with_ratio(calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: Model) -> list[Hypothesis]:
     """Form of a law and the same form with a fixed ratio of its components, if these have several coefficients each."""
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
     if law.n_components == 1 or law.regressor.n_columns == 1 or law.direction:
         return [form]
-    gram, score = calculator.gram_and_score([law], base_model)[0]
-    ratio, evidence, log_share = best_ratio(gram, score, law.size_scales, law.n_components)
+    gram, score = calculator.grams_and_scores([law], conditioning_model)[0]
+    ratio, evidence, log_share = best_component_ratio(gram, score, law.size_scales, law.n_components)
     gain = evidence - float(log_evidence_of_coefficients(gram, score, law.size_scales))
-    share, other = np.log(P_EVEN) + log_share, np.log(1.0 - P_EVEN)
+    share, other = np.log(P_EVEN_ODDS) + log_share, np.log(1.0 - P_EVEN_ODDS)
     return [
         replace(form, log_prior=form.log_prior + other, log_evidence=form.log_evidence + other),
         replace(
@@ -136,7 +151,9 @@ def _forms_with_ratio(calculator: EvidenceCalculator, form: Hypothesis, base_mod
     ]
 
 
-def _forms_at_set_ups(calculator: EvidenceCalculator, form: Hypothesis, base_model: Model) -> list[Hypothesis]:
+def _forms_at_single_set_ups(
+    calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: Model
+) -> list[Hypothesis]:
     """Form of a law, and its forms at a single set-up, in a list.
 
     If the poses of all other set-ups absorb the law, the list contains only its form at the one set-up.
@@ -146,7 +163,7 @@ def _forms_at_set_ups(calculator: EvidenceCalculator, form: Hypothesis, base_mod
     if law.stations or law.instruments or len(stations) < 2:
         return [form]
     drivers = (
-        [law.regressor, CONSTANT_REGRESSOR, TILT_REGRESSOR]
+        [law.regressor, CONSTANT_REGRESSOR, RIGID_MOTION_REGRESSOR]
         if law.targets and law.response.kind == "target"
         else [law.regressor]
     )
@@ -164,15 +181,15 @@ def _forms_at_set_ups(calculator: EvidenceCalculator, form: Hypothesis, base_mod
     ]
     n_pointings = [law.row_weights(calculator.space.sightings).sum() for law in laws]
     laws = [x for x, n in zip(laws, n_pointings, strict=True) if n >= MIN_POINTINGS_PER_COEFFICIENT * len(x.parameters)]
-    share = P_SINGLE_SET_UP.get(law.response.kind, P_RARE_FORM)
+    share = P_SINGLE_SET_UP_BY_RESPONSE_KIND.get(law.response.kind, P_RARE_FORM)
     log_prior = form.log_prior + float(np.log(share / max(len(laws), 1)))
-    log_evidences = calculator.log_evidence(laws, base_model)
+    log_evidences = calculator.log_evidence(laws, conditioning_model)
     hypotheses = [
         Hypothesis(x, log_prior, float(value) + log_prior, catalogue_name(x))
         for x, value in zip(laws, log_evidences, strict=True)
     ]
     with_ratios = [
-        other for hypothesis in hypotheses for other in _forms_with_ratio(calculator, hypothesis, base_model)
+        other for hypothesis in hypotheses for other in _forms_with_ratio(calculator, hypothesis, conditioning_model)
     ]
     evidence = form.log_evidence - form.log_prior
     same = [
@@ -186,17 +203,17 @@ def _forms_at_set_ups(calculator: EvidenceCalculator, form: Hypothesis, base_mod
 
 
 def _piecewise_forms(
-    calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, base_model: Model
+    calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, conditioning_model: Model
 ) -> list[Hypothesis]:
     """Form of a law as a sum of steps and ramps, from a forward selection while the evidence increases, in a list.
 
     The list is empty for a law without a curve, and for a law of a single target.
     """
     atoms = law.candidate_pieces(calculator.space.sightings)
-    if not atoms or len(law.targets) == 1:  # a target that moves, or sits badly, has cards
+    if not atoms or len(law.targets) == 1:  # a target that moves, or sits badly, is in the catalogue
         return []
     full_law = law.with_pieces(atoms)
-    gram, score = calculator.gram_and_score([full_law], base_model)[0]
+    gram, score = calculator.grams_and_scores([full_law], conditioning_model)[0]
     spread = full_law.size_scales
     places = np.arange(len(score)).reshape(len(full_law.response.component_names), len(atoms), -1)
     atom_indices: list[int] = []
@@ -204,7 +221,7 @@ def _piecewise_forms(
         0,
         -np.inf,
         float(np.log(2 * len(atoms))),
-    )  # which one, and that there is a further one
+    )  # the choice of a piece, and that there is a further piece
     while len(atom_indices) < min(n_selected + N_INTERVALS_AFTER_MAXIMUM, MAX_PIECES, len(atoms)):
         values = np.full(len(atoms), -np.inf)
         remaining = [i for i in range(len(atoms)) if i not in atom_indices]
@@ -217,7 +234,7 @@ def _piecewise_forms(
         if value > best + MAX_SOLUTION_ROUNDING_ERROR:
             best, n_selected = value, len(atom_indices)
     refined, value = calculator.refine_locally(
-        [law.with_pieces([atoms[i] for i in sorted(atom_indices[:n_selected])])], base_model
+        [law.with_pieces([atoms[i] for i in sorted(atom_indices[:n_selected])])], conditioning_model
     )[0]
     log_prior -= n_selected * log_price
     return [
@@ -233,17 +250,19 @@ MAX_CURVE_POINTS = 600
 """Largest number of points of a reported curve."""
 
 
-def response_curve(law: EmpiricalLaw, sightings: Sightings, mean: Floats, covariance: Floats) -> ResponseCurve | None:
+def response_curve(
+    law: EmpiricalLaw, sightings: Sightings, coefficient_mean: Floats, coefficient_covariance: Floats
+) -> ResponseCurve | None:
     """Curve of a law over its covariate, at the set-up and in the direction where its effect is largest.
 
-    None for a law with several covariates, or with separate amounts. The k coefficients of the law have a `mean` (k,)
-    and a `covariance` (k, k) [SI].
+    None for a law with several covariates, or with a separate size at each visit. The k coefficients of the law have a
+    `coefficient_mean` (k,) and a `coefficient_covariance` (k, k) [SI].
     """
     regressor = law.regressor
     if len(regressor.covariates) != 1 or regressor.kind in ("amounts", "passage"):
         return None
-    law, way, means, spread = law.law_at_largest_effect(mean, covariance, sightings)
-    mean, covariance = way @ means, np.einsum("c,ckdl,d->kl", way, spread, way)
+    law, way, means, spread = law.law_at_largest_effect(coefficient_mean, coefficient_covariance, sightings)
+    coefficient_mean, coefficient_covariance = way @ means, np.einsum("c,ckdl,d->kl", way, spread, way)
     x = sightings.quantities[regressor.covariates[0]][law.row_weights(sightings) > 0]
     if regressor.kind in ("wave", "cycle"):
         cycles = float(np.ptp(x)) * regressor.constant / (2 * np.pi)
@@ -254,8 +273,8 @@ def response_curve(law: EmpiricalLaw, sightings: Sightings, mean: Floats, covari
         chosen = order[np.unique(np.linspace(0, len(order) - 1, N_CURVE_POINTS).round().astype(int))]
         at, columns = x[chosen], law.columns(sightings)[law.row_weights(sightings) > 0][chosen]
     unit, factor = law.response.display_unit_and_factor(int(np.argmax(np.abs(way))))
-    sigma = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", columns, covariance, columns), 0.0))
-    curve_values = columns @ mean
+    sigma = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", columns, coefficient_covariance, columns), 0.0))
+    curve_values = columns @ coefficient_mean
     return ResponseCurve(
         covariate=regressor.covariates[0],
         unit=unit,

@@ -32,9 +32,9 @@ N_FOLDS = 5
 class HeldOutErrors(NamedTuple):
     """Root mean square errors of predicted readings, in standard deviations of the prediction."""
 
-    before: float | None = None
+    rms_without_model: float | None = None
     """Error with the ordinary adjustment; None if no reading can be predicted."""
-    after: float | None = None
+    rms_with_model: float | None = None
     """Error with the model that was selected without the fold; None also without a search."""
     log_score_gain: float = 0.0
     """Increase of the log score (log density) of the held-out readings by the model; 0 without a search."""
@@ -54,7 +54,7 @@ class HeldOutErrors(NamedTuple):
 
 
 def cross_validated_errors(
-    space: ResidualSpace, seed: int, searcher: Searcher | None = None, threshold: float = 0.0
+    space: ResidualSpace, seed: int, searcher: Searcher | None = None, min_evidence_gain: float = 0.0
 ) -> HeldOutErrors:
     """Prediction errors on held-out readings.
 
@@ -66,7 +66,7 @@ def cross_validated_errors(
         Seed of the random folds.
     searcher : Searcher, optional
         Search on the same readings. Without a search, `after` of the result is None.
-    threshold : float
+    min_evidence_gain : float
         Smallest log evidence by which a further effect in a model increases it.
     """
     before, after, count = np.zeros(len(space.sightings)), np.zeros(len(space.sightings)), 0
@@ -76,7 +76,9 @@ def cross_validated_errors(
         count += len(rows) - int(np.sum(values >= 1.0 - MAX_SOLUTION_ROUNDING_ERROR))
         if searcher is not None:
             fold_search = searcher.without_rows(rows)
-            remaining = space.residuals - space.project(_selected_model_shift(space, fold_search, threshold))
+            remaining = space.residuals - space.project(
+                _reading_shift_by_selected_model(space, fold_search, min_evidence_gain)
+            )
             np.add.at(after, pointing[rows], _normalised_errors_on_fold(remaining[rows], values, vectors) ** 2)
     if not count:
         return HeldOutErrors()
@@ -110,13 +112,13 @@ def _normalised_errors_on_fold(residual: Floats, eigenvalues: Floats, eigenvecto
     return errors
 
 
-def _selected_model_shift(space: ResidualSpace, searcher: Searcher, threshold: float) -> Floats:
+def _reading_shift_by_selected_model(space: ResidualSpace, searcher: Searcher, min_evidence_gain: float) -> Floats:
     """Change (m,) of the whitened readings by the model that the search selects; 0 for the other rows of `space`."""
-    model = searcher.select_model(threshold, requires_member=True)
+    model = searcher.select_model(min_evidence_gain, requires_member=True)
     if not model.members:
         return np.zeros(space.n_rows)
     coefficient_means = wide_prior_posterior(
-        *model.gram_and_scores, np.concatenate([h.plausible_sizes for h in model.members])
+        *model.gram_and_score, np.concatenate([h.plausible_sizes for h in model.members])
     )[0]
     designs: Sequence[Floats] = [space.whitened_design(effect) for effect in model.effects]
     return np.hstack(designs) @ coefficient_means

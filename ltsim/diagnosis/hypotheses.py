@@ -15,7 +15,7 @@ from ltsim.calibration.evidence import LOG_SIZE_PRIOR, RELATIVE_EFFECT_SIZES, lo
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.evidence import index_of_best
-from ltsim.diagnosis.prior import LOG_ODDS_REPEATED, P_UNMODELLED
+from ltsim.diagnosis.prior import LOG_PRIOR_ODDS_OF_REPETITION, P_UNMODELLED
 from ltsim.diagnosis.schema import Equivalent
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.linear_effect import CandidateEffect
@@ -61,7 +61,7 @@ class Model:
     """Hypotheses of the model."""
     projected_designs: tuple[Floats, ...]
     """Change of the m whitened residuals by a unit of each of k coefficients of an effect, (m, k), for each effect."""
-    design_norms: tuple[Floats, ...]
+    design_column_norms: tuple[Floats, ...]
     """Lengths (k,) of the design columns of each effect before the projection."""
     baseline_residual: Floats = field(repr=False)
     """Whitened residuals (m,) of the empty model."""
@@ -80,10 +80,10 @@ class Model:
 
     @cached_property
     def basis(self) -> Floats:
-        """Orthonormal basis (m, e) of the changes of the m whitened residuals by all effects of the model."""
+        """Orthonormal basis (m, e), with e columns, of the changes of the m whitened residuals by all effects."""
         if not self.members:
             return np.zeros((len(self.baseline_residual), 0))
-        return orthonormal_columns(np.hstack(self.projected_designs), np.concatenate(self.design_norms))
+        return orthonormal_columns(np.hstack(self.projected_designs), np.concatenate(self.design_column_norms))
 
     @cached_property
     def residual(self) -> Floats:
@@ -92,7 +92,7 @@ class Model:
         return residual
 
     @cached_property
-    def gram_and_scores(self) -> tuple[Floats, Floats]:
+    def gram_and_score(self) -> tuple[Floats, Floats]:
         """Gram matrix (k, k) of all projected columns, and their products (k,) with the empty model's residuals."""
         projected_design = np.hstack(self.projected_designs)
         return projected_design.T @ projected_design, projected_design.T @ self.baseline_residual
@@ -105,28 +105,28 @@ class Model:
         """
         if all(h.is_catalogued for h in self.members):
             return 0.0
-        norms = np.concatenate(self.design_norms)
+        norms = np.concatenate(self.design_column_norms)
         unit = 1.0 / np.where(norms > 0, norms, 1.0)
-        gram, score = self.gram_and_scores
-        strength, turn = np.linalg.eigh(gram * np.outer(unit, unit))
-        is_visible = strength > MAX_SOLUTION_ROUNDING_ERROR
+        gram, score = self.gram_and_score
+        eigenvalues, eigenvectors = np.linalg.eigh(gram * np.outer(unit, unit))
+        is_visible = eigenvalues > MAX_SOLUTION_ROUNDING_ERROR
         return (
             0.5
             * RELATIVE_MODEL_ERROR
-            * float(np.sum((turn.T @ (unit * score))[is_visible] ** 2 / strength[is_visible]))
+            * float(np.sum((eigenvectors.T @ (unit * score))[is_visible] ** 2 / eigenvalues[is_visible]))
         )
 
     @cached_property
-    def score(self) -> float:
+    def penalised_log_evidence(self) -> float:
         """Log evidence of the model with priors, averaged over sizes, minus a penalty for each effect after the first.
 
         The penalty is `discrepancy_penalty`.
         """
         if not self.members:
             return 0.0
-        likeness = sum(log_odds_repeated(h, self.members[:i]) for i, h in enumerate(self.members))
-        doubt = self.discrepancy_penalty * (len(self.members) - 1)
-        return _log_evidence_over_sizes(self) + sum(h.log_prior for h in self.members) + likeness - doubt
+        log_prior_odds = sum(log_prior_odds_of_repetition(h, self.members[:i]) for i, h in enumerate(self.members))
+        penalty = self.discrepancy_penalty * (len(self.members) - 1)
+        return _size_averaged_log_evidence(self) + sum(h.log_prior for h in self.members) + log_prior_odds - penalty
 
 
 RELATIVE_MODEL_ERROR = 0.05
@@ -139,7 +139,7 @@ approximation, and a second effect could otherwise describe what it leaves.
 class Ranking:
     """Ranking of hypotheses given a model, in the order of their evidence."""
 
-    entries: tuple[Hypothesis, ...]
+    hypotheses: tuple[Hypothesis, ...]
     """Hypotheses, the one with the largest log evidence first."""
     log_evidence_total: float
     """Log of the sum of the evidence of all hypotheses. The first of them are evaluated without approximation."""
@@ -152,7 +152,7 @@ class Ranking:
     def best_of_each_kind(self) -> list[Hypothesis]:
         """Best hypothesis of each effect of the catalogue, and of the laws of each response, in their order."""
         first: dict[tuple[str, str], Hypothesis] = {}
-        for hypothesis in self.entries:
+        for hypothesis in self.hypotheses:
             first.setdefault(
                 (hypothesis.name, getattr(getattr(hypothesis.effect, "response", None), "name", "")), hypothesis
             )
@@ -160,7 +160,7 @@ class Ranking:
 
     def with_rivals(self, rivals: Sequence[Hypothesis]) -> Ranking:
         """Ranking that also contains the hypotheses `rivals`."""
-        hypotheses = sorted([*self.entries, *rivals], key=lambda h: -h.log_evidence)
+        hypotheses = sorted([*self.hypotheses, *rivals], key=lambda h: -h.log_evidence)
         log_total = float(log_sum_exp(np.array([self.log_evidence_total, *(h.log_evidence for h in rivals)])))
         return Ranking(tuple(hypotheses), log_total)
 
@@ -173,15 +173,16 @@ class Ranking:
             + float(np.log(P_UNMODELLED / (1.0 - P_UNMODELLED))),
         )
 
-    def with_held_out_evidence(self, log_odds: float) -> Ranking:
+    def with_held_out_evidence(self, log_odds_of_model: float) -> Ranking:
         """Ranking whose causes together have at most the odds that held-out readings give to the model.
 
-        `log_odds` are the log odds of the model against no effect, 0 if held-out readings do not contradict the model.
+        `log_odds_of_model` are the log odds of the model against no effect, 0 if held-out readings do not contradict
+        the model.
         """
-        if log_odds >= 0.0:
+        if log_odds_of_model >= 0.0:
             return self
         total = float(np.logaddexp(self.log_evidence_total, self.log_evidence_unmodelled))
-        return replace(self, log_evidence_none=max(self.log_evidence_none, total - log_odds))
+        return replace(self, log_evidence_none=max(self.log_evidence_none, total - log_odds_of_model))
 
     def most_probable_name(self) -> str:
         """Most probable name of the cause; `unknown` if that is more probable than all effects of the catalogue."""
@@ -190,7 +191,7 @@ class Ranking:
     @cached_property
     def posterior_probabilities(self) -> Floats:
         """Posterior probability of each hypothesis, (hypotheses,). The alternatives include that there is no cause."""
-        log_evidences = np.array([h.log_evidence for h in self.entries])
+        log_evidences = np.array([h.log_evidence for h in self.hypotheses])
         probabilities: Floats = np.exp(log_evidences - self._log_evidence_sum)
         return probabilities
 
@@ -198,7 +199,7 @@ class Ranking:
     def _log_evidence_sum(self) -> float:
         """Log of the sum of the evidence of all hypotheses, of an unmodelled cause, and of no cause."""
         rest = [self.log_evidence_unmodelled, self.log_evidence_none]
-        return float(np.logaddexp.reduce([*(h.log_evidence for h in self.entries), *rest]))
+        return float(np.logaddexp.reduce([*(h.log_evidence for h in self.hypotheses), *rest]))
 
     @property
     def p_none(self) -> float:
@@ -213,21 +214,23 @@ class Ranking:
     def posterior_probability_of(self, is_counted: Callable[[Hypothesis], bool]) -> float:
         """Sum of the posterior probabilities of the hypotheses for which `is_counted` is true."""
         return min(
-            sum(w for h, w in zip(self.entries, self.posterior_probabilities.tolist(), strict=True) if is_counted(h)),
+            sum(
+                w for h, w in zip(self.hypotheses, self.posterior_probabilities.tolist(), strict=True) if is_counted(h)
+            ),
             1.0,
         )
 
     def probabilities_by_name(self) -> dict[str, float]:
         """Posterior probability by name of the effect, `unknown` included."""
         p_by_name = {"unknown": self.p_unmodelled} if self.p_unmodelled else {}
-        for hypothesis, weight in zip(self.entries, self.posterior_probabilities.tolist(), strict=True):
+        for hypothesis, weight in zip(self.hypotheses, self.posterior_probabilities.tolist(), strict=True):
             p_by_name[hypothesis.name] = min(p_by_name.get(hypothesis.name, 0.0) + weight, 1.0)
         return p_by_name
 
 
 def most_probable_name(probabilities: Mapping[str, float]) -> str:
     """Most probable name; `unknown` if that is more probable than all other names together."""
-    p_by_name = {name: chance for name, chance in probabilities.items() if name != "unknown"}
+    p_by_name = {name: p for name, p in probabilities.items() if name != "unknown"}
     return (
         "unknown"
         if probabilities.get("unknown", 0.0) > sum(p_by_name.values())
@@ -235,7 +238,7 @@ def most_probable_name(probabilities: Mapping[str, float]) -> str:
     )
 
 
-def name_probabilities(probabilities: Mapping[str, float], name: str) -> tuple[float, tuple[Equivalent, ...]]:
+def probability_and_equivalents(probabilities: Mapping[str, float], name: str) -> tuple[float, tuple[Equivalent, ...]]:
     """Probability of a name, and the most probable other names that are not excluded."""
     equivalents = [
         Equivalent(effect=other_name, probability=p)
@@ -247,19 +250,19 @@ def name_probabilities(probabilities: Mapping[str, float], name: str) -> tuple[f
     )
 
 
-def _log_evidence_over_sizes(model: Model) -> float:
+def _size_averaged_log_evidence(model: Model) -> float:
     """Log evidence of a model, averaged over the size factors t of its effects.
 
     The coefficients of an effect in the model have the prior N(0, (t size)^2) with their plausible sizes. For each
-    effect the sum covers only the factors near the best one, with the other effects at their best.
+    effect the sum covers only the factors near its best factor, while the other effects have their best factors.
     """
-    gram, score = model.gram_and_scores
-    spread, owner = _plausible_sizes(model.members)
+    gram, score = model.gram_and_score
+    spread, owner = _plausible_sizes_and_effect_indices(model.members)
     count, whole = len(model.members), 1.0 + float(model.baseline_residual @ model.baseline_residual)
     bordered_matrix = np.block([[gram, score[:, None]], [score, whole]])
     unit_prior = np.diag(np.append(np.ones(len(score)), 0.0))
 
-    def evidence(sizes: Ints) -> Floats:
+    def log_evidence_at_sizes(sizes: Ints) -> Floats:
         """Log evidence (b,) with prior for b sets of sizes (b, effects), as indices in `RELATIVE_EFFECT_SIZES`."""
         scale = np.pad(RELATIVE_EFFECT_SIZES[sizes][:, owner] * spread, ((0, 0), (0, 1)), constant_values=1.0)
         factor = np.linalg.cholesky(bordered_matrix * scale[:, :, None] * scale[:, None, :] + unit_prior)
@@ -277,23 +280,23 @@ def _log_evidence_over_sizes(model: Model) -> float:
         for i in range(count):
             tried = np.tile(best, (len(RELATIVE_EFFECT_SIZES), 1))
             tried[:, i] = every
-            values = evidence(tried)
+            values = log_evidence_at_sizes(tried)
             best[i] = index_of_best(values)
             neighbours[i] = every[values > values.max() - MIN_LOG_EVIDENCE_CERTAIN]
-    return float(log_sum_exp(evidence(np.array(list(product(*neighbours))))))
+    return float(log_sum_exp(log_evidence_at_sizes(np.array(list(product(*neighbours))))))
 
 
-def _plausible_sizes(members: Sequence[Hypothesis]) -> tuple[Floats, Ints]:
+def _plausible_sizes_and_effect_indices(members: Sequence[Hypothesis]) -> tuple[Floats, Ints]:
     """Plausible sizes (k,) of the coefficients of all effects in the model, and index (k,) of the effect of each."""
     size_sets = [h.plausible_sizes for h in members]
     return np.concatenate(size_sets), np.repeat(np.arange(len(size_sets)), [len(spread) for spread in size_sets])
 
 
-def log_odds_repeated(hypothesis: Hypothesis, other_members: Sequence[Hypothesis]) -> float:
+def log_prior_odds_of_repetition(hypothesis: Hypothesis, other_members: Sequence[Hypothesis]) -> float:
     """Log prior odds of a hypothesis with the same name as an effect in the model, if such effects rarely occur twice.
 
     For all other hypotheses it is 0.
     """
     if hypothesis.name not in {h.name for h in other_members}:
         return 0.0
-    return 0.0 if hypothesis.is_catalogued and find_effect(hypothesis.name).may_recur else LOG_ODDS_REPEATED
+    return 0.0 if hypothesis.is_catalogued and find_effect(hypothesis.name).may_recur else LOG_PRIOR_ODDS_OF_REPETITION

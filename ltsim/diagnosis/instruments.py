@@ -28,14 +28,14 @@ from ltsim.core.errors import RecordError
 from ltsim.core.probability import SIZE_PRIOR
 from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.evidence import normalised_probabilities
-from ltsim.diagnosis.prior import log_prior_share
+from ltsim.diagnosis.prior import log_prior_of_each_explanation
 from ltsim.diagnosis.schema import InstrumentEntry, ParameterEstimate
 from ltsim.physics.effects.effect import Parameter
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 from ltsim.solve.design import scale_to_unit_diagonal
 
-CHANGED_PRIOR_VARIANCE = sum(share * size**2 for size, share in SIZE_PRIOR.items())
+CHANGED_CONSTANT_PRIOR_VARIANCE = sum(share * size**2 for size, share in SIZE_PRIOR.items())
 """Prior variance of a constant that is already selected as changed, in squares of the specification."""
 CONSTANT_REFERENCE_PHRASES = {True: "its declared correction", False: "the other instruments"}
 """Text of the reference of a constant: of an instrument with a declared correction (True), and of others (False)."""
@@ -46,13 +46,13 @@ def instrument_entries(adjustment: Adjustment) -> tuple[InstrumentEntry, ...]:
     return tuple(_instrument_entry(adjustment, i) for i in range(len(adjustment.recording.instruments)))
 
 
-def _instrument_entry(adjustment: Adjustment, instrument: int) -> InstrumentEntry:
+def _instrument_entry(adjustment: Adjustment, instrument_index: int) -> InstrumentEntry:
     parameters = adjustment.construction.parameters
-    constants = adjustment.state.instrument_parameters[instrument]
-    covariance = adjustment.instrument_covariance_of(instrument)
-    sigma, prior = np.sqrt(np.maximum(np.diag(covariance), 0.0)), adjustment.problem.prior.sigma[instrument]
+    constants = adjustment.state.instrument_parameters[instrument_index]
+    covariance = adjustment.instrument_covariance_of(instrument_index)
+    sigma, prior = np.sqrt(np.maximum(np.diag(covariance), 0.0)), adjustment.problem.prior.sigma[instrument_index]
     return InstrumentEntry(
-        name=adjustment.recording.instruments[instrument],
+        name=adjustment.recording.instruments[instrument_index],
         parameters=tuple(
             ParameterEstimate.from_si(p, v, s) for p, v, s in zip(parameters, constants, sigma, strict=True)
         ),
@@ -76,15 +76,14 @@ class ConstantContradiction:
     """Difference [SI] from the other instruments, from zero for a corrected instrument, or from the history."""
     sigma: float
     """Standard deviation [SI] of the difference."""
-    evidence: float
+    log_evidence: float
     """Log marginal likelihood ratio of the change, with its prior odds, given the other contradictions."""
     p_value: float
     """Two-sided p-value of the difference, corrected for the number of constants that are compared."""
-    against: str
+    reference_text: str
     """Text of the reference."""
-    rivals: Mapping[Parameter, float]
-    """Constants of the same instruments that may have changed instead, and this one, with their shares of the evidence.
-    """
+    evidence_shares: Mapping[Parameter, float]
+    """Shares of the evidence of this constant, and of those of the same instruments that may have changed instead."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +92,7 @@ class ContradictingConstants:
 
     contradictions: tuple[ConstantContradiction, ...] = ()
     """Contradictions, the most significant first."""
-    joint_evidence: float = 0.0
+    joint_log_evidence: float = 0.0
     """Log evidence of all contradictions together against the prior of the adjustment, with prior odds; 0 for none.
 
     It can be compared with the log evidence of a model of effects.
@@ -104,14 +103,14 @@ class ContradictingConstants:
 class ConstantChange:
     """Possible change of a constant of one instrument, or of several instruments by the same amount."""
 
-    instruments: tuple[int, ...]
+    instrument_indices: tuple[int, ...]
     """Indices of the instruments."""
-    constant: int
+    constant_index: int
     """Index of the constant."""
     reference_text: str
     """Text of the reference with which the constant is compared."""
     added_variances: Floats | float = 0.0
-    """Possible variances (s,) of the constant in addition to the expected one, in squares of the specification."""
+    """Possible variances (s,) of the constant in addition to its expected variance, in squares of the specification."""
     log_variance_weights: Floats | float = 0.0
     """Natural logarithms (s,) of the prior weights of `added_variances`."""
 
@@ -124,7 +123,7 @@ class ExpectedConstants:
     """Expected values (I p,)."""
     covariance: Floats
     """Covariance (I p, I p) of the expected values."""
-    changes: tuple[ConstantChange, ...]
+    possible_changes: tuple[ConstantChange, ...]
     """Changes of instrument constants that are tested."""
 
 
@@ -142,7 +141,7 @@ def find_contradictions(adjustment: Adjustment, min_log_evidence: float) -> Cont
     common_variance = np.where(
         np.outer(is_compared, is_compared)[:, :, None], np.minimum(unit[:, None], unit) ** 2, 0.0
     )
-    common_variance /= unit[:, None] * unit  # what all have in common is within the least of their guarantees
+    common_variance /= unit[:, None] * unit  # the common part of all constants is within the smallest specification
     separate_variance = np.where(is_corrected, CORRECTED_INSTRUMENT_SIGMA_FRACTION**2, np.where(is_compared, 0.0, 1.0))
     blocks = common_variance + (np.eye(len(unit)) * separate_variance)[:, :, None]
     covariance = np.einsum("ijp,pq->ipjq", blocks, np.eye(unit.shape[1])).reshape(unit.size, unit.size)
@@ -154,19 +153,20 @@ def find_contradictions(adjustment: Adjustment, min_log_evidence: float) -> Cont
     possible_changes = tuple(
         ConstantChange(group, k, reference_texts[group]) for group in owners for k in range(unit.shape[1])
     )
-    return compare_constants(
+    return constants_contradicting_expectation(
         adjustment, ExpectedConstants(np.zeros(unit.size), covariance, possible_changes), min_log_evidence
     )
 
 
-def compare_constants(
+def constants_contradicting_expectation(
     adjustment: Adjustment, expectation: ExpectedConstants, min_log_evidence: float
 ) -> ContradictingConstants:
     """Constants that differ from their expectation, each with a log evidence above `min_log_evidence` given the others.
 
     They are selected by forward selection with exchange, in which selected constants have the prior variance
-    `CHANGED_PRIOR_VARIANCE`. The readings without the prior of the adjustment give the normal equations N x = b of the
-    constants x. With the expectation x ~ N(m, V), the information on a change of constant k is (V + N^-1)^-1[k, k].
+    `CHANGED_CONSTANT_PRIOR_VARIANCE`. The readings without the prior of the adjustment give the normal equations N x =
+    b of the constants x. With the expectation x ~ N(m, V), the information on a change of constant k is (V +
+    N^-1)^-1[k, k].
     """
     prior = adjustment.problem.prior.sigma
     unit = prior_sigmas(adjustment.recording, adjustment.construction)
@@ -175,36 +175,39 @@ def compare_constants(
     )
     score_vector, log_prior = (
         likelihood.information_vector - likelihood.information @ expectation.mean,
-        log_prior_share("constant", len(expectation.changes)),
+        log_prior_of_each_explanation("constant", len(expectation.possible_changes)),
     )
-    change_directions = np.zeros((len(expectation.changes), *unit.shape))
-    for change_direction, change in zip(change_directions, expectation.changes, strict=True):
-        change_direction[list(change.instruments), change.constant] = 1.0
+    change_directions = np.zeros((len(expectation.possible_changes), *unit.shape))
+    for change_direction, change in zip(change_directions, expectation.possible_changes, strict=True):
+        change_direction[list(change.instrument_indices), change.constant_index] = 1.0
     change_directions = change_directions.reshape(len(change_directions), unit.size)
 
-    def logs(other_changes: Collection[int]) -> Floats:
+    def log_evidences_given(other_changes: Collection[int]) -> Floats:
         """Log evidence (changes,) of each change, given that `other_changes` (their indices) are selected."""
         given_changes = change_directions[list(other_changes)]
         score, weight = score_test(
             likelihood.information,
             score_vector,
-            expectation.covariance + CHANGED_PRIOR_VARIANCE * given_changes.T @ given_changes,
+            expectation.covariance + CHANGED_CONSTANT_PRIOR_VARIANCE * given_changes.T @ given_changes,
         )
-        strength, score_along = (
+        information_of_change, score_along = (
             np.einsum("hi,ij,hj->h", change_directions, weight, change_directions),
             change_directions @ score,
         )
         log_evidences = np.full(len(change_directions), -np.inf)
         for k in np.flatnonzero(
-            (strength > MAX_ROUNDING_ERROR) & ~np.isin(np.arange(len(change_directions)), list(other_changes))
+            (information_of_change > MAX_ROUNDING_ERROR)
+            & ~np.isin(np.arange(len(change_directions)), list(other_changes))
         ):
-            change = expectation.changes[k]
-            log_evidences[k] = log_prior + _change_log_evidence(
-                score_along[k] / strength[k], 1.0 / strength[k] + change.added_variances, change.log_variance_weights
+            change = expectation.possible_changes[k]
+            log_evidences[k] = log_prior + _log_evidence_of_change(
+                score_along[k] / information_of_change[k],
+                1.0 / information_of_change[k] + change.added_variances,
+                change.log_variance_weights,
             )
         return log_evidences
 
-    odds_by_change = forward_select(logs, min_log_evidence)
+    odds_by_change = forward_select(log_evidences_given, min_log_evidence)
     score, weight = score_test(likelihood.information, score_vector, expectation.covariance)
     information = change_directions @ weight @ change_directions.T
     contradictions: list[int] = []
@@ -229,11 +232,16 @@ def compare_constants(
     joint_log_ratio = float(log_sum_exp(np.array(changed))) - unchanged
     covariance = np.linalg.inv(information[np.ix_(contradictions, contradictions)])
     gap, sigma = covariance @ change_directions[contradictions] @ score, np.sqrt(np.diag(covariance))
-    units = [unit[expectation.changes[k].instruments[0], expectation.changes[k].constant] for k in contradictions]
-    chance = np.minimum(len(change_directions) * erfc(np.abs(gap) / sigma / np.sqrt(2.0)), 1.0)
+    units = [
+        unit[expectation.possible_changes[k].instrument_indices[0], expectation.possible_changes[k].constant_index]
+        for k in contradictions
+    ]
+    p_values = np.minimum(len(change_directions) * erfc(np.abs(gap) / sigma / np.sqrt(2.0)), 1.0)
     entries = (
-        _contradiction_of_change(adjustment, expectation.changes, odds_by_change[k], k, *map(float, (g * u, s * u, c)))
-        for k, g, s, c, u in zip(contradictions, gap, sigma, chance, units, strict=True)
+        _contradiction_of_change(
+            adjustment, expectation.possible_changes, odds_by_change[k], k, *map(float, (g * u, s * u, c))
+        )
+        for k, g, s, c, u in zip(contradictions, gap, sigma, p_values, units, strict=True)
     )
     return ContradictingConstants(tuple(entries), joint_log_ratio + log_prior * len(contradictions))
 
@@ -253,25 +261,29 @@ def _contradiction_of_change(
     standard deviation [SI].
     """
     change, parameters = constant_changes[change_index], adjustment.construction.parameters
-    rivals = [i for i, other in enumerate(constant_changes) if other.instruments == change.instruments]
-    share = normalised_probabilities(log_evidences[rivals])
+    evidence_shares = [
+        i for i, other in enumerate(constant_changes) if other.instrument_indices == change.instrument_indices
+    ]
+    share = normalised_probabilities(log_evidences[evidence_shares])
     return ConstantContradiction(
-        instruments=tuple(adjustment.recording.instruments[i] for i in change.instruments),
-        parameter=parameters[change.constant],
+        instruments=tuple(adjustment.recording.instruments[i] for i in change.instrument_indices),
+        parameter=parameters[change.constant_index],
         difference=difference,
         sigma=sigma,
-        evidence=float(log_evidences[change_index]),
+        log_evidence=float(log_evidences[change_index]),
         p_value=p_value,
-        against=change.reference_text,
-        rivals={
-            parameters[constant_changes[rivals[i]].constant]: float(share[i])
+        reference_text=change.reference_text,
+        evidence_shares={
+            parameters[constant_changes[evidence_shares[i]].constant_index]: float(share[i])
             for i in np.argsort(-share)
             if share[i] > MIN_REPORTED_PROBABILITY
         },
     )
 
 
-def _change_log_evidence(difference: float, variances: Floats | float, log_variance_weights: Floats | float) -> float:
+def _log_evidence_of_change(
+    difference: float, variances: Floats | float, log_variance_weights: Floats | float
+) -> float:
     """Log evidence of a change from its estimate `difference`, averaged over `variances` (s,) with log weights (s,)."""
     variances, log_variance_weights = np.atleast_1d(variances), np.atleast_1d(log_variance_weights)
     log_unchanged = log_variance_weights - 0.5 * (difference**2 / variances + np.log(variances))
@@ -281,7 +293,7 @@ def _change_log_evidence(difference: float, variances: Floats | float, log_varia
 
 VARIANCE_RATIO_GRID = np.geomspace(0.05, 1e4, 80)
 """Grid of the ratio of the true variance of a constant between calibrations to the sample variance of a few of them."""
-PRIOR_DOF = 4
+SAMPLE_VARIANCE_PRIOR_DOF = 4
 """Degrees of freedom that the sample variances of all constants add to that of one constant (Smyth 2004). They
 correspond to standard deviations that mostly agree within a factor of two."""
 
@@ -290,9 +302,9 @@ correspond to standard deviations that mostly agree within a factor of two."""
 class HistoryExpectation:
     """Expected constants of a recording's instruments, from earlier calibrations."""
 
-    earlier: EarlierCalibrationPrior
+    earlier_calibrations: EarlierCalibrationPrior
     """Earlier calibrations."""
-    expected: ParameterPrior
+    expected_constants: ParameterPrior
     """Mean and covariance of the constants [SI], with their spread between calibrations."""
     specification: Floats
     """Specification of the manufacturer (I, p) [SI] for p constants of I instruments, the unit of all computations
@@ -317,13 +329,13 @@ class HistoryExpectation:
     def find_contradictions(self, adjustment: Adjustment, min_log_evidence: float) -> ContradictingConstants:
         """Constants that changed since the earlier calibrations, each with a log evidence above `min_log_evidence`."""
         parameters, unit = adjustment.construction.parameters, self.specification
-        parameter_indices = [k for k, p in enumerate(parameters) if p.name in self.earlier.parameters]
+        parameter_indices = [k for k, p in enumerate(parameters) if p.name in self.earlier_calibrations.parameters]
         names = [parameters[k].name for k in parameter_indices]
-        covariance = [block / np.outer(u, u) for block, u in zip(self.expected.covariance, unit, strict=True)]
+        covariance = [block / np.outer(u, u) for block, u in zip(self.expected_constants.covariance, unit, strict=True)]
         possible_changes: list[ConstantChange] = []
         for i, block in enumerate(covariance):
             spreads = zip(
-                *self._additional_variances(
+                *self._additional_variances_and_log_weights(
                     block[np.ix_(parameter_indices, parameter_indices)], unit[i, parameter_indices], names
                 ),
                 strict=True,
@@ -332,49 +344,52 @@ class HistoryExpectation:
                 ConstantChange((i,), k, self._reference_phrase(parameters[k]), *s)
                 for k, s in zip(parameter_indices, spreads, strict=True)
             ]
-        expected_means = (self.expected.mean / unit).ravel()
-        return compare_constants(
+        expected_means = (self.expected_constants.mean / unit).ravel()
+        return constants_contradicting_expectation(
             adjustment,
             ExpectedConstants(expected_means, linalg.block_diag(*covariance), tuple(possible_changes)),
             min_log_evidence,
         )
 
-    def _additional_variances(self, variance: Floats, unit: Floats, names: list[str]) -> tuple[Floats, Floats]:
-        """Possible variances (k, s) of k constants in addition to the expected ones, and logs (k, s) of their weights.
+    def _additional_variances_and_log_weights(
+        self, expected_covariance: Floats, specification: Floats, constant_names: list[str]
+    ) -> tuple[Floats, Floats]:
+        """Possible variances (k, s) of k constants in addition to their expected ones, and log weights (k, s).
 
         The spread of a few calibrations is uncertain. Their sample variance has a scaled chi-square distribution, with
-        one degree of freedom less than their number. The spreads of the other constants add `PRIOR_DOF` degrees of
-        freedom (Smyth, Statistical Applications in Genetics 3 (2004) 3). No spread exceeds the specification of the
-        manufacturer. `variance` (k, k) is the expected covariance, `unit` (k,) the specification [SI], and `names` are
-        the names of the constants.
+        one degree of freedom less than their number. The spreads of the other constants add `SAMPLE_VARIANCE_PRIOR_DOF`
+        degrees of freedom (Smyth, Statistical Applications in Genetics 3 (2004) 3). No spread exceeds the specification
+        of the manufacturer. `expected_covariance` (k, k) is the expected covariance, `specification` (k,) the
+        specification [SI], and `constant_names` are the names of the constants.
         """
-        n_calibrations = self.earlier.n_calibrations
+        n_calibrations = self.earlier_calibrations.n_calibrations
         if n_calibrations == 1:
-            return np.zeros((len(unit), 1)), np.zeros((len(unit), 1))
-        spread = (
-            self.earlier.between_calibration_sigma[[self.earlier.parameters.index(name) for name in names]] ** 2
-            / unit**2
-        )
+            return np.zeros((len(specification), 1)), np.zeros((len(specification), 1))
+        spread = self._sigmas_between_calibrations(constant_names) ** 2 / specification**2
         precision = (
-            np.diag(np.linalg.inv(variance - np.diag(spread))) - 1.0
-        )  # of the mean, without the maker's guarantee
+            np.diag(np.linalg.inv(expected_covariance - np.diag(spread))) - 1.0
+        )  # of the mean, without the specification of the manufacturer
         variances = n_calibrations / np.maximum(precision, MAX_ROUNDING_ERROR)
         usual_variance = variances + np.median(spread) - spread
         added_variance = np.minimum(
             np.outer(variances, VARIANCE_RATIO_GRID - 1.0), np.maximum(1.0 - spread, 0.0)[:, None]
         )
-        shown = (n_calibrations - 1 + PRIOR_DOF * usual_variance / variances)[:, None]
+        scaled_sum = (n_calibrations - 1 + SAMPLE_VARIANCE_PRIOR_DOF * usual_variance / variances)[:, None]
         weights = (
-            -0.5 * (n_calibrations - 1 + PRIOR_DOF) * np.log(VARIANCE_RATIO_GRID) - 0.5 * shown / VARIANCE_RATIO_GRID
+            -0.5 * (n_calibrations - 1 + SAMPLE_VARIANCE_PRIOR_DOF) * np.log(VARIANCE_RATIO_GRID)
+            - 0.5 * scaled_sum / VARIANCE_RATIO_GRID
         )
         return np.maximum(added_variance * (1.0 + 1.0 / n_calibrations), -spread[:, None]), weights
 
+    def _sigmas_between_calibrations(self, constant_names: Sequence[str]) -> Floats:
+        """Standard deviations (k,) [SI] between the earlier calibrations, of k constants."""
+        indices = [self.earlier_calibrations.parameters.index(name) for name in constant_names]
+        return self.earlier_calibrations.between_calibration_sigma[indices]
+
     def _reference_phrase(self, parameter: Parameter) -> str:
         """Text of the reference with which a constant is compared."""
-        if self.earlier.n_calibrations == 1:
+        n_calibrations = self.earlier_calibrations.n_calibrations
+        if n_calibrations == 1:
             return "its calibration"
-        spread = (
-            self.earlier.between_calibration_sigma[self.earlier.parameters.index(parameter.name)]
-            / parameter.si_per_display_unit
-        )
-        return f"its history ({self.earlier.n_calibrations} calibrations, spread {spread:.2g} {parameter.unit})"
+        spread = self._sigmas_between_calibrations([parameter.name])[0] / parameter.si_per_display_unit
+        return f"its history ({n_calibrations} calibrations, spread {spread:.2g} {parameter.unit})"

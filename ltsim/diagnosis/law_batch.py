@@ -22,7 +22,7 @@ import scipy.sparse as sp
 from ltsim.calibration.evidence import log_evidence, log_sum_exp
 from ltsim.core.arrays import Floats, Ints, Singles, batches
 from ltsim.core.rounding import MAX_SINGLE_ROUNDING_ERROR
-from ltsim.diagnosis.evidence import N_REFINED, simulated_log_total
+from ltsim.diagnosis.evidence import N_EXACTLY_EVALUATED, simulated_log_total_evidence
 from ltsim.diagnosis.null_ensemble import MIN_SIMULATED_RECORDINGS, NullEnsemble
 from ltsim.physics.laws.places import LawPlace
 from ltsim.physics.laws.regressors import Regressor
@@ -52,45 +52,45 @@ class ScreenedLaw:
 
 
 @dataclass(frozen=True)
-class RowPartition:
+class PointingPartition:
     """Partition of the pointings into cells of pointings that belong to the same places.
 
     The sum over a place is the sum over its cells.
     """
 
-    order: Ints
+    pointing_order: Ints
     """Indices (n,) of the pointings, cell after cell."""
     cell_edges: Ints
-    """Start (cells + 1,) of each cell in `order`, and the end of the last cell."""
-    is_in_place: sp.csr_array
+    """Start (cells + 1,) of each cell in `pointing_order`, and the end of the last cell."""
+    is_cell_in_place: sp.csr_array
     """Indicator (P, cells) of the cells of each of P places."""
 
     @classmethod
-    def from_places(cls, places: Sequence[LawPlace], n_pointings: int) -> RowPartition:
+    def from_places(cls, places: Sequence[LawPlace], n_pointings: int) -> PointingPartition:
         """Partition of `n_pointings` pointings by the places to which they belong."""
         is_inside = np.zeros((len(places), n_pointings), dtype=bool)
         for here, place in zip(is_inside, places, strict=True):
             here[place.rows] = True
         _, first, cell = np.unique(np.packbits(is_inside, axis=0), axis=1, return_index=True, return_inverse=True)
-        order = np.argsort(cell.ravel(), kind="stable")
+        pointing_order = np.argsort(cell.ravel(), kind="stable")
         edges = np.append(0, np.cumsum(np.bincount(cell.ravel())))
-        return cls(order, edges, sp.csr_array(is_inside[:, first].astype(np.float32)))
+        return cls(pointing_order, edges, sp.csr_array(is_inside[:, first].astype(np.float32)))
 
-    def chunks(self, n_entries_per_pointing: int) -> Iterator[tuple[slice, Ints, list[tuple[int, slice]]]]:
+    def pointing_batches(self, n_entries_per_pointing: int) -> Iterator[tuple[slice, Ints, list[tuple[int, slice]]]]:
         """Batches of pointings for temporary arrays with `n_entries_per_pointing` entries per pointing.
 
-        Each batch is a tuple: its slice of `order`, the indices of its pointings, and for each of its cells the index
-        of the cell and its slice in the batch.
+        Each batch is a tuple: its slice of `pointing_order`, the indices of its pointings, and for each of its cells
+        the index of the cell and its slice in the batch.
         """
-        for part in batches(len(self.order), n_entries_per_pointing):
+        for part in batches(len(self.pointing_order), n_entries_per_pointing):
             first, last = np.searchsorted(self.cell_edges, [part.start, part.stop - 1], side="right") - 1
             cuts = np.clip(self.cell_edges[first : last + 2] - part.start, 0, part.stop - part.start).tolist()
             here = [(first + i, slice(*cut)) for i, cut in enumerate(pairwise(cuts))]
-            yield part, self.order[part], here
+            yield part, self.pointing_order[part], here
 
     def sums_over_places(self, cell_sums: Any) -> Any:
         """Sums over places, (P, ...), from the sums over cells, `cell_sums` (cells, ...)."""
-        return (self.is_in_place @ cell_sums.reshape(len(cell_sums), -1)).reshape(-1, *cell_sums.shape[1:])
+        return (self.is_cell_in_place @ cell_sums.reshape(len(cell_sums), -1)).reshape(-1, *cell_sums.shape[1:])
 
 
 class RegressorColumns:
@@ -100,12 +100,12 @@ class RegressorColumns:
     """
 
     def __init__(
-        self, regressors: Sequence[Regressor], sightings: Sightings, order: Ints, *, acts_on_targets: bool
+        self, regressors: Sequence[Regressor], sightings: Sightings, pointing_order: Ints, *, acts_on_targets: bool
     ) -> None:
         self._regressors, self._sightings, self._order, self._acts_on_targets = (
             regressors,
             sightings,
-            order,
+            pointing_order,
             acts_on_targets,
         )
         self._all_columns: Singles | None = None
@@ -148,31 +148,32 @@ class LawBatch:
     """Regressors, D of them, with k columns each."""
     places: tuple[LawPlace, ...]
     """Places, P of them."""
-    partition: RowPartition
+    partition: PointingPartition
     """Partition of the pointings by these places."""
-    weights: Singles
+    whitened_response_designs: Singles
     """Whitened change (n, 3, C, c) of the readings by a plausible size of each component of each changed quantity."""
     columns: RegressorColumns
     """Columns of the regressors, shared by batches with the same regressors and cells."""
-    log_prior: Floats
+    log_prior_by_place: Floats
     """Log prior (P,) of one law (response, regressor and length scale) at each place."""
-    _quadratic_forms: dict[int, list[tuple[Floats, Singles]]] = field(default_factory=dict, repr=False)
+    _cached_eigen_decompositions: dict[int, list[tuple[Floats, Singles]]] = field(default_factory=dict, repr=False)
 
     @cached_property
     def _prior_sigmas(self) -> list[Floats]:
         """Prior standard deviations (D, c k) of the coefficients of each regressor, one array per length scale."""
-        ways = self.weights.shape[3]
+        n_components = self.whitened_response_designs.shape[3]
         return [
-            np.tile(np.stack(sets), ways) for sets in zip(*(d.coefficient_sigmas for d in self.regressors), strict=True)
+            np.tile(np.stack(sets), n_components)
+            for sets in zip(*(d.coefficient_sigmas for d in self.regressors), strict=True)
         ]
 
-    def best_laws_and_totals(self, null_ensemble: NullEnsemble) -> tuple[list[ScreenedLaw], float, Floats]:
+    def best_laws_and_log_totals(self, null_ensemble: NullEnsemble) -> tuple[list[ScreenedLaw], float, Floats]:
         """Best laws of every place, the log of the summed evidence of all laws, and its null values (trials,).
 
         The null values are those of the simulated recordings of the null ensemble.
         """
         count, size = len(self.regressors), self.regressors[0].n_columns
-        products = size * self.weights[0, 0].size * len(self.places)
+        products = size * self.whitened_response_designs[0, 0].size * len(self.places)
         n_entries = max(products * MIN_SIMULATED_RECORDINGS, self.columns.n_entries_per_regressor)
         batch_results = [self._log_evidence_at_places(null_ensemble, part) for part in batches(count, n_entries)]
         log_evidences = np.concatenate([log_evidences for log_evidences, _ in batch_results], axis=2).reshape(
@@ -180,12 +181,12 @@ class LawBatch:
         )
         null = log_sum_exp(np.stack([null for _, null in batch_results]))
         best_index = np.argsort(-np.round(log_evidences / MAX_SINGLE_ROUNDING_ERROR), axis=1, kind="stable")[
-            :, :N_REFINED
+            :, :N_EXACTLY_EVALUATED
         ]
         hits = [
             ScreenedLaw(self.responses[i // count], self.regressors[i % count], place, v, prior)
             for place, prior, indices, here in zip(
-                self.places, self.log_prior.tolist(), best_index, log_evidences, strict=True
+                self.places, self.log_prior_by_place.tolist(), best_index, log_evidences, strict=True
             )
             for i, v in zip(indices.tolist(), here[indices].tolist(), strict=True)
         ]
@@ -195,27 +196,32 @@ class LawBatch:
         """Log evidence (P, C, d) with priors of the laws with a range of d regressors, and null values (trials,).
 
         The null values are logs of the summed evidence of these laws for simulated recordings. The Gram matrix of a law
-        is not reduced for the members of the model. It is too large if both are correlated. The best laws are evaluated
-        again without this approximation.
+        is not reduced by the effects in the model, so that it is too large for a law that is correlated with these. The
+        best laws are evaluated again without this approximation.
         """
         columns = self.columns.columns_of(regressor_range)
-        scores = self._products_with_ensemble(null_ensemble, columns)
+        scores = self._products_with_ensemble_vectors(null_ensemble, columns)
         score, trials, _ = null_ensemble.split_products(scores)
         null = np.full((1, null_ensemble.n_trials), -np.inf)
-        if null_ensemble.is_first_pass:
-            grams = null_ensemble.projected_gram(scores, self._gram_matrices(columns))
-            turned = self._eigen_decomposition(grams, regressor_range)
-            self._quadratic_forms[regressor_range.start] = turned
+        if null_ensemble.has_empty_model:
+            grams = null_ensemble.projected_gram(scores, self._unprojected_gram_matrices(columns))
+            eigen_decompositions = self._scaled_eigen_decompositions(grams, regressor_range)
+            self._cached_eigen_decompositions[regressor_range.start] = eigen_decompositions
             if null_ensemble.n_trials:
-                priors = np.repeat(self.log_prior, scores.shape[1] * scores.shape[2])
-                null = np.stack([simulated_log_total(turn @ trials, strength, priors) for strength, turn in turned])
+                priors = np.repeat(self.log_prior_by_place, scores.shape[1] * scores.shape[2])
+                null = np.stack(
+                    [
+                        simulated_log_total_evidence(eigenvectors @ trials, eigenvalues, priors)
+                        for eigenvalues, eigenvectors in eigen_decompositions
+                    ]
+                )
         log_evidences = [
-            log_evidence((turn @ score[..., None])[..., 0] ** 2, strength)
-            for strength, turn in self._quadratic_forms[regressor_range.start]
+            log_evidence((eigenvectors @ score[..., None])[..., 0] ** 2, eigenvalues)
+            for eigenvalues, eigenvectors in self._cached_eigen_decompositions[regressor_range.start]
         ]
-        return log_sum_exp(np.stack(log_evidences)) + self.log_prior[:, None, None], log_sum_exp(null)
+        return log_sum_exp(np.stack(log_evidences)) + self.log_prior_by_place[:, None, None], log_sum_exp(null)
 
-    def _eigen_decomposition(self, gram: Floats, regressor_range: slice) -> list[tuple[Floats, Singles]]:
+    def _scaled_eigen_decompositions(self, gram: Floats, regressor_range: slice) -> list[tuple[Floats, Singles]]:
         """Eigenvalues (P, C, d, c k), and matrices (P, C, d, c k, c k), for each length scale.
 
         The product of a matrix with the scores of a law gives the scores along its eigenvectors. `gram` has the shape
@@ -223,55 +229,68 @@ class LawBatch:
         """
         transforms = []
         for spread in (spread[regressor_range] for spread in self._prior_sigmas):
-            strength, turn = np.linalg.eigh(gram * spread[:, :, None] * spread[:, None, :])
-            turn = np.swapaxes(turn, -1, -2) * spread[:, None, :]
-            transforms.append((np.maximum(strength, 0.0), turn.astype(np.float32)))
+            eigenvalues, eigenvectors = np.linalg.eigh(gram * spread[:, :, None] * spread[:, None, :])
+            eigenvectors = np.swapaxes(eigenvectors, -1, -2) * spread[:, None, :]
+            transforms.append((np.maximum(eigenvalues, 0.0), eigenvectors.astype(np.float32)))
         return transforms
 
-    def _products_with_ensemble(self, null_ensemble: NullEnsemble, columns: Singles) -> Singles:
+    def _products_with_ensemble_vectors(self, null_ensemble: NullEnsemble, columns: Singles) -> Singles:
         """Products (P, C, d, c k, v) of the design matrices of laws with v vectors of the ensemble, at all places.
 
         `columns` (n, d k) are those of d regressors.
         """
-        _, _, count, ways = self.weights.shape
+        _, _, count, n_components = self.whitened_response_designs.shape
         vectors, d = null_ensemble.probe_vectors.shape[1], columns.shape[1] // self.regressors[0].n_columns
         cell_sums = np.zeros(
-            (len(self.partition.cell_edges) - 1, columns.shape[1], count * ways * vectors), dtype=np.float32
+            (len(self.partition.cell_edges) - 1, columns.shape[1], count * n_components * vectors), dtype=np.float32
         )
-        for part, rows, cells in self.partition.chunks(count * ways * vectors):
-            weights = self.weights[rows].reshape(len(rows), 3, -1)
-            moved = (np.swapaxes(weights, 1, 2) @ null_ensemble.vectors_at(rows)).reshape(len(rows), -1)
-            turned = columns[part].T
+        for part, rows, cells in self.partition.pointing_batches(count * n_components * vectors):
+            whitened_response_designs = self.whitened_response_designs[rows].reshape(len(rows), 3, -1)
+            moved = (np.swapaxes(whitened_response_designs, 1, 2) @ null_ensemble.vectors_at(rows)).reshape(
+                len(rows), -1
+            )
+            transposed_columns = columns[part].T
             for cell, at in cells:
-                cell_sums[cell] += turned[:, at] @ moved[at]
-        products = self.partition.sums_over_places(cell_sums).reshape(len(self.places), d, -1, count, ways, vectors)
+                cell_sums[cell] += transposed_columns[:, at] @ moved[at]
+        products = self.partition.sums_over_places(cell_sums).reshape(
+            len(self.places), d, -1, count, n_components, vectors
+        )
         return np.ascontiguousarray(products.transpose(0, 3, 1, 4, 2, 5)).reshape(len(products), count, d, -1, vectors)
 
-    def _gram_matrices(self, columns: Singles) -> Floats:
+    def _unprojected_gram_matrices(self, columns: Singles) -> Floats:
         """Gram matrices (P, C, d, c k, c k) of the designs of laws, from the `columns` (n, d k) of d regressors."""
-        _, _, count, ways = self.weights.shape
+        _, _, count, n_components = self.whitened_response_designs.shape
         k = self.regressors[0].n_columns
         d = columns.shape[1] // k
-        cell_sums = np.zeros((len(self.partition.cell_edges) - 1, count * ways * ways, d * k * k))
-        for part, rows, cells in self.partition.chunks(d * k * k):
-            blocks, weights = columns[part].reshape(len(rows), d, k), self.weights[rows]
+        cell_sums = np.zeros((len(self.partition.cell_edges) - 1, count * n_components * n_components, d * k * k))
+        for part, rows, cells in self.partition.pointing_batches(d * k * k):
+            blocks, whitened_response_designs = (
+                columns[part].reshape(len(rows), d, k),
+                self.whitened_response_designs[rows],
+            )
             pairs = (blocks[:, :, :, None] * blocks[:, :, None, :]).reshape(len(rows), -1)
-            turned = np.einsum("nica,nicb->ncab", weights, weights).reshape(len(rows), -1).T
+            response_products = (
+                np.einsum("nica,nicb->ncab", whitened_response_designs, whitened_response_designs)
+                .reshape(len(rows), -1)
+                .T
+            )
             for cell, at in cells:
-                cell_sums[cell] += turned[:, at] @ pairs[at]
-        grams = self.partition.sums_over_places(cell_sums).reshape(len(self.places), count, ways, ways, d, k, k)
-        return grams.transpose(0, 1, 4, 2, 5, 3, 6).reshape(len(grams), count, d, ways * k, ways * k)
+                cell_sums[cell] += response_products[:, at] @ pairs[at]
+        grams = self.partition.sums_over_places(cell_sums).reshape(
+            len(self.places), count, n_components, n_components, d, k, k
+        )
+        return grams.transpose(0, 1, 4, 2, 5, 3, 6).reshape(len(grams), count, d, n_components * k, n_components * k)
 
 
-def score_batches(
-    batches: Sequence[LawBatch], null_ensemble: NullEnsemble
+def evaluate_law_batches(
+    law_batches: Sequence[LawBatch], null_ensemble: NullEnsemble
 ) -> list[tuple[list[ScreenedLaw], float, Floats]]:
-    """Results of `LawBatch.best_laws_and_totals` in the order of the batches; shared columns are computed once."""
+    """Results of `LawBatch.best_laws_and_log_totals` in the order of the batches; shared columns are computed once."""
     by_columns: dict[int, list[int]] = {}
-    for i, batch in enumerate(batches):
+    for i, batch in enumerate(law_batches):
         by_columns.setdefault(id(batch.columns), []).append(i)
     scores = {}
     for members in by_columns.values():
-        scores.update({i: batches[i].best_laws_and_totals(null_ensemble) for i in members})
-        batches[members[0]].columns.release()
-    return [scores[i] for i in range(len(batches))]
+        scores.update({i: law_batches[i].best_laws_and_log_totals(null_ensemble) for i in members})
+        law_batches[members[0]].columns.release()
+    return [scores[i] for i in range(len(law_batches))]

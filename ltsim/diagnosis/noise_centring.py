@@ -30,20 +30,20 @@ MAX_CENTRING_OCCUPATIONS = 200
 columns in the residual space."""
 
 
-def centring_hypotheses_of_occupations(space: ResidualSpace) -> list[tuple[float, NoiseHypothesis]]:
+def centring_hypotheses_with_evidence(space: ResidualSpace) -> list[tuple[float, NoiseHypothesis]]:
     """Pairs of log evidence, without prior, and a hypothesis of centring errors, one for each kind of occupation."""
     recording, used = space.adjustment.recording, np.asarray(space.is_used_reading.any(axis=1))
     hypotheses = []
-    for kind in _distinguished_occupations(recording):
+    for kind in _distinguished_occupation_kinds(recording):
         effect = CentringVariance(occupation=kind)
         occupation = np.where(used, target_occupations(recording, effect.uncertainty(MILLIMETRE)), -1)
-        if _shows_centring(recording, occupation, by_face=kind == "station"):
+        if _determines_centring(recording, occupation, requires_repeats_in_face=kind == "station"):
             estimate = best_centring_sigma(space, occupation)
             hypotheses.append((estimate.gain, NoiseHypothesis("unknown:noise:centring", effect, (estimate.sigma,))))
     return hypotheses
 
 
-def estimate_centring(space: ResidualSpace, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
+def with_estimated_centring(space: ResidualSpace, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
     """Hypothesis of centring errors with the estimated standard deviation of the displacements, and its uncertainty.
 
     The adjustment of `space` does not contain these centring errors. `chi2_drop` of the result is twice the gain of log
@@ -57,10 +57,12 @@ def estimate_centring(space: ResidualSpace, hypothesis: NoiseHypothesis) -> Nois
     return replace(hypothesis, sizes=(sigma,), size_sigmas=(sigma_of_estimate,), chi2_drop=2.0 * gain)
 
 
-def with_centring(recording: Recording, noise: Sequence[NoiseHypothesis]) -> Recording:
+def with_declared_centring(recording: Recording, noise_changes: Sequence[NoiseHypothesis]) -> Recording:
     """Recording whose set-up declares those of the given changes of the noise that are centring errors."""
     further: list[CentringUncertainty] = [
-        change.effect.uncertainty(change.sizes[0]) for change in noise if isinstance(change.effect, CentringVariance)
+        change.effect.uncertainty(change.sizes[0])
+        for change in noise_changes
+        if isinstance(change.effect, CentringVariance)
     ]
     if not further:
         return recording
@@ -68,7 +70,7 @@ def with_centring(recording: Recording, noise: Sequence[NoiseHypothesis]) -> Rec
     return recording.replace(setup=recording.setup.model_copy(update={"centring": centring}))
 
 
-def _distinguished_occupations(recording: Recording) -> list[Occupation]:
+def _distinguished_occupation_kinds(recording: Recording) -> list[Occupation]:
     """Occupations of targets that a recording distinguishes: by set-up, by a column, or by its days."""
     declared = {c.occupation for c in recording.setup.centring if not c.stations and not c.targets}
     columns: tuple[Occupation, ...] = ("instrument_setup", "target_setup")
@@ -77,15 +79,20 @@ def _distinguished_occupations(recording: Recording) -> list[Occupation]:
     return [kind for kind in kinds if kind not in declared]
 
 
-def _shows_centring(recording: Recording, occupation: Ints, *, by_face: bool) -> bool:
+def _determines_centring(recording: Recording, occupation_indices: Ints, *, requires_repeats_in_face: bool) -> bool:
     """True if occupations (n,) are few, recur at the targets, and have repeated pointings.
 
-    With `by_face` the pointings must repeat in one face: displacements for each set-up would otherwise fit any error of
-    the model that recurs in both faces.
+    With `requires_repeats_in_face` the pointings must repeat in one face: displacements for each set-up would otherwise
+    fit any error of the model that recurs in both faces.
     """
-    occupied_rows = np.flatnonzero(occupation >= 0)
-    count, targets = len(np.unique(occupation[occupied_rows])), len(np.unique(recording.target[occupied_rows]))
-    n_visits = len(np.unique(np.stack([occupation[occupied_rows], recording.face[occupied_rows] * by_face]), axis=1).T)
+    occupied_rows = np.flatnonzero(occupation_indices >= 0)
+    count, targets = len(np.unique(occupation_indices[occupied_rows])), len(np.unique(recording.target[occupied_rows]))
+    n_visits = len(
+        np.unique(
+            np.stack([occupation_indices[occupied_rows], recording.face[occupied_rows] * requires_repeats_in_face]),
+            axis=1,
+        ).T
+    )
     return (
         count <= MAX_CENTRING_OCCUPATIONS
         and count >= MIN_MEAN_REPEATS * targets

@@ -25,11 +25,11 @@ class PatternGroup:
     All patterns are sparse, or all are dense on the same rows of the residual space.
     """
 
-    members: Ints
+    hypothesis_indices: Ints
     """Indices (h,) of the h hypotheses of the group."""
-    pattern_index: Ints
+    pattern_indices: Ints
     """Index (h,) of the pattern of each hypothesis, in ascending order."""
-    size: Singles
+    sizes: Singles
     """Size (h,) of each hypothesis. Its variance factor is 1 plus the size times the added variance."""
     row_indices: Ints | slice
     """Indices (r,) of the rows of dense patterns; all rows for sparse patterns."""
@@ -50,114 +50,128 @@ class PatternGroup:
         """
         squares, redundancy = squares[self.row_indices], redundancy[self.row_indices]
         n_nonzero = self.added_variance.size if isinstance(self.added_variance, np.ndarray) else self.added_variance.nnz
-        for part in batches(len(self.members), n_nonzero // max(self.added_variance.shape[0], 1)):
+        for part in batches(len(self.hypothesis_indices), n_nonzero // max(self.added_variance.shape[0], 1)):
             logs = self._log_variance_factors_of(part)
-            fit = (_precision_loss(logs) @ squares).astype(np.float64)
-            yield self.members[part], 0.5 * (fit - (logs @ redundancy)[:, None])
+            fit = (_relative_precision_loss(logs) @ squares).astype(np.float64)
+            yield self.hypothesis_indices[part], 0.5 * (fit - (logs @ redundancy)[:, None])
 
-    def log_variance_factors(self, member: int) -> tuple[Ints, Floats]:
+    def affected_rows_and_log_factors(self, member_index: int) -> tuple[Ints, Floats]:
         """Indices (r,) of the rows on which a member changes the noise, and the logs (r,) of its variance factors."""
-        log_factors = self._log_variance_factors_of(slice(member, member + 1))
+        log_factors = self._log_variance_factors_of(slice(member_index, member_index + 1))
         if not isinstance(log_factors, np.ndarray):
             return log_factors.indices, log_factors.data.astype(np.float64)
         changed_indices = np.flatnonzero(log_factors[0])
         row_indices = np.arange(log_factors.shape[1]) if isinstance(self.row_indices, slice) else self.row_indices
         return row_indices[changed_indices], log_factors[0, changed_indices].astype(np.float64)
 
-    def _log_variance_factors_of(self, members: slice) -> Singles | sp.csr_array:
+    def _log_variance_factors_of(self, member_range: slice) -> Singles | sp.csr_array:
         """Log variance factors (h, r) of a range of h members."""
-        added_variance, size = self.added_variance[self.pattern_index[members]], self.size[members]
+        added_variance, sizes = (
+            self.added_variance[self.pattern_indices[member_range]],
+            self.sizes[member_range],
+        )
         if isinstance(added_variance, np.ndarray):
-            return np.log1p(size[:, None] * added_variance)
-        log_factors = np.log1p(np.repeat(size, np.diff(added_variance.indptr)) * added_variance.data)
+            return np.log1p(sizes[:, None] * added_variance)
+        log_factors = np.log1p(np.repeat(sizes, np.diff(added_variance.indptr)) * added_variance.data)
         return sp.csr_array((log_factors, added_variance.indices, added_variance.indptr), added_variance.shape)
 
 
-def _precision_loss(logs: Singles | sp.csr_array) -> Singles | sp.csr_array:
-    """Relative loss of precision 1 - 1/s by variance factors s, from `logs` (h, r), the logs of s."""
-    if isinstance(logs, np.ndarray):
-        return -np.expm1(-logs)
-    return sp.csr_array((-np.expm1(-logs.data), logs.indices, logs.indptr), logs.shape)
+def _relative_precision_loss(log_variance_factors: Singles | sp.csr_array) -> Singles | sp.csr_array:
+    """Relative loss of precision 1 - 1/s by variance factors s, from `log_variance_factors` (h, r), the logs of s."""
+    if isinstance(log_variance_factors, np.ndarray):
+        return -np.expm1(-log_variance_factors)
+    return sp.csr_array(
+        (-np.expm1(-log_variance_factors.data), log_variance_factors.indices, log_variance_factors.indptr),
+        log_variance_factors.shape,
+    )
 
 
-VariancePattern = tuple[Floats, tuple[float, ...]]
+PatternWithSizes = tuple[Floats, tuple[float, ...]]
 """Pattern: the added variance of the first rows per unit of the size, and the sizes of the hypotheses with this
 pattern."""
 
 
 @dataclass(frozen=True)
-class NoiseFactors:
+class VarianceFactors:
     """Variance factors of hypotheses, each of which is in one group of patterns."""
 
-    count: int
+    n_hypotheses: int
     """Number h of hypotheses."""
     groups: tuple[PatternGroup, ...]
     """Groups of patterns."""
 
     @classmethod
-    def from_patterns(cls, patterns: Iterable[VariancePattern], kind: Ints) -> NoiseFactors:
+    def from_patterns(cls, patterns: Iterable[PatternWithSizes], observation_kinds: Ints) -> VarianceFactors:
         """Variance factors from the patterns of consecutive hypotheses.
 
-        `kind` (m,) is the kind of observation of each row. Dense patterns are stored on all rows of the kinds that they
-        change.
+        `observation_kinds` (m,) is the kind of observation of each row. Dense patterns are stored on all rows of the
+        kinds that they change.
         """
-        dense: dict[tuple[bool, ...], tuple[list[Singles], list[PatternHypotheses]]] = {}
+        dense: dict[tuple[bool, ...], tuple[list[Singles], list[FirstIndexAndSizes]]] = {}
         sparse: list[tuple[Ints, Singles]] = []
-        few: list[PatternHypotheses] = []
-        kinds, count = int(kind.max(initial=0)) + 1, 0
+        few: list[FirstIndexAndSizes] = []
+        kinds, n_hypotheses = int(observation_kinds.max(initial=0)) + 1, 0
         for added_variance, sizes in patterns:
             row_indices = np.flatnonzero(added_variance)
-            touched = np.bincount(kind[row_indices], minlength=kinds) > 0
-            rows = np.flatnonzero(touched[kind])
+            touched = np.bincount(observation_kinds[row_indices], minlength=kinds) > 0
+            rows = np.flatnonzero(touched[observation_kinds])
             if len(row_indices) < MIN_DENSE_FRACTION * len(rows) or not len(row_indices):
                 sparse.append((row_indices.astype(np.int32), added_variance[row_indices].astype(np.float32)))
-                few.append((count, sizes))
+                few.append((n_hypotheses, sizes))
             else:
-                filled, owners = dense.setdefault(tuple(touched.tolist()), ([], []))
+                filled, pattern_hypotheses = dense.setdefault(tuple(touched.tolist()), ([], []))
                 filled.append(
-                    np.append(added_variance, np.zeros(len(kind) - len(added_variance)))[rows].astype(np.float32)
+                    np.append(added_variance, np.zeros(len(observation_kinds) - len(added_variance)))[rows].astype(
+                        np.float32
+                    )
                 )
-                owners.append((count, sizes))
-            count += len(sizes)
-        pattern_groups = [_pattern_group(few, slice(None), _sparse_rows(sparse, len(kind)))] if sparse else []
+                pattern_hypotheses.append((n_hypotheses, sizes))
+            n_hypotheses += len(sizes)
+        pattern_groups = (
+            [_pattern_group(few, slice(None), _sparse_rows(sparse, len(observation_kinds)))] if sparse else []
+        )
         del sparse
-        for touched_kinds, (filled, owners) in dense.items():
+        for touched_kinds, (filled, pattern_hypotheses) in dense.items():
             pattern_groups.append(
-                _pattern_group(owners, np.flatnonzero(np.array(touched_kinds)[kind]), stack_and_release(filled))
+                _pattern_group(
+                    pattern_hypotheses,
+                    np.flatnonzero(np.array(touched_kinds)[observation_kinds]),
+                    stack_and_release(filled),
+                )
             )
-        return cls(count, tuple(pattern_groups))
+        return cls(n_hypotheses, tuple(pattern_groups))
 
     def log_likelihood_ratios(self, squares: Singles, redundancy: Floats) -> Floats:
         """Log likelihood ratios (h, trials) of all hypotheses.
 
         `squares` (m, trials) are squares of whitened residuals, and `redundancy` (m,) the redundancy numbers.
         """
-        ratio = np.empty((self.count, squares.shape[1]))
+        ratio = np.empty((self.n_hypotheses, squares.shape[1]))
         for group in self.groups:
             for members, values in group.log_likelihood_ratios(squares, redundancy):
                 ratio[members] = values
         return ratio
 
-    def log_variance_factors(self, hypothesis: int) -> tuple[Ints, Floats]:
+    def affected_rows_and_log_factors(self, hypothesis: int) -> tuple[Ints, Floats]:
         """Indices (r,) of the rows on which a hypothesis changes the noise, and the logs (r,) of its variance factors.
 
         `hypothesis` is the index of the hypothesis.
         """
-        group = next(group for group in self.groups if hypothesis in group.members)
-        return group.log_variance_factors(int(np.flatnonzero(group.members == hypothesis)[0]))
+        group = next(group for group in self.groups if hypothesis in group.hypothesis_indices)
+        return group.affected_rows_and_log_factors(int(np.flatnonzero(group.hypothesis_indices == hypothesis)[0]))
 
 
-PatternHypotheses = tuple[int, tuple[float, ...]]
+FirstIndexAndSizes = tuple[int, tuple[float, ...]]
 """Index of the first hypothesis of a pattern, and the sizes of its hypotheses."""
 
 
 def _pattern_group(
-    owners: Sequence[PatternHypotheses], row_indices: Ints | slice, added_variance: Singles | sp.csr_array
+    pattern_hypotheses: Sequence[FirstIndexAndSizes], row_indices: Ints | slice, added_variance: Singles | sp.csr_array
 ) -> PatternGroup:
-    members = np.concatenate([first + np.arange(len(sizes)) for first, sizes in owners])
-    pattern_index = np.repeat(np.arange(len(owners)), [len(sizes) for _, sizes in owners])
-    pattern_sizes = np.concatenate([sizes for _, sizes in owners]).astype(np.float32)
-    return PatternGroup(members, pattern_index, pattern_sizes, row_indices, added_variance)
+    members = np.concatenate([first + np.arange(len(sizes)) for first, sizes in pattern_hypotheses])
+    pattern_indices = np.repeat(np.arange(len(pattern_hypotheses)), [len(sizes) for _, sizes in pattern_hypotheses])
+    pattern_sizes = np.concatenate([sizes for _, sizes in pattern_hypotheses]).astype(np.float32)
+    return PatternGroup(members, pattern_indices, pattern_sizes, row_indices, added_variance)
 
 
 def _sparse_rows(row_entries: Sequence[tuple[Ints, Singles]], n_rows: int) -> sp.csr_array:

@@ -24,7 +24,7 @@ from ltsim.physics.laws.variance import VarianceFunction, noise_groups
 from ltsim.recordings.recording import OBSERVABLES
 
 GROUP_VARIANCE_FACTORS = np.geomspace(0.05, 400.0, 96)
-"""Factors on a variance, in steps of a tenth, over which the evidence is averaged."""
+"""Factors on a variance, in steps of 10 %, over which the evidence is averaged."""
 COARSE_VARIANCE_FACTORS = np.geomspace(1.5, 400.0, 15)
 """Factors on the variance of one of many groups over which the evidence is averaged. Only clearly larger variances are
 tried."""
@@ -42,14 +42,14 @@ NOISY_OBSERVABLE_SETS: tuple[tuple[str, ...], ...] = (*((name,) for name in OBSE
 
 
 @dataclass(frozen=True)
-class GroupNoise:
+class GroupNoiseChange:
     """Change of the noise with a separate variance factor for each of g groups of readings."""
 
     effect: CandidateNoiseEffect
     """Change of the noise, with one parameter per group."""
-    members: sp.csr_array
+    group_indicators: sp.csr_array
     """Indicators (g, m) of the rows of each group."""
-    factors: Floats
+    variance_factor_grid: Floats
     """Variance factors over which the evidence is averaged."""
 
     @property
@@ -62,22 +62,24 @@ class GroupNoise:
 
         `residual` (m, trials) are whitened residuals, and `redundancy` (m,) their redundancy numbers.
         """
-        squares, share = self.members @ residual**2, self.members @ redundancy
-        log_totals = log_sum_exp(log_restricted_likelihood_ratio(squares, share[:, None], self.factors[:, None, None]))
-        return log_totals - np.log(len(self.factors))
+        squares, share = self.group_indicators @ residual**2, self.group_indicators @ redundancy
+        log_totals = log_sum_exp(
+            log_restricted_likelihood_ratio(squares, share[:, None], self.variance_factor_grid[:, None, None])
+        )
+        return log_totals - np.log(len(self.variance_factor_grid))
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (trials,) for residuals (m, trials)."""
         raise NotImplementedError
 
-    def noise_at_best_place(self, residual: Floats, redundancy: Floats) -> tuple[GroupNoise, ...]:
+    def limited_to_best_place(self, residual: Floats, redundancy: Floats) -> tuple[GroupNoiseChange, ...]:
         """Change of the noise limited to the best of several places; empty if it cannot be limited to places."""
         del residual, redundancy
         return ()
 
-    def expected_factors(self, residual: Floats, redundancy: Floats) -> Floats:
+    def expected_variance_factors(self, residual: Floats, redundancy: Floats) -> Floats:
         """Posterior mean (m,) of the variance factors of the rows, for residuals (m,); 1 for rows of no group."""
-        factors: Floats = 1.0 + self.members.T @ self._expected_added_variance(residual, redundancy)
+        factors: Floats = 1.0 + self.group_indicators.T @ self._expected_added_variance(residual, redundancy)
         return factors
 
     def _expected_added_variance(self, residual: Floats, redundancy: Floats) -> Floats:
@@ -87,10 +89,10 @@ class GroupNoise:
     def _added_variance_if_noisy(self, residual: Floats, redundancy: Floats) -> Floats:
         """Posterior mean (g,) of the added variance of each group, if its noise differs from the declared noise."""
         log_ratios = log_restricted_likelihood_ratio(
-            self.members @ residual**2, self.members @ redundancy, self.factors[:, None]
+            self.group_indicators @ residual**2, self.group_indicators @ redundancy, self.variance_factor_grid[:, None]
         )
         mean_added_variance: Floats = np.sum(
-            normalised_probabilities(log_ratios) * (self.factors[:, None] - 1.0), axis=0
+            normalised_probabilities(log_ratios) * (self.variance_factor_grid[:, None] - 1.0), axis=0
         )
         return mean_added_variance
 
@@ -100,17 +102,19 @@ class GroupNoise:
         return self.effect
 
 
-class RecordingNoiseLevel(GroupNoise):
-    """Noise level of the whole recording, with a common factor of all observables, or separate factors of some."""
+class RecordingNoiseLevel(GroupNoiseChange):
+    """Noise level of the whole recording: a common factor of all observables, or separate factors of some of them."""
 
     @classmethod
     def from_space(cls, space: ResidualSpace, *, allows_quieter: bool) -> RecordingNoiseLevel:
         """Noise level in a residual space. It may be below the declared one only if `allows_quieter`."""
         level, kind = NoiseLevel(), np.nonzero(space.is_used_reading)[1]
-        members = sp.csr_array((np.ones(len(kind)), (kind, np.arange(len(kind)))), (len(OBSERVABLES), space.n_rows))
+        group_indicators = sp.csr_array(
+            (np.ones(len(kind)), (kind, np.arange(len(kind)))), (len(OBSERVABLES), space.n_rows)
+        )
         return cls(
             level,
-            members,
+            group_indicators,
             GROUP_VARIANCE_FACTORS if allows_quieter else GROUP_VARIANCE_FACTORS[GROUP_VARIANCE_FACTORS > 1.0],
         )
 
@@ -119,14 +123,16 @@ class RecordingNoiseLevel(GroupNoise):
 
         A common factor of all observables, and separate factors of some observables, have equal prior probabilities.
         """
-        return np.logaddexp(*self._log_evidence_of_kinds(residual, redundancy)) - np.log(2.0)
+        return np.logaddexp(*self._log_evidence_of_common_and_separate_factors(residual, redundancy)) - np.log(2.0)
 
     @property
     def _with_common_group(self) -> RecordingNoiseLevel:
         """Noise level with a single group that contains all readings."""
-        return replace(self, members=sp.csr_array(self.members.sum(axis=0)[None, :]))
+        return replace(self, group_indicators=sp.csr_array(self.group_indicators.sum(axis=0)[None, :]))
 
-    def _log_evidence_of_kinds(self, residual: Floats, redundancy: Floats) -> tuple[Floats, Floats]:
+    def _log_evidence_of_common_and_separate_factors(
+        self, residual: Floats, redundancy: Floats
+    ) -> tuple[Floats, Floats]:
         """Log evidence (trials,) of a common factor, and that of separate factors for at least one observable."""
         together = self._with_common_group.log_evidence_by_group(residual, redundancy)[0]
         any_observable = np.logaddexp(0.0, self.log_evidence_by_group(residual, redundancy)).sum(axis=0)
@@ -144,18 +150,20 @@ class RecordingNoiseLevel(GroupNoise):
         """
         common, each = self._with_common_group, self.log_evidence_by_group(residual[:, None], redundancy)[:, 0]
         noisy = expit(each) / max(-np.expm1(log_expit(-each).sum()), np.finfo(np.float64).tiny)
-        common_evidence, separate_evidence = self._log_evidence_of_kinds(residual[:, None], redundancy)
+        common_evidence, separate_evidence = self._log_evidence_of_common_and_separate_factors(
+            residual[:, None], redundancy
+        )
         probability = float(expit(common_evidence - separate_evidence)[0])
         together = probability * common._added_variance_if_noisy(residual, redundancy)
         added: Floats = together + (1.0 - probability) * noisy * self._added_variance_if_noisy(residual, redundancy)
         return added
 
 
-class NoiseByGroup(GroupNoise):
+class GroupNoiseMixture(GroupNoiseChange):
     """Noise that is larger than declared for a fraction of the targets, of the stations, or of the readings."""
 
     @classmethod
-    def all_of(cls, space: ResidualSpace) -> tuple[NoiseByGroup, ...]:
+    def candidates(cls, space: ResidualSpace) -> tuple[GroupNoiseMixture, ...]:
         """Hypotheses of separate noise by target and by station, and of a heavy tail, in a residual space.
 
         Targets and stations have a common factor for all observables, or a separate factor for each.
@@ -168,11 +176,11 @@ class NoiseByGroup(GroupNoise):
             key = of[:, None] * kinds + np.arange(kinds) if per_observable else np.repeat(of[:, None], kinds, axis=1)
             rows = key[space.is_used_reading]
             shape = len(names) * (kinds if per_observable else 1), space.n_rows
-            members = sp.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), shape)
+            group_indicators = sp.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), shape)
             banks.append(
                 cls(
                     VarianceFunction(group_kind=each, group_names=names, per_observable=per_observable),
-                    members,
+                    group_indicators,
                     COARSE_VARIANCE_FACTORS,
                 )
             )
@@ -181,18 +189,18 @@ class NoiseByGroup(GroupNoise):
         return tuple(banks)
 
     @classmethod
-    def _heavy_tail(cls, space: ResidualSpace, observables: tuple[str, ...]) -> NoiseByGroup:
+    def _heavy_tail(cls, space: ResidualSpace, observables: tuple[str, ...]) -> GroupNoiseMixture:
         """Hypothesis of a heavy tail: a fraction of the readings of `observables` has larger noise than declared."""
         pointing, kind = np.nonzero(space.is_used_reading)
         column = np.array([observables.index(o) if o in observables else -1 for o in OBSERVABLES])[kind]
         places = np.flatnonzero(column >= 0)
         reading_indices = pointing[places] * len(observables) + column[places]
         names, _ = noise_groups(space.sightings, "reading")
-        members = sp.csr_array(
+        group_indicators = sp.csr_array(
             (np.ones(len(reading_indices)), (reading_indices, places)), (len(names) * len(observables), space.n_rows)
         )
         effect = VarianceFunction(observables, group_kind="reading", group_names=names, per_observable=True)
-        return cls(effect, members, TAIL_VARIANCE_FACTORS)
+        return cls(effect, group_indicators, TAIL_VARIANCE_FACTORS)
 
     @property
     def name(self) -> str:

@@ -33,7 +33,7 @@ NOISY_REGION_SHAPES = ("xyz", "xy", "x", "y")
 """Shapes, as bounded axes, of the regions of the hall in which lines of sight may have larger noise."""
 
 
-def variance_functions(
+def candidate_variance_functions(
     sightings: Sightings, instrument_places: Sequence[LawPlace]
 ) -> Iterator[tuple[str, VarianceFunction, tuple[float, ...]]]:
     """Changes of the noise outside the catalogue, one by one: name, variance function, and the sizes to be tried.

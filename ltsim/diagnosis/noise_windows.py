@@ -17,7 +17,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Bools, Floats
 from ltsim.diagnosis.evidence import index_of_best, log_restricted_likelihood_ratio, normalised_probabilities
-from ltsim.diagnosis.noise_groups import MIN_TAIL_READINGS, NOISY_OBSERVABLE_SETS, GroupNoise
+from ltsim.diagnosis.noise_groups import MIN_TAIL_READINGS, NOISY_OBSERVABLE_SETS, GroupNoiseChange
 from ltsim.physics.laws.places import target_clusters
 from ltsim.physics.laws.variance import VarianceFunction
 from ltsim.recordings.recording import OBSERVABLES
@@ -25,11 +25,11 @@ from ltsim.scene.regions import candidate_regions
 
 WINDOW_VARIANCE_FACTORS = np.geomspace(2.0, 100.0, 7)
 """Factors on the variance in the noisy state over which the evidence is averaged."""
-DENSE_FACTORS = np.geomspace(1.5, 150.0, 33)
+DENSE_WINDOW_VARIANCE_FACTORS = np.geomspace(1.5, 150.0, 33)
 """Factors on the variance in the noisy state, in steps of 15 %, over which its posterior mean is computed."""
 MEAN_WINDOW_COUNTS = np.array([1.5, 6.0])
 """Expected numbers of noisy windows in a recording over which the evidence is averaged."""
-MAX_LOG_RATIO = float(np.log(np.sqrt(np.finfo(np.float64).max)))
+MAX_STEP_LOG_LIKELIHOOD_RATIO = float(np.log(np.sqrt(np.finfo(np.float64).max)))
 """Limit to which the log likelihood ratio of a step is clipped, 355, so that the product of two is a floating-point
 number.
 """
@@ -37,21 +37,21 @@ MAX_CHAIN_STEPS = 200
 """Largest number of steps of the chain. In a recording with more pointings a step contains several of them."""
 WINDOW_REGION_SHAPES = ("x", "y", "z", "xy")
 """Shapes of the regions of the hall in which noise may be larger for a time."""
-OBSERVABLE_FLAGS = np.array(
+OBSERVABLE_SET_INDICATORS = np.array(
     [[name in acts for name in OBSERVABLES] for acts in NOISY_OBSERVABLE_SETS], dtype=np.float64
 )
 """Flags (a, 3) of the observables in each set of observables that may have larger noise at the same time."""
 
 
 @dataclass(frozen=True)
-class NoiseWindows(GroupNoise):
+class NoiseWindows(GroupNoiseChange):
     """Larger noise in windows of time. Each observable in each step of the chain is a group."""
 
-    times: Floats
+    step_edge_times: Floats
     """Start [s] of each step, and the end of the last step, (steps + 1,)."""
     space: ResidualSpace
     """Residual space of the adjustment."""
-    n_places: int = 1
+    n_tried_places: int = 1
     """Number of places among which this one was selected; 1 for all places together."""
 
     @classmethod
@@ -64,19 +64,19 @@ class NoiseWindows(GroupNoise):
         steps = min(len(distinct), MAX_CHAIN_STEPS)
         starts = distinct[np.linspace(0, len(distinct), steps, endpoint=False).round().astype(int)]
         before = distinct[np.searchsorted(distinct, starts[1:]) - 1]
-        times = np.concatenate([[distinct[0]], 0.5 * (starts[1:] + before), [distinct[-1]]])
+        step_edge_times = np.concatenate([[distinct[0]], 0.5 * (starts[1:] + before), [distinct[-1]]])
         step = np.searchsorted(starts, time[pointing], side="right") - 1
         reading_indices = step * len(OBSERVABLES) + kind
-        members = sp.csr_array(
+        group_indicators = sp.csr_array(
             (np.ones(len(reading_indices)), (reading_indices, np.arange(len(reading_indices)))),
             (steps * len(OBSERVABLES), space.n_rows),
         )
         return (
             cls(
-                VarianceFunction(covariates=("time",), covariate_band=(times[0], times[-1])),
-                members,
+                VarianceFunction(covariates=("time",), covariate_band=(step_edge_times[0], step_edge_times[-1])),
+                group_indicators,
                 WINDOW_VARIANCE_FACTORS,
-                times,
+                step_edge_times,
                 space,
             ),
         )
@@ -91,21 +91,23 @@ class NoiseWindows(GroupNoise):
 
         `residual` (m, trials) are whitened residuals of recordings, and `redundancy` (m,) the redundancy numbers.
         """
-        shape = len(self.times) - 1, len(OBSERVABLES), -1
-        squares = OBSERVABLE_FLAGS @ (self.members @ residual**2).reshape(shape)
-        share = OBSERVABLE_FLAGS @ (self.members @ redundancy).reshape(shape)
-        ratios = log_restricted_likelihood_ratio(squares[:, :, None], share[:, :, None], self.factors[:, None])
-        return np.clip(ratios, -MAX_LOG_RATIO, MAX_LOG_RATIO)
+        shape = len(self.step_edge_times) - 1, len(OBSERVABLES), -1
+        squares = OBSERVABLE_SET_INDICATORS @ (self.group_indicators @ residual**2).reshape(shape)
+        share = OBSERVABLE_SET_INDICATORS @ (self.group_indicators @ redundancy).reshape(shape)
+        ratios = log_restricted_likelihood_ratio(
+            squares[:, :, None], share[:, :, None], self.variance_factor_grid[:, None]
+        )
+        return np.clip(ratios, -MAX_STEP_LOG_LIKELIHOOD_RATIO, MAX_STEP_LOG_LIKELIHOOD_RATIO)
 
     @property
-    def _change_probabilities(self) -> Floats:
+    def _state_change_probabilities(self) -> Floats:
         """Probability of a change of state from a step to the next, for each of `MEAN_WINDOW_COUNTS`."""
-        return np.minimum(2.0 * MEAN_WINDOW_COUNTS / len(self.times), 0.5)
+        return np.minimum(2.0 * MEAN_WINDOW_COUNTS / len(self.step_edge_times), 0.5)
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (trials,) for residuals (m, trials), averaged over observables, factors and window numbers."""
         gains = np.exp(self._log_likelihood_ratios(residual, redundancy))
-        p_change = self._change_probabilities[:, None, None, None]
+        p_change = self._state_change_probabilities[:, None, None, None]
         quiet = noisy = np.full((len(p_change), *gains.shape[1:]), 0.5)
         log_totals = np.zeros(quiet.shape)
         for gain in gains:
@@ -114,17 +116,17 @@ class NoiseWindows(GroupNoise):
             log_totals += np.log(scale)
             quiet, noisy = quiet / scale, noisy / scale
         flattened = log_totals.reshape(-1, log_totals.shape[-1])
-        return log_sum_exp(flattened) - np.log(len(flattened) * self.n_places)
+        return log_sum_exp(flattened) - np.log(len(flattened) * self.n_tried_places)
 
     def _expected_added_variance(self, residual: Floats, redundancy: Floats) -> Floats:
         """Posterior mean (g,) of the added variance of each group, divided by the declared variance.
 
         It is an average over all sequences of states, by forward and backward recursion.
         """
-        dense = replace(self, factors=DENSE_FACTORS)
+        dense = replace(self, variance_factor_grid=DENSE_WINDOW_VARIANCE_FACTORS)
         logs, p_change = (
             dense._log_likelihood_ratios(residual[:, None], redundancy)[..., 0],
-            self._change_probabilities[:, None, None],
+            self._state_change_probabilities[:, None, None],
         )
         quiet = noisy = np.full((len(p_change), *logs.shape[1:]), 0.5)
         total, forward_probabilities = np.zeros(quiet.shape), np.empty((len(logs), 2, *quiet.shape))
@@ -133,7 +135,7 @@ class NoiseWindows(GroupNoise):
             total += np.log(quiet + noisy)
             here[:] = np.stack([quiet, noisy]) / (quiet + noisy)
             quiet, noisy = here
-        weight = normalised_probabilities(total.ravel()).reshape(total.shape) * (DENSE_FACTORS - 1.0)
+        weight = normalised_probabilities(total.ravel()).reshape(total.shape) * (DENSE_WINDOW_VARIANCE_FACTORS - 1.0)
         added = np.empty((len(logs), len(OBSERVABLES)))
         quiet = noisy = np.ones(total.shape)
         for step in reversed(range(len(logs))):
@@ -142,7 +144,7 @@ class NoiseWindows(GroupNoise):
                 * noisy
                 / (forward_probabilities[step, 0] * quiet + forward_probabilities[step, 1] * noisy)
             )
-            added[step] = (weight * p_noisy).sum(axis=(0, 2)) @ OBSERVABLE_FLAGS
+            added[step] = (weight * p_noisy).sum(axis=(0, 2)) @ OBSERVABLE_SET_INDICATORS
             noisy = noisy * np.exp(logs[step])
             quiet, noisy = quiet + p_change * (noisy - quiet), noisy + p_change * (quiet - noisy)
             quiet, noisy = quiet / (quiet + noisy), noisy / (quiet + noisy)
@@ -150,13 +152,15 @@ class NoiseWindows(GroupNoise):
 
     def most_likely_effect(self, residual: Floats, redundancy: Floats) -> VarianceFunction:
         """Change of the noise with the observables and windows of the most probable sequence (Viterbi's algorithm)."""
-        ratios = self._log_likelihood_ratios(residual[:, None], redundancy)[..., 0].reshape(len(self.times) - 1, -1)
-        best, states = _most_probable_states(ratios, self._change_probabilities[0])
-        acts = NOISY_OBSERVABLE_SETS[best // len(self.factors)]
+        ratios = self._log_likelihood_ratios(residual[:, None], redundancy)[..., 0].reshape(
+            len(self.step_edge_times) - 1, -1
+        )
+        best, states = _most_probable_states(ratios, self._state_change_probabilities[0])
+        acts = NOISY_OBSERVABLE_SETS[best // len(self.variance_factor_grid)]
         assert isinstance(self.effect, VarianceFunction)
-        return replace(self.effect, observables=acts, covariate_band=self._window_times(states))
+        return replace(self.effect, observables=acts, covariate_band=self._window_edge_times(states))
 
-    def noise_at_best_place(self, residual: Floats, redundancy: Floats) -> tuple[NoiseWindows, ...]:
+    def limited_to_best_place(self, residual: Floats, redundancy: Floats) -> tuple[NoiseWindows, ...]:
         """Windows of larger noise at the best place: a group of targets, a set-up or a region of the hall."""
         s, windows = self.space.sightings, self.most_likely_effect(residual, redundancy)
         places = [
@@ -170,50 +174,52 @@ class NoiseWindows(GroupNoise):
         if not places:
             return ()
         place = places[
-            index_of_best(np.array([self._log_evidence_of(effect, residual, redundancy) for effect in places]))
+            index_of_best(np.array([self._log_evidence_of_effect(effect, residual, redundancy) for effect in places]))
         ]
-        whole = replace(place, observables=OBSERVABLES, covariate_band=(self.times[0], self.times[-1]))
+        whole = replace(
+            place, observables=OBSERVABLES, covariate_band=(self.step_edge_times[0], self.step_edge_times[-1])
+        )
         is_noisy = (whole.variance(s, self.space.sigma, np.ones(1)) > self.space.sigma**2)[self.space.is_used_reading]
         noisy_rows = np.pad(is_noisy, (0, len(residual) - len(is_noisy))).astype(np.float64)
-        members = sp.csr_array(self.members @ sp.diags_array(noisy_rows))
-        return (replace(self, effect=whole, members=members, n_places=len(places)),)
+        group_indicators = sp.csr_array(self.group_indicators @ sp.diags_array(noisy_rows))
+        return (replace(self, effect=whole, group_indicators=group_indicators, n_tried_places=len(places)),)
 
-    def _log_evidence_of(self, effect: VarianceFunction, residual: Floats, redundancy: Floats) -> float:
+    def _log_evidence_of_effect(self, effect: VarianceFunction, residual: Floats, redundancy: Floats) -> float:
         """Log evidence of a change of the noise with given windows and place, averaged over variance factors."""
         space = self.space
         added = (effect.variance(space.sightings, space.sigma, np.ones(1)) / space.sigma**2)[
             space.is_used_reading
         ] - 1.0
         noisy_rows = np.flatnonzero(added)
-        factors = 1.0 + (self.factors[:, None] - 1.0) * added[noisy_rows]
+        factors = 1.0 + (self.variance_factor_grid[:, None] - 1.0) * added[noisy_rows]
         log_likelihood_ratios = log_restricted_likelihood_ratio(
             residual[noisy_rows] ** 2, redundancy[noisy_rows], factors
         ).sum(axis=1)
         return float(log_sum_exp(log_likelihood_ratios) - np.log(len(log_likelihood_ratios)))
 
-    def _window_times(self, states: Bools) -> tuple[float, ...]:
+    def _window_edge_times(self, states: Bools) -> tuple[float, ...]:
         """Times [s] at which the noise becomes larger and smaller, alternately; `states` (steps,) are true if noisy."""
         edges = np.flatnonzero(np.diff(np.concatenate([[False], states, [False]]).astype(int)))
-        return tuple(self.times[edges].tolist())
+        return tuple(self.step_edge_times[edges].tolist())
 
 
-def _most_probable_states(ratios: Floats, change_probability: float) -> tuple[int, Bools]:
+def _most_probable_states(log_likelihood_ratios: Floats, change_probability: float) -> tuple[int, Bools]:
     """Index of the chain with the most probable sequence of states, and this sequence (steps,), true if noisy.
 
-    At least one state is noisy. `ratios` (steps, c) are the log likelihood ratios of the noisy state in c chains, and
-    `change_probability` is the probability of a change of state from a step to the next.
+    At least one state is noisy. `log_likelihood_ratios` (steps, c) are the log likelihood ratios of the noisy state in
+    c chains, and `change_probability` is the probability of a change of state from a step to the next.
     """
-    score, stays = np.zeros((ratios.shape[1], 2)), []
-    for ratio in ratios:
+    score, stays = np.zeros((log_likelihood_ratios.shape[1], 2)), []
+    for ratio in log_likelihood_ratios:
         same, changed = score + np.log1p(-change_probability), score[:, ::-1] + np.log(change_probability)
         stays.append(same >= changed)
         score = np.maximum(same, changed)
         score[:, 1] += ratio
     best_index = int(np.argmax(score.max(axis=1)))
-    state, states = int(np.argmax(score[best_index])), np.zeros(len(ratios), dtype=bool)
-    for i in reversed(range(len(ratios))):
+    state, states = int(np.argmax(score[best_index])), np.zeros(len(log_likelihood_ratios), dtype=bool)
+    for i in reversed(range(len(log_likelihood_ratios))):
         states[i] = bool(state)
         state = state if stays[i][best_index, state] else 1 - state
     if not states.any():
-        states[int(np.argmax(ratios[:, best_index]))] = True
+        states[int(np.argmax(log_likelihood_ratios[:, best_index]))] = True
     return best_index, states

@@ -40,14 +40,14 @@ class NullEnsemble:
     """Residual space with m rows."""
     probe_vectors: Singles
     """Vectors (m, 1 + t + u), side by side: the residuals given the model, the residuals of t simulated recordings, and
-    an orthonormal basis of u estimated parameters, or with `gram_is_monte_carlo` u further simulated residuals."""
+    an orthonormal basis of u estimated parameters, or with `uses_monte_carlo_gram` u further simulated residuals."""
     n_trials: int
     """Number t of simulated recordings that give the p-value of a search; 0 for a search without p-value."""
     model_basis: Floats
     """Orthonormal basis (m, e) of the design columns of the model's effects."""
-    is_first_pass: bool
+    has_empty_model: bool
     """True while the model is empty."""
-    gram_is_monte_carlo: bool
+    uses_monte_carlo_gram: bool
     """True if the Gram matrices of the effects are estimated as means over simulated residuals.
 
     This is so in a network whose residual space is too large for an orthonormal basis.
@@ -56,7 +56,7 @@ class NullEnsemble:
     @classmethod
     def from_space(cls, space: ResidualSpace, seed: int, n_trials: int) -> NullEnsemble:
         """Ensemble of a residual space with `n_trials` simulated recordings, for the empty model."""
-        basis = exact_basis(space)
+        basis = basis_of_small_network(space)
         n_basis_vectors = N_GRAM_DRAWS if basis is None else basis.shape[1]
         vectors = np.empty((space.n_rows, 1 + n_trials + n_basis_vectors), dtype=np.float32)
         vectors[:, 0] = space.residuals
@@ -66,7 +66,7 @@ class NullEnsemble:
         else:
             vectors[:, 1 + n_trials :] = basis
         empty_basis = np.zeros((space.n_rows, 0))
-        return cls(space, vectors, n_trials, empty_basis, is_first_pass=True, gram_is_monte_carlo=basis is None)
+        return cls(space, vectors, n_trials, empty_basis, has_empty_model=True, uses_monte_carlo_gram=basis is None)
 
     def with_model(self, residual: Floats, model_basis: Floats) -> NullEnsemble:
         """Ensemble for a model with the residuals `residual` (m,) and the orthonormal basis `model_basis` (m, e).
@@ -74,7 +74,7 @@ class NullEnsemble:
         It has no simulated recordings, because Gram matrices and null statistics of the empty model are used again.
         """
         vectors = residual[:, None].astype(np.float32)
-        return replace(self, probe_vectors=vectors, n_trials=0, model_basis=model_basis, is_first_pass=False)
+        return replace(self, probe_vectors=vectors, n_trials=0, model_basis=model_basis, has_empty_model=False)
 
     @property
     def simulated_residuals(self) -> Singles:
@@ -101,25 +101,25 @@ class NullEnsemble:
         edge = 1 + self.n_trials
         return scores[..., 0], scores[..., 1:edge], scores[..., edge:]
 
-    def projected_gram(self, scores: Floats | Singles, products: Floats) -> Floats:
+    def projected_gram(self, scores: Floats | Singles, unprojected_gram: Floats) -> Floats:
         """Gram matrices (..., k, k) of k projected design columns of an effect.
 
         Parameters
         ----------
         scores : (..., k, v) float
             Products of the columns with all v vectors, for the empty model.
-        products : (..., k, k) float
-            Products of the columns with each other.
+        unprojected_gram : (..., k, k) float
+            Products of the columns with each other, without projection.
         """
         squares = row_gram(self.split_products(scores)[2])
         return (
             squares / (self.probe_vectors.shape[1] - 1 - self.n_trials)
-            if self.gram_is_monte_carlo
-            else products - squares
+            if self.uses_monte_carlo_gram
+            else unprojected_gram - squares
         )
 
 
-def exact_basis(space: ResidualSpace) -> Floats | None:
+def basis_of_small_network(space: ResidualSpace) -> Floats | None:
     """Orthonormal basis (m, u) of u estimated parameters; None for more than `MAX_DENSE_UNKNOWNS` parameters."""
     projector = space.projector
     is_small = isinstance(projector, BasisResidualProjector) and projector.basis.shape[1] <= MAX_DENSE_UNKNOWNS
@@ -128,7 +128,9 @@ def exact_basis(space: ResidualSpace) -> Floats | None:
 
 def n_simulated_recordings(space: ResidualSpace, level: float) -> int:
     """Number of simulated recordings for a test with the false-alarm rate `level`."""
-    usual = MIN_SIMULATED_RECORDINGS_IN_LARGE_NETWORK if exact_basis(space) is None else MIN_SIMULATED_RECORDINGS
+    usual = (
+        MIN_SIMULATED_RECORDINGS_IN_LARGE_NETWORK if basis_of_small_network(space) is None else MIN_SIMULATED_RECORDINGS
+    )
     return max(usual, ceil(1.0 / level))
 
 

@@ -24,7 +24,7 @@ from ltsim.adjustment.significance import (
     MIN_LOG_EVIDENCE_CERTAIN,
 )
 from ltsim.core.arrays import Bools
-from ltsim.diagnosis.findings_from_tests import axis_finding, finding_of_test, gross_error_finding
+from ltsim.diagnosis.findings_from_tests import axes_point_finding, blunder_finding, cause_test_finding
 from ltsim.diagnosis.schema import Finding
 from ltsim.physics.effects import CATALOGUE
 from ltsim.physics.effects.linear_effect import CandidateEffect
@@ -39,7 +39,7 @@ MAX_SINGLE_OUTLIERS = 2
 """Largest number of outliers of one observable at a station, and at a target, that count as single errors."""
 
 
-def corrected_mistakes(selection: CauseSelection) -> list[Hypothesis]:
+def blunders_to_correct(selection: CauseSelection) -> list[Hypothesis]:
     """Selected simple causes with sufficient evidence that are corrected before the search for effects.
 
     They are blunders in rows of the recording, and reference values that contradict the readings. Shifts of readings
@@ -60,7 +60,7 @@ def corrected_mistakes(selection: CauseSelection) -> list[Hypothesis]:
 
 def identified_effects(selection: CauseSelection) -> tuple[CandidateEffect, ...]:
     """Effects of the catalogue among the simple causes that are not corrected before the search, the surest first."""
-    corrected = corrected_mistakes(selection)
+    corrected = blunders_to_correct(selection)
     changes = (
         c.hypothesis.model_change
         for c in selection.selected_hypotheses
@@ -89,22 +89,22 @@ def is_consistent_when_omitted(adjustment: Adjustment, is_omitted: Bools) -> Boo
     return is_omitted & (whitened_residual < MAX_CHANCE_SIGMAS)
 
 
-def adapted_baseline(
+def adjustment_without_blunders(
     recording: Recording,
     construction: GeometricErrorModel,
     selection: CauseSelection,
     *,
-    is_restored: Bools | None = None,
+    is_readmitted: Bools | None = None,
 ) -> tuple[Adjustment, Bools, list[Finding]]:
     """Adjustment of the recording without its blunders, flags (n, 3) of the readings in it, and findings on blunders.
 
-    The readings are corrected by the estimated blunders, whose uncertainty is in the model. `is_restored` (n, 3) flags
-    readings that are used although they were taken for single errors.
+    The readings are corrected by the estimated blunders, whose uncertainty is in the model. `is_readmitted` (n, 3)
+    flags readings that are used although they were taken for single errors.
     """
-    fit, mistakes = selection.fit, corrected_mistakes(selection)
+    fit, mistakes = selection.fit, blunders_to_correct(selection)
     errors = is_single_error(fit)
-    if is_restored is not None:
-        errors &= ~is_restored
+    if is_readmitted is not None:
+        errors &= ~is_readmitted
     baseline = adjust_with_causes(fit, recording, construction, mistakes, subtracts_changes=True, reading_mask=~errors)
     rows = {(int(i) + 1, OBSERVABLES[k]) for i, k in np.argwhere(errors)}
     places = {(reported_kind(fit, h), h.stations, h.targets) for h in mistakes}
@@ -123,5 +123,5 @@ def adapted_baseline(
     return (
         baseline,
         ~errors,
-        [*map(finding_of_test, tests), *map(axis_finding, axes), *map(gross_error_finding, tripods)],
+        [*map(cause_test_finding, tests), *map(axes_point_finding, axes), *map(blunder_finding, tripods)],
     )

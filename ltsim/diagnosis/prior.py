@@ -1,12 +1,12 @@
 """Prior probabilities of a diagnosis, in one table that is normalised over all explanations of a recording.
 
-That there is a cause, and that there is none, have equal prior probabilities. The probability of a cause is divided
+A cause, and no cause, have equal prior probabilities. The probability of a cause is divided
 among kinds of explanations, and each part among all explanations of its kind that are possible in a recording. These
 are effects of the catalogue in proportion to their base rates (`Effect.base_rate`), each divided equally among its
-places and shapes, and laws with their responses, regressors and places.
-Each operator of a regressor has the factor `laws.regressor_library.ODDS_PER_OPERATOR`. `prior_rows` is the table on the
-theory page. The numbers are judgements of how often a cause occurs in service. Several were revised after experiments
-with known causes. A factor of two in one of them changes the log evidence by 0.7.
+places and shapes, and laws with their responses, regressors and places. Each operator of a regressor has the factor
+`laws.regressor_library.ODDS_PER_OPERATOR`. `prior_table_rows` is the table on the theory page. The numbers are
+judgements of how often a cause occurs in service. Several were revised after experiments with known causes. A factor of
+two in one of them changes the log evidence by 0.7.
 """
 
 from collections.abc import Iterator, Sequence
@@ -31,11 +31,11 @@ CAUSE_TEXTS = {
 """Phrase that names each kind of cause in an output, by the keys of `CAUSE_PRIOR`."""
 P_UNMODELLED = 0.2
 """Prior probability that a cause is neither in the catalogue nor a law, but resembles one of these."""
-P_EVEN = 0.5
-"""Probability of one of two alternatives between which nothing decides beforehand: an unmodelled cause acts on the
+P_EVEN_ODDS = 0.5
+"""Prior probability of each of two alternatives that are equally probable: an unmodelled cause acts on the
 observable of the effect or law that it resembles; the components of a law have a fixed ratio.
 """
-P_CAP_TESTS = 1.0 - P_UNMODELLED * P_EVEN
+MAX_P_OF_TEST_FINDINGS = 1.0 - P_UNMODELLED * P_EVEN_ODDS
 """Largest probability that is reported for findings of tests, whose probabilities do not include an unmodelled cause.
 """
 PLACE_PRIOR = {"everywhere": 0.5, "set-up": 0.2, "instrument": 0.1, "target": 0.1, "group": 0.1}
@@ -59,33 +59,33 @@ FORM_WEIGHTS = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2, "member
 the law. The most probable forms are a curve and a formula."""
 P_RARE_FORM = 0.1
 """Prior probability of each rarer form of a law: a few steps and ramps; a law that is switched on and off; separate
-coefficients at each set-up; a law at one set-up alone, except for the kinds of quantities in `P_SINGLE_SET_UP`.
-"""
-P_SINGLE_SET_UP = {"stand": 0.5}
+coefficients at each set-up; a law at one set-up alone, except for the kinds of quantities in
+`P_SINGLE_SET_UP_BY_RESPONSE_KIND`."""
+P_SINGLE_SET_UP_BY_RESPONSE_KIND = {"stand": 0.5}
 """Prior probability that a law acts at only one set-up, by the kind of quantity that it changes. It is large for
 stands, which differ between set-ups more than instruments do."""
 MAX_MODEL_MEMBERS = 5
 """Largest number of members of a model, and of reported constants of instruments."""
-LOG_ODDS_REPEATED = float(np.log(0.03))
+LOG_PRIOR_ODDS_OF_REPETITION = float(np.log(0.03))
 """Log prior odds of a second effect with the same name (two windows, two unknown laws), relative to a second effect
 with another name. They apply to effects that rarely occur twice."""
 
 
-def log_prior_share(kind: str, n_explanations: int) -> float:
+def log_prior_of_each_explanation(cause_kind: str, n_explanations: int) -> float:
     """Log prior probability of each of `n_explanations` explanations of the same kind, one of `CAUSE_PRIOR`."""
-    return float(np.log(CAUSE_PRIOR[kind] / max(n_explanations, 1)))
+    return float(np.log(CAUSE_PRIOR[cause_kind] / max(n_explanations, 1)))
 
 
-def log_prior_by_base_rate(kind: str, names: Sequence[str]) -> Floats:
+def log_prior_by_base_rate(cause_kind: str, names: Sequence[str]) -> Floats:
     """Log prior probabilities (n,) of n effects of the catalogue, in proportion to their base rates.
 
-    `kind` is the key of their common probability in `CAUSE_PRIOR`.
+    `cause_kind` is the key of their common probability in `CAUSE_PRIOR`.
     """
     rates = np.array([find_effect(name).base_rate for name in names])
-    return log_prior_share(kind, 1) + np.log(rates / rates.sum())
+    return log_prior_of_each_explanation(cause_kind, 1) + np.log(rates / rates.sum())
 
 
-def prior_rows() -> Iterator[tuple[str, float]]:
+def prior_table_rows() -> Iterator[tuple[str, float]]:
     """Pairs of text and prior probability, for every kind of explanation. The probabilities add up to one."""
     for kind, part in CAUSE_PRIOR.items():
         if kind != "law":

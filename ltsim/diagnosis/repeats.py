@@ -9,14 +9,14 @@ from ltsim.core.arrays import Floats
 from ltsim.physics.laws.variance import REPEATS_PER_FACE
 
 
-def repeat_means(space: ResidualSpace, faces: str = REPEATS_PER_FACE) -> sp.csr_array:
+def averaging_matrix_of_repeats(space: ResidualSpace, repetition_kind: str = REPEATS_PER_FACE) -> sp.csr_array:
     """Matrix (g, m) from the m rows of the residual space to g scaled means of repeated readings.
 
-    Repeated readings have the same observable, target and station. If `faces` is `REPEATS_PER_FACE`, they also have the
-    same face. A scaled mean is a sum of readings divided by the square root of their number.
+    Repeated readings have the same observable, target and station. If `repetition_kind` is `REPEATS_PER_FACE`, they
+    also have the same face. A scaled mean is a sum of readings divided by the square root of their number.
     """
     s = space.sightings
-    pair = 2 * (s.station * len(s.target_names) + s.target) + ((s.face == 2) & (faces == REPEATS_PER_FACE))
+    pair = 2 * (s.station * len(s.target_names) + s.target) + ((s.face == 2) & (repetition_kind == REPEATS_PER_FACE))
     key = (3 * pair[:, None] + np.arange(3))[space.is_used_reading]
     _, group, count = np.unique(key, return_inverse=True, return_counts=True)
     keep = count[group] > 1
@@ -26,20 +26,20 @@ def repeat_means(space: ResidualSpace, faces: str = REPEATS_PER_FACE) -> sp.csr_
     return sp.csr_array((1.0 / np.sqrt(count[group[keep]]), (number, places)), shape)
 
 
-def redundancy_of_means(means: sp.csr_array, redundancy: Floats) -> Floats:
+def redundancy_of_means(averaging_matrix: sp.csr_array, redundancy: Floats) -> Floats:
     """Redundancy (g,) of the means of repeated readings, from the redundancy numbers (m,) of the readings.
 
     The adjustment absorbs a common error of repeated readings in proportion to the sum of their leverages.
     """
-    lost = (means > 0).astype(np.float64) @ (1.0 - redundancy)
+    lost = (averaging_matrix > 0).astype(np.float64) @ (1.0 - redundancy)
     return np.maximum(1.0 - lost, MIN_CHECKED_REDUNDANCY)
 
 
-def relative_variance_of_means(means: sp.csr_array, added_variance: Floats) -> Floats:
+def relative_variance_of_means(averaging_matrix: sp.csr_array, added_variance: Floats) -> Floats:
     """Added variance (g,) of scaled means of repeated readings with common errors, relative to the declared variance.
 
     `added_variance` is that of the first rows of the residual space. The sum over the readings of a mean is its added
     variance, because the errors of these readings are equal.
     """
-    padded = np.append(added_variance, np.zeros(means.shape[1] - len(added_variance)))
-    return np.maximum((means > 0).astype(np.float64) @ padded, 0.0)
+    padded = np.append(added_variance, np.zeros(averaging_matrix.shape[1] - len(added_variance)))
+    return np.maximum((averaging_matrix > 0).astype(np.float64) @ padded, 0.0)

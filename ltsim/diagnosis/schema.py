@@ -147,8 +147,8 @@ class GlobalTest(Entry):
     dof: int
     """Degrees of freedom."""
     p_value: OptionalFloat
-    """p-value: probability of a chi-square at least this large if the model is correct. Reports display the two-sided
-    one."""
+    """p-value: probability of a chi-square at least this large if the model is correct. Reports display the
+    two-sided p-value."""
     search_p_value: OptionalFloat = None
     """p-value of the complete search for effects."""
 
@@ -166,7 +166,7 @@ class Misfit(Entry):
     """
 
 
-class BeforeAfter(Entry):
+class MisfitBeforeAfter(Entry):
     """Misfit of the adjustments without and with the findings in the model."""
 
     before: Misfit
@@ -175,7 +175,7 @@ class BeforeAfter(Entry):
     """Misfit with the findings."""
 
 
-class Undetectable(Entry):
+class UndetectableEntry(Entry):
     """Effect that is not detectable in this network."""
 
     effect: str
@@ -251,6 +251,6 @@ FIT_TABLE = Table(
 UNDETECTABLE_TABLE = Table(
     "undetectable.csv",
     "effects that are not detectable in this network",
-    columns_of(Undetectable, undetected_target_error_um={"digits": 2}, detectable_at_factor={"digits": 2}),
+    columns_of(UndetectableEntry, undetected_target_error_um={"digits": 2}, detectable_at_factor={"digits": 2}),
 )
 DETECTABLE_TABLE = Table("detectable.csv", "smallest detectable sizes of effects", columns_of(DetectableEntry))

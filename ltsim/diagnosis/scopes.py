@@ -9,15 +9,15 @@ from ltsim.physics.laws.variance import VarianceFunction
 from ltsim.recordings.recording import OBSERVABLES
 
 
-def effect_scope(effect: CandidateEffect, carrying_observables: tuple[str, ...] = ()) -> FindingScope:
-    """Scope of an effect. `carrying_observables` are its observables if the effect itself does not specify them."""
+def effect_scope(effect: CandidateEffect, default_observables: tuple[str, ...] = ()) -> FindingScope:
+    """Scope of an effect. `default_observables` are its observables if the effect itself does not specify them."""
     observables, stations = tuple(effect.observables), effect.stations
     if isinstance(effect, NoiseEffect | VarianceFunction):
-        observables = carrying_observables or observables
+        observables = default_observables or observables
     instruments = effect.instruments if isinstance(effect, EmpiricalLaw | VarianceFunction) else ()
     if isinstance(effect, EmpiricalLaw):
         stations = () if effect.is_per_setup else stations
-        observables = effect.response.observables or carrying_observables or observables
+        observables = effect.response.observables or default_observables or observables
     return confined_scope(
         observables=() if set(observables) == set(OBSERVABLES) else observables,
         stations=() if instruments else stations,
@@ -27,6 +27,6 @@ def effect_scope(effect: CandidateEffect, carrying_observables: tuple[str, ...] 
     )
 
 
-def confined_scope(**confined_kinds: tuple[str, ...]) -> FindingScope:
+def confined_scope(**names_by_kind: tuple[str, ...]) -> FindingScope:
     """Scope with the given names by kind, such as `stations`. All other kinds are empty."""
-    return FindingScope(**dict.fromkeys(FindingScope.model_fields, ()) | confined_kinds)
+    return FindingScope(**dict.fromkeys(FindingScope.model_fields, ()) | names_by_kind)

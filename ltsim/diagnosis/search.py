@@ -21,49 +21,44 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Floats, Ints
 from ltsim.core.rounding import MAX_SINGLE_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
-from ltsim.diagnosis.catalogue_designs import ORDINARY_CALIBRATION_TYPES, CatalogueDesigns, catalogue_hypotheses
+from ltsim.diagnosis.catalogue_designs import (
+    ORDINARY_CALIBRATION_EFFECT_TYPES,
+    CatalogueDesigns,
+    catalogue_candidate_effects,
+)
 from ltsim.diagnosis.evidence import (
-    MAX_REFINED_DEFICIT,
-    N_REFINED,
+    N_EXACTLY_EVALUATED,
     coefficient_posterior,
-    index_of_best,
     ranked_indices,
 )
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.forms import evaluate_forms, min_promising_evidence
-from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking, log_odds_repeated
-from ltsim.diagnosis.law_batch import LawBatch, ScreenedLaw, score_batches
+from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking, log_prior_odds_of_repetition
+from ltsim.diagnosis.law_batch import LawBatch, ScreenedLaw, evaluate_law_batches
+from ltsim.diagnosis.law_search_space import law_batches
 from ltsim.diagnosis.null_ensemble import NullEnsemble
 from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS
 from ltsim.diagnosis.schema import ParameterEstimate
-from ltsim.diagnosis.shapes import are_distinct, centre_estimates, interpolate_shape, shape_posterior
-from ltsim.diagnosis.space import law_batches
-from ltsim.physics.effects.linear_effect import CandidateEffect, ShapeParameter
+from ltsim.diagnosis.shape_constants import (
+    estimates_averaged_over_shapes,
+    integrate_over_shapes,
+    region_centre_estimates,
+)
 from ltsim.physics.laws.catalogue_names import catalogue_name
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.sizes import displayed_sizes
 
-MAX_RIGID_COEFFICIENTS = 10
+MAX_COEFFICIENTS_OF_SIMPLE_EFFECT = 10
 """Number of coefficients above which an effect may imitate several effects. If the selected model has such an effect, a
 second search starts from the best hypothesis with fewer coefficients. A curve in one covariate has this number: a slope
 and `N_MODES_DEFAULT` eigenfunctions."""
-N_REFINED_IN_LARGE_NETWORK = 3
+N_EXACTLY_EVALUATED_IN_LARGE_NETWORK = 3
 """Number of catalogue effects, and of laws, that a step evaluates without approximation in a large network."""
-N_SHAPE_GRID_POINTS = 11
-"""Number of grid points over which a shape constant is integrated, from one coarse step below to one above the best."""
-N_ADDED_GRID_POINTS = 9
-"""Number of points of each refinement of the grid around its best point. The peak may be much narrower than a step."""
-N_GRID_REFINEMENTS = 2
-"""Number of refinements of the grid around its best point."""
-MAX_LOCAL_OPTIMA = 3
-"""Largest number of local optima of a catalogue effect, over its places and shapes, that are evaluated."""
-MAX_COMPARED_MEMBERS = 40
-"""Number of places and shapes of a catalogue effect, the best first, among which local optima are sought."""
 MAX_RANKED_LAWS = 400
 """Largest number of screened laws in a ranking."""
-MIN_SIGMA_INCREASE = 1.15
+MIN_SIGMA_INCREASE_RATIO = 1.15
 """Ratio of the standard deviation of a parameter with its shape integrated to that of the refit (Laplace's
-approximation). Above it the integrated posterior is reported."""
+approximation). Above this ratio the integrated posterior is reported."""
 
 
 class ScreeningResult(NamedTuple):
@@ -91,25 +86,32 @@ class Searcher:
         n_trials: int = 0,
         *,
         catalogue_designs: CatalogueDesigns | None = None,
-        with_constants: bool = True,
+        tests_ordinary_constants: bool = True,
     ) -> None:
         """Search whose p-value follows from `n_trials` simulated recordings.
 
-        `catalogue_designs` are those of another search on the same readings, which saves their computation. With
-        `with_constants` the constants of the ordinary calibration are hypotheses.
+        `catalogue_designs` are those of another search on the same readings, which saves their computation. If
+        `tests_ordinary_constants`, the constants of the ordinary calibration are hypotheses too.
         """
         self.space = space
         self.null_ensemble = NullEnsemble.from_space(space, seed, n_trials)
-        self.is_large_network = self.null_ensemble.gram_is_monte_carlo
-        self._n_refined = N_REFINED_IN_LARGE_NETWORK if self.is_large_network else N_REFINED
-        self._refines_every_kind = not self.is_large_network
+        self.is_large_network = self.null_ensemble.uses_monte_carlo_gram
+        self._n_exactly_evaluated = (
+            N_EXACTLY_EVALUATED_IN_LARGE_NETWORK if self.is_large_network else N_EXACTLY_EVALUATED
+        )
+        self._evaluates_every_kind_exactly = not self.is_large_network
         if catalogue_designs is None:
-            every = catalogue_hypotheses(space.sightings, space.adjustment.recording.instruments)
+            every = catalogue_candidate_effects(space.sightings, space.adjustment.recording.instruments)
             catalogue_designs = CatalogueDesigns.from_space(
-                space, [effect for effect in every if with_constants or type(effect) not in ORDINARY_CALIBRATION_TYPES]
+                space,
+                [
+                    effect
+                    for effect in every
+                    if tests_ordinary_constants or type(effect) not in ORDINARY_CALIBRATION_EFFECT_TYPES
+                ],
             )
         self.catalogue_designs = catalogue_designs
-        self.law_batches: list[LawBatch] = law_batches(space, with_constants=with_constants)
+        self.law_batches: list[LawBatch] = law_batches(space, tests_ordinary_constants=tests_ordinary_constants)
         self.empty_model = Model.from_space((), space)
         self._rankings: dict[frozenset[str], Ranking] = {}
         self._projected_designs: OrderedDict[str, tuple[Floats, Floats]] = OrderedDict()
@@ -126,7 +128,10 @@ class Searcher:
         unit[rows, np.arange(len(rows))] = 1.0
         reduced = copy(self)
         reduced.space, reduced.is_large_network = self.space.with_design_columns(unit), True
-        reduced._n_refined, reduced._refines_every_kind = N_REFINED_IN_LARGE_NETWORK, False
+        reduced._n_exactly_evaluated, reduced._evaluates_every_kind_exactly = (
+            N_EXACTLY_EVALUATED_IN_LARGE_NETWORK,
+            False,
+        )
         reduced.null_ensemble = self.null_ensemble.with_model(reduced.space.residuals, self.empty_model.basis)
         reduced.empty_model = Model.from_space((), reduced.space)
         reduced._rankings, reduced._projected_designs = {}, OrderedDict()
@@ -134,114 +139,83 @@ class Searcher:
         reduced.empty_model_screening = reduced._screening(reduced.empty_model)
         return reduced
 
-    def ranking(self, base_model: Model) -> Ranking:
+    def ranking(self, conditioning_model: Model) -> Ranking:
         """Ranking of all hypotheses given a model: all are screened, and the best are evaluated exactly."""
-        key = frozenset(h.key for h in base_model.members)
+        key = frozenset(h.key for h in conditioning_model.members)
         if key not in self._rankings:
-            self._rankings[key] = self._compute_ranking(base_model)
+            self._rankings[key] = self._compute_ranking(conditioning_model)
         return self._rankings[key]
 
-    def _screening(self, base_model: Model) -> ScreeningResult:
+    def _screening(self, conditioning_model: Model) -> ScreeningResult:
         """Screening of all catalogue effects and laws given a model."""
         probe = (
-            self.null_ensemble.with_model(base_model.residual, base_model.basis)
-            if base_model.members
+            self.null_ensemble.with_model(conditioning_model.residual, conditioning_model.basis)
+            if conditioning_model.members
             else self.null_ensemble
         )
-        values, chance = self.catalogue_designs.log_evidence_and_trials(probe)
-        families = self.catalogue_designs.family_evidence(values) + self.catalogue_designs.log_family_prior
+        values, null_values = self.catalogue_designs.log_evidence_and_null_values(probe)
+        families = self.catalogue_designs.log_evidence_by_family(values) + self.catalogue_designs.log_family_prior
         laws: list[ScreenedLaw] = []
-        statistic, null = log_sum_exp(families), log_sum_exp(chance + self.catalogue_designs.log_family_prior[:, None])
-        for hits_here, law_total, law_chance in score_batches(self.law_batches, probe):
+        statistic, null = (
+            log_sum_exp(families),
+            log_sum_exp(null_values + self.catalogue_designs.log_family_prior[:, None]),
+        )
+        for hits_here, law_total, law_null_values in evaluate_law_batches(self.law_batches, probe):
             laws += hits_here
-            statistic, null = np.logaddexp(statistic, law_total), np.logaddexp(null, law_chance)
+            statistic, null = np.logaddexp(statistic, law_total), np.logaddexp(null, law_null_values)
         return ScreeningResult(values, families, laws, float(statistic), null)
 
-    def _compute_ranking(self, base_model: Model) -> Ranking:
-        values, families, laws, _, _ = self._screening(base_model) if base_model.members else self.empty_model_screening
-        hypotheses = self._law_hypotheses(laws, base_model)
+    def _compute_ranking(self, conditioning_model: Model) -> Ranking:
+        values, families, laws, _, _ = (
+            self._screening(conditioning_model) if conditioning_model.members else self.empty_model_screening
+        )
+        hypotheses = self._law_hypotheses(laws, conditioning_model)
         for i, family in enumerate(ranked_indices(families, MAX_SINGLE_ROUNDING_ERROR)):
             hypotheses.append(
-                self._best_of_family(
-                    int(family), values, float(families[family]), base_model, refine=i < self._n_refined
+                self._best_hypothesis_of_family(
+                    int(family),
+                    values,
+                    float(families[family]),
+                    conditioning_model,
+                    is_exact=i < self._n_exactly_evaluated,
                 )
             )
         hypotheses = [
-            replace(h, log_evidence=h.log_evidence + log_odds_repeated(h, base_model.members)) for h in hypotheses
+            replace(h, log_evidence=h.log_evidence + log_prior_odds_of_repetition(h, conditioning_model.members))
+            for h in hypotheses
         ]
         hypotheses = [hypotheses[i] for i in ranked_indices(np.array([h.log_evidence for h in hypotheses]))]
         return Ranking(tuple(hypotheses), float(log_sum_exp(np.array([h.log_evidence for h in hypotheses]))))
 
-    def _best_of_family(
-        self, family: int, effect_log_evidence: Floats, family_log_evidence: float, base_model: Model, *, refine: bool
+    def _best_hypothesis_of_family(
+        self,
+        family_index: int,
+        effect_log_evidence: Floats,
+        family_log_evidence: float,
+        conditioning_model: Model,
+        *,
+        is_exact: bool,
     ) -> Hypothesis:
-        """Best place and shape of a catalogue effect, with its log evidence over all; exact only if `refine`."""
+        """Best place and shape of a catalogue effect, with its log evidence averaged over all places and shapes.
+
+        Without `is_exact` they are those of the screening.
+        """
         designs = self.catalogue_designs
-        members = np.flatnonzero(designs.family_of_effect == family)
+        members = np.flatnonzero(designs.family_indices == family_index)
         members = members[ranked_indices(effect_log_evidence[members], MAX_SINGLE_ROUNDING_ERROR)]
-        prior = float(designs.log_family_prior[family] - np.log(len(members)))
-        best = Hypothesis(designs.effects[members[0]], prior, family_log_evidence, designs.families[family])
-        if not refine:
+        prior = float(designs.log_family_prior[family_index] - np.log(len(members)))
+        best = Hypothesis(designs.effects[members[0]], prior, family_log_evidence, designs.families[family_index])
+        if not is_exact:
             return best
-        for i in self._local_optima(members, effect_log_evidence):
-            effect, value = self._integrate_over_shapes(designs.effects[i], base_model)
+        for i in designs.local_optima(members, effect_log_evidence):
+            effect, value = integrate_over_shapes(self.evidence_calculator, designs.effects[i], conditioning_model)
             others = np.delete(effect_log_evidence[members], np.flatnonzero(members == i))
             whole = float(log_sum_exp(np.append(others, value))) + prior
             if i == members[0] or value + prior > best.log_evidence:
                 best = replace(best, effect=effect, log_evidence=whole)
         return best
 
-    def _local_optima(self, members: Ints, log_evidences: Floats) -> list[int]:
-        """Indices of the best place and shape of a catalogue effect, and of others nearly as good."""
-        chosen = [int(members[0])]
-        for i in members[1:MAX_COMPARED_MEMBERS]:
-            if len(chosen) == MAX_LOCAL_OPTIMA or log_evidences[i] < log_evidences[chosen[0]] - MAX_REFINED_DEFICIT:
-                break
-            if all(
-                are_distinct(self.catalogue_designs.effects[int(i)], self.catalogue_designs.effects[j]) for j in chosen
-            ):
-                chosen.append(int(i))
-        return chosen
-
-    def _integrate_over_shapes(self, effect: CandidateEffect, base_model: Model) -> tuple[CandidateEffect, float]:
-        """Effect with its shape at the optimum, and its log evidence averaged over a cell of the coarse grid."""
-        effect, value = self.evidence_calculator.refine_locally([effect], base_model)[0]
-        for shape in type(effect).shape_parameters:
-            now = getattr(effect, shape.name)
-            if isinstance(now, float) and shape.n_grid_values > 1:
-                effect, value = self._integrate_over_shape(effect, shape, base_model, value)
-        return effect, value
-
-    def _integrate_over_shape(
-        self, effect: CandidateEffect, shape: ShapeParameter, base_model: Model, value: float
-    ) -> tuple[CandidateEffect, float]:
-        """Effect with the best value of a shape constant, and log evidence averaged over a cell of the coarse grid."""
-        now = float(getattr(effect, shape.name))
-        low, high = shape.neighbouring_grid_interval(now)
-        if not low < high:
-            return effect, value
-        u = np.linspace(-1.0, 1.0, N_SHAPE_GRID_POINTS)
-
-        def log_evidence_at(points: Floats) -> Floats:
-            values = (interpolate_shape(shape, low, high, x) for x in points.tolist())
-            return self.evidence_calculator.log_evidence(
-                [effect.with_constants(**{shape.name: value}) for value in values], base_model
-            )
-
-        logs = log_evidence_at(u)
-        for _ in range(N_GRID_REFINEMENTS):
-            top = index_of_best(logs)
-            near = u[max(top - 1, 0) : top + 2]
-            more = np.setdiff1d(np.linspace(near[0], near[-1], N_ADDED_GRID_POINTS), u)
-            order = np.argsort(np.concatenate([u, more]))
-            u, logs = np.concatenate([u, more])[order], np.concatenate([logs, log_evidence_at(more)])[order]
-        best_effect = effect.with_constants(
-            **{shape.name: interpolate_shape(shape, low, high, float(u[index_of_best(logs)]))}
-        )
-        height = np.exp(logs - logs.max())
-        return best_effect, float(logs.max() + np.log(max(np.trapezoid(height, u), 1e-300)))
-
-    def _law_hypotheses(self, laws: Sequence[ScreenedLaw], base_model: Model) -> list[Hypothesis]:
+    def _law_hypotheses(self, laws: Sequence[ScreenedLaw], conditioning_model: Model) -> list[Hypothesis]:
         """Hypotheses of the screened `laws`, of which the best are evaluated in all forms.
 
         In small networks these include the best law of each changed quantity and kind of regressor. The screening is
@@ -256,38 +230,46 @@ class Searcher:
             law = EmpiricalLaw(place.stations, place.targets, hit.response, driver, place.instruments)
             key = (hit.response.name, driver.kind, driver.covariate_labels, place.stations, place.targets)
             kind = hit.response.name, driver.kind, len(place.targets) == 1
-            chosen = len(evaluated) < self._n_refined or (self._refines_every_kind and kind not in kinds)
+            chosen = len(evaluated) < self._n_exactly_evaluated or (
+                self._evaluates_every_kind_exactly and kind not in kinds
+            )
             if chosen and key not in evaluated and hit.log_evidence > min_promising_evidence(laws[0].log_evidence):
                 evaluated.add(key)
                 kinds.add(kind)
                 entries += evaluate_forms(
-                    self.evidence_calculator, law, hit.log_prior, base_model, pieces=not self.is_large_network
+                    self.evidence_calculator,
+                    law,
+                    hit.log_prior,
+                    conditioning_model,
+                    with_steps_and_switches=not self.is_large_network,
                 )
             else:
                 entries.append(Hypothesis(law, hit.log_prior, hit.log_evidence, catalogue_name(law)))
         return entries
 
     def estimates(
-        self, hypothesis: Hypothesis, other_effects: Model, refits: Sequence[ParameterEstimate]
+        self, hypothesis: Hypothesis, reduced_model: Model, refit_estimates: Sequence[ParameterEstimate]
     ) -> tuple[ParameterEstimate, ...]:
-        """Estimates for a hypothesis: those of the refit, or means over all shapes if their sigmas are much larger."""
+        """Estimates for a hypothesis: those of the refit, or means over all shapes if these have much larger sigmas."""
         effect = hypothesis.effect
         if isinstance(effect, EmpiricalLaw):
-            sizes = displayed_sizes(effect, self.space.sightings, *self.law_coefficients(effect, other_effects))
+            sizes = displayed_sizes(effect, self.space.sightings, *self.law_coefficients(effect, reduced_model))
             return (
                 *(ParameterEstimate(**size._asdict()) for size in sizes),
-                *centre_estimates(self.evidence_calculator, effect, other_effects),
+                *region_centre_estimates(self.evidence_calculator, effect, reduced_model),
             )
-        marginal = shape_posterior(self.evidence_calculator, effect, other_effects, refits)
-        wider = any(marginal[e.name].sigma > MIN_SIGMA_INCREASE * e.sigma for e in refits if e.name in marginal)
-        estimates = [marginal.get(e.name, e) if wider else e for e in refits]
+        marginal = estimates_averaged_over_shapes(self.evidence_calculator, effect, reduced_model, refit_estimates)
+        wider = any(
+            marginal[e.name].sigma > MIN_SIGMA_INCREASE_RATIO * e.sigma for e in refit_estimates if e.name in marginal
+        )
+        estimates = [marginal.get(e.name, e) if wider else e for e in refit_estimates]
         if "time" in marginal and all(e.name != "time" for e in estimates):
             estimates.append(marginal["time"])
-        return (*estimates, *centre_estimates(self.evidence_calculator, effect, other_effects))
+        return (*estimates, *region_centre_estimates(self.evidence_calculator, effect, reduced_model))
 
-    def law_coefficients(self, law: EmpiricalLaw, other_effects: Model) -> tuple[Floats, Floats]:
+    def law_coefficients(self, law: EmpiricalLaw, reduced_model: Model) -> tuple[Floats, Floats]:
         """Posterior mean (k,) and covariance (k, k) of the k coefficients of a law, given the other effects."""
-        gram, score = self.evidence_calculator.gram_and_score([law], other_effects)[0]
+        gram, score = self.evidence_calculator.grams_and_scores([law], reduced_model)[0]
         return coefficient_posterior(gram, score, law.size_scales)[:2]
 
     def model_of(self, members: Sequence[Hypothesis]) -> Model:
@@ -312,81 +294,98 @@ class Searcher:
             self._projected_designs.popitem(last=False)
         return self._projected_designs[key]
 
-    def select_model(self, threshold: float, *, requires_member: bool, start: Sequence[Hypothesis] = ()) -> Model:
-        """Selected model, in which each additional effect increases the log evidence by at least `threshold`.
+    def select_model(
+        self, min_evidence_gain: float, *, requires_member: bool, start_hypotheses: Sequence[Hypothesis] = ()
+    ) -> Model:
+        """Selected model, in which each additional effect increases the log evidence by at least `min_evidence_gain`.
 
-        The search begins with the hypotheses `start` in the model. With `requires_member` the result has
-        at least one effect. If it has a curve with many coefficients, which can imitate several effects, the search
-        starts again with the best hypothesis of few. The model with the larger evidence is selected.
+        The search begins with the hypotheses `start_hypotheses` in the model. With `requires_member` the result has at
+        least one effect. If it has a curve with many coefficients, which can imitate several effects, the search starts
+        again with the best hypothesis that has few coefficients. The model with the larger evidence is selected.
         """
-        begin = self.reexamined_model(self.model_of(start))
-        best_model = self._forward_selection(begin, threshold, requires_member=requires_member)
-        stiff = [h for h in self.ranking(self.empty_model).entries if len(h.plausible_sizes) <= MAX_RIGID_COEFFICIENTS]
+        begin = self.reexamined_model(self.model_of(start_hypotheses))
+        best_model = self._forward_selection(begin, min_evidence_gain, requires_member=requires_member)
+        stiff = [
+            h
+            for h in self.ranking(self.empty_model).hypotheses
+            if len(h.plausible_sizes) <= MAX_COEFFICIENTS_OF_SIMPLE_EFFECT
+        ]
         if (
             stiff
             and not self.is_large_network
-            and any(len(h.plausible_sizes) > MAX_RIGID_COEFFICIENTS for h in best_model.members)
+            and any(len(h.plausible_sizes) > MAX_COEFFICIENTS_OF_SIMPLE_EFFECT for h in best_model.members)
         ):
-            made = (best_model, self._forward_selection(self.model_of(stiff[:1]), threshold, requires_member=True))
-            best_model = max(made, key=lambda s: s.score - threshold * len(s.members))
-        return self._relabelled_model(best_model, threshold)
+            made = (
+                best_model,
+                self._forward_selection(self.model_of(stiff[:1]), min_evidence_gain, requires_member=True),
+            )
+            best_model = max(made, key=lambda s: s.penalised_log_evidence - min_evidence_gain * len(s.members))
+        return self._relabelled_model(best_model, min_evidence_gain)
 
-    def lower_bound_model(self, threshold: float, rival: float) -> Model:
+    def lower_bound_model(self, min_evidence_gain: float, rival_log_evidence: float) -> Model:
         """Model from forward steps alone, whose log evidence is a lower bound of that of a complete search.
 
-        The steps end when the log evidence exceeds `rival`, the log evidence of an alternative. They also end when it
-        would not exceed it even if all further effects increased it as much as the last one did.
+        The steps end when the log evidence exceeds `rival_log_evidence`, the log evidence of an alternative. They also
+        end when the log evidence would not exceed `rival_log_evidence` even if all further effects increased it as much
+        as the last effect did.
         """
-        return self._forward_selection(self.empty_model, threshold, requires_member=True, rival=rival)
+        return self._forward_selection(
+            self.empty_model, min_evidence_gain, requires_member=True, rival_log_evidence=rival_log_evidence
+        )
 
     def _forward_selection(
-        self, model: Model, threshold: float, *, requires_member: bool, rival: float | None = None
+        self, model: Model, min_evidence_gain: float, *, requires_member: bool, rival_log_evidence: float | None = None
     ) -> Model:
-        """Forward selection from `model`; its effects are tested again after each step unless there is a `rival`."""
-        again = rival is None
+        """Forward selection from `model`; without `rival_log_evidence` its effects are tested again after each step."""
+        again = rival_log_evidence is None
         for depth in range(len(model.members), MAX_MODEL_MEMBERS):
-            ranking, least = self.ranking(model), threshold + model.discrepancy_penalty
+            ranking, least = self.ranking(model), min_evidence_gain + model.discrepancy_penalty
             if ranking.log_evidence_total < least and (depth or not requires_member):
                 break
-            grown = _best_model([self.model_of((*model.members, h)) for h in ranking.entries[:3]])
+            grown = _best_model([self.model_of((*model.members, h)) for h in ranking.hypotheses[:3]])
             grown = self.reexamined_model(grown) if again and not self.is_large_network else grown
-            if depth and grown.score < model.score + threshold:
+            if depth and grown.penalised_log_evidence < model.penalised_log_evidence + min_evidence_gain:
                 break
-            gain, model = grown.score - model.score, grown
-            if rival is not None and not model.score < rival < model.score + gain * (MAX_MODEL_MEMBERS - 1 - depth):
+            gain, model = grown.penalised_log_evidence - model.penalised_log_evidence, grown
+            if (
+                rival_log_evidence is not None
+                and not model.penalised_log_evidence
+                < rival_log_evidence
+                < model.penalised_log_evidence + gain * (MAX_MODEL_MEMBERS - 1 - depth)
+            ):
                 break
         return self.reexamined_model(model) if again and self.is_large_network else model
 
-    def _relabelled_model(self, model: Model, threshold: float) -> Model:
+    def _relabelled_model(self, model: Model, min_evidence_gain: float) -> Model:
         """Model without effects that the others explain, and with the most probable name of each effect."""
         for member in model.members[::-1]:
             others = self.model_without(model, model.members.index(member))
             ranking = self.ranking(others)
-            if others.members and ranking.log_evidence_total < threshold + others.discrepancy_penalty:
+            if others.members and ranking.log_evidence_total < min_evidence_gain + others.discrepancy_penalty:
                 model = others
             elif (likeliest := ranking.most_probable_name()) != member.name:
-                better = next(h for h in ranking.entries if h.name == likeliest)
+                better = next(h for h in ranking.hypotheses if h.name == likeliest)
                 model = self.model_of((*others.members, better))
         return model
 
     def reexamined_model(self, model: Model) -> Model:
         """Model after backward and exchange steps, in which effects in the model are replaced, removed or merged."""
         for turn in range(2):
-            before = model.score
+            before = model.penalised_log_evidence
             for size in (1,) if turn or self.is_large_network else (1, 2):
                 for dropped in combinations(range(len(model.members)), size):
                     if len(model.members) < 2 or max(dropped) >= len(model.members):
                         continue
                     others = tuple(h for i, h in enumerate(model.members) if i not in dropped)
                     rest = self.model_of(others)
-                    made = [self.model_of((*others, h)) for h in self.ranking(rest).entries[: 2 if others else 6]]
+                    made = [self.model_of((*others, h)) for h in self.ranking(rest).hypotheses[: 2 if others else 6]]
                     model = _best_model([model, *made, *([rest] if others else [])])
-            if model.score <= before + 1e-6:
+            if model.penalised_log_evidence <= before + 1e-6:
                 break
         return model
 
 
 def _best_model(models: Sequence[Model]) -> Model:
     """Model with the largest log evidence, the first of several equal ones."""
-    most = max(model.score for model in models)
-    return next(model for model in models if model.score >= most - MAX_SOLUTION_ROUNDING_ERROR)
+    most = max(model.penalised_log_evidence for model in models)
+    return next(model for model in models if model.penalised_log_evidence >= most - MAX_SOLUTION_ROUNDING_ERROR)

@@ -13,11 +13,13 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.refit import Refit, refit_with_effects
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Bools, Floats
-from ltsim.diagnosis.evidence import WIDE_PRIOR_SIZES, log_restricted_likelihood
+from ltsim.diagnosis.evidence import WIDE_PRIOR_SIGMA_FACTOR, log_restricted_likelihood
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.diagnosis.instruments import ConstantContradiction
-from ltsim.diagnosis.noise import NoiseBank, NoiseHypothesis, most_likely_sizes, noise_hypotheses
-from ltsim.diagnosis.noise_centring import centring_hypotheses_of_occupations, with_centring
+from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
+from ltsim.diagnosis.noise_centring import centring_hypotheses_with_evidence, with_declared_centring
+from ltsim.diagnosis.noise_estimation import with_estimated_sizes
+from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.diagnosis.null_ensemble import n_simulated_recordings
 from ltsim.diagnosis.search import Searcher
 from ltsim.physics.effects.linear_effect import CandidateEffect, LinearEffect
@@ -33,9 +35,9 @@ N_VARIANCE_ITERATIONS = 2
 class SelectionState:
     """State of the model selection on a recording without blunders."""
 
-    baseline: Adjustment
+    baseline_adjustment: Adjustment
     """Ordinary adjustment, from which all others start."""
-    is_used: Bools
+    is_used_reading: Bools
     """Flags (n, 3) of the readings that are used, for n pointings."""
     seed: int
     """Root of the random draws."""
@@ -47,20 +49,20 @@ class SelectionState:
     """Effects among the simple causes of the network, from which a second search starts if the noise is larger."""
     reading_sigmas: Floats = field(init=False)
     """Standard deviations (n, 3) of the readings, with the selected changes of the noise."""
-    noise: list[NoiseHypothesis] = field(default_factory=list)
+    noise_changes: list[NoiseHypothesis] = field(default_factory=list)
     """Selected changes of the noise."""
     space: ResidualSpace = field(init=False)
     """Residual space of the present adjustment."""
-    noise_bank: NoiseBank = field(init=False)
+    noise_hypotheses: NoiseHypothesisSet = field(init=False)
     """Hypotheses of the noise in this residual space."""
     _searcher: Searcher | None = None
     """Search in this residual space, if it was used."""
     _previous_searcher: Searcher | None = None
-    """Search in the residual space before that, whose projected design matrices can be used again."""
+    """Search in the previous residual space, whose projected design matrices can be used again."""
 
     def __post_init__(self) -> None:
         self.reading_sigmas = self.recording.sigma()
-        self.set_adjustment(self.baseline)
+        self.set_adjustment(self.baseline_adjustment)
 
     @property
     def searcher(self) -> Searcher:
@@ -80,7 +82,7 @@ class SelectionState:
                 self.seed,
                 trials,
                 catalogue_designs=catalogue_designs,
-                with_constants=self.tests_ordinary_constants,
+                tests_ordinary_constants=self.tests_ordinary_constants,
             )
         return self._searcher
 
@@ -92,28 +94,28 @@ class SelectionState:
     @property
     def recording(self) -> Recording:
         """Recording without blunders, in which centring errors that were selected are declared."""
-        return with_centring(self.baseline.recording, self.noise)
+        return with_declared_centring(self.baseline_adjustment.recording, self.noise_changes)
 
     def refit(
-        self, effects: Sequence[CandidateEffect], sigma: Floats, noise: Sequence[NoiseHypothesis] | None = None
+        self, effects: Sequence[CandidateEffect], sigma: Floats, noise_changes: Sequence[NoiseHypothesis] | None = None
     ) -> Refit:
         """Nonlinear adjustment with effects in the model, and readings with the standard deviations `sigma` (n, 3).
 
         Without effects and changes of the noise it is the ordinary adjustment. Parameters have a prior of
-        `WIDE_PRIOR_SIZES` times their plausible size, because the readings may not determine some combinations.
-        Centring errors are those of the changes of the noise in `noise`, by default of all selected ones.
+        `WIDE_PRIOR_SIGMA_FACTOR` times their plausible size, because the readings may not determine some combinations.
+        Centring errors are those of the changes of the noise in `noise_changes`, by default of all selected ones.
         """
-        noise = self.noise if noise is None else noise
-        if not (effects or noise):
-            return Refit(self.baseline, (), ())
-        old = self.baseline
+        noise_changes = self.noise_changes if noise_changes is None else noise_changes
+        if not (effects or noise_changes):
+            return Refit(self.baseline_adjustment, (), ())
+        old = self.baseline_adjustment
         adjusted = partial(
             adjust,
-            with_centring(old.recording, noise),
+            with_declared_centring(old.recording, noise_changes),
             old.construction,
             sigma=sigma,
-            reading_mask=self.is_used,
-            effect_prior_sigma=WIDE_PRIOR_SIZES,
+            reading_mask=self.is_used_reading,
+            effect_prior_sigma=WIDE_PRIOR_SIGMA_FACTOR,
             prior=old.problem.prior,
         )
 
@@ -123,20 +125,20 @@ class SelectionState:
 
         return refit_with_effects(with_causes if old.effects else adjusted, effects, start_state=old.state)
 
-    def release_priors(self, constants: Sequence[ConstantContradiction]) -> None:
+    def release_priors(self, contradictions: Sequence[ConstantContradiction]) -> None:
         """Removal of the prior of constants that contradict their reference, with a new adjustment."""
-        old = self.baseline
+        old = self.baseline_adjustment
         freed = np.zeros(old.state.instrument_parameters.shape, dtype=bool)
-        for constant in constants:
-            owners = [self.recording.instruments.index(name) for name in constant.instruments]
-            freed[owners, old.construction.parameter_names.index(constant.parameter.name)] = True
+        for contradiction in contradictions:
+            owners = [self.recording.instruments.index(name) for name in contradiction.instruments]
+            freed[owners, old.construction.parameter_names.index(contradiction.parameter.name)] = True
         prior = old.problem.prior.with_widened_sigmas(freed)
-        self.baseline = adjust(
+        self.baseline_adjustment = adjust(
             old.recording,
             old.construction,
             effects=old.effects,
             sigma=old.recording.sigma(),
-            reading_mask=self.is_used,
+            reading_mask=self.is_used_reading,
             start_state=old.state,
             prior=prior,
         )
@@ -149,32 +151,32 @@ class SelectionState:
             self._searcher or self._previous_searcher,
             None,
         )
-        self.noise_bank = self._noise_bank(self.space)
+        self.noise_hypotheses = self._noise_hypotheses(self.space)
 
-    def ranked_noise(self, model: Model) -> list[tuple[float, NoiseHypothesis]]:
+    def ranked_noise_changes(self, model: Model) -> list[tuple[float, NoiseHypothesis]]:
         """Pairs of log evidence and a change of the noise, given a model: the best of each kind, the best first."""
         redundancy = self.space.redundancy - np.sum(model.basis**2, axis=1)
-        ranked = self.noise_bank.ranked_families(model.residual, redundancy, model.basis)
-        for gain, hypothesis in centring_hypotheses_of_occupations(self.space.with_effects(model.effects)):
-            ranked.append((gain + self.noise_bank.log_prior_of_family(hypothesis.family), hypothesis))
+        ranked = self.noise_hypotheses.ranked_noise_changes(model.residual, redundancy, model.basis)
+        for gain, hypothesis in centring_hypotheses_with_evidence(self.space.with_effects(model.effects)):
+            ranked.append((gain + self.noise_hypotheses.log_prior_of_family(hypothesis.family), hypothesis))
         return sorted(ranked, key=lambda entry: -entry[0])
 
-    def add_noise(self, new_hypothesis: NoiseHypothesis) -> None:
+    def add_noise_change(self, new_hypothesis: NoiseHypothesis) -> None:
         """Addition of a change of the noise. The sizes of an equal change that was selected before are increased."""
-        for i, change in enumerate(self.noise):
+        for i, change in enumerate(self.noise_changes):
             if change.effect == new_hypothesis.effect:
                 values = tuple(a + b for a, b in zip(change.sizes, new_hypothesis.sizes, strict=True))
                 larger = replace(
                     change,
                     sizes=values,
                     chi2_drop=change.chi2_drop + new_hypothesis.chi2_drop,
-                    evidence=change.evidence + new_hypothesis.evidence,
+                    log_evidence=change.log_evidence + new_hypothesis.log_evidence,
                 )
-                self.noise = [*self.noise[:i], larger, *self.noise[i + 1 :]]
+                self.noise_changes = [*self.noise_changes[:i], larger, *self.noise_changes[i + 1 :]]
                 break
         else:
-            self.noise = [*self.noise, new_hypothesis]
-        self.reading_sigmas = self._weighted_sigmas(self.noise)
+            self.noise_changes = [*self.noise_changes, new_hypothesis]
+        self.reading_sigmas = self._sigmas_with_noise_changes(self.noise_changes)
 
     @property
     def log_evidence_of_noise(self) -> float:
@@ -183,16 +185,18 @@ class SelectionState:
         It is the restricted log likelihood of the present adjustment, and for each change the difference of its log
         evidence from its log likelihood ratio when it was selected.
         """
-        return log_restricted_likelihood(self.space.adjustment) + sum(n.log_occam_factor for n in self.noise)
+        return log_restricted_likelihood(self.space.adjustment) + sum(
+            n.log_prior_times_occam_factor for n in self.noise_changes
+        )
 
-    def log_evidence_with(self, members: Sequence[Hypothesis]) -> float:
+    def log_evidence_with_effects(self, members: Sequence[Hypothesis]) -> float:
         """Log evidence of hypotheses together with the selected changes of the noise, estimated with them in the model.
 
         It is comparable with `log_evidence_of_noise`, the log evidence without them.
         """
         state = copy(self)
         state.space = ResidualSpace.from_adjustment(state.estimate_variance_components([h.effect for h in members]))
-        return state.log_evidence_of_noise + Model.from_space(members, state.space).score
+        return state.log_evidence_of_noise + Model.from_space(members, state.space).penalised_log_evidence
 
     def replace_by(self, state: SelectionState) -> None:
         """Replacement of this state by another `state` of the same recording."""
@@ -201,27 +205,27 @@ class SelectionState:
     def estimate_variance_components(self, effects: Sequence[CandidateEffect]) -> Adjustment:
         """Adjustment with variance components estimated by REML (Foerstner 1979), with `effects` in the model."""
         for _ in range(N_VARIANCE_ITERATIONS):
-            self.noise = [
+            self.noise_changes = [
                 replace(estimate, chi2_drop=change.chi2_drop)
-                for estimate, change in zip(self._noise_estimates(effects), self.noise, strict=True)
+                for estimate, change in zip(self._noise_estimates(effects), self.noise_changes, strict=True)
             ]
-            self.reading_sigmas = self._weighted_sigmas(self.noise)
+            self.reading_sigmas = self._sigmas_with_noise_changes(self.noise_changes)
         return self.refit((), self.reading_sigmas).adjustment
 
     def _noise_estimates(self, effects: Sequence[CandidateEffect]) -> list[NoiseHypothesis]:
         """Selected changes of the noise, the sizes of each estimated given the others and `effects` in the model.
 
-        Centring errors are estimated in an adjustment without them: in one with them the displacements have absorbed
-        part of an effect.
+        Centring errors are estimated in an adjustment without centring errors. In an adjustment with them, the
+        displacements have absorbed part of an effect.
         """
         space = ResidualSpace.from_adjustment(self.refit((), self.reading_sigmas).adjustment).with_effects(effects)
         estimates = list[NoiseHypothesis]()
-        for i, change in enumerate(self.noise):
-            others, residual_space = [*estimates, *self.noise[i + 1 :]], space
+        for i, change in enumerate(self.noise_changes):
+            others, residual_space = [*estimates, *self.noise_changes[i + 1 :]], space
             if isinstance(change.effect, CentringVariance):
                 adjustment = self.refit((), self.reading_sigmas, others).adjustment
                 residual_space = ResidualSpace.from_adjustment(adjustment).with_effects(effects)
-            estimates.append(most_likely_sizes(residual_space, self._weighted_sigmas(others), change))
+            estimates.append(with_estimated_sizes(residual_space, self._sigmas_with_noise_changes(others), change))
         return estimates
 
     def expected_variance_factors(self, effects: Sequence[CandidateEffect]) -> Floats:
@@ -230,16 +234,16 @@ class SelectionState:
         Each selected change of the noise is averaged over its alternatives, given the others.
         """
         factors = np.ones(self.reading_sigmas.shape)
-        for change in (n for n in self.noise if not isinstance(n.effect, CentringVariance)):
-            others = self._weighted_sigmas([n for n in self.noise if n is not change])
+        for change in (n for n in self.noise_changes if not isinstance(n.effect, CentringVariance)):
+            others = self._sigmas_with_noise_changes([n for n in self.noise_changes if n is not change])
             space = ResidualSpace.from_adjustment(self.refit((), others).adjustment).with_effects(effects)
-            factors *= self._noise_bank(space).expected_factors()
+            factors *= self._noise_hypotheses(space).expected_variance_factors()
         return factors
 
-    def _noise_bank(self, space: ResidualSpace) -> NoiseBank:
+    def _noise_hypotheses(self, space: ResidualSpace) -> NoiseHypothesisSet:
         """Hypotheses of the noise in a residual space."""
-        quieter = not any(getattr(change.effect, "repetition", "") for change in self.noise)
-        return NoiseBank.from_space(
+        quieter = not any(getattr(change.effect, "repetition", "") for change in self.noise_changes)
+        return NoiseHypothesisSet.from_space(
             space, noise_hypotheses(space.sightings, self.recording.instruments), allows_quieter=quieter
         )
 
@@ -249,17 +253,17 @@ class SelectionState:
         Changes of the noise without a positive log evidence are removed.
         """
         self.estimate_variance_components(effects)
-        self.noise = [
+        self.noise_changes = [
             n
-            for n, change in zip(self.noise, self._noise_estimates(effects), strict=True)
+            for n, change in zip(self.noise_changes, self._noise_estimates(effects), strict=True)
             if 0.5 * change.chi2_drop + change.log_prior > 0.0
         ]
-        self.reading_sigmas = self._weighted_sigmas(self.noise)
+        self.reading_sigmas = self._sigmas_with_noise_changes(self.noise_changes)
         self.set_adjustment(self.estimate_variance_components(effects))
 
-    def _weighted_sigmas(self, noise: Sequence[NoiseHypothesis]) -> Floats:
+    def _sigmas_with_noise_changes(self, noise_changes: Sequence[NoiseHypothesis]) -> Floats:
         """Standard deviations (n, 3) of the readings with the given changes of the noise."""
-        sigma, sightings = self.recording.sigma(), self.baseline.sightings
-        for change in noise:
+        sigma, sightings = self.recording.sigma(), self.baseline_adjustment.sightings
+        for change in noise_changes:
             sigma = np.sqrt(change.effect.variance(sightings, sigma, np.array(change.sizes)))
         return sigma

@@ -23,7 +23,7 @@ from ltsim.physics.laws.regressor_library import MIN_EFFECTIVE_TARGETS, wave_reg
 from ltsim.physics.laws.regressors import Regressor, scalar_regressor
 from ltsim.scene.sightings import Sightings
 
-MIN_SWITCH_EDGES = {True: 1, False: 2}
+MIN_SWITCH_EDGES_BY_REGION_DEPENDENCE = {True: 1, False: 2}
 """Smallest number of switching times within set-ups, at which a law turns on or off: for a law with a region of the
 hall (True), and for other laws (False). A single step without a region is an effect of the catalogue, or a form with
 steps."""
@@ -40,18 +40,18 @@ MIN_SWITCHED_MEAN_SQUARE = 1e-3
 one pointing in a thousand."""
 
 
-class SpanMoments(NamedTuple):
+class SpanGramAndScore(NamedTuple):
     """Gram matrix and score of a law with separate coefficients in each of S spans."""
 
     gram: Floats
     """Gram matrix (S, w, S, w) of the projected design columns."""
     score: Floats
     """Products (S, w) of the projected design columns with the residuals."""
-    square: Floats
+    mean_square_contributions: Floats
     """Contribution (S,) of each span to the mean square of the regressor."""
 
 
-def n_resembling_waves(law: EmpiricalLaw, sightings: Sightings) -> int:
+def n_waves_of_same_covariate(law: EmpiricalLaw, sightings: Sightings) -> int:
     """Number of waves of the same covariate that the search tried, if the law has a wave; 1 for all other laws.
 
     The law with the best of these waves represents any switch. The prior of the switch is multiplied by their number.
@@ -63,35 +63,42 @@ def n_resembling_waves(law: EmpiricalLaw, sightings: Sightings) -> int:
 
 
 def switched_forms(
-    calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, base_model: Model, *, refine: bool = True
+    calculator: EvidenceCalculator,
+    law: EmpiricalLaw,
+    log_prior: float,
+    conditioning_model: Model,
+    *,
+    refines_region: bool = True,
 ) -> list[Hypothesis]:
     """Forms of a law that act only in some spans of its covariate; empty if the law cannot have such a form.
 
-    The region of a law is fitted by a local search before its times, unless `refine` is false.
+    The region of a law is fitted by a local search before its times, unless `refines_region` is false.
     """
     sightings = calculator.space.sightings
     edges = law.candidate_switch_steps(sightings)
     if len(edges) < N_INTERVALS_AFTER_MAXIMUM:
         return []
-    if law.depends_on_fixed_region and refine:
-        law = calculator.refine_locally([law], base_model)[0][0]
+    if law.depends_on_fixed_region and refines_region:
+        law = calculator.refine_locally([law], conditioning_model)[0][0]
     always_on = scalar_regressor(edges[0].covariates[0], "step", -np.inf)
-    spans = _span_moments(calculator, law, [always_on, *edges], base_model)
+    spans = _span_gram_and_score(calculator, law, [always_on, *edges], conditioning_model)
     plausible_sizes = law.with_switch([always_on]).size_scales
     on, value, toggled = _best_span_states(spans, plausible_sizes)
     chosen = [edges[i] for i in np.flatnonzero(np.diff(on.astype(int)))]
     starts_on = bool(on[0]) and law.depends_on_fixed_region  # elsewhere a constant is absorbed: on and off are alike
-    if not _acts_temporarily(law, chosen, sightings):
+    if not _is_identifiable_switch(law, chosen, sightings):
         return []
     refined, mean = calculator.refine_locally(
-        [law.with_switch([always_on, *chosen] if starts_on else chosen)], base_model
+        [law.with_switch([always_on, *chosen] if starts_on else chosen)], conditioning_model
     )[0]
     price = float(np.log(len(edges) * (len(edges) + 1) / 2)) * toggled
     form = Hypothesis(refined, log_prior - price, max(value, mean - price) + log_prior, catalogue_name(refined))
-    return [form, *_formulas_of_second_factor(calculator, form, base_model)]
+    return [form, *_forms_with_formula_as_second_factor(calculator, form, conditioning_model)]
 
 
-def _formulas_of_second_factor(calculator: EvidenceCalculator, form: Hypothesis, base_model: Model) -> list[Hypothesis]:
+def _forms_with_formula_as_second_factor(
+    calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: Model
+) -> list[Hypothesis]:
     """Law with a switch and a formula in place of the curve in its second factor, in a list; empty without a curve."""
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
@@ -102,31 +109,31 @@ def _formulas_of_second_factor(calculator: EvidenceCalculator, form: Hypothesis,
     )
     if not formulas:
         return []
-    best_formula = formulas[index_of_best(calculator.log_evidence(formulas, base_model))]
-    refined, value = calculator.refine_locally([best_formula], base_model)[0]
+    best_formula = formulas[index_of_best(calculator.log_evidence(formulas, conditioning_model))]
+    refined, value = calculator.refine_locally([best_formula], conditioning_model)[0]
     log_prior = form.log_prior - float(np.log(len(formulas)))
     return [Hypothesis(refined, log_prior, value + log_prior, catalogue_name(refined))]
 
 
-def _span_moments(
-    calculator: EvidenceCalculator, law: EmpiricalLaw, steps: Sequence[Regressor], base_model: Model
-) -> SpanMoments:
-    """Gram matrix and score of a law in the spans from each of `steps` to the next."""
-    sightings, count = calculator.space.sightings, len(steps)
-    x = sightings.quantities[steps[0].covariates[0]]
-    after = x[:, None] > [step.constant for step in steps]
-    gram, score = calculator.gram_and_score([law.with_steps(steps)], base_model)[0]
-    ways = len(law.response.component_names)
-    columns = np.repeat(np.sqrt(after.mean(axis=0)), len(score) // (ways * count))  # steps have an rms of one
-    shape = ways, count, len(columns) // count
-    scale = np.tile(columns, ways)
+def _span_gram_and_score(
+    calculator: EvidenceCalculator, law: EmpiricalLaw, step_regressors: Sequence[Regressor], conditioning_model: Model
+) -> SpanGramAndScore:
+    """Gram matrix and score of a law in the spans from each of `step_regressors` to the next."""
+    sightings, count = calculator.space.sightings, len(step_regressors)
+    x = sightings.quantities[step_regressors[0].covariates[0]]
+    after = x[:, None] > [step.constant for step in step_regressors]
+    gram, score = calculator.grams_and_scores([law.with_steps(step_regressors)], conditioning_model)[0]
+    n_components = len(law.response.component_names)
+    columns = np.repeat(np.sqrt(after.mean(axis=0)), len(score) // (n_components * count))  # steps have an rms of one
+    shape = n_components, count, len(columns) // count
+    scale = np.tile(columns, n_components)
     gram = (gram * np.outer(scale, scale)).reshape(*shape, *shape).transpose(1, 0, 2, 4, 3, 5)
     score = (score * scale).reshape(shape).transpose(1, 0, 2).reshape(count, -1)
     gram = gram.reshape(count, score.shape[1], count, score.shape[1])
     weight = law.columns(sightings)[:, 0] ** 2 if law.depends_on_fixed_region else np.ones(len(x))
     beyond = (weight[:, None] * after).mean(axis=0)
     gram = _span_differences(np.moveaxis(_span_differences(gram), 2, 0))
-    return SpanMoments(np.moveaxis(gram, 0, 2), _span_differences(score), _span_differences(beyond))
+    return SpanGramAndScore(np.moveaxis(gram, 0, 2), _span_differences(score), _span_differences(beyond))
 
 
 def _span_differences(step_values: Floats) -> Floats:
@@ -134,12 +141,12 @@ def _span_differences(step_values: Floats) -> Floats:
     return step_values - np.concatenate([step_values[1:], np.zeros_like(step_values[:1])])
 
 
-def _best_span_states(spans: SpanMoments, plausible_sizes: Floats) -> tuple[Bools, float, int]:
+def _best_span_states(spans: SpanGramAndScore, plausible_sizes: Floats) -> tuple[Bools, float, int]:
     """Best states (S,) of the spans, their log evidence, and the number of toggled intervals.
 
     Each toggled interval reduces the log evidence by the log of the number of all intervals.
     """
-    count, ways = spans.score.shape
+    count, n_components = spans.score.shape
     first, last = np.triu_indices(count + 1, 1)
     price = float(np.log(len(first)))
     state = best = np.zeros(count, dtype=bool)
@@ -148,7 +155,7 @@ def _best_span_states(spans: SpanMoments, plausible_sizes: Floats) -> tuple[Bool
         turn += 1
         sign = 1.0 - 2.0 * state
         within = sign[:, None, None, None] * spans.gram * sign[:, None]
-        block = np.zeros((count + 1, ways, count + 1, ways))
+        block = np.zeros((count + 1, n_components, count + 1, n_components))
         block[1:, :, 1:, :] = within.cumsum(axis=0).cumsum(axis=2)
         across = _cumulative_sums(np.einsum("s,swtv->twv", state, spans.gram) * sign[:, None, None])
         added = block[last, :, last] + block[first, :, first] - block[first, :, last] - block[last, :, first]
@@ -156,8 +163,8 @@ def _best_span_states(spans: SpanMoments, plausible_sizes: Floats) -> tuple[Bool
         whole = np.einsum("s,swtv,t->wv", state, spans.gram, state)
         grams = whole + added + mixed + np.swapaxes(mixed, 1, 2)
         scores = _cumulative_sums(sign[:, None] * spans.score)
-        squares = _cumulative_sums(sign * spans.square)
-        square = state @ spans.square + squares[last] - squares[first]
+        squares = _cumulative_sums(sign * spans.mean_square_contributions)
+        square = state @ spans.mean_square_contributions + squares[last] - squares[first]
         size = np.sqrt(np.maximum(square, MIN_SWITCHED_MEAN_SQUARE))
         scored = (state @ spans.score + scores[last] - scores[first]) / size[:, None]
         values = log_evidence_of_coefficients(
@@ -178,24 +185,28 @@ def _cumulative_sums(step_values: Floats) -> Floats:
     return np.concatenate([np.zeros_like(step_values[:1]), step_values.cumsum(axis=0)])
 
 
-def _acts_temporarily(law: EmpiricalLaw, edges: Sequence[Regressor], sightings: Sightings) -> bool:
-    """True if a switch with these edges has enough of them, and the poses of set-ups do not absorb it."""
-    least = MIN_TARGET_SWITCH_EDGES if len(law.targets) == 1 else MIN_SWITCH_EDGES[law.depends_on_fixed_region]
-    if edges and edges[0].covariates != ("time",):
-        return len(edges) >= least and _switches_targets(law, edges, sightings)
+def _is_identifiable_switch(law: EmpiricalLaw, edge_regressors: Sequence[Regressor], sightings: Sightings) -> bool:
+    """True if a switch has enough `edge_regressors` that the poses of set-ups do not absorb."""
+    least = (
+        MIN_TARGET_SWITCH_EDGES
+        if len(law.targets) == 1
+        else MIN_SWITCH_EDGES_BY_REGION_DEPENDENCE[law.depends_on_fixed_region]
+    )
+    if edge_regressors and edge_regressors[0].covariates != ("time",):
+        return len(edge_regressors) >= least and _switches_targets(law, edge_regressors, sightings)
     if len(law.targets) == 1:
-        return len(edges) >= least
-    return sum(_is_within_a_set_up(edge.constant, sightings) for edge in edges) >= least
+        return len(edge_regressors) >= least
+    return sum(_is_within_set_up(edge.constant, sightings) for edge in edge_regressors) >= least
 
 
-def _switches_targets(law: EmpiricalLaw, edges: Sequence[Regressor], sightings: Sightings) -> bool:
+def _switches_targets(law: EmpiricalLaw, edge_regressors: Sequence[Regressor], sightings: Sightings) -> bool:
     """True if a law is on for several targets and off for several. Otherwise the cause is an error of one target."""
-    on = law.with_switch(edges).columns(sightings)[:, 0] != 0.0
+    on = law.with_switch(edge_regressors).columns(sightings)[:, 0] != 0.0
     counts = [len(np.unique(sightings.target[acts])) for acts in (on, ~on)]
     return min(counts) > MIN_EFFECTIVE_TARGETS
 
 
-def _is_within_a_set_up(time: float, sightings: Sightings) -> bool:
+def _is_within_set_up(time: float, sightings: Sightings) -> bool:
     """True if a set-up has pointings before and after a time [s]. The poses absorb changes between set-ups."""
     stays = (sightings.time[sightings.station == station] for station in np.unique(sightings.station))
     return any(stay.min() < time < stay.max() for stay in stays)

@@ -26,14 +26,14 @@ def diagnose(
     level : float
         False-alarm rate of the whole search on a clean recording, at least 0.001.
     seed : int
-        Root of the random draws of simulated recordings, from which the p value of the search follows.
+        Root of the random draws of simulated recordings, from which the p-value of the search follows.
     history : Calibration, History, str or Path, optional
         Earlier calibration of the instruments, or the history of an instrument, or the file of either. A constant that
         differs from it by more than its usual spread and both uncertainties is reported.
     held_out : bool, optional
         True for 5-fold cross-validation: the whole search is repeated without each fold of pointings, which is then
         predicted. This takes five more searches. Effects that predict it worse than no effect are stated as improbable.
-        With None it is done in small networks only.
+        With None, cross-validation is done in small networks only.
 
     Raises
     ------
@@ -46,8 +46,8 @@ def diagnose(
     --------
     >>> import ltsim as lt
     >>> recording, _ = lt.simulate("paper-workshop", seed=7)
-    >>> found = lt.diagnose(recording)
-    >>> found.verdict, len(found.findings)
+    >>> diagnosis = lt.diagnose(recording)
+    >>> diagnosis.verdict, len(diagnosis.findings)
     ('consistent', 0)
     """
     earlier = None if history is None else EarlierCalibrationPrior.from_source(history)

@@ -8,12 +8,12 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.averaging import (
-    MAX_ERROR_INCREASE,
-    P_ERROR_INCREASE_EXCEEDED,
+    MAX_P_EXCEEDED_ERROR_INCREASE,
+    MAX_RELATIVE_ERROR_INCREASE,
+    alternative_weights_and_changes,
     average_over_explanations,
-    first_order_change,
-    model_weights,
-    safe_fraction,
+    first_order_reading_change,
+    max_safe_shift_fraction,
 )
 from ltsim.diagnosis.hypotheses import Hypothesis, Ranking
 from ltsim.diagnosis.selection_state import SelectionState
@@ -30,22 +30,22 @@ from tests.networks import network
 def test_coordinates_become_much_worse_as_rarely_as_is_said(size, along):
     """The error is drawn of which nothing is known but its covariance; a share of it lies along the change."""
     count, spread = 60, size * along
-    share = safe_fraction(size, spread, 1.0)
+    share = max_safe_shift_fraction(size, spread, 1.0)
     rng = stream(8, "safe")
     error = rng.standard_normal((20_000, count)) * np.sqrt([along, *np.full(count - 1, (1.0 - along) / (count - 1))])
     shift = np.zeros(count)
     shift[0] = np.sqrt(size)
     before, after = (np.sum((error + part * shift) ** 2, axis=1) for part in (1.0, 1.0 - share))
-    harmed = float(np.mean(after > (1.0 + MAX_ERROR_INCREASE) ** 2 * before))
-    assert harmed < 2.5 * P_ERROR_INCREASE_EXCEEDED  # e'e is taken to be its expectation
+    harmed = float(np.mean(after > (1.0 + MAX_RELATIVE_ERROR_INCREASE) ** 2 * before))
+    assert harmed < 2.5 * MAX_P_EXCEEDED_ERROR_INCREASE  # e'e is taken to be its expectation
     if 0.05 < share < 1.0 and along < 0.1:
-        assert harmed > 0.5 * P_ERROR_INCREASE_EXCEEDED
+        assert harmed > 0.5 * MAX_P_EXCEEDED_ERROR_INCREASE
 
 
 def test_a_law_that_does_much_is_taken_off_whole():
-    assert safe_fraction(100.0, 1.0, 1.0) == 1.0
-    assert safe_fraction(0.0, 0.0, 1.0) == 1.0
-    assert safe_fraction(1.0, 1.0, 1.0) < 0.5
+    assert max_safe_shift_fraction(100.0, 1.0, 1.0) == 1.0
+    assert max_safe_shift_fraction(0.0, 0.0, 1.0) == 1.0
+    assert max_safe_shift_fraction(1.0, 1.0, 1.0) < 0.5
 
 
 def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_both_does():
@@ -57,7 +57,7 @@ def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_bo
     found = case.searcher.model_of([Hypothesis(law, 0.0, 0.0, "unknown") for law in laws])
     points = baseline.state.target_points
     basis = points - points.mean(axis=0)
-    linear = -case.searcher.space.target_shifts(first_order_change(case.searcher, found))
+    linear = -case.searcher.space.target_shifts(first_order_reading_change(case.searcher, found))
     expected, shift = (
         remove_rigid_motion(change.reshape(-1, 1), basis, baseline.problem.free_motions)
         for change in (fitted.adjustment.state.target_points - points, linear)
@@ -66,8 +66,9 @@ def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_bo
     np.testing.assert_allclose(shift, expected, atol=0.01 * np.abs(expected).max())
     targets, change = average_over_explanations(case.searcher, found, [Ranking(found.members, 0.0)] * 2, fitted)
     refitted = np.zeros_like(change)
-    refitted[case.is_used] = (
-        first_order_change(case.searcher, found)[: int(case.is_used.sum())] * case.reading_sigmas[case.is_used]
+    refitted[case.is_used_reading] = (
+        first_order_reading_change(case.searcher, found)[: int(case.is_used_reading.sum())]
+        * case.reading_sigmas[case.is_used_reading]
     )
     assert np.linalg.norm((refitted + change) / case.reading_sigmas) < np.linalg.norm(refitted / case.reading_sigmas)
     assert np.linalg.norm(targets.points - points) < np.linalg.norm(expected)
@@ -82,7 +83,7 @@ def test_noise_moves_no_target() -> None:
     )
     noise = Hypothesis(VarianceFunction(("distance",), covariates=("distance",)), 0.0, 5.0 + np.log(19.0), "unknown")
     ranking = Ranking((noise, law), 8.0)
-    weights, changes = model_weights(case.searcher, case.searcher.empty_model, law, ranking, 1.0)
+    weights, changes = alternative_weights_and_changes(case.searcher, case.searcher.empty_model, law, ranking, 1.0)
     assert weights.sum() == pytest.approx(1.0)
     moving = np.any(changes != 0.0, axis=1)
     assert weights[moving].sum() == pytest.approx(np.exp(5.0) / (1.0 + 20.0 * np.exp(5.0)), rel=1e-6)

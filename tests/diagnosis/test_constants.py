@@ -9,8 +9,13 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.calibration.evidence import LOG_SIZE_PRIOR, RELATIVE_EFFECT_SIZES, likelihood_information, log_sum_exp
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.instruments import ConstantChange, ExpectedConstants, compare_constants, find_contradictions
-from ltsim.diagnosis.prior import log_prior_share
+from ltsim.diagnosis.instruments import (
+    ConstantChange,
+    ExpectedConstants,
+    constants_contradicting_expectation,
+    find_contradictions,
+)
+from ltsim.diagnosis.prior import log_prior_of_each_explanation
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
@@ -47,7 +52,9 @@ def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of
     )
     expected = 0.04 * np.eye(32)
     changes = tuple(ConstantChange((1,), k, "nothing") for k in range(16))
-    found = compare_constants(adjustment, ExpectedConstants(np.zeros(32), expected, changes), 2.0).contradictions
+    found = constants_contradicting_expectation(
+        adjustment, ExpectedConstants(np.zeros(32), expected, changes), 2.0
+    ).contradictions
     assert found[0].instruments == ("B",)
     k = 16 + adjustment.construction.parameter_names.index(found[0].parameter.name)
     seen = np.linalg.eigh(said.information)
@@ -63,8 +70,8 @@ def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of
     for t, weight in zip(RELATIVE_EFFECT_SIZES, LOG_SIZE_PRIOR, strict=True):
         change[k, k] = t**2
         logs.append(weight + density(expected + change))
-    log = float(log_sum_exp(np.array(logs))) - density(expected) + log_prior_share("constant", 16)
-    assert found[0].evidence == pytest.approx(log, rel=1e-3)
+    log = float(log_sum_exp(np.array(logs))) - density(expected) + log_prior_of_each_explanation("constant", 16)
+    assert found[0].log_evidence == pytest.approx(log, rel=1e-3)
 
 
 def test_an_index_that_one_face_shows_only_with_the_circle_is_told_as_that():
@@ -75,8 +82,8 @@ def test_an_index_that_one_face_shows_only_with_the_circle_is_told_as_that():
     assert found
     first = found[0]
     assert first.instruments == ("B",)
-    assert "vertical-index" in {p.name for p in first.rivals}
-    assert sum(first.rivals.values()) == pytest.approx(1.0, abs=0.05)
+    assert "vertical-index" in {p.name for p in first.evidence_shares}
+    assert sum(first.evidence_shares.values()) == pytest.approx(1.0, abs=0.05)
     assert abs(first.difference) / first.parameter.si_per_display_unit == pytest.approx(10.0, abs=5.0)
 
 

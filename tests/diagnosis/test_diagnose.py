@@ -101,7 +101,7 @@ def test_physics_outside_the_catalogue_is_called_unknown():
     first = found.findings[0]
     assert (first.effect, first.is_catalogued) == ("unknown", False)
     assert first.where.observables == ("distance",)
-    assert np.corrcoef(found.modelled_change(recording)[:, 0], change[:, 0])[0, 1] > 0.9
+    assert np.corrcoef(found.modelled_reading_change(recording)[:, 0], change[:, 0])[0, 1] > 0.9
     assert (found.variance_factors == 1.0).all()
     assert set(first.where.covariates) == {"azimuth", "elevation"}
     assert "azimuth" in first.formula

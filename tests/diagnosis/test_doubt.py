@@ -10,12 +10,12 @@ from ltsim.adjustment.identification import identify_causes
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.randomness import stream
 from ltsim.core.units import ARCSECOND
-from ltsim.diagnosis.detect import detect
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.evidence import log_bayes_factor_discrepancy
-from ltsim.diagnosis.findings import ExplainedRecording
+from ltsim.diagnosis.findings import SelectedModelFit
+from ltsim.diagnosis.global_test import run_global_test
 from ltsim.diagnosis.hypotheses import Hypothesis
-from ltsim.diagnosis.noise import NoiseHypothesis
+from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.diagnosis.preprocessing import is_single_error
 from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.physics.effects import find_effect
@@ -57,7 +57,7 @@ def test_one_wrong_reading_is_left_out_and_told_before_any_law(row, column):
     unit = 1e-3 if column == 0 else ARCSECOND
     assert size.value * unit == pytest.approx(15.0 * recording.sigma()[row, column], rel=0.25)
     assert size.sigma * unit == pytest.approx(recording.sigma()[row, column] / np.sqrt(redundancy), rel=1e-3)
-    change = diagnosis.modelled_change(recording)
+    change = diagnosis.modelled_reading_change(recording)
     assert change[row, column] == pytest.approx(size.value * unit, rel=0.01) and np.count_nonzero(change) == 1
     assert told.evidence.chi2_drop == pytest.approx((size.value / size.sigma) ** 2)
     assert told.evidence.chi2_drop == pytest.approx(float(space.residuals[at][0]) ** 2 / redundancy, rel=0.01)
@@ -180,12 +180,12 @@ def test_nothing_unlikely_is_told_beside_anything_else(monkeypatch):
 
     def with_noise(case, adjustment):
         search(case, adjustment)
-        case.noise = [noisy]
+        case.noise_changes = [noisy]
 
     monkeypatch.setattr(SelectionState, "set_adjustment", with_noise)
     told = diagnose(recording).findings
     assert [f.effect for f in told] == ["range-cyclic"]
-    monkeypatch.setattr(ExplainedRecording, "finding", lambda *_: unlikely)
+    monkeypatch.setattr(SelectedModelFit, "finding_of_member", lambda *_: unlikely)
     assert diagnose(recording).findings
 
 
@@ -214,8 +214,11 @@ def test_nothing_without_a_size_is_told_beside_something_else():
     plume = find_effect("heat-plume")(("S2",), (), (0.0, 0.0, 0.4), 0.2)
     members = [Hypothesis(plume, -9.0, 5.0, "heat-plume")]
     found = case.searcher.model_of(members)
-    explained = ExplainedRecording(
-        case, detect(case.searcher, case.noise_bank), found, case.refit(found.effects, case.reading_sigmas)
+    explained = SelectedModelFit(
+        case,
+        run_global_test(case.searcher, case.noise_hypotheses),
+        found,
+        case.refit(found.effects, case.reading_sigmas),
     )
     (told,) = (one for one in explained.refit.estimates[0] if one.parameter.name == "plume-temperature")
     assert abs(told.value) < 2.0 * told.sigma
@@ -227,7 +230,9 @@ def test_a_finding_that_few_readings_carry_names_them():
     recording = changed(workshop(2)[0], 40, 0, 7.5)
     (found,) = diagnose(recording).findings
     station, target = recording.stations[recording.station[40]], recording.targets[recording.target[40]]
-    assert f"Most of it is in the distance from {station} to {target} (row 41)." in found.sentence
+    assert (
+        f"Most of the decrease of chi-square is in the distance from {station} to {target} (row 41)." in found.sentence
+    )
 
 
 @pytest.mark.long

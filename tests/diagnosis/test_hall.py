@@ -12,7 +12,8 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.diagnose import diagnose
-from ltsim.diagnosis.noise import NoiseBank, most_likely_sizes, noise_hypotheses
+from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
+from ltsim.diagnosis.noise_estimation import with_estimated_sizes
 from ltsim.diagnosis.schema import Finding
 from ltsim.physics.effects.heat_plume import HeatPlume
 from ltsim.physics.effects.motions import exact_change_by_displacement
@@ -108,10 +109,10 @@ def test_the_weight_of_a_reading_in_a_heavy_tail_is_its_expected_weight(clean) -
     noise = np.zeros((space.n_rows, 1))
     noise[worse, 0] = 5.0 * rng.standard_normal(len(worse))
     heavy = space.residuals + space.project(noise)[:, 0]
-    bank = NoiseBank.from_space(space, noise_hypotheses(space.sightings))
-    best = bank.ranked_families(heavy, space.redundancy, np.zeros((space.n_rows, 0)))[0][1]
+    bank = NoiseHypothesisSet.from_space(space, noise_hypotheses(space.sightings))
+    best = bank.ranked_noise_changes(heavy, space.redundancy, np.zeros((space.n_rows, 0)))[0][1]
     assert getattr(best.effect, "group_kind", "") == "reading" and best.effect.observables == ("distance",)
-    fitted = most_likely_sizes(replace(space, residuals=heavy), space.sigma, best)
+    fitted = with_estimated_sizes(replace(space, residuals=heavy), space.sigma, best)
     added = np.array(fitted.sizes)[np.nonzero(space.is_used_reading)[0][ranges]]
     is_worse = np.isin(ranges, worse) & (np.abs(heavy[ranges]) > 3.0)
     assert added[is_worse].min() > 1.0

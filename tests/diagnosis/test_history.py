@@ -21,8 +21,8 @@ from ltsim.calibration.prior_information import EarlierCalibrationPrior
 from ltsim.cli.main import run
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.diagnose import MIN_EFFECT_LOG_EVIDENCE
 from ltsim.diagnosis.instruments import ConstantContradiction, HistoryExpectation
+from ltsim.diagnosis.model_selection import MIN_EFFECT_LOG_EVIDENCE
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import write
 from ltsim.recordings.result_file import write_result
@@ -108,7 +108,7 @@ def test_a_blow_is_told_with_its_constant_and_size(faces: int, count: int, name:
     assert sum(len(f) for f in found) <= 5
     gaps = np.array([(f[0].difference - 3.0 * GUARANTEE[constant]) / f[0].sigma for f in found])
     assert np.abs(gaps).max() < 4.0
-    assert ("history (5 calibrations, spread" in found[0][0].against) == (count == 5)
+    assert ("history (5 calibrations, spread" in found[0][0].reference_text) == (count == 5)
 
 
 def test_two_constants_that_changed_are_told_apart() -> None:

@@ -10,7 +10,7 @@ from ltsim.core.notation import with_sigma
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.instruments import find_contradictions, instrument_entries
-from ltsim.diagnosis.words import clear_constants_texts
+from ltsim.diagnosis.sentences import significant_constants_texts
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
@@ -58,7 +58,7 @@ def test_a_corrected_tracker_is_held_to_its_word():
         adjust(trackers(60e-6, corrected=True), misalignment_construction()), 2.0
     ).contradictions
     assert [(c.instruments, c.parameter.name) for c in found] == [(("B",), "beam-offset-lateral")]
-    assert "correction" in found[0].against
+    assert "correction" in found[0].reference_text
 
 
 def test_combinations_are_known_where_single_constants_are_not():
@@ -111,7 +111,7 @@ def test_constants_that_are_clear_are_named_as_a_person_would():
     values = drawn(built, 2)
     values[built.parameter_names.index("vertical-index")] = 60e-6
     entries = instrument_entries(adjust(network(values=values, seed=3)[0], built))
-    named = clear_constants_texts(entries)
+    named = significant_constants_texts(entries)
     assert 0 < len(named) <= 5
     (index,) = (words for words in named if words.startswith("vertical index"))
     assert index.startswith("vertical index, effective over the angles used, of the instrument: ")

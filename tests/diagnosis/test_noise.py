@@ -11,10 +11,10 @@ from scipy.special import logsumexp
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
+from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
 from ltsim.diagnosis.noise_groups import GROUP_VARIANCE_FACTORS
 from ltsim.diagnosis.prior import CAUSE_PRIOR
-from ltsim.diagnosis.repeats import repeat_means
+from ltsim.diagnosis.repeats import averaging_matrix_of_repeats
 from ltsim.physics.effects.turbulence import Turbulence
 from ltsim.physics.laws.variance import REPEATS_IN_BOTH_FACES, VarianceFunction
 from ltsim.physics.model.construction import misalignment_construction
@@ -26,7 +26,7 @@ def repeated():
     """The residual space of a recording with three repeats, which pointings are of one pair, and its noise bank."""
     recording, truth = network(repeats=3, seed=6)
     space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start_state=truth.state))
-    bank = NoiseBank.from_space(space, noise_hypotheses(space.sightings))
+    bank = NoiseHypothesisSet.from_space(space, noise_hypotheses(space.sightings))
     return space, recording.station * len(recording.targets) + recording.target, bank
 
 
@@ -42,8 +42,8 @@ def scattered(space, pair, *, shared):
 
 def evidence_of(bank, residual, redundancy):
     """Log evidence of each family."""
-    names = (*bank.families, *(f"{one.name} {i}" if i else one.name for i, one in enumerate(bank.group_noises)))
-    return dict(zip(names, bank.family_evidence(residual[:, None], redundancy)[:, 0], strict=True))
+    names = (*bank.families, *(f"{one.name} {i}" if i else one.name for i, one in enumerate(bank.group_noise_changes)))
+    return dict(zip(names, bank.log_evidence_by_family(residual[:, None], redundancy)[:, 0], strict=True))
 
 
 @pytest.mark.parametrize("shared", [True, False])
@@ -79,7 +79,7 @@ def test_noise_in_a_band_of_a_covariate_is_found_in_that_band(repeated, covariat
     )
     change[: int(space.is_used_reading.sum()), 0] = more[space.is_used_reading]
     residual = space.residuals + space.project(change)[:, 0]
-    best = bank.ranked_families(residual, space.redundancy, np.zeros((space.n_rows, 0)))[0][1].effect
+    best = bank.ranked_noise_changes(residual, space.redundancy, np.zeros((space.n_rows, 0)))[0][1].effect
     at = best.variance(space.sightings, space.sigma, best.size_scales) > space.sigma**2
     assert np.mean(at[:, 2] == inside) > 0.8 and best.observables == ("azimuth", "elevation")
 
@@ -96,7 +96,7 @@ def test_shaken_targets_scatter_in_both_angles_as_one_change(repeated):
     change = np.zeros((space.n_rows, 1))
     change[: int(space.is_used_reading.sum()), 0] = more[space.is_used_reading]
     residual = space.residuals + space.project(change)[:, 0]
-    first = bank.ranked_families(residual, space.redundancy, np.zeros((space.n_rows, 0)))[0][1].effect
+    first = bank.ranked_noise_changes(residual, space.redundancy, np.zeros((space.n_rows, 0)))[0][1].effect
     assert first.observables == ("azimuth", "elevation")
     assert {space.sightings.target_names.index(name) for name in first.targets} <= set(range(7))
 
@@ -107,11 +107,11 @@ def test_evidence_is_the_restricted_likelihood_of_correlated_residuals(repeated)
     free = np.linalg.svd(np.eye(space.n_rows) - bank.basis @ bank.basis.T)[0][:, : space.n_rows - bank.basis.shape[1]]
     residual = scattered(space, pair, shared=False)
     nothing = np.zeros((space.n_rows, 0))
-    sums = bank.means.toarray()
+    sums = bank.averaging_matrix.toarray()
     for i in (0, 20, len(bank.hypotheses) // 2, bank.families.index("unknown:noise:repeating")):
-        i = int(np.flatnonzero(bank.family_index == i)[-1]) if i < len(bank.families) else i
+        i = int(np.flatnonzero(bank.family_indices == i)[-1]) if i < len(bank.families) else i
         grown = np.ones(space.n_rows + len(sums))
-        places, logs = bank.factors.log_variance_factors(i)
+        places, logs = bank.variance_factors.affected_rows_and_log_factors(i)
         grown[places] = np.exp(logs)
         covariance = np.diag(grown[: space.n_rows]) + sums.T @ np.diag(grown[space.n_rows :] - 1.0) @ sums
         inner, y = free.T @ covariance @ free, free.T @ residual
@@ -143,7 +143,8 @@ def test_sizes_between_those_of_the_grid_count_as_much(repeated):
     whole = logsumexp([*one, sum(one)]) - np.log(3)
     rough = replace(bank, basis=None)  # in its diagonal form
     found = {
-        h.family: value for value, h in rough.ranked_families(residual, space.redundancy, np.zeros((space.n_rows, 0)))
+        h.family: value
+        for value, h in rough.ranked_noise_changes(residual, space.redundancy, np.zeros((space.n_rows, 0)))
     }
     assert found["turbulence"] - bank.log_prior_of_family("turbulence") == pytest.approx(whole, abs=0.1)
     coarse = evidence_of(bank, residual, space.redundancy)["turbulence"]
@@ -206,13 +207,13 @@ def test_nothing_is_found_where_there_is_nothing(repeated):
     """Each family's evidence is at most its prior, on average over recordings without any change."""
     space, _, bank = repeated
     white = space.project(stream(2, "white").standard_normal((space.n_rows, 200)))
-    mean = np.log(np.exp(bank.family_evidence(white, space.redundancy)).mean(axis=1).sum())
+    mean = np.log(np.exp(bank.log_evidence_by_family(white, space.redundancy)).mean(axis=1).sum())
     assert mean < np.log(CAUSE_PRIOR["noise"] + CAUSE_PRIOR["scatter"]) + 1.0
 
 
 def test_means_of_repeats_are_of_unit_variance(repeated):
     space, _, _ = repeated
-    means = repeat_means(space)
+    means = averaging_matrix_of_repeats(space)
     assert means.shape[0] == int(space.is_used_reading.sum()) // 3
     np.testing.assert_allclose((means.multiply(means)).sum(axis=1), 1.0)
 
@@ -220,13 +221,13 @@ def test_means_of_repeats_are_of_unit_variance(repeated):
 def test_without_repeats_nothing_is_said():
     recording, truth = network(repeats=1, seed=6)
     space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start_state=truth.state))
-    assert repeat_means(space).shape[0] == 0
+    assert averaging_matrix_of_repeats(space).shape[0] == 0
 
 
 def test_ranges_that_err_alike_in_both_faces_are_no_noise():
     recording, truth = network(faces=2, repeats=1, seed=6)
     space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start_state=truth.state))
-    bank = NoiseBank.from_space(space, noise_hypotheses(space.sightings))
+    bank = NoiseHypothesisSet.from_space(space, noise_hypotheses(space.sightings))
     s = space.sightings
     pair = s.station * len(s.target_names) + s.target
     more = {}

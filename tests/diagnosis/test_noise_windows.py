@@ -12,9 +12,11 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.noise import NoiseBank, NoiseHypothesis, most_likely_sizes, noise_hypotheses
-from ltsim.diagnosis.noise_groups import NoiseByGroup, RecordingNoiseLevel
-from ltsim.diagnosis.noise_windows import OBSERVABLE_FLAGS, WINDOW_VARIANCE_FACTORS, NoiseWindows
+from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
+from ltsim.diagnosis.noise_estimation import with_estimated_sizes
+from ltsim.diagnosis.noise_groups import GroupNoiseMixture, RecordingNoiseLevel
+from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
+from ltsim.diagnosis.noise_windows import OBSERVABLE_SET_INDICATORS, WINDOW_VARIANCE_FACTORS, NoiseWindows
 from ltsim.physics.laws.places import target_clusters
 from ltsim.physics.model.construction import misalignment_construction
 from tests.networks import drawn, network
@@ -37,8 +39,8 @@ def with_angular_noise(space: ResidualSpace, noisy: np.ndarray, size: float, rng
 
 def most_probable(space: ResidualSpace, residual: np.ndarray) -> NoiseHypothesis:
     """Most probable change of the noise for some residuals."""
-    bank = NoiseBank.from_space(space, noise_hypotheses(space.sightings))
-    return bank.ranked_families(residual, space.redundancy, np.zeros((space.n_rows, 0)))[0][1]
+    bank = NoiseHypothesisSet.from_space(space, noise_hypotheses(space.sightings))
+    return bank.ranked_noise_changes(residual, space.redundancy, np.zeros((space.n_rows, 0)))[0][1]
 
 
 def test_the_evidence_is_the_sum_over_all_sequences(space: ResidualSpace, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -47,11 +49,11 @@ def test_the_evidence_is_the_sum_over_all_sequences(space: ResidualSpace, monkey
     residual = 1.5 * space.residuals[:, None]
     ratios = windows._log_likelihood_ratios(residual, space.redundancy)[..., 0].reshape(5, -1)
     logs = []
-    for go in windows._change_probabilities:
+    for go in windows._state_change_probabilities:
         for states in product((0, 1), repeat=6):  # the state before the first step, and those of the steps
             odds = [np.log(go if a != b else 1.0 - go) for a, b in pairwise(states)]
             logs.append(np.log(0.5) + sum(odds) + np.array(states[1:]) @ ratios)
-    count = len(windows._change_probabilities) * ratios.shape[1]
+    count = len(windows._state_change_probabilities) * ratios.shape[1]
     expected = log_sum_exp(np.array(logs).ravel()) - np.log(count)
     assert windows.log_evidence(residual, space.redundancy)[0] == pytest.approx(expected, rel=1e-9)
 
@@ -65,7 +67,7 @@ def test_the_times_of_a_compressor_are_found(space: ResidualSpace) -> None:
     best = most_probable(space, residual)
     assert best.family == "unknown:noise:windows" and best.effect.observables == ("azimuth", "elevation")
     assert (best.effect.is_in_band(space.sightings) == noisy).mean() > 0.95
-    fitted = most_likely_sizes(replace(space, residuals=residual), space.sigma, best)
+    fitted = with_estimated_sizes(replace(space, residuals=residual), space.sigma, best)
     assert 4.0 < np.sqrt(1.0 + fitted.sizes[0]) < 5.5
 
 
@@ -83,20 +85,24 @@ def test_expected_factors_are_the_mean_over_all_sequences(
     space: ResidualSpace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("ltsim.diagnosis.noise_windows.MAX_CHAIN_STEPS", 4)
-    monkeypatch.setattr("ltsim.diagnosis.noise_windows.DENSE_FACTORS", WINDOW_VARIANCE_FACTORS)
+    monkeypatch.setattr("ltsim.diagnosis.noise_windows.DENSE_WINDOW_VARIANCE_FACTORS", WINDOW_VARIANCE_FACTORS)
     windows = NoiseWindows.from_space(space)[0]
-    residual, sets = 1.5 * space.residuals, len(OBSERVABLE_FLAGS)
+    residual, sets = 1.5 * space.residuals, len(OBSERVABLE_SET_INDICATORS)
     ratios = windows._log_likelihood_ratios(residual[:, None], space.redundancy)[..., 0].reshape(4, sets, -1)
     logs, added = [], []
-    for go, acts, factor in product(windows._change_probabilities, range(sets), range(len(windows.factors))):
+    for go, acts, factor in product(
+        windows._state_change_probabilities, range(sets), range(len(windows.variance_factor_grid))
+    ):
         for states in product((0, 1), repeat=5):
             odds = [np.log(go if a != b else 1.0 - go) for a, b in pairwise(states)]
             noisy = np.array(states[1:])
             logs.append(sum(odds) + noisy @ ratios[:, acts, factor])
-            added.append((windows.factors[factor] - 1.0) * np.outer(noisy, OBSERVABLE_FLAGS[acts]).ravel())
+            added.append(
+                (windows.variance_factor_grid[factor] - 1.0) * np.outer(noisy, OBSERVABLE_SET_INDICATORS[acts]).ravel()
+            )
     weight = np.exp(np.array(logs) - log_sum_exp(np.array(logs)))
-    expected = 1.0 + windows.members.T @ (weight @ np.array(added))
-    assert windows.expected_factors(residual, space.redundancy) == pytest.approx(expected, rel=1e-9)
+    expected = 1.0 + windows.group_indicators.T @ (weight @ np.array(added))
+    assert windows.expected_variance_factors(residual, space.redundancy) == pytest.approx(expected, rel=1e-9)
 
 
 def test_the_variance_of_uncertain_windows_is_averaged(space: ResidualSpace) -> None:
@@ -111,9 +117,9 @@ def test_the_variance_of_uncertain_windows_is_averaged(space: ResidualSpace) -> 
         case = replace(space, residuals=residual)
         windows = NoiseWindows.from_space(case)[0]
         likeliest = windows.most_likely_effect(residual, space.redundancy)
-        sizes = most_likely_sizes(case, space.sigma, NoiseHypothesis("windows", likeliest, (0.0,))).sizes
+        sizes = with_estimated_sizes(case, space.sigma, NoiseHypothesis("windows", likeliest, (0.0,))).sizes
         single = (likeliest.variance(space.sightings, space.sigma, np.array(sizes)) / space.sigma**2)[used]
-        mean = windows.expected_factors(residual, space.redundancy)[: len(single)]
+        mean = windows.expected_variance_factors(residual, space.redundancy)[: len(single)]
         losses.append([np.sum(truth[used] / f - 1.0 - np.log(truth[used] / f)) for f in (single, mean)])
     single, mean = np.mean(losses, axis=0)
     assert mean < 0.75 * single
@@ -121,13 +127,13 @@ def test_the_variance_of_uncertain_windows_is_averaged(space: ResidualSpace) -> 
 
 def test_a_common_level_and_noisy_groups_have_expected_factors(space: ResidualSpace) -> None:
     level = RecordingNoiseLevel.from_space(space, allows_quieter=True)
-    doubled = level.expected_factors(2.0 * space.residuals, space.redundancy)
+    doubled = level.expected_variance_factors(2.0 * space.residuals, space.redundancy)
     assert doubled[: int(space.is_used_reading.sum())] == pytest.approx(4.0, rel=0.25)
     assert (doubled[int(space.is_used_reading.sum()) :] == 1.0).all()
-    by_target = next(a for a in NoiseByGroup.all_of(space) if a.effect.group_kind == "target")
+    by_target = next(a for a in GroupNoiseMixture.candidates(space) if a.effect.group_kind == "target")
     noisy = space.sightings.target == 0
     residual = with_angular_noise(space, noisy, 10.0, stream(4, "group"))
-    factors = by_target.expected_factors(residual, space.redundancy)
+    factors = by_target.expected_variance_factors(residual, space.redundancy)
     of_target = noisy[np.nonzero(space.is_used_reading)[0]]
     rows = len(of_target)
     assert factors[:rows][of_target].min() > 10.0 and factors[:rows][~of_target].max() < 2.0

@@ -8,9 +8,9 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.catalogue_designs import FamilyMeans
-from ltsim.diagnosis.detect import Detection
-from ltsim.diagnosis.evidence import log_means_by_group
+from ltsim.diagnosis.catalogue_designs import FamilyEvidenceAccumulator
+from ltsim.diagnosis.evidence import log_mean_exp_by_group
+from ltsim.diagnosis.global_test import GlobalTestResult
 from ltsim.diagnosis.search import Searcher
 from ltsim.physics.model.construction import misalignment_construction
 from tests.diagnosis.ensembles import with_trials
@@ -37,7 +37,7 @@ def test_clean_recordings_alarm_as_often_as_stated(most, monkeypatch):
     for seed in range(SEEDS):
         searcher = Searcher(space, seed, 300)
         assert searcher.is_large_network == (most == 0)
-        null = Detection(0.0, 1.0, searcher.empty_model_screening.null_statistics)
+        null = GlobalTestResult(0.0, 1.0, searcher.empty_model_screening.null_statistics)
         chances += [null.p_value_of(float(one)) for one in clean(searcher, seed)]
     for level, spread in ((0.05, 0.025), (0.2, 0.05), (0.5, 0.08)):
         assert np.mean(np.array(chances) <= level) == pytest.approx(level, abs=spread)
@@ -47,7 +47,7 @@ def test_family_means_do_not_depend_on_the_batches() -> None:
     rng = stream(7, "families")
     family, values = rng.integers(0, 4, 50), 30.0 * rng.standard_normal((50, 6))
     family[:4] = np.arange(4)
-    means = FamilyMeans.without_effects(family, 4, 6)
+    means = FamilyEvidenceAccumulator.empty(family, 4, 6)
     for members in np.split(rng.permutation(50), [3, 20, 21]):
         means.add(members, values[members])
-    np.testing.assert_allclose(means.log_means, log_means_by_group(values, family, 4), rtol=1e-12)
+    np.testing.assert_allclose(means.log_means, log_mean_exp_by_group(values, family, 4), rtol=1e-12)

@@ -12,15 +12,15 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.remedies.next_measurement import MIN_DECISIVE_CHI2
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.detect import Detection
-from ltsim.diagnosis.detectability import separating_measurement
+from ltsim.diagnosis.detectability import separating_measurement_sentence
 from ltsim.diagnosis.diagnose import log_bayes_factor_of_refits
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.evidence import active_observables
-from ltsim.diagnosis.findings import ExplainedRecording
+from ltsim.diagnosis.findings import SelectedModelFit
+from ltsim.diagnosis.global_test import GlobalTestResult
 from ltsim.diagnosis.hypotheses import Model
 from ltsim.diagnosis.schema import FindingScope, Misfit
-from ltsim.diagnosis.words import law_sentence
+from ltsim.diagnosis.sentences import law_sentence
 from ltsim.physics.effects.station_settling import StationSettling
 from ltsim.physics.model.construction import misalignment_construction
 from tests.networks import network, with_effect
@@ -42,28 +42,28 @@ def test_an_effect_is_told_in_the_observables_on_which_it_acts_and_in_which_it_s
 
 def test_what_is_no_question_gets_no_measurement() -> None:
     found = adjust(network(faces=2, seed=6)[0], misalignment_construction())
-    assert separating_measurement(found, "range-step", [], ()) == ""
-    assert separating_measurement(found, "range-step", ["unknown"], ()) == ""
-    assert separating_measurement(found, "range-step", ["station-noise"], ()) == ""
-    assert separating_measurement(found, "station-noise", ["range-step"], ()) == ""
+    assert separating_measurement_sentence(found, "range-step", [], ()) == ""
+    assert separating_measurement_sentence(found, "range-step", ["unknown"], ()) == ""
+    assert separating_measurement_sentence(found, "range-step", ["station-noise"], ()) == ""
+    assert separating_measurement_sentence(found, "station-noise", ["range-step"], ()) == ""
 
 
 def test_a_bump_and_a_settling_are_told_apart_by_another_order_of_the_work() -> None:
     settled = StationSettling(("S3",), time_constant=480.0)
     found = adjust(with_effect(settled, [8e-6, -5e-6, 5e-6]), misalignment_construction())
-    advice = separating_measurement(found, "station-settling", ["station-bump"], ())
+    advice = separating_measurement_sentence(found, "station-settling", ["station-bump"], ())
     assert advice.startswith("measure every station's targets again in the reverse order: expected chi-square")
     before, after = map(float, re.findall(r"from (\d+) to (\d+)", advice)[0])
     assert before < MIN_DECISIVE_CHI2 < after
 
 
-# --- detect -----------------------------------------------------------------------------------------------------------
+# --- global_test ----------------------------------------------------------------------------------------------------
 
 
 def test_chances_are_those_of_the_simulated_recordings_and_never_less_than_one_of_them() -> None:
     null = stream(3, "null").permutation(np.arange(1000.0))
-    found = Detection(0.0, 1.0, null)
-    assert found.threshold(0.05) == pytest.approx(949.05)
+    found = GlobalTestResult(0.0, 1.0, null)
+    assert found.critical_value(0.05) == pytest.approx(949.05)
     assert found.p_value_of(-1.0) == 1.0
     assert found.p_value_of(500.0) == pytest.approx(501 / 1001)
     assert found.p_value_of(999.0) == pytest.approx(2 / 1001)
@@ -107,12 +107,12 @@ class Set:
     def p_real(self, member: int) -> float:
         return self.chances[self.members[member]]
 
-    def p_any(self, member: int) -> float:
+    def p_any_cause(self, member: int) -> float:
         return {"d": 0.999}.get(self.members[member], 0.9)
 
 
 def test_a_doubtful_finding_is_modelled_and_told_only_where_nothing_else_is() -> None:
-    untold = ExplainedRecording.withheld_keys.func
+    untold = SelectedModelFit.withheld_effect_keys.func
     assert untold(Set(("a", "b", "c"), {"a": 0.9, "b": 0.1, "c": 0.2}, has_test_findings=True)) == ("b", "c")
     assert untold(Set(("a", "b", "c"), {"a": 0.9, "b": 0.1, "c": 0.2}, has_test_findings=False)) == ("b",)
     assert untold(Set(("b",), {"b": 0.1}, has_test_findings=False)) == ()

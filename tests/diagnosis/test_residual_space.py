@@ -66,11 +66,11 @@ def test_held_out_error_is_that_of_refits_without_the_fold(space):
         spread = design @ rest.factorised_normals.covariance_columns(design.T)
         square += float(gap @ np.linalg.solve(np.eye(len(gap)) + spread, gap))
         count += len(gap)
-    assert cross_validated_errors(space, 0).before == pytest.approx(np.sqrt(square / count), rel=1e-3)
+    assert cross_validated_errors(space, 0).rms_without_model == pytest.approx(np.sqrt(square / count), rel=1e-3)
 
 
 def test_held_out_error_is_one_where_the_model_holds(space):
-    assert cross_validated_errors(space, 0).before == pytest.approx(1.0, abs=0.1)
+    assert cross_validated_errors(space, 0).rms_without_model == pytest.approx(1.0, abs=0.1)
 
 
 def test_folds_are_whole_pointings_and_all_of_them(space):
@@ -99,7 +99,9 @@ def test_held_out_readings_contradict_a_law_that_they_do_not_follow(space):
     assert supported.log_odds_of_model == 0.0
     assert contradicted.log_odds_of_model < -10.0
     for error in (supported, contradicted):
-        assert error.log_score_gain == pytest.approx(0.5 * rows * (error.before**2 - error.after**2))
+        assert error.log_score_gain == pytest.approx(
+            0.5 * rows * (error.rms_without_model**2 - error.rms_with_model**2)
+        )
 
 
 @pytest.mark.long
@@ -110,7 +112,7 @@ def test_a_spurious_finding_does_not_predict_what_its_search_has_not_seen():
         recording, _ = network(seed=seed, stations=3)
         clean = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
         error = cross_validated_errors(clean, seed, Searcher(clean, seed), 2.0)
-        falls += error.after < error.before
+        falls += error.rms_with_model < error.rms_without_model
     assert falls <= 3
 
 
@@ -119,5 +121,5 @@ def test_a_real_finding_predicts_what_its_search_has_not_seen(space):
     wave = space.whitened_design(law("distance", Regressor("wave", ("azimuth",), constant=3.0)))[:, 0]
     hidden = replace(space, residuals=space.residuals + 8e-6 * space.project(wave))
     error = cross_validated_errors(hidden, 0, Searcher(hidden, 0), 2.0)
-    assert error.after < 0.97 * error.before
+    assert error.rms_with_model < 0.97 * error.rms_without_model
     assert error.log_odds_of_model == 0.0

@@ -9,20 +9,20 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import LOG_SIZE_PRIOR, RELATIVE_EFFECT_SIZES, log_evidence, log_sum_exp
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.catalogue_designs import CatalogueDesigns, catalogue_hypotheses
-from ltsim.diagnosis.evidence import coefficient_posterior, log_evidence_of_coefficients, log_sign_weight
+from ltsim.diagnosis.catalogue_designs import CatalogueDesigns, catalogue_candidate_effects
+from ltsim.diagnosis.evidence import coefficient_posterior, log_evidence_of_coefficients, log_positivity_factor
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import RELATIVE_MODEL_ERROR, Hypothesis, Model, Ranking
-from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
+from ltsim.diagnosis.law_search_space import law_batches
+from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
 from ltsim.diagnosis.null_ensemble import NullEnsemble
 from ltsim.diagnosis.prior import (
     CAUSE_PRIOR,
     PLACE_PRIOR,
     RESPONSE_PRIOR,
     RESPONSE_PRIOR_AT_TARGETS,
-    prior_rows,
+    prior_table_rows,
 )
-from ltsim.diagnosis.space import law_batches
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.laws.law import EmpiricalLaw
@@ -43,7 +43,7 @@ def made(space):
     """All panels, scored once."""
     probe = NullEnsemble.from_space(space, 0, 300)
     found = law_batches(space)
-    return probe, found, [panel.best_laws_and_totals(probe) for panel in found]
+    return probe, found, [panel.best_laws_and_log_totals(probe) for panel in found]
 
 
 def alone(space: ResidualSpace, law: CandidateEffect, residual: np.ndarray, extension: np.ndarray) -> float:
@@ -63,19 +63,19 @@ def test_priors_sum_to_one_over_everything(space, made):
     """Every kind of explanation, every card, law and change of the noise that is tried, at every place."""
     for table in (CAUSE_PRIOR, PLACE_PRIOR, RESPONSE_PRIOR, RESPONSE_PRIOR_AT_TARGETS):
         assert sum(table.values()) == pytest.approx(1.0, abs=1e-12)
-    assert sum(part for _, part in prior_rows()) == pytest.approx(1.0, abs=1e-12)
+    assert sum(part for _, part in prior_table_rows()) == pytest.approx(1.0, abs=1e-12)
     assert np.exp(LOG_SIZE_PRIOR).sum() == pytest.approx(1.0)
     _, found, _ = made
     laws = sum(
-        np.exp(p.log_prior).sum() * len(p.responses) * sum(len(d.coefficient_sigmas) for d in p.regressors)
+        np.exp(p.log_prior_by_place).sum() * len(p.responses) * sum(len(d.coefficient_sigmas) for d in p.regressors)
         for p in found
     )
-    cards = CatalogueDesigns.from_space(space, catalogue_hypotheses(space.sightings))
-    families = cards.family_evidence(np.zeros(len(cards.effects))) + cards.log_family_prior
-    noise = NoiseBank.from_space(space, noise_hypotheses(space.sightings))
+    cards = CatalogueDesigns.from_space(space, catalogue_candidate_effects(space.sightings))
+    families = cards.log_evidence_by_family(np.zeros(len(cards.effects))) + cards.log_family_prior
+    noise = NoiseHypothesisSet.from_space(space, noise_hypotheses(space.sightings))
     nothing = np.append(
-        noise._log_evidence_by_family(np.zeros((len(noise.hypotheses), 1))),
-        [noise.log_prior_of_family(one.name) for one in noise.group_noises],
+        noise._log_evidence_from_ratios(np.zeros((len(noise.hypotheses), 1))),
+        [noise.log_prior_of_family(one.name) for one in noise.group_noise_changes],
     )
     assert laws == pytest.approx(CAUSE_PRIOR["law"])
     assert np.exp(families).sum() == pytest.approx(CAUSE_PRIOR["named"])
@@ -84,18 +84,18 @@ def test_priors_sum_to_one_over_everything(space, made):
 
 def test_effects_of_the_catalogue_share_their_prior_by_their_base_rates(space):
     """Effects that shift readings among themselves, and so do changes of the noise."""
-    cards = CatalogueDesigns.from_space(space, catalogue_hypotheses(space.sightings))
+    cards = CatalogueDesigns.from_space(space, catalogue_candidate_effects(space.sightings))
     prior = dict(zip(cards.families, cards.log_family_prior, strict=True))
     assert prior["outlier"] - prior["window"] == pytest.approx(np.log(16.0))
     assert prior["station-bump"] - prior["head-sag"] == pytest.approx(np.log(4.0))
-    noise = NoiseBank.from_space(space, noise_hypotheses(space.sightings))
+    noise = NoiseHypothesisSet.from_space(space, noise_hypotheses(space.sightings))
     level, station = (noise.log_prior_of_family(name) for name in ("noise-level", "station-noise"))
     assert level - station == pytest.approx(np.log(4.0))
 
 
 def test_the_theory_page_has_the_table_of_priors(root):
     page = (root / "docs" / "theory.md").read_text(encoding="utf-8")
-    for words, part in prior_rows():
+    for words, part in prior_table_rows():
         assert f"| {words} | {100 * part:.3g} % |" in page
 
 
@@ -116,10 +116,10 @@ def test_a_set_is_scored_with_its_sizes_averaged(space):
             score = columns.T @ whole
             fit = score @ np.linalg.solve(inner, score)
             logs.append(weight + more + 0.5 * (fit - np.linalg.slogdet(inner)[1]))
-    assert found.score == pytest.approx(float(log_sum_exp(np.array(logs))) - 6.0, abs=0.02)
-    single = Model(tuple(members[:1]), tuple(left[:1]), found.design_norms[:1], whole)
+    assert found.penalised_log_evidence == pytest.approx(float(log_sum_exp(np.array(logs))) - 6.0, abs=0.02)
+    single = Model(tuple(members[:1]), tuple(left[:1]), found.design_column_norms[:1], whole)
     alone_ = log_evidence_of_coefficients(left[0].T @ left[0], left[0].T @ whole, sizes[0])
-    assert single.score == pytest.approx(float(alone_) - 3.0, abs=1e-6)
+    assert single.penalised_log_evidence == pytest.approx(float(alone_) - 3.0, abs=1e-6)
 
 
 def test_scores_by_sums_over_places_are_those_of_single_laws(space, made):
@@ -149,7 +149,7 @@ def test_beside_what_was_found_nothing_of_it_is_left_to_score(space, made):
         hits = [
             h
             for panel in found
-            for h in panel.best_laws_and_totals(beside)[0]
+            for h in panel.best_laws_and_log_totals(beside)[0]
             if not (h.place.stations or h.place.targets)
         ]
         same = (h for h in hits if (h.response.name, h.regressor) == (law.response.name, law.regressor))
@@ -186,15 +186,15 @@ def test_what_chance_makes_of_a_search_has_no_expectation_of_its_own(made):
 def test_simulated_residuals_stand_for_the_basis_in_large_networks(space, monkeypatch):
     monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MAX_DENSE_UNKNOWNS", 0)
     probe = NullEnsemble.from_space(space, 0, 0)
-    assert probe.gram_is_monte_carlo
+    assert probe.uses_monte_carlo_gram
     effects = [find_effect("station-weather")(("S2",)), find_effect("index-drift")()]
     sampled = CatalogueDesigns.from_space(space, effects)
-    sampled.log_evidence_and_trials(probe)
+    sampled.log_evidence_and_null_values(probe)
     monkeypatch.undo()
     exact = CatalogueDesigns.from_space(space, effects)
-    exact.log_evidence_and_trials(NullEnsemble.from_space(space, 0, 0))
+    exact.log_evidence_and_null_values(NullEnsemble.from_space(space, 0, 0))
     for one, other in zip(sampled.groups, exact.groups, strict=True):
-        np.testing.assert_allclose(one.gram, other.gram, rtol=0.4)
+        np.testing.assert_allclose(one.projected_gram, other.projected_gram, rtol=0.4)
 
 
 def test_what_is_like_a_finding_is_not_overrated_in_a_large_network(space, monkeypatch):
@@ -208,8 +208,8 @@ def test_what_is_like_a_finding_is_not_overrated_in_a_large_network(space, monke
     for most in (0, 500):
         monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MAX_DENSE_UNKNOWNS", most)
         probe, cards = NullEnsemble.from_space(space, 0, 0), CatalogueDesigns.from_space(space, steps)
-        cards.log_evidence_and_trials(probe)
-        values.append(cards.log_evidence_and_trials(probe.with_model(base.residual, base.basis))[0])
+        cards.log_evidence_and_null_values(probe)
+        values.append(cards.log_evidence_and_null_values(probe.with_model(base.residual, base.basis))[0])
     sampled, exact = values
     assert (sampled < 1.2 * np.maximum(exact, 0.0) + 1.0).all()
 
@@ -231,8 +231,8 @@ def test_evidence_is_that_of_the_dense_covariance():
 
 
 def test_a_negative_thickness_is_no_explanation():
-    assert log_sign_weight(3.0, 1.0) == pytest.approx(np.log(2.0), abs=0.01)
-    assert log_sign_weight(-5.0, 1.0) < -10.0
+    assert log_positivity_factor(3.0, 1.0) == pytest.approx(np.log(2.0), abs=0.01)
+    assert log_positivity_factor(-5.0, 1.0) < -10.0
 
 
 def test_unknown_is_told_where_it_is_likelier_than_all_names_together():

@@ -10,8 +10,8 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.diagnosis.evidence import log_evidence_of_coefficients
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
-from ltsim.diagnosis.products import may_have_a_second_factor, product_forms
-from ltsim.diagnosis.switches import _best_span_states, _span_moments, switched_forms
+from ltsim.diagnosis.law_products import may_have_a_second_factor, product_forms
+from ltsim.diagnosis.switches import _best_span_states, _span_gram_and_score, switched_forms
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressors import (
     CONSTANT_REGRESSOR,
@@ -69,11 +69,11 @@ def test_moments_of_toggled_spans_are_those_of_the_switched_law(space: ResidualS
     base = with_law(space, law.with_switch(at(space, 0.2, 0.45)), 200.0)
     exact, edges = EvidenceCalculator(space), law.candidate_switch_steps(space.sightings)
     first = scalar_regressor("time", "step", -np.inf)
-    spans = _span_moments(exact, law, [first, *edges], base)
+    spans = _span_gram_and_score(exact, law, [first, *edges], base)
     on, _, toggled = _best_span_states(spans, law.with_switch([first]).size_scales)
     assert toggled >= 1
     chosen = [edges[i] for i in np.flatnonzero(np.diff(on.astype(int)))]
-    state, size = on.astype(float), np.sqrt(on @ spans.square)
+    state, size = on.astype(float), np.sqrt(on @ spans.mean_square_contributions)
     gram = np.einsum("s,swtv,t->wv", state, spans.gram, state) / size**2
     switched = law.with_switch([first, *chosen] if on[0] else chosen)
     value = log_evidence_of_coefficients(gram, state @ spans.score / size, switched.size_scales)

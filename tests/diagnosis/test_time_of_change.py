@@ -11,7 +11,7 @@ from ltsim.core.randomness import stream
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Model
 from ltsim.diagnosis.schema import ParameterEstimate
-from ltsim.diagnosis.shapes import shape_posterior
+from ltsim.diagnosis.shape_constants import estimates_averaged_over_shapes
 from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.effects.range_step import RangeStep
 from ltsim.physics.effects.station_bump import StationBump
@@ -39,7 +39,7 @@ def posterior_of_time(
     base = Model((), (), (), residuals)
     every = effect.neighbours(space.sightings)
     best = every[int(np.argmax(calculator.log_evidence(every, base)))]
-    return shape_posterior(calculator, best, base, ())["time"]
+    return estimates_averaged_over_shapes(calculator, best, base, ())["time"]
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import pytest
 from ltsim.campaigns.results import PairedDifference
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import Equivalent, Finding, FindingEvidence, FindingScope, Misfit, ParameterEstimate
-from ltsim.diagnosis.words import catalogue_sentence, diagnosis_summary
+from ltsim.diagnosis.sentences import catalogue_effect_sentence, diagnosis_summary
 from ltsim.physics.effects import CATALOGUE, MISALIGNMENT_EFFECTS
 from ltsim.reports.document_model import ReportContext, Section
 from ltsim.reports.sections.campaign import campaign_section
@@ -39,7 +39,7 @@ def finding(name: str, other: str) -> Finding:
         where=where,
         parameters=rows,
         evidence=FindingEvidence(chi2_drop=90.0, parameters=1, p_value=1e-4, probability=0.8),
-        sentence=catalogue_sentence(name, where, rows, 0.8),
+        sentence=catalogue_effect_sentence(name, where, rows, 0.8),
         equivalents=(Equivalent(effect=other, probability=0.2),),
     )
 

@@ -23,7 +23,7 @@ from ltsim.diagnosis.schema import (
     FindingScope,
     Misfit,
 )
-from ltsim.diagnosis.words import clear_constants_texts, effect_text
+from ltsim.diagnosis.sentences import effect_text, significant_constants_texts
 from ltsim.physics.effects import effect_title, find_effect, parameter_text
 from ltsim.physics.effects.catalogue import catalogue_entry
 from ltsim.recordings.result_file import require_same_recording
@@ -100,7 +100,7 @@ def diagnosis_section(content: Diagnosis, context: ReportContext) -> Section:
         context.companion_file(DIAGNOSED_TARGETS_TABLE.file, content), note="Adjusted with the findings in the model."
     )
     model_text = ", with the findings in the model" if content.findings else ""
-    if constants := clear_constants_texts(content.instruments):
+    if constants := significant_constants_texts(content.instruments):
         blocks.append(
             NoteBlock(f"Most significant constants of the instruments{model_text}", f"{'; '.join(constants)}.")
         )

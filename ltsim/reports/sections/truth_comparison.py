@@ -13,7 +13,7 @@ from ltsim.core.results import Table, text_columns
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import Finding
-from ltsim.diagnosis.words import effect_text
+from ltsim.diagnosis.sentences import effect_text
 from ltsim.physics.effects import effect_title, parameter_text
 from ltsim.physics.effects.verbs import make_effect
 from ltsim.recordings.recording import OBSERVABLES

@@ -27,7 +27,7 @@ from ltsim.adjustment.remedies.next_measurement import (
 )
 from ltsim.cli.main import run
 from ltsim.core.errors import ModelError
-from ltsim.diagnosis.detectability import ambiguous_explanations
+from ltsim.diagnosis.detectability import explanations_of_ambiguous_finding
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.physics.model.construction import ideal_construction, misalignment_construction
 from ltsim.planning.objective import d_criterion
@@ -184,7 +184,7 @@ def test_diagnosis_and_plan_give_the_same_advice() -> None:
     made = load_scenario("paper-workshop").model_copy(update={"effects": (entry,)})
     recording, _ = simulate(made, 3)
     found = diagnose(recording)
-    between, beside = ambiguous_explanations(found)
+    between, beside = explanations_of_ambiguous_finding(found)
     assert between
     asked = next(f for f in found.findings if f.effect == between[0])
     planned = rank_next_measurements(recording, explanations=between, with_effects=beside)

@@ -14,8 +14,8 @@ from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.detect import Detection, detect
-from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
+from ltsim.diagnosis.global_test import GlobalTestResult, run_global_test
+from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
 from ltsim.diagnosis.null_ensemble import MIN_SIMULATED_RECORDINGS, NullEnsemble
 from ltsim.diagnosis.search import Searcher
 from ltsim.physics.effects import CATALOGUE, MISALIGNMENT_EFFECTS
@@ -31,8 +31,10 @@ class Search:
     def __init__(self, faces: int) -> None:
         recording, _ = network(values=drawn(misalignment_construction(), 1), seed=1, faces=faces)
         self.space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
-        self.noise = NoiseBank.from_space(self.space, noise_hypotheses(self.space.sightings))
-        self.detection: Detection = detect(Searcher(self.space, 0, MIN_SIMULATED_RECORDINGS), self.noise)
+        self.noise = NoiseHypothesisSet.from_space(self.space, noise_hypotheses(self.space.sightings))
+        self.detection: GlobalTestResult = run_global_test(
+            Searcher(self.space, 0, MIN_SIMULATED_RECORDINGS), self.noise
+        )
 
     def families(self) -> Iterator[list[Effect]]:
         """All places and shapes of each effect beyond the ordinary calibration that shifts readings."""
@@ -74,8 +76,10 @@ class Search:
                 staticmethod(lambda *given, **how: with_trials(usual(*given, **how), residual)),
             )
             scored = Searcher(self.space, 0).empty_model_screening.null_statistics
-        statistic = np.logaddexp(log_sum_exp(self.noise.family_evidence(residual, self.space.redundancy)), scored)
-        return float(np.mean(statistic > self.detection.threshold(GLOBAL_TEST_LEVEL)))
+        statistic = np.logaddexp(
+            log_sum_exp(self.noise.log_evidence_by_family(residual, self.space.redundancy)), scored
+        )
+        return float(np.mean(statistic > self.detection.critical_value(GLOBAL_TEST_LEVEL)))
 
 
 @pytest.fixture(scope="module")

@@ -13,12 +13,12 @@ from scipy import special
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
 from ltsim.core.rounding import MAX_SINGLE_ROUNDING_ERROR
-from ltsim.diagnosis.noise import NoiseBank
+from ltsim.diagnosis.noise import NoiseHypothesisSet
 from ltsim.diagnosis.search import Searcher
 
 
 @dataclass(frozen=True)
-class Detection:
+class GlobalTestResult:
     """Result of the global tests of a recording."""
 
     statistic: float
@@ -33,7 +33,7 @@ class Detection:
         """p-value of the search, corrected for the number of hypotheses."""
         return self.p_value_of(self.statistic)
 
-    def threshold(self, alpha: float) -> float:
+    def critical_value(self, alpha: float) -> float:
         """Value of the statistic that a recording without effects exceeds with the probability `alpha`."""
         return float(np.quantile(self.null_statistics, 1.0 - alpha))
 
@@ -48,13 +48,15 @@ class Detection:
         )
 
 
-def detect(searcher: Searcher, noise: NoiseBank) -> Detection:
+def run_global_test(searcher: Searcher, noise_hypotheses: NoiseHypothesisSet) -> GlobalTestResult:
     """Joint test of the residuals of an adjustment for all effects, laws and changes of the noise."""
     space = searcher.space
-    noise_evidence = noise.family_evidence(space.residuals[:, None], space.redundancy)[:, 0]
-    simulated_evidence = noise.family_evidence(searcher.null_ensemble.simulated_residuals, space.redundancy)
+    noise_evidence = noise_hypotheses.log_evidence_by_family(space.residuals[:, None], space.redundancy)[:, 0]
+    simulated_evidence = noise_hypotheses.log_evidence_by_family(
+        searcher.null_ensemble.simulated_residuals, space.redundancy
+    )
     statistic = float(log_sum_exp(np.append(noise_evidence, searcher.empty_model_screening.statistic)))
     null = np.logaddexp(log_sum_exp(simulated_evidence), searcher.empty_model_screening.null_statistics)
     chi2, dof = float(space.residuals @ space.residuals), space.adjustment.dof
     chi2_p_value = float(special.chdtrc(dof, chi2)) if dof > 0 else float("nan")
-    return Detection(statistic, chi2_p_value, null)
+    return GlobalTestResult(statistic, chi2_p_value, null)

@@ -15,8 +15,8 @@ import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats, Singles
-from ltsim.diagnosis.evidence import noise_level_factor
-from ltsim.diagnosis.law_batch import MAX_CACHED_COLUMN_ENTRIES, LawBatch, RegressorColumns, RowPartition
+from ltsim.diagnosis.evidence import size_factor_to_noise_level
+from ltsim.diagnosis.law_batch import MAX_CACHED_COLUMN_ENTRIES, LawBatch, PointingPartition, RegressorColumns
 from ltsim.diagnosis.prior import CAUSE_PRIOR, PLACE_PRIOR, RESPONSE_PRIOR, RESPONSE_PRIOR_AT_TARGETS
 from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_IN_PRODUCT
 from ltsim.physics.laws.places import (
@@ -58,11 +58,13 @@ PER_SETUP_REGRESSOR_KINDS = ("constant", "sign", "curve", "decay", "memory", "la
 """Kinds of regressors that a search tries for a law of one instrument, or of one set-up."""
 REGION_REGRESSOR_KINDS = ("passage", "lever", "passage for a time", "lever for a time", "near")
 """Kinds of regressors that depend on a region of the hall."""
-RESPONSE_KINDS_BY_REGRESSOR = dict.fromkeys(("product", *REGION_REGRESSOR_KINDS), ("reading",)) | {"room": ("target",)}
+RESPONSE_KINDS_BY_REGRESSOR_KIND = dict.fromkeys(("product", *REGION_REGRESSOR_KINDS), ("reading",)) | {
+    "room": ("target",)
+}
 """Kinds of changed quantities with which a kind of regressor is combined; other regressors are combined with all. Other
 combinations would be many, and hardly physical.
 """
-WAVE_COVARIATES = (*CLOCK_COVARIATES, *ACCUMULATED_ROTATIONS)
+NON_READING_WAVE_COVARIATES = (*CLOCK_COVARIATES, *ACCUMULATED_ROTATIONS)
 """Covariates of waves for changed quantities that are not readings: times, and accumulated rotations of the axes."""
 JOINT_REGRESSOR_KINDS = ("constant", "sign", "curve", "decay", "wave", "memory", "lag", "shape", "passage", "lever")
 """Kinds of regressors for laws that change several observables together. Others would have too many coefficients."""
@@ -70,17 +72,19 @@ RegressorsByKind = Mapping[str, Sequence[Regressor]]
 """Regressors by kind, such as `curve` or `wave`."""
 
 
-def law_batches(space: ResidualSpace, *, with_constants: bool = True) -> list[LawBatch]:
+def law_batches(space: ResidualSpace, *, tests_ordinary_constants: bool = True) -> list[LawBatch]:
     """Batches of laws of a recording, whose prior probabilities add up to that of a law outside the catalogue.
 
-    Constant changes of the instruments' constants are included if `with_constants`. They are left out if the constants
-    are compared with earlier calibrations. A constant displacement of a target is not included, because its coordinates
-    are estimated.
+    Constant changes of the instruments' constants are included if `tests_ordinary_constants`. They are left out if the
+    constants are compared with earlier calibrations. A constant displacement of a target is not included, because its
+    coordinates are estimated.
     """
     builder = _LawBatchBuilder(space)
     for place, places, regressors in _kinds_of_places(space):
-        excluded_kinds = () if with_constants or place not in ("everywhere", "instrument") else ("instrument", "circle")
-        builder.register(place, places, regressors, ("target", *excluded_kinds))
+        excluded_kinds = (
+            () if tests_ordinary_constants or place not in ("everywhere", "instrument") else ("instrument", "circle")
+        )
+        builder.add_laws(place, places, regressors, ("target", *excluded_kinds))
     return builder.law_batches()
 
 
@@ -89,10 +93,11 @@ def _kinds_of_places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ..
     s = space.sightings
     everywhere = (LawPlace((), (), np.arange(len(s))),)
     stations = tuple(
-        LawPlace((name,), (), rows) for name, rows in rows_by_name(_separate_names(s.station_names), s.station)
+        LawPlace((name,), (), rows)
+        for name, rows in rows_by_name(_names_of_separate_places(s.station_names), s.station)
     )
     targets = tuple(
-        LawPlace((), (name,), rows) for name, rows in rows_by_name(_separate_names(s.target_names), s.target)
+        LawPlace((), (name,), rows) for name, rows in rows_by_name(_names_of_separate_places(s.target_names), s.target)
     )
     is_grouped = len(s.target_names) in GROUPED_TARGET_COUNTS
     lengths = ((d.from_, d.to) for d in space.adjustment.recording.gauge.distance)
@@ -110,7 +115,7 @@ def _kinds_of_places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ..
         (
             "everywhere",
             everywhere,
-            {kind: is_grouped for kind, is_grouped in general_regressors.items() if kind != "clock"},
+            {kind: regressors for kind, regressors in general_regressors.items() if kind != "clock"},
         ),
         (
             "set-up",
@@ -135,7 +140,7 @@ def _kinds_of_places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ..
     ]
 
 
-def _separate_names(names: tuple[str, ...]) -> tuple[str, ...]:
+def _names_of_separate_places(names: tuple[str, ...]) -> tuple[str, ...]:
     """Names of the stations or targets that are separate places; empty for one name, and for too many names."""
     return names if 1 < len(names) <= MAX_SEPARATE_PLACES else ()
 
@@ -152,12 +157,12 @@ class _LawBatchBuilder:
         ] = {}
         for response, design in response_designs(self._sightings).values():
             weights = np.where(self._is_used[:, :, None], design / self._sigma[:, :, None], 0.0)
-            sized = scaled_to_noise(response, weights)
+            sized = with_size_raised_to_noise(response, weights)
             self._responses.setdefault((response.kind, len(response.component_names)), []).append(
                 (sized, sized.plausible_size * weights)
             )
 
-    def register(
+    def add_laws(
         self,
         place_kind: str,
         places: tuple[LawPlace, ...],
@@ -169,19 +174,19 @@ class _LawBatchBuilder:
         Responses of the kinds `excluded_kinds` are not combined with the constant regressor.
         """
         kinds = RESPONSE_PRIOR_AT_TARGETS if place_kind in ("target", "group") else RESPONSE_PRIOR
-        for (kind, ways), kind_responses in self._responses.items():
+        for (kind, n_components), kind_responses in self._responses.items():
             n_joint_observables = len(
                 kind_responses[0][0].component_units
             )  # observables of a joint response; 0 for all others
             n_responses = sum(
                 len(same)
                 for (other, n), same in self._responses.items()
-                if other == kind and (n == ways if n_joint_observables else not same[0][0].component_units)
+                if other == kind and (n == n_components if n_joint_observables else not same[0][0].component_units)
             )
             for name, regressors in regressors_by_kind.items():
                 if (
                     kind not in kinds
-                    or kind not in RESPONSE_KINDS_BY_REGRESSOR.get(name, (kind,))
+                    or kind not in RESPONSE_KINDS_BY_REGRESSOR_KIND.get(name, (kind,))
                     or (name == "constant" and kind in excluded_kinds)
                 ):
                     continue
@@ -194,15 +199,15 @@ class _LawBatchBuilder:
                 ]
                 depth = N_OPERATORS_BY_REGRESSOR_KIND[name] + max(n_joint_observables - 1, 0)
                 weight = PLACE_PRIOR[place_kind] * kinds[kind] * ODDS_PER_OPERATOR**depth / n_responses
-                self._divide_weight(
-                    tuple(c for c, _ in kind_responses if _changes_with_region(name, c)),
+                self._register_with_weight(
+                    tuple(c for c, _ in kind_responses if _may_change_in_region(name, c)),
                     admissible_regressors,
                     places,
                     weight,
-                    ways,
+                    n_components,
                 )
 
-    def _divide_weight(
+    def _register_with_weight(
         self,
         responses: tuple[Response, ...],
         regressors: Sequence[Regressor],
@@ -237,7 +242,7 @@ class _LawBatchBuilder:
             for (responses, regressors), registrations in self._registered.items()
             for group, prior in registrations
         )
-        cells: dict[tuple[int, ...], RowPartition] = {}
+        cells: dict[tuple[int, ...], PointingPartition] = {}
         stacked: dict[tuple[Response, ...], Singles] = {}
         columns: dict[tuple[tuple[Regressor, ...], bool, tuple[int, ...]], RegressorColumns] = {}
         batches = []
@@ -245,12 +250,14 @@ class _LawBatchBuilder:
             places = tuple(place for group, _ in registrations for place in group)
             same = tuple(id(place) for place in places)
             if same not in cells:
-                cells[same] = RowPartition.from_places(places, len(self._sightings))
+                cells[same] = PointingPartition.from_places(places, len(self._sightings))
             if responses not in stacked:
                 stacked[responses] = np.stack([weights[c] for c in responses], axis=2, dtype=np.float32)
             key = regressors, responses[0].kind == "target", same
             if key not in columns:
-                columns[key] = RegressorColumns(regressors, self._sightings, cells[same].order, acts_on_targets=key[1])
+                columns[key] = RegressorColumns(
+                    regressors, self._sightings, cells[same].pointing_order, acts_on_targets=key[1]
+                )
             share = np.concatenate([np.full(len(group), prior / whole) for group, prior in registrations])
             batches.append(
                 LawBatch(
@@ -271,24 +278,28 @@ class _LawBatchBuilder:
         return batches
 
 
-def _changes_with_region(regressor_kind: str, response: Response) -> bool:
+def _may_change_in_region(regressor_kind: str, response: Response) -> bool:
     """True if a law may change this quantity within a region of the hall; always for regressors without region.
 
     A range changes in proportion to the path in the region, and an angle in proportion to its lever.
     """
-    way = regressor_kind.removesuffix(" for a time")
-    return way not in ("passage", "lever") or ("distance" in response.observables) == (way == "passage")
+    base_kind = regressor_kind.removesuffix(" for a time")
+    return base_kind not in ("passage", "lever") or ("distance" in response.observables) == (base_kind == "passage")
 
 
 def _is_wave_candidate(response_kind: str, wave: Regressor) -> bool:
-    """True if a wave is tried for a kind of quantity: all waves for readings, `WAVE_COVARIATES` for others."""
-    return response_kind == "reading" or wave.covariates[0] in WAVE_COVARIATES
+    """True if a search tries a wave for a kind of changed quantity.
+
+    All waves are tried for readings, and those of `NON_READING_WAVE_COVARIATES` for the other kinds.
+    """
+    return response_kind == "reading" or wave.covariates[0] in NON_READING_WAVE_COVARIATES
 
 
-def scaled_to_noise(response: Response, weights: Floats) -> Response:
+def with_size_raised_to_noise(response: Response, whitened_changes: Floats) -> Response:
     """Changed quantity (response) whose plausible size is raised to the noise level if it is smaller.
 
-    `weights` (n, 3, c) are the whitened changes of the three readings of n pointings per unit of each component.
+    `whitened_changes` (n, 3, c) are the whitened changes of the three readings of n pointings per unit of each
+    component.
     """
-    strength = response.plausible_size * np.sqrt(np.mean(np.sum(weights**2, axis=1), axis=1))
-    return replace(response, plausible_size=response.plausible_size * noise_level_factor(strength))
+    change_in_sigmas = response.plausible_size * np.sqrt(np.mean(np.sum(whitened_changes**2, axis=1), axis=1))
+    return replace(response, plausible_size=response.plausible_size * size_factor_to_noise_level(change_in_sigmas))

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ltsim.diagnosis.evidence import MAX_REFINED_DEFICIT, index_of_best
+from ltsim.diagnosis.evidence import MAX_EVIDENCE_DEFICIT, index_of_best
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.diagnosis.switches import switched_forms
@@ -27,11 +27,11 @@ from ltsim.physics.laws.regressors import (
 )
 from ltsim.scene.regions import candidate_regions
 
-FACTOR_QUANTITIES = ("distance", "elevation", "height")
+SECOND_FACTOR_COVARIATES = ("distance", "elevation", "height")
 """Covariates to which the effect of a law may also be proportional."""
-FACTOR_REGION_SHAPES = ("z", "x", "y", "xy")
+SECOND_FACTOR_REGION_SHAPES = ("z", "x", "y", "xy")
 """Shapes of the regions of the hall to which a law may be confined, as the axes along which they are bounded."""
-MAX_FACTOR_COEFFICIENTS = 2
+MAX_COEFFICIENTS_WITH_SECOND_FACTOR = 2
 """Largest number of coefficients of a law for which a second factor is tried. A wave has two."""
 
 
@@ -41,7 +41,7 @@ def may_have_a_second_factor(law: EmpiricalLaw) -> bool:
         return False
     regressor = law.regressor
     is_simple = regressor.kind in ("simple", "wave") and len(regressor.covariates) == 1
-    return regressor.n_columns <= MAX_FACTOR_COEFFICIENTS and (is_simple or _is_of_time(regressor))
+    return regressor.n_columns <= MAX_COEFFICIENTS_WITH_SECOND_FACTOR and (is_simple or _is_of_time(regressor))
 
 
 def _is_of_time(regressor: Regressor) -> bool:
@@ -49,7 +49,7 @@ def _is_of_time(regressor: Regressor) -> bool:
     return regressor.covariates[:1] in [(name,) for name in CLOCK_COVARIATES]
 
 
-def product_forms(calculator: EvidenceCalculator, form: Hypothesis, base_model: Model) -> list[Hypothesis]:
+def product_forms(calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: Model) -> list[Hypothesis]:
     """Best product of a law of readings with a second factor, after a local search.
 
     The list is empty if no product has nearly the evidence of the law. For a switch it also contains other forms of the
@@ -59,22 +59,22 @@ def product_forms(calculator: EvidenceCalculator, form: Hypothesis, base_model: 
     assert isinstance(law, EmpiricalLaw)
     weights = [
         scalar_regressor(name, "power")
-        for name in FACTOR_QUANTITIES
+        for name in SECOND_FACTOR_COVARIATES
         if np.ptp(sightings.quantities[name]) > 0 and name not in law.regressor.covariates
     ]
     if _is_of_time(law.regressor):
         function = LEVER_FUNCTION if "distance" not in law.response.observables else ""
-        regions = candidate_regions(sightings, FACTOR_REGION_SHAPES)
+        regions = candidate_regions(sightings, SECOND_FACTOR_REGION_SHAPES)
         weights += [passage_regressor(region, function) for region in regions]
     if not weights:
         return []
     laws = [_law_product(law, weight) for weight in weights]
-    log_evidences = calculator.log_evidence(laws, base_model)
+    log_evidences = calculator.log_evidence(laws, conditioning_model)
     top = index_of_best(log_evidences)
     prior = form.log_prior + float(np.log(ODDS_PER_OPERATOR / len(weights)))
-    if log_evidences[top] + prior < form.log_evidence - MAX_REFINED_DEFICIT:
+    if log_evidences[top] + prior < form.log_evidence - MAX_EVIDENCE_DEFICIT:
         return []
-    refined, value = calculator.refine_locally([laws[top]], base_model)[0]
+    refined, value = calculator.refine_locally([laws[top]], conditioning_model)[0]
     products = [Hypothesis(refined, prior, value + prior, catalogue_name(refined))]
     if law.regressor.kind == "switch":
         weight = next(f for f in refined.regressor.factors if f.kind != "switch")
@@ -84,11 +84,11 @@ def product_forms(calculator: EvidenceCalculator, form: Hypothesis, base_model: 
             else Regressor("product", factors=(smooth_regressor("time", N_MODES_IN_PRODUCT), weight))
         )
         alone = replace(refined, regressor=factor)
-        products += switched_forms(calculator, alone, prior, base_model, refine=False)
+        products += switched_forms(calculator, alone, prior, conditioning_model, refines_region=False)
     return products
 
 
-def _law_product(law: EmpiricalLaw, weight: Regressor) -> EmpiricalLaw:
-    """Product of a law with the second factor `weight`. A region is the first factor of the product."""
-    factors = (weight, law.regressor) if weight.region is not None else (law.regressor, weight)
+def _law_product(law: EmpiricalLaw, second_factor: Regressor) -> EmpiricalLaw:
+    """Product of a law with the second factor `second_factor`. A region is the first factor of the product."""
+    factors = (second_factor, law.regressor) if second_factor.region is not None else (law.regressor, second_factor)
     return replace(law, regressor=Regressor("product", factors=factors), length_scale_index=0)

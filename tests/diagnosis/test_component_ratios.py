@@ -9,7 +9,7 @@ from scipy.integrate import quad
 from ltsim.adjustment import adjust
 from ltsim.core.errors import ModelError
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.directions import best_ratio
+from ltsim.diagnosis.component_ratios import best_component_ratio
 from ltsim.diagnosis.evidence import log_evidence_of_coefficients
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressors import scalar_regressor, smooth_regressor
@@ -40,7 +40,7 @@ def planted(n_components: int, coefficients: int, size: float) -> tuple[np.ndarr
 def test_one_ratio_is_found_and_has_more_evidence_than_separate_coefficients(n_components: int) -> None:
     gram, score, ratio = planted(n_components, 5, 1.0)
     spread = np.full(len(score), 0.5)
-    best, *evidence = best_ratio(gram, score, spread, n_components)
+    best, *evidence = best_component_ratio(gram, score, spread, n_components)
     np.testing.assert_allclose(best, ratio, atol=0.25)
     assert sum(evidence) > float(log_evidence_of_coefficients(gram, score, spread)) + 1.0
 
@@ -55,7 +55,7 @@ def test_the_evidence_is_the_integral_over_all_ratios() -> None:
         inner = np.einsum("i,iajb,j->ab", u, products, u)
         return float(np.exp(log_evidence_of_coefficients(inner, u @ scores, spread[:4] * np.sqrt(2.0)) - top))
 
-    best, top, share = best_ratio(gram, score, spread, 2)
+    best, top, share = best_component_ratio(gram, score, spread, 2)
     middle = float(np.arctan2(best[1], best[0]))
     integral = quad(likelihood, middle - np.pi / 2, middle + np.pi / 2, args=(top + share,), points=[middle])[0]
     assert np.log(integral / np.pi) == pytest.approx(0.0, abs=0.1)

@@ -61,8 +61,8 @@ def percent_text(probability: float) -> str:
     return "> 99 %" if probability > 0.99 else f"{100 * probability:.0f} %"
 
 
-def catalogue_sentence(
-    effect: str,
+def catalogue_effect_sentence(
+    effect_name: str,
     scope: FindingScope,
     parameters: Sequence[ParameterEstimate],
     probability: float,
@@ -73,7 +73,7 @@ def catalogue_sentence(
 
     `probability` is that of the effect, and `p_located` that of any effect at the same place.
     """
-    entry = catalogue_entry(find_effect(effect))
+    entry = catalogue_entry(find_effect(effect_name))
     place_name = place_text(scope).removeprefix("at ").removeprefix("in the ")
     lower_title = f"{entry.title[0].lower()}{entry.title[1:]}"
     sizes_text = estimates_phrase(parameters)
@@ -116,12 +116,12 @@ def law_sentence(scope: FindingScope, parameters: Sequence[ParameterEstimate], p
     )
 
 
-def unknown_effect_sentence(scope: FindingScope, law_text: str) -> str:
-    """Sentences on a change of the noise outside the catalogue: place, covariates, description (`law_text`)."""
+def unknown_noise_sentence(scope: FindingScope, noise_text: str) -> str:
+    """Sentences on a change of the noise outside the catalogue: place, covariates, description (`noise_text`)."""
     covariates = listing([COVARIATE_TEXTS.get(name, name) for name in scope.covariates])
-    dependence = f" It depends on {covariates}." if covariates else ""
+    dependence = f" The effect depends on {covariates}." if covariates else ""
     present = f"An effect outside the catalogue is present{_place_suffix(scope)}."
-    return f"{present}{dependence} The best description is {law_text}."
+    return f"{present}{dependence} The best description is {noise_text}."
 
 
 def _place_suffix(scope: FindingScope) -> str:
@@ -130,7 +130,7 @@ def _place_suffix(scope: FindingScope) -> str:
     return f" {place_text(scope)}" if confined else ""
 
 
-def clear_constants_texts(instruments: Sequence[InstrumentEntry]) -> list[str]:
+def significant_constants_texts(instruments: Sequence[InstrumentEntry]) -> list[str]:
     """Texts of the best-determined constants of the instruments, the most significant first.
 
     A combination of constants has the name of its first constant, which is then an effective value over the angles of
@@ -153,7 +153,7 @@ def clear_constants_texts(instruments: Sequence[InstrumentEntry]) -> list[str]:
     return [words for times, words in ranked if times > MIN_CLEAR_SIGMAS][:MAX_MODEL_MEMBERS]
 
 
-UNITS_WITHOUT_CLOCK = {"s": ("rows", 1.0), "min": ("rows", 60.0), "h": ("rows", 3600.0)}
+ROW_UNITS_BY_TIME_UNIT = {"s": ("rows", 1.0), "min": ("rows", 60.0), "h": ("rows", 3600.0)}
 """Units that replace those of time if a recording has no clock, each with its factor. A row then stands for a second.
 """
 
@@ -161,10 +161,10 @@ UNITS_WITHOUT_CLOCK = {"s": ("rows", 1.0), "min": ("rows", 60.0), "h": ("rows", 
 def estimate_without_clock(parameter: ParameterEstimate) -> ParameterEstimate:
     """Estimate for a recording without a clock, with rows in place of times in its unit."""
     per, _, rate = parameter.unit.partition("/")
-    if rate in UNITS_WITHOUT_CLOCK:
-        factor, unit = 1.0 / UNITS_WITHOUT_CLOCK[rate][1], f"{per}/row"
-    elif parameter.unit in UNITS_WITHOUT_CLOCK:
-        unit, factor = UNITS_WITHOUT_CLOCK[parameter.unit]
+    if rate in ROW_UNITS_BY_TIME_UNIT:
+        factor, unit = 1.0 / ROW_UNITS_BY_TIME_UNIT[rate][1], f"{per}/row"
+    elif parameter.unit in ROW_UNITS_BY_TIME_UNIT:
+        unit, factor = ROW_UNITS_BY_TIME_UNIT[parameter.unit]
     else:
         return parameter
     value, sigma = factor * parameter.value, factor * parameter.sigma

@@ -15,11 +15,11 @@ from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.diagnosis.evidence import coefficient_posterior, log_evidence_of_coefficients
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
-RATIO_DECIMALS = 4
+COMPONENT_RATIO_DECIMALS = 4
 """Number of decimals to which a ratio is rounded, so that a law equals the law that is read from its text form."""
 
 
-def best_ratio(
+def best_component_ratio(
     gram: Floats, score: Floats, plausible_sizes: Floats, n_components: int
 ) -> tuple[tuple[float, ...], float, float]:
     """Best ratio of the components of a law, as a unit vector (w,), and two log evidences.
@@ -52,25 +52,25 @@ def best_ratio(
         previous, ratio = ratio, step / np.linalg.norm(step)
         if np.abs(ratio - previous).max() < MAX_ROUNDING_ERROR:
             break
-    ratio = np.round(ratio * np.sign(ratio[np.argmax(np.abs(ratio))]), RATIO_DECIMALS)
+    ratio = np.round(ratio * np.sign(ratio[np.argmax(np.abs(ratio))]), COMPONENT_RATIO_DECIMALS)
     component_gram = np.einsum("i,iajb,j->ab", ratio, products, ratio)
     coefficient_means = coefficient_posterior(component_gram, ratio @ scores, common_spread)[0]
     cross = np.einsum("a,iajb,j->ib", coefficient_means, products, ratio)
-    curvature = np.einsum("a,iajb,b->ij", coefficient_means, products, coefficient_means)
-    curvature -= cross @ np.linalg.solve(component_gram + np.diag(common_spread**-2.0), cross.T)
+    log_evidence_curvature = np.einsum("a,iajb,b->ij", coefficient_means, products, coefficient_means)
+    log_evidence_curvature -= cross @ np.linalg.solve(component_gram + np.diag(common_spread**-2.0), cross.T)
     evidence = float(log_evidence_of_coefficients(component_gram, ratio @ scores, common_spread))
-    return tuple(ratio.tolist()), evidence, _log_share_of_ratios(curvature, ratio)
+    return tuple(ratio.tolist()), evidence, _log_fraction_of_permitted_ratios(log_evidence_curvature, ratio)
 
 
-def _log_share_of_ratios(curvature: Floats, ratio: Floats) -> float:
+def _log_fraction_of_permitted_ratios(log_evidence_curvature: Floats, ratio: Floats) -> float:
     """Log, at most 0, of the share of the half sphere of all ratios that the readings permit.
 
-    `curvature` (w, w) is the curvature of the log evidence at the best `ratio` (w,).
+    `log_evidence_curvature` (w, w) is the curvature of the log evidence at the best `ratio` (w,).
     """
     n_components = len(ratio)
     tangent = np.linalg.svd(ratio[None])[2][1:]
-    strength = np.maximum(np.linalg.eigvalsh(tangent @ curvature @ tangent.T), 1e-12)
+    eigenvalues = np.maximum(np.linalg.eigvalsh(tangent @ log_evidence_curvature @ tangent.T), 1e-12)
     log_area = 0.5 * n_components * np.log(np.pi) - gammaln(
         0.5 * n_components
     )  # of the half sphere in `n_components` dimensions
-    return float(min(0.5 * np.sum(np.log(2.0 * np.pi / strength)) - log_area, 0.0))
+    return float(min(0.5 * np.sum(np.log(2.0 * np.pi / eigenvalues)) - log_area, 0.0))

@@ -11,17 +11,23 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import SI_PER_UNIT
-from ltsim.diagnosis.evidence import normalised_probabilities, wide_prior_posterior
+from ltsim.diagnosis.evidence import index_of_best, normalised_probabilities, wide_prior_posterior
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Model
 from ltsim.diagnosis.schema import ParameterEstimate
 from ltsim.physics.effects.linear_effect import CandidateEffect, ShapeParameter
 from ltsim.scene.sightings import Sightings
 
-PLACE_DIFFERENCE_STEP = 0.05
+REGION_CENTRE_STEP = 0.05
 """Step [m] of the second differences of the log evidence over the position of a region of the hall."""
-UNBOUNDED_STEP_FACTOR = 20.0
-"""Standard deviation of a coordinate that the readings do not determine, as a multiple of `PLACE_DIFFERENCE_STEP`."""
+MAX_CENTRE_SIGMA_IN_STEPS = 20.0
+"""Standard deviation of a coordinate that the readings do not determine, as a multiple of `REGION_CENTRE_STEP`."""
+N_SHAPE_GRID_POINTS = 11
+"""Number of grid points over which a shape constant is integrated, from one coarse step below to one above the best."""
+N_REFINEMENT_GRID_POINTS = 9
+"""Number of points of each refinement of the grid around its best point. The peak may be much narrower than a step."""
+N_GRID_REFINEMENTS = 2
+"""Number of refinements of the grid around its best point."""
 
 
 def _dense_grid(shape: ShapeParameter, estimate: float, sigma: float, n_nodes: int) -> tuple[Floats, Floats]:
@@ -31,7 +37,7 @@ def _dense_grid(shape: ShapeParameter, estimate: float, sigma: float, n_nodes: i
     The widths are in the coordinate in which the grid is even: the value, its logarithm, or its reciprocal.
     """
 
-    def evenly_spaced(x: Floats) -> Floats:
+    def even_coordinate(x: Floats) -> Floats:
         return np.log(x) if shape.has_logarithmic_grid else (1.0 / x if shape.has_reciprocal_grid else x)
 
     low, high = min(shape.lower_bound, estimate), max(shape.upper_bound, estimate)
@@ -40,13 +46,13 @@ def _dense_grid(shape: ShapeParameter, estimate: float, sigma: float, n_nodes: i
         grid = 1.0 / np.linspace(1.0 / low, 1.0 / high, n_nodes)
     near = np.clip(estimate + sigma * np.linspace(-4.0, 4.0, 13), low, high)
     grid_values = np.unique(np.concatenate([grid, near, [estimate]]))
-    edges = evenly_spaced(
+    edges = even_coordinate(
         np.concatenate([grid_values[:1], 0.5 * (grid_values[1:] + grid_values[:-1]), grid_values[-1:]])
     )
     return grid_values, np.maximum(np.abs(np.diff(edges)), 1e-300)
 
 
-def interpolate_shape(shape: ShapeParameter, lower: float, upper: float, position: float) -> float:
+def interpolate_shape_constant(shape: ShapeParameter, lower: float, upper: float, position: float) -> float:
     """Value of a shape constant at a `position` from -1 at `lower` to 1 at `upper`.
 
     The value, its logarithm or its reciprocal is a linear function of the position, as on the grid of the constant.
@@ -57,6 +63,52 @@ def interpolate_shape(shape: ShapeParameter, lower: float, upper: float, positio
     if shape.has_reciprocal_grid and lower > 0:
         return float(1.0 / ((1 - s) / lower + s / upper))
     return float(lower + s * (upper - lower))
+
+
+def integrate_over_shapes(
+    calculator: EvidenceCalculator, effect: CandidateEffect, conditioning_model: Model
+) -> tuple[CandidateEffect, float]:
+    """Effect with its shape at the optimum, and its log evidence averaged over a cell of the coarse grid."""
+    effect, value = calculator.refine_locally([effect], conditioning_model)[0]
+    for shape in type(effect).shape_parameters:
+        now = getattr(effect, shape.name)
+        if isinstance(now, float) and shape.n_grid_values > 1:
+            effect, value = _integrate_over_shape(calculator, effect, shape, conditioning_model, value)
+    return effect, value
+
+
+def _integrate_over_shape(
+    calculator: EvidenceCalculator,
+    effect: CandidateEffect,
+    shape: ShapeParameter,
+    conditioning_model: Model,
+    log_evidence: float,
+) -> tuple[CandidateEffect, float]:
+    """Effect with the best value of a shape constant, and log evidence averaged over a cell of the coarse grid."""
+    now = float(getattr(effect, shape.name))
+    low, high = shape.neighbouring_grid_interval(now)
+    if not low < high:
+        return effect, log_evidence
+    u = np.linspace(-1.0, 1.0, N_SHAPE_GRID_POINTS)
+
+    def log_evidence_at(positions: Floats) -> Floats:
+        values = (interpolate_shape_constant(shape, low, high, x) for x in positions.tolist())
+        return calculator.log_evidence(
+            [effect.with_constants(**{shape.name: value}) for value in values], conditioning_model
+        )
+
+    logs = log_evidence_at(u)
+    for _ in range(N_GRID_REFINEMENTS):
+        top = index_of_best(logs)
+        near = u[max(top - 1, 0) : top + 2]
+        more = np.setdiff1d(np.linspace(near[0], near[-1], N_REFINEMENT_GRID_POINTS), u)
+        order = np.argsort(np.concatenate([u, more]))
+        u, logs = np.concatenate([u, more])[order], np.concatenate([logs, log_evidence_at(more)])[order]
+    best_effect = effect.with_constants(
+        **{shape.name: interpolate_shape_constant(shape, low, high, float(u[index_of_best(logs)]))}
+    )
+    height = np.exp(logs - logs.max())
+    return best_effect, float(logs.max() + np.log(max(np.trapezoid(height, u), 1e-300)))
 
 
 def are_distinct(effect: CandidateEffect, other_effect: CandidateEffect) -> bool:
@@ -83,12 +135,12 @@ class ShapeConstantsNode(NamedTuple):
     """Posterior mean (k,) of the parameters [SI]."""
     variance: Floats
     """Posterior variance (k,) of the parameters [SI]."""
-    gap: float
+    gap_duration: float
     """Time [s] between the pointings before and after a change, which may be at any time in between."""
 
 
-def _gap_of_change(effect: CandidateEffect, sightings: Sightings) -> tuple[int, float]:
-    """Number of the gap between pointings in which an effect changes, and its width [s]; -1 and 0 without a change."""
+def _index_and_duration_of_gap(effect: CandidateEffect, sightings: Sightings) -> tuple[int, float]:
+    """Index of the gap between pointings in which an effect changes, and its duration [s]; -1 and 0 without change."""
     ordered = np.unique(sightings.time[effect.row_weights(sightings) > 0])
     time = vars(effect).get("time")
     if time is None or not np.isfinite(time) or len(ordered) < 2:
@@ -101,24 +153,24 @@ def _distinct_neighbours(effect: CandidateEffect, sightings: Sightings) -> list[
     """Effect and its neighbours, one for each place and gap, so that no gap has twice the weight."""
     by_gap = {}
     for instance in [*effect.neighbours(sightings), effect]:
-        gap, _ = _gap_of_change(instance, sightings)
-        by_gap[instance.stations, instance.targets, instance if gap < 0 else gap] = instance
+        gap_index, _ = _index_and_duration_of_gap(instance, sightings)
+        by_gap[instance.stations, instance.targets, instance if gap_index < 0 else gap_index] = instance
     return list(by_gap.values())
 
 
 def shape_constants_nodes(
     calculator: EvidenceCalculator,
     effect: CandidateEffect,
-    base_model: Model,
-    shape_sigmas: Mapping[str, float],
+    conditioning_model: Model,
+    shape_constant_sigmas: Mapping[str, float],
     *,
-    within_plausible: bool = False,
+    uses_search_prior: bool = False,
 ) -> list[ShapeConstantsNode]:
     """Nodes of the grid of an effect over its shape constants and neighbouring places; empty if it has neither.
 
-    The grid is finer around the shape constants of `effect`. `shape_sigmas` are the standard deviations [SI] of these
-    constants by name. The weights of the nodes use a wide prior of the sizes or, if `within_plausible`, the prior that
-    the search uses.
+    The grid is finer around the shape constants of `effect`. `shape_constant_sigmas` are the standard deviations [SI]
+    of these constants by name. The weights of the nodes use a wide prior of the sizes or, if `uses_search_prior`, the
+    prior that the search uses.
     """
     shape_parameters = [
         s for s in type(effect).shape_parameters if isinstance(vars(effect)[s.name], float) and s.n_grid_values > 1
@@ -128,7 +180,7 @@ def shape_constants_nodes(
         return []
     n_grid_values = 33 if len(shape_parameters) == 1 and not near else 15
     axes = [
-        _dense_grid(s, float(vars(effect)[s.name]), shape_sigmas.get(s.name, 0.0), n_grid_values)
+        _dense_grid(s, float(vars(effect)[s.name]), shape_constant_sigmas.get(s.name, 0.0), n_grid_values)
         for s in shape_parameters
     ]
     size_scales = effect.size_scales
@@ -145,11 +197,12 @@ def shape_constants_nodes(
     ]
     grid_effects = [instance.with_constants(**constants) for instance, constants, _ in points]
     posteriors = [
-        wide_prior_posterior(*moments, size_scales) for moments in calculator.gram_and_score(grid_effects, base_model)
+        wide_prior_posterior(*moments, size_scales)
+        for moments in calculator.grams_and_scores(grid_effects, conditioning_model)
     ]
     log_evidences = (
-        calculator.log_evidence(grid_effects, base_model).tolist()
-        if within_plausible
+        calculator.log_evidence(grid_effects, conditioning_model).tolist()
+        if uses_search_prior
         else [evidence for _, _, evidence in posteriors]
     )
     nodes = []
@@ -157,14 +210,14 @@ def shape_constants_nodes(
         points, grid_effects, posteriors, log_evidences, strict=True
     ):
         constants |= {"time": float(vars(instance)["time"])} if "time" in vars(effect) else {}
-        _, gap = _gap_of_change(instance, sightings)
-        weight = evidence + float(np.sum(np.log(widths))) + (np.log(gap) if gap else 0.0)
-        nodes.append(ShapeConstantsNode(shape, weight, constants, mean, np.diag(covariance), gap))
+        _, gap_duration = _index_and_duration_of_gap(instance, sightings)
+        weight = evidence + float(np.sum(np.log(widths))) + (np.log(gap_duration) if gap_duration else 0.0)
+        nodes.append(ShapeConstantsNode(shape, weight, constants, mean, np.diag(covariance), gap_duration))
     return nodes
 
 
-def centre_estimates(
-    calculator: EvidenceCalculator, effect: CandidateEffect, base_model: Model
+def region_centre_estimates(
+    calculator: EvidenceCalculator, effect: CandidateEffect, conditioning_model: Model
 ) -> tuple[ParameterEstimate, ...]:
     """Coordinates in the network frame of the centre of a region of the hall; empty for effects without a region.
 
@@ -175,26 +228,26 @@ def centre_estimates(
     if not len(centre):
         return ()
     k = len(centre)
-    steps = PLACE_DIFFERENCE_STEP * np.eye(k)
+    steps = REGION_CENTRE_STEP * np.eye(k)
     moves = [np.zeros(k), *steps, *-steps]
     axis_pairs = list(combinations(range(k), 2))
     moves += [steps[i] + steps[j] for i, j in axis_pairs] + [steps[i] - steps[j] for i, j in axis_pairs]
     moves += [steps[j] - steps[i] for i, j in axis_pairs] + [-steps[i] - steps[j] for i, j in axis_pairs]
     log_evidences = calculator.log_evidence(
-        [effect.centred_at(tuple((centre + move).tolist())) for move in moves], base_model
+        [effect.centred_at(tuple((centre + move).tolist())) for move in moves], conditioning_model
     )
     ahead, behind, crossed = (
         log_evidences[1 : k + 1],
         log_evidences[k + 1 : 2 * k + 1],
         log_evidences[2 * k + 1 :].reshape(4, -1),
     )
-    hessian = np.diag((2.0 * log_evidences[0] - ahead - behind) / PLACE_DIFFERENCE_STEP**2)
-    mixed = -(crossed[0] - crossed[1] - crossed[2] + crossed[3]) / (4.0 * PLACE_DIFFERENCE_STEP**2)
+    hessian = np.diag((2.0 * log_evidences[0] - ahead - behind) / REGION_CENTRE_STEP**2)
+    mixed = -(crossed[0] - crossed[1] - crossed[2] + crossed[3]) / (4.0 * REGION_CENTRE_STEP**2)
     for (i, j), value in zip(axis_pairs, mixed, strict=True):
         hessian[i, j] = hessian[j, i] = value
     eigenvalues, eigenvectors = np.linalg.eigh(hessian)
     variance = eigenvectors**2 @ (
-        1.0 / np.maximum(eigenvalues, 1.0 / (UNBOUNDED_STEP_FACTOR * PLACE_DIFFERENCE_STEP) ** 2)
+        1.0 / np.maximum(eigenvalues, 1.0 / (MAX_CENTRE_SIGMA_IN_STEPS * REGION_CENTRE_STEP) ** 2)
     )
     return tuple(
         ParameterEstimate(name=f"centre-{axis}", value=float(value), sigma=float(np.sqrt(v)), unit="m")
@@ -202,8 +255,11 @@ def centre_estimates(
     )
 
 
-def shape_posterior(
-    calculator: EvidenceCalculator, effect: CandidateEffect, base_model: Model, estimates: Sequence[ParameterEstimate]
+def estimates_averaged_over_shapes(
+    calculator: EvidenceCalculator,
+    effect: CandidateEffect,
+    conditioning_model: Model,
+    estimates: Sequence[ParameterEstimate],
 ) -> dict[str, ParameterEstimate]:
     """Posterior means and standard deviations of the parameters and shape constants of an effect, by name.
 
@@ -212,13 +268,15 @@ def shape_posterior(
     constants.
     """
     nodes = shape_constants_nodes(
-        calculator, effect, base_model, {e.name: e.sigma * SI_PER_UNIT[e.unit] for e in estimates}
+        calculator, effect, conditioning_model, {e.name: e.sigma * SI_PER_UNIT[e.unit] for e in estimates}
     )
     if not nodes:
         return {}
     weight = normalised_probabilities(np.array([node.log_weight for node in nodes]))
     node_values = np.array([[*node.mean, *node.constants.values()] for node in nodes])
-    within = np.array([[*s.variance, *((name == "time") * s.gap**2 / 12.0 for name in s.constants)] for s in nodes])
+    within = np.array(
+        [[*s.variance, *((name == "time") * s.gap_duration**2 / 12.0 for name in s.constants)] for s in nodes]
+    )
     posterior_mean = weight @ node_values
     sigma = np.sqrt(np.maximum(weight @ (within + node_values**2) - posterior_mean**2, 0.0))
     units = (

@@ -1,0 +1,164 @@
+"""Selection of the model of a recording: effects, changes of the noise, and changed constants of instruments."""
+
+from collections.abc import Callable, Sequence
+from copy import copy
+from dataclasses import replace
+
+import numpy as np
+
+from ltsim.adjustment import Adjustment
+from ltsim.calibration.evidence import log_sum_exp
+from ltsim.diagnosis.evidence import N_EXACTLY_EVALUATED
+from ltsim.diagnosis.hypotheses import Hypothesis, Model, most_probable_name, probability_and_equivalents
+from ltsim.diagnosis.instruments import ContradictingConstants
+from ltsim.diagnosis.noise_estimation import with_estimated_sizes
+from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
+from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS
+from ltsim.diagnosis.selection_state import SelectionState
+
+MAX_NOISE_CHANGES = 3
+"""Largest number of changes of the noise that are added to a model, each alternating with a selection of effects."""
+MIN_EFFECT_LOG_EVIDENCE = 2.0
+"""Smallest log evidence of an additional effect. It represents a geometric prior on the number of effects, with prior
+odds of e^-2 (1 to 7) for each additional effect."""
+ConstantComparisonFunction = Callable[[Adjustment, float], ContradictingConstants]
+"""Function that returns the constants of instruments that contradict their reference.
+
+Its arguments are an adjustment, and the smallest log evidence of a contradiction.
+"""
+
+
+def select_model(
+    state: SelectionState, min_evidence_gain: float, compare_with_reference: ConstantComparisonFunction
+) -> Model:
+    """Selected model of effects, after a selection of changes of the noise and of changed constants.
+
+    `state` is updated with the changes of the noise and the constants. The kind of hypothesis with the largest evidence
+    is selected first, and the selection ends when the evidence does not increase. The order matters, because a law that
+    is selected with a wrong noise level absorbs noise, and noise that is estimated before a law absorbs the law. Noise
+    is therefore estimated with those effects in the model that are among the simple causes of the network.
+    """
+    noise = state.ranked_noise_changes(state.empty_model)[0][0]
+    shifts = state.searcher.lower_bound_model(min_evidence_gain, noise).penalised_log_evidence
+    if noise >= shifts:
+        identified = state.searcher.catalogue_designs.hypotheses_of(state.identified_effects[: MAX_MODEL_MEMBERS - 1])
+        start_hypotheses = state.searcher.model_of(identified)
+        rival = max(
+            shifts - start_hypotheses.penalised_log_evidence,
+            state.searcher.ranking(start_hypotheses).log_evidence_total,
+        )
+        _select_noise_changes(state, min_evidence_gain, rival, identified)
+        model = _select_effects_given_noise(state, min_evidence_gain, identified)
+    else:
+        model = state.searcher.select_model(min_evidence_gain, requires_member=True)
+    contradicting_constants = compare_with_reference(state.space.adjustment, MIN_EFFECT_LOG_EVIDENCE)
+    constants = contradicting_constants.contradictions
+    if (
+        constants
+        and contradicting_constants.joint_log_evidence - model.penalised_log_evidence
+        > (len(constants) - len(model.members)) * min_evidence_gain
+    ):
+        state.release_priors(constants)
+        model = state.searcher.select_model(min_evidence_gain, requires_member=False)
+    return _alternate_noise_and_effects(state, model, min_evidence_gain)
+
+
+def _select_noise_changes(
+    state: SelectionState,
+    min_evidence_gain: float,
+    log_evidence_of_effects: float,
+    start_hypotheses: Sequence[Hypothesis],
+) -> None:
+    """Forward selection of changes of the noise, which are added to `state`.
+
+    The model contains the effects of `start_hypotheses`. The first change is always selected, because the global test
+    has failed. Effects with the log evidence `log_evidence_of_effects` count among its alternatives. Each further
+    change must increase the log evidence by `min_evidence_gain`.
+    """
+    effects = [hypothesis.effect for hypothesis in start_hypotheses]
+    for further in range(MAX_NOISE_CHANGES):
+        ranked = state.ranked_noise_changes(Model.from_space(start_hypotheses, state.space))
+        if further and ranked[0][0] < min_evidence_gain:
+            break
+        most_probable = _most_probable_noise_change(ranked, 0.0 if further else log_evidence_of_effects)
+        state.add_noise_change(
+            with_estimated_sizes(state.space.with_effects(effects), state.space.sigma, most_probable)
+        )
+        state.set_adjustment(state.estimate_variance_components(effects))
+
+
+def _select_effects_given_noise(
+    state: SelectionState, min_evidence_gain: float, start_hypotheses: Sequence[Hypothesis]
+) -> Model:
+    """Model of effects in addition to the selected changes of the noise; the empty model if these suffice.
+
+    The search begins with the hypotheses `start_hypotheses` in the model. Noise that is estimated without an effect
+    includes this effect. The noise is therefore estimated again with each of the best hypotheses, and the best of these
+    together with its noise is compared with the noise alone by their evidence.
+    """
+    alone, searcher = copy(state), state.searcher
+    model = searcher.select_model(min_evidence_gain, requires_member=True, start_hypotheses=start_hypotheses)
+    leading = searcher.ranking(searcher.empty_model).best_of_each_kind()[:N_EXACTLY_EVALUATED]
+    candidates = [model.members, *((h,) for h in leading)]
+    best = max(candidates[:1] if searcher.is_large_network else candidates, key=state.log_evidence_with_effects)
+    state.prune_variance_components([h.effect for h in best])
+    model = state.searcher.select_model(min_evidence_gain, requires_member=False, start_hypotheses=best)
+    if (
+        model.members
+        and state.log_evidence_of_noise + model.penalised_log_evidence > alone.log_evidence_of_noise + min_evidence_gain
+    ):
+        return model
+    state.replace_by(alone)
+    return state.empty_model
+
+
+def _alternate_noise_and_effects(state: SelectionState, model: Model, min_evidence_gain: float) -> Model:
+    """Model after alternating selections of changes of the noise and of effects, while the evidence increases.
+
+    Each change of the noise is tried in addition to `model`, in place of one effect in the model, and in place of all
+    of them.
+    """
+    for _ in range(MAX_NOISE_CHANGES):
+        searcher, members = state.searcher, model.members
+        bases = [model, *(searcher.model_without(model, i) for i in range(len(members)))]
+        bases += [searcher.empty_model] if len(members) > 1 else []
+        ranked = [state.ranked_noise_changes(base) for base in bases]
+        least = min_evidence_gain + model.discrepancy_penalty
+        rest = [
+            min(searcher.ranking(model).log_evidence_total, least),
+            *(searcher.ranking(base).log_evidence_total for base in bases[1:]),
+        ]
+        lost = [
+            0.0,
+            *rest[1 : len(members) + 1],
+            *(model.penalised_log_evidence - base.penalised_log_evidence for base in bases[len(members) + 1 :]),
+        ]
+        gains = [noise[0][0] - less for noise, less in zip(ranked, lost, strict=True)]
+        most = int(np.argmax(gains))
+        if gains[most] < (least if not most and (state.noise_changes or members) else 0.0):
+            break
+        likeliest_noise = _most_probable_noise_change(ranked[most], rest[most])
+        space = state.space.with_effects(bases[most].effects)
+        state.add_noise_change(with_estimated_sizes(space, state.space.sigma, likeliest_noise))
+        state.set_adjustment(state.estimate_variance_components(bases[most].effects))
+        model = state.searcher.select_model(min_evidence_gain, requires_member=False)
+    return model
+
+
+def _most_probable_noise_change(
+    ranked_noise_changes: Sequence[tuple[float, NoiseHypothesis]], log_evidence_of_effects: float
+) -> NoiseHypothesis:
+    """Most probable change of the noise, with its probability among all hypotheses.
+
+    `ranked_noise_changes` are pairs of log evidence and a change of the noise. `log_evidence_of_effects` is the log of
+    the summed evidence of all other hypotheses.
+    """
+    log_evidences = np.array([value for value, _ in ranked_noise_changes])
+    weights = np.exp(log_evidences - log_sum_exp(np.array([0.0, log_evidence_of_effects, *log_evidences])))
+    p_by_name: dict[str, float] = {}
+    for (_, entry), weight in zip(ranked_noise_changes, weights.tolist(), strict=True):
+        p_by_name[entry.effect.name] = min(p_by_name.get(entry.effect.name, 0.0) + weight, 1.0)
+    name = most_probable_name(p_by_name)
+    value, best = next(entry for entry in ranked_noise_changes if entry[1].effect.name == name)
+    probability, rivals = probability_and_equivalents(p_by_name, name)
+    return replace(best, log_evidence=value, probability=probability, equivalents=rivals)

@@ -1,0 +1,122 @@
+"""Estimation of the sizes of a change of the noise, by restricted likelihood.
+
+Shapes below: m rows of the residual space, n pointings, k variance parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import expit
+
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.significance import MAX_CHANCE_SIGMAS
+from ltsim.calibration.evidence import log_sum_exp
+from ltsim.core.arrays import Floats
+from ltsim.diagnosis.evidence import log_restricted_likelihood_ratio, normalised_probabilities
+from ltsim.diagnosis.noise_centring import with_estimated_centring
+from ltsim.diagnosis.noise_groups import GROUP_VARIANCE_FACTORS, NOISY_GROUP_FRACTIONS, TAIL_VARIANCE_FACTORS
+from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
+from ltsim.diagnosis.repeats import averaging_matrix_of_repeats, redundancy_of_means, relative_variance_of_means
+from ltsim.physics.effects.linear_effect import CandidateNoiseEffect
+from ltsim.physics.laws.centring import CentringVariance
+
+N_VARIANCE_GRID_VALUES = 7
+"""Number of points of each grid on which the posterior distribution of a size is summed."""
+N_GRID_ZOOMS = 9
+"""Number of grids, each narrower, on which the posterior of a size is summed. The sum over a normal density is accurate
+for spacings of up to 1.5 standard deviations."""
+
+
+def reml_gain_function(
+    space: ResidualSpace, sigma: Floats, effect: CandidateNoiseEffect, residual: Floats, redundancy: Floats
+) -> Callable[[Floats], Floats]:
+    """Function from the sizes (k,) of k variance parameters to the gain (k,) of restricted log likelihood by each.
+
+    Each reading depends on one parameter at most. The effect changes the standard deviations `sigma` (n, 3), while the
+    residuals (m,) are whitened by the standard deviations of the space.
+    """
+    faces, used, scale = getattr(effect, "repetition", ""), space.is_used_reading, effect.size_scales
+    means = averaging_matrix_of_repeats(space, faces) if faces else None
+    share = redundancy[: int(used.sum())] if means is None else redundancy_of_means(means, redundancy)
+    squares = residual[: len(share)] ** 2 if means is None else (means @ residual) ** 2
+
+    def variance_factors_at(values: Floats) -> Floats:
+        factor = (effect.variance(space.sightings, sigma, values) / space.sigma**2)[used]
+        return factor if means is None else 1.0 + relative_variance_of_means(means, factor - 1.0)
+
+    parameter = np.argmax(
+        [variance_factors_at(unit) != variance_factors_at(0.0 * scale) for unit in np.diag(scale)], axis=0
+    )
+
+    def reml_gain_at(values: Floats) -> Floats:
+        factor = variance_factors_at(values)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            each = np.where(factor > 0.0, log_restricted_likelihood_ratio(squares, share, factor), -np.inf)
+        return np.asarray(np.bincount(parameter, each, minlength=len(scale)), dtype=np.float64)
+
+    return reml_gain_at
+
+
+def _heavy_tail_with_variances(hypothesis: NoiseHypothesis, reml_gain: Callable[[Floats], Floats]) -> NoiseHypothesis:
+    """Hypothesis of a heavy tail with the variance of each reading, which is the inverse of its expected weight.
+
+    Let p be the probability that a reading is in the tail, where its variance is multiplied by a factor f. Its expected
+    weight is (1 - p) + p E[1 / f], as in the EM algorithm for scale mixtures (Little 1988, Applied Statistics 37, 23).
+    The fraction of readings in the tail is the one with the largest likelihood.
+    """
+    n_parameters = len(hypothesis.effect.parameters)
+    base_gain = reml_gain(np.zeros(n_parameters))
+    log_gains = np.stack([reml_gain(np.full(n_parameters, f - 1.0)) - base_gain for f in TAIL_VARIANCE_FACTORS])
+    ratio = log_sum_exp(log_gains) - np.log(len(TAIL_VARIANCE_FACTORS))
+    likelihood = [np.logaddexp(np.log1p(-q), np.log(q) + ratio).sum() for q in NOISY_GROUP_FRACTIONS]
+    q = float(NOISY_GROUP_FRACTIONS[int(np.argmax(likelihood))])
+    inside = expit(ratio + np.log(q / (1.0 - q)))
+    probabilities = np.exp(log_gains - log_sum_exp(log_gains))
+    weight = 1.0 - inside + inside * (probabilities / TAIL_VARIANCE_FACTORS[:, None]).sum(axis=0)
+    values = 1.0 / weight - 1.0
+    drop, sigma = 2.0 * float((reml_gain(values) - base_gain).sum()), np.sqrt(2.0) * (1.0 + values)  # one reading each
+    return replace(hypothesis, sizes=tuple(values.tolist()), chi2_drop=drop, size_sigmas=tuple(sigma.tolist()))
+
+
+def with_estimated_sizes(space: ResidualSpace, nominal_sigma: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
+    """Hypothesis with estimated sizes, their standard deviations, and twice the log restricted likelihood ratio.
+
+    The hypothesis changes the standard deviations `nominal_sigma` (n, 3). The estimates are posterior means and
+    standard deviations with a log-uniform prior of the variance factor, because the likelihood of a variance is skew.
+    The posteriors of several sizes are independent (`reml_gain_function`). A size on which no reading depends is 0 with
+    an infinite standard deviation.
+    """
+    effect, scale = hypothesis.effect, hypothesis.effect.size_scales
+    if isinstance(effect, CentringVariance):
+        return with_estimated_centring(space, hypothesis)
+    reml_gain = reml_gain_function(space, nominal_sigma, effect, space.residuals, space.redundancy)
+    if getattr(effect, "group_kind", "") == "reading":
+        return _heavy_tail_with_variances(hypothesis, reml_gain)
+    least, most = (
+        np.full(len(scale), np.log1p(effect.min_relative_size)),
+        np.full(len(scale), np.log1p(GROUP_VARIANCE_FACTORS.max())),
+    )
+    low, high = least, most
+    for _ in range(N_GRID_ZOOMS):
+        points = np.linspace(low, high, N_VARIANCE_GRID_VALUES)
+        sizes = scale * np.expm1(points)
+        ratio = np.array([reml_gain(size) for size in sizes])
+        weight, felt = normalised_probabilities(ratio), np.ptp(ratio, axis=0) > 0.0
+        mean = np.sum(weight * points, axis=0)
+        spread = np.sqrt(np.sum(weight * (points - mean) ** 2, axis=0))
+        spread = np.maximum(spread, 0.4 * (high - low) / (N_VARIANCE_GRID_VALUES - 1))
+        low, high = (
+            np.maximum(least, mean - MAX_CHANCE_SIGMAS * spread),
+            np.minimum(most, mean + MAX_CHANCE_SIGMAS * spread),
+        )
+    values = np.where(felt, np.sum(weight * sizes, axis=0), 0.0)
+    sigma = np.where(felt, np.sqrt(np.sum(weight * (sizes - values) ** 2, axis=0)), np.inf)
+    gain = reml_gain(values) - reml_gain(0.0 * scale)
+    if getattr(effect, "group_kind", ""):  # most groups have none: weighted by the probability that there is one
+        values = values * expit(gain + np.log(NOISY_GROUP_FRACTIONS.min() / (1.0 - NOISY_GROUP_FRACTIONS.min())))
+        gain = reml_gain(values) - reml_gain(0.0 * scale)
+    drop = 2.0 * float(gain.sum())
+    return replace(hypothesis, sizes=tuple(values.tolist()), chi2_drop=drop, size_sigmas=tuple(sigma.tolist()))
